@@ -1,0 +1,34 @@
+"""Designs of experiments: points of the unit cube at which the simulator is run."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import qmc
+
+from strandline.errors import InvalidInput
+
+__all__ = ["sobol"]
+
+
+def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.ndarray, "run dim"]:
+    """Return the first `number` points of one Sobol sequence in the unit cube.
+
+    Nested: a larger design begins with the smaller one, so it reuses its runs.
+
+    Args:
+        number: how many points.
+        dim: dimension of the cube.
+        scramble: seed of an Owen scrambling; None (the default) leaves the sequence as Sobol' built it, whose first
+            point is the origin.
+
+    Raises:
+        InvalidInput: `number` or `dim` below 1.
+    """
+    if number < 1 or dim < 1:
+        raise InvalidInput(
+            "size of the Sobol design",
+            value=f"{number} points in {dim} dimensions",
+            expected="at least 1 of each",
+            remedy="Ask for at least one run.",
+        )
+    engine = qmc.Sobol(dim, scramble=scramble is not None, rng=scramble)
+    return np.asarray(engine.random_base2(max(number - 1, 0).bit_length())[:number])

@@ -1,0 +1,89 @@
+"""Every exception that strandline raises on purpose.
+
+```
+StrandlineError
+├── InvalidInput            the caller can mend it: exit code 2, one line, nothing written
+│   ├── InvalidStudy        study.yaml or the study folder
+│   ├── InvalidInterface    an observed or supplied polyline
+│   ├── LedgerError         a ledger that is locked, foreign, unreadable or of a newer version
+│   └── TooFewRuns          not enough successful forward runs to go on
+├── ForwardModelError       one forward run failed: data, never the end of a campaign
+└── NumericsError           a numerical method could not deliver what it promises
+```
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+class StrandlineError(Exception):
+    """Root of all exceptions raised on purpose."""
+
+
+class InvalidInput(StrandlineError, ValueError):
+    """Something the caller supplied cannot be used.
+
+    Args:
+        what: what is wrong, with the place it was found.
+        value: the value that was found.
+        expected: what would have been right.
+        remedy: what to do next.
+    """
+
+    def __init__(self, what: str, *, value: object, expected: str, remedy: str) -> None:
+        self.what, self.value, self.expected, self.remedy = what, value, expected, remedy
+        super().__init__(f"{what}: got {_shown(value)}; expected {expected}. {remedy}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild_invalid, (type(self), self.what, self.value, self.expected, self.remedy)
+
+
+class InvalidStudy(InvalidInput):
+    """The study file or folder cannot be used."""
+
+
+class InvalidInterface(InvalidInput):
+    """Points that do not form an interface."""
+
+
+class LedgerError(InvalidInput):
+    """The ledger of runs cannot be used."""
+
+
+class TooFewRuns(InvalidInput):
+    """Not enough successful forward runs."""
+
+
+class ForwardModelError(StrandlineError):
+    """One forward run did not yield an interface.
+
+    Args:
+        kind: short machine-readable reason, e.g. ``newton_stalled``.
+        message: one sentence for a person.
+        evidence: figures that support the kind, e.g. the load reached.
+    """
+
+    def __init__(self, kind: str, message: str, evidence: Mapping[str, float] | None = None) -> None:
+        self.kind, self.message, self.evidence = kind, message, dict(evidence or {})
+        super().__init__(f"{kind}: {message}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ForwardModelError, (self.kind, self.message, self.evidence)
+
+
+class NumericsError(StrandlineError):
+    """A numerical method cannot deliver what it promises; the message says what to do."""
+
+
+def _rebuild_invalid(
+    kind: type[InvalidInput], what: str, value: object, expected: str, remedy: str
+) -> InvalidInput:
+    return kind(what, value=value, expected=expected, remedy=remedy)
+
+
+def _shown(value: object) -> str:
+    """Return `value` on one line of bearable length."""
+    if value is None:
+        return "nothing"
+    text = " ".join((value if isinstance(value, str) else repr(value)).split())
+    return text if len(text) <= 160 else text[:157] + "…"

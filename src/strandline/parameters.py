@@ -1,0 +1,129 @@
+"""Parameters with names, units, priors and a design box; the map between the unit cube and physical values."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import InvalidInput
+from strandline.priors import Prior, Truncated, truncate
+
+__all__ = ["Parameter", "ParameterSpace"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One uncertain input.
+
+    Args:
+        name: the simulator's name of it.
+        prior: the distribution before the data are seen.
+        unit: e.g. ``Pa``; ``1`` for a pure number.
+        box: interval in which forward runs are made; where it is left out, the support of the prior.
+
+    A prior that reaches beyond the box is truncated to it, and `mass_cut` tells how much was cut off: outside the box
+    nothing is known of the simulator.
+    """
+
+    name: str
+    prior: Prior
+    unit: str = "1"
+    box: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        low, high = self.interval
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise InvalidInput(
+                f"design box of {self.name}",
+                value=[low, high],
+                expected="two finite numbers, the lower one first",
+                remedy=f"Give {self.name} a box: [low, high]; its prior has no bounds of its own.",
+            )
+        _ = self.truncated_prior
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The design box, (low, high)."""
+        return self.prior.support if self.box is None else self.box
+
+    @property
+    def truncated_prior(self) -> Prior:
+        """The prior that is used: `prior`, restricted to the design box."""
+        return truncate(self.prior, *self.interval)
+
+    @property
+    def mass_cut(self) -> float:
+        """Prior probability outside the design box."""
+        prior = self.truncated_prior
+        return prior.mass_cut if isinstance(prior, Truncated) else 0.0
+
+    def label(self) -> str:
+        """Return name and unit for an axis: ``E [Pa]``, ``nu``."""
+        return self.name if self.unit in ("", "1") else f"{self.name} [{self.unit}]"
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """The inputs of a calibration, in a fixed order."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __post_init__(self) -> None:
+        names = self.names
+        if not names or len(set(names)) != len(names):
+            raise InvalidInput(
+                "names of the inputs",
+                value=list(names),
+                expected="at least one input, all names different",
+                remedy="Rename or add inputs.",
+            )
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.parameters)
+
+    def __getitem__(self, name: str) -> Parameter:
+        return self.parameters[self.names.index(name)]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def dim(self) -> int:
+        """Number of inputs."""
+        return len(self.parameters)
+
+    @property
+    def low(self) -> Float[np.ndarray, " dim"]:
+        """Lower corner of the design box, physical."""
+        return np.array([p.interval[0] for p in self.parameters], float)
+
+    @property
+    def high(self) -> Float[np.ndarray, " dim"]:
+        """Upper corner of the design box, physical."""
+        return np.array([p.interval[1] for p in self.parameters], float)
+
+    def to_physical(self, u: Float[np.ndarray, "*run dim"]) -> Float[np.ndarray, "*run dim"]:
+        """Map the unit cube linearly onto the design box."""
+        return np.asarray(self.low + u * (self.high - self.low))
+
+    def to_unit(self, x: Float[np.ndarray, "*run dim"]) -> Float[np.ndarray, "*run dim"]:
+        """Map the design box linearly onto the unit cube."""
+        return np.asarray((x - self.low) / (self.high - self.low))
+
+    def log_prior(self, x: Any) -> Any:
+        """Return the joint log prior of physical points (…, dim) → (…); NumPy or JAX, independent inputs."""
+        return sum(p.truncated_prior.log_density(x[..., i]) for i, p in enumerate(self.parameters))
+
+    def prior_quantiles(self, p: Float[np.ndarray, "particle dim"]) -> Float[np.ndarray, "particle dim"]:
+        """Map uniform numbers to draws of the prior by the quantile functions, input by input."""
+        columns = [q.truncated_prior.quantile(p[:, i]) for i, q in enumerate(self.parameters)]
+        return np.stack([np.asarray(c, float) for c in columns], axis=1)
+
+    def as_mapping(self, x: Float[np.ndarray, " dim"]) -> Mapping[str, float]:
+        """Return the values by name."""
+        return dict(zip(self.names, x.tolist(), strict=True))

@@ -1,0 +1,259 @@
+"""Univariate prior distributions.
+
+A prior is a small frozen dataclass with a log density that works on NumPy *and* JAX arrays (and under `jax.jit`),
+and with a cumulative distribution and quantile on NumPy arrays. A new prior is one class here and one line in
+`PRIORS`.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from scipy import special, stats
+
+from strandline.errors import InvalidInput
+
+__all__ = ["PRIORS", "LogNormal", "Normal", "Prior", "ScaledBeta", "Truncated", "Uniform", "truncate"]
+
+Array = Any  # a NumPy or a JAX array of any shape, or a float
+
+
+@runtime_checkable
+class Prior(Protocol):
+    """A univariate distribution; `support` is the smallest closed interval that carries all mass."""
+
+    @property
+    def support(self) -> tuple[float, float]: ...
+
+    def log_density(self, x: Array) -> Array:
+        """Return the normalised log density, -inf outside the support; any shape, NumPy or JAX."""
+        ...
+
+    def cdf(self, x: Array) -> Array:
+        """Return the probability of values ≤ x (NumPy)."""
+        ...
+
+    def quantile(self, p: Array) -> Array:
+        """Return the inverse of `cdf` (NumPy)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Uniform on [low, high]."""
+
+    low: float
+    high: float
+    fields: ClassVar[str] = "[low, high]"
+
+    def __post_init__(self) -> None:
+        _require_interval("uniform", self.low, self.high)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    def log_density(self, x: Array) -> Array:
+        """Return -log(high - low) inside, -inf outside."""
+        xp = _namespace(x)
+        inside = (x >= self.low) & (x <= self.high)
+        return xp.where(inside, -math.log(self.high - self.low), -xp.inf)
+
+    def cdf(self, x: Array) -> Array:
+        """Return the cumulative distribution."""
+        return np.clip((np.asarray(x) - self.low) / (self.high - self.low), 0.0, 1.0)
+
+    def quantile(self, p: Array) -> Array:
+        """Return the quantile function."""
+        return self.low + np.asarray(p) * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal with the given mean and standard deviation."""
+
+    mean: float
+    sd: float
+    fields: ClassVar[str] = "[mean, sd]"
+
+    def __post_init__(self) -> None:
+        _require_positive("normal", "sd", self.sd)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return -math.inf, math.inf
+
+    def log_density(self, x: Array) -> Array:
+        """Return the normal log density."""
+        z = (x - self.mean) / self.sd
+        return -0.5 * z * z - math.log(self.sd) - 0.5 * math.log(2 * math.pi)
+
+    def cdf(self, x: Array) -> Array:
+        """Return the cumulative distribution."""
+        return special.ndtr((np.asarray(x) - self.mean) / self.sd)
+
+    def quantile(self, p: Array) -> Array:
+        """Return the quantile function."""
+        return self.mean + self.sd * special.ndtri(np.asarray(p))
+
+
+@dataclass(frozen=True)
+class LogNormal:
+    """log x ~ Normal(mu, sigma²); the mode is exp(mu - sigma²)."""
+
+    mu: float
+    sigma: float
+    fields: ClassVar[str] = "[mu, sigma]"
+
+    def __post_init__(self) -> None:
+        _require_positive("lognormal", "sigma", self.sigma)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return 0.0, math.inf
+
+    def log_density(self, x: Array) -> Array:
+        """Return the log-normal log density, -inf for x ≤ 0."""
+        xp = _namespace(x)
+        positive = x > 0
+        log_x = xp.log(xp.where(positive, x, 1.0))
+        z = (log_x - self.mu) / self.sigma
+        value = -0.5 * z * z - log_x - math.log(self.sigma) - 0.5 * math.log(2 * math.pi)
+        return xp.where(positive, value, -xp.inf)
+
+    def cdf(self, x: Array) -> Array:
+        """Return the cumulative distribution."""
+        return stats.lognorm.cdf(x, s=self.sigma, scale=math.exp(self.mu))
+
+    def quantile(self, p: Array) -> Array:
+        """Return the quantile function."""
+        return np.exp(self.mu + self.sigma * special.ndtri(np.asarray(p)))
+
+
+@dataclass(frozen=True)
+class ScaledBeta:
+    """Beta(a, b) stretched to [low, high]."""
+
+    a: float
+    b: float
+    low: float
+    high: float
+    fields: ClassVar[str] = "[a, b, low, high]"
+
+    def __post_init__(self) -> None:
+        _require_positive("beta", "a", self.a)
+        _require_positive("beta", "b", self.b)
+        _require_interval("beta", self.low, self.high)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    def log_density(self, x: Array) -> Array:
+        """Return the log density; -inf outside the interval."""
+        xp = _namespace(x)
+        t = (x - self.low) / (self.high - self.low)
+        inside = (t >= 0) & (t <= 1)
+        safe = xp.where((t > 0) & (t < 1), t, 0.5)
+        interior = (self.a - 1) * xp.log(safe) + (self.b - 1) * xp.log1p(-safe)
+        edge = xp.where(t == 0, _at_edge(self.a), _at_edge(self.b))
+        value = xp.where((t > 0) & (t < 1), interior, edge)
+        norm = float(special.betaln(self.a, self.b)) + math.log(self.high - self.low)
+        return xp.where(inside, value - norm, -xp.inf)
+
+    def cdf(self, x: Array) -> Array:
+        """Return the cumulative distribution."""
+        t = np.clip((np.asarray(x) - self.low) / (self.high - self.low), 0.0, 1.0)
+        return special.betainc(self.a, self.b, t)
+
+    def quantile(self, p: Array) -> Array:
+        """Return the quantile function."""
+        return self.low + (self.high - self.low) * special.betaincinv(self.a, self.b, np.asarray(p))
+
+
+@dataclass(frozen=True)
+class Truncated:
+    """`base` restricted to [low, high] and normalised again; `mass_cut` is the probability left out."""
+
+    base: Prior
+    low: float
+    high: float
+    fields: ClassVar[str] = "{prior: …, low: …, high: …}"
+
+    def __post_init__(self) -> None:
+        _require_interval("truncated", self.low, self.high)
+        if not 1.0 - self.mass_cut > 0.0:
+            raise InvalidInput(
+                "truncated prior keeps no mass",
+                value=f"{self.base} on [{self.low:g}, {self.high:g}]",
+                expected="an interval in which the prior has mass",
+                remedy="Move the bounds or the prior.",
+            )
+
+    @property
+    def mass_cut(self) -> float:
+        """Probability of `base` outside [low, high]."""
+        return float(1.0 - (self.base.cdf(self.high) - self.base.cdf(self.low)))
+
+    @property
+    def support(self) -> tuple[float, float]:
+        low, high = self.base.support
+        return max(low, self.low), min(high, self.high)
+
+    def log_density(self, x: Array) -> Array:
+        """Return the log density of `base`, normalised to the interval."""
+        xp = _namespace(x)
+        inside = (x >= self.low) & (x <= self.high)
+        return xp.where(inside, self.base.log_density(x) - math.log1p(-self.mass_cut), -xp.inf)
+
+    def cdf(self, x: Array) -> Array:
+        """Return the cumulative distribution."""
+        below = self.base.cdf(self.low)
+        return np.clip((self.base.cdf(np.clip(x, self.low, self.high)) - below) / (1.0 - self.mass_cut), 0, 1)
+
+    def quantile(self, p: Array) -> Array:
+        """Return the quantile function."""
+        below = self.base.cdf(self.low)
+        return np.clip(self.base.quantile(below + np.asarray(p) * (1.0 - self.mass_cut)), self.low, self.high)
+
+
+PRIORS = {"uniform": Uniform, "normal": Normal, "lognormal": LogNormal, "beta": ScaledBeta}
+"""Names in study files → classes that take the listed numbers in the order of their fields."""
+
+
+def truncate(prior: Prior, low: float, high: float) -> Prior:
+    """Return `prior` restricted to [low, high]; itself where nothing is cut off."""
+    support_low, support_high = prior.support
+    if low <= support_low and support_high <= high:
+        return prior
+    return Truncated(prior, low, high)
+
+
+def _namespace(x: Array) -> Any:
+    return x.__array_namespace__() if hasattr(x, "__array_namespace__") else np
+
+
+def _at_edge(exponent: float) -> float:
+    """Return the limit of (exponent - 1)·log t for t → 0."""
+    return 0.0 if exponent == 1 else math.copysign(math.inf, 1 - exponent)
+
+
+def _require_interval(name: str, low: float, high: float) -> None:
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise InvalidInput(
+            f"bounds of the {name} prior",
+            value=[low, high],
+            expected="two finite numbers, the lower one first",
+            remedy="Correct the bounds.",
+        )
+
+
+def _require_positive(name: str, field: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise InvalidInput(
+            f"{field} of the {name} prior",
+            value=value,
+            expected="a finite number above 0",
+            remedy=f"Correct {field}.",
+        )
