@@ -75,9 +75,7 @@ class NumericsError(StrandlineError):
     """A numerical method cannot deliver what it promises; the message says what to do."""
 
 
-def _rebuild_invalid(
-    kind: type[InvalidInput], what: str, value: object, expected: str, remedy: str
-) -> InvalidInput:
+def _rebuild_invalid(kind: type[InvalidInput], what: str, value: object, expected: str, remedy: str) -> InvalidInput:
     return kind(what, value=value, expected=expected, remedy=remedy)
 
 

@@ -1,0 +1,1 @@
+"""Forward models: the built-in biofilm and adapters to other simulators."""

@@ -76,6 +76,7 @@ def fingerprint(model: ForwardModel) -> str:
     if isinstance(own, str):
         return own
     subject = model if inspect.isfunction(model) else type(model)
-    fields = dataclasses.asdict(model) if dataclasses.is_dataclass(model) else {}  # type: ignore[call-overload]
+    is_record = dataclasses.is_dataclass(model) and not isinstance(model, type)
+    fields = dataclasses.asdict(model) if is_record else {}
     text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
     return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]

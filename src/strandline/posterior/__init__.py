@@ -1,0 +1,1 @@
+"""The posterior as weighted draws, and what is read off them."""

@@ -1,0 +1,1 @@
+"""Forward runs: records, the ledger that keeps them, executors, campaigns."""

@@ -1,0 +1,1 @@
+"""Adaptive tempered Sequential Monte Carlo."""

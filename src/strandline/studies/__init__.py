@@ -1,0 +1,1 @@
+"""Study folders: the YAML schema, loading, results."""

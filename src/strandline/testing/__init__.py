@@ -1,0 +1,1 @@
+"""Public helpers for tests: models with known posteriors, conformance suites."""

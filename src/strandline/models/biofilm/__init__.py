@@ -1,0 +1,1 @@
+"""Fluid-biofilm interaction in a flow cell: monolithic quasi-steady ALE on NGSolve."""
