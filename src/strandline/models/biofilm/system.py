@@ -1,0 +1,259 @@
+"""The discrete coupled system: unknowns, residual, Jacobian.
+
+Velocity P2 and pressure P1 on the fluid, displacement P2 on the whole domain, solid pressure P1 on the solid. The fluid's
+momentum balance is tested with w + φ on the interface, so the traction there is the consistent residual. The rows of
+displacement unknowns *inside* the fluid are exchanged for those of the mesh motion (`row selection`): exactly
+conservative, and no penalty pollutes the interface.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import ngsolve as ng
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from ngsolve import la
+
+from strandline.errors import ForwardModelError
+from strandline.models.biofilm import forms
+
+__all__ = ["BoundaryNames", "CoupledSystem", "Factorisation"]
+
+Vector = Float[np.ndarray, " unknown"]
+
+
+@dataclass(frozen=True)
+class BoundaryNames:
+    """Regular expressions for the boundaries: velocity zero, velocity prescribed, displacement zero, outflow."""
+
+    no_slip: str
+    inlet: str
+    fixed: str
+    vertical_velocity_zero: str = ""
+
+
+class CoupledSystem:
+    """Residual and Jacobian of the coupled problem on a mesh with regions ``fluid`` and ``solid``.
+
+    Args:
+        mesh: NGSolve mesh; the boundary between the regions is called ``interface``.
+        boundaries: where the conditions hold.
+        viscosity: scaled dynamic viscosity.
+        density: scaled density of the fluid.
+        order: polynomial order of velocity and displacement; pressures have one less.
+    """
+
+    def __init__(
+        self, mesh: Any, boundaries: BoundaryNames, *, viscosity: float, density: float, order: int = 2
+    ) -> None:
+        self.mesh, self.young, self.poisson = mesh, ng.Parameter(1.0), ng.Parameter(0.25)
+        self.space = _spaces(mesh, boundaries, order)
+        self.state = ng.GridFunction(self.space)
+        self._residual = self.state.vec.CreateVector()
+        self._balance = _balance_form(self, viscosity, density)
+        self._motion = _motion_form(self.space)
+        self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
+        self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
+
+    @property
+    def values(self) -> Float[np.ndarray, " dof"]:
+        """All coefficients of the state, prescribed ones included; a view."""
+        return np.asarray(self.state.vec.FV().NumPy())
+
+    def block(self, component: int) -> Bool[np.ndarray, " unknown"]:
+        """Tell which unknowns belong to component 0 v, 1 p, 2 d, 3 pₛ."""
+        part = self.space.Range(component)
+        return (self.free >= part.start) & (self.free < part.stop)
+
+    def set_unknowns(self, x: Vector) -> None:
+        """Write the unknowns into the state."""
+        self.values[self.free] = x
+
+    def residual(self, x: Vector) -> Vector:
+        """Return the residual of the coupled system at `x`.
+
+        Raises:
+            ForwardModelError: ``nonfinite_residual``.
+        """
+        self.set_unknowns(x)
+        return self.full_residual()[self.free]
+
+    def full_residual(self) -> Float[np.ndarray, " dof"]:
+        """Return the residual of every row at the present state; prescribed rows hold the reactions."""
+        self._balance.Apply(self.state.vec, self._residual)
+        result = np.array(self._residual.FV().NumPy())
+        self._motion.mat.Mult(self.state.vec, self._residual)
+        result[self._is_motion] = self._residual.FV().NumPy()[self._is_motion]
+        if not np.isfinite(result).all():
+            raise ForwardModelError("nonfinite_residual", "the residual of the coupled system is not finite")
+        return result
+
+    def factorise(self, x: Vector) -> "Factorisation":
+        """Return the factorised Jacobian at `x`.
+
+        Raises:
+            ForwardModelError: ``linear_solve``.
+        """
+        self.set_unknowns(x)
+        return Factorisation(self._pattern.fill(self._assemble()), len(self.free))
+
+    def _assemble(self) -> Float[np.ndarray, " entry"]:
+        self._balance.AssembleLinearization(self.state.vec)
+        return np.asarray(self._balance.mat.AsVector().FV().NumPy())
+
+    @cached_property
+    def _pattern(self) -> "_Pattern":
+        """Structural nonzeros of the reduced Jacobian, found at a random state."""
+        kept, young, poisson = np.array(self.values), self.young.Get(), self.poisson.Get()
+        self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
+        self.young.Set(1.0), self.poisson.Set(0.23)
+        pattern = _Pattern.find(
+            self._assemble(), self._balance.mat, self._motion.mat, self._is_motion, self.free
+        )
+        self.values[:] = kept
+        self.young.Set(young), self.poisson.Set(poisson)
+        return pattern
+
+
+class Factorisation:
+    """A sparse LU (UMFPACK) of the reduced Jacobian."""
+
+    def __init__(self, matrix: Any, size: int) -> None:
+        try:
+            self._inverse = matrix.Inverse(inverse="umfpack")
+        except Exception as error:
+            raise ForwardModelError("linear_solve", f"the Jacobian could not be factorised: {error}") from error
+        self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
+
+    def solve(self, right: Vector) -> Vector:
+        """Return J⁻¹ right.
+
+        Raises:
+            ForwardModelError: ``linear_solve`` where the result is not finite.
+        """
+        self._right.FV().NumPy()[:] = right
+        self._inverse.Mult(self._right, self._left)
+        result = np.array(self._left.FV().NumPy())
+        if not np.isfinite(result).all():
+            raise ForwardModelError("linear_solve", "the linear solve gave values that are not finite")
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Pattern:
+    """Where the entries of the reduced matrix come from."""
+
+    matrix: Any
+    base: Float[np.ndarray, " nonzero"]
+    balance_slots: Int[np.ndarray, " slot"]
+    balance_entries: Int[np.ndarray, " slot"]
+
+    def fill(self, balance: Float[np.ndarray, " entry"]) -> Any:
+        values = self.matrix.AsVector().FV().NumPy()
+        values[:] = self.base
+        values[self.balance_slots] = balance[self.balance_entries]
+        return self.matrix
+
+    @classmethod
+    def find(
+        cls,
+        balance_values: Float[np.ndarray, " entry"],
+        balance: Any,
+        motion: Any,
+        is_motion: Bool[np.ndarray, " dof"],
+        free: Int[np.ndarray, " unknown"],
+    ) -> "_Pattern":
+        number = np.full(len(is_motion), -1)
+        number[free] = np.arange(len(free))
+        first = _reduced_entries(balance, balance_values, ~is_motion, number)
+        second = _reduced_entries(motion, np.asarray(motion.AsVector().FV().NumPy()), is_motion, number)
+        rows, columns = (np.concatenate([a, b]) for a, b in zip(first[:2], second[:2], strict=True))
+        order = np.lexsort((columns, rows))
+        count = len(free)
+        ones = np.ones(len(rows))
+        matrix = la.SparseMatrixd.CreateFromCOO(
+            rows[order].tolist(), columns[order].tolist(), ones.tolist(), count, count
+        )
+        entries = np.concatenate([first[2], np.full(len(second[2]), -1)])[order]
+        constants = np.concatenate([np.zeros(len(first[3])), second[3]])[order]
+        slots = np.flatnonzero(entries >= 0)
+        return cls(matrix, constants, slots, entries[slots])
+
+
+def _reduced_entries(
+    matrix: Any,
+    values: Float[np.ndarray, " entry"],
+    rows_wanted: Bool[np.ndarray, " dof"],
+    number: Int[np.ndarray, " dof"],
+) -> tuple[
+    Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]
+]:
+    """Return reduced row, reduced column, entry number and value of the nonzero entries in the wanted free rows."""
+    _, columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR())
+    rows = np.repeat(np.arange(matrix.height), np.diff(pointers))
+    keep = rows_wanted[rows] & (number[rows] >= 0) & (number[columns] >= 0) & (values != 0.0)
+    chosen = np.flatnonzero(keep)
+    return number[rows[chosen]], number[columns[chosen]], chosen, np.array(values[chosen])
+
+
+def _spaces(mesh: Any, names: BoundaryNames, order: int) -> Any:
+    stuck = "|".join([names.no_slip, names.inlet, "interface"])
+    velocity = ng.VectorH1(
+        mesh, order=order, definedon="fluid", dirichlet=stuck, dirichlety=names.vertical_velocity_zero
+    )
+    displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed)
+    pressure, solid_pressure = (ng.H1(mesh, order=order - 1, definedon=region) for region in ("fluid", "solid"))
+    return velocity * pressure * displacement * solid_pressure
+
+
+def _balance_form(system: CoupledSystem, viscosity: float, density: float) -> Any:
+    """Momentum of fluid and solid, continuity and the constitutive constraint."""
+    (v, p, d, ps), (w, q, phi, qs) = system.space.TnT()
+    E, nu = system.young, system.poisson
+    fluid = forms.momentum(v, p, d, w, viscosity=viscosity, density=density) + forms.continuity(v, d, q)
+    traction = forms.momentum(v, p, d, phi, viscosity=viscosity, density=density)
+    stress = forms.saint_venant_kirchhoff(d, ps, E, nu)
+    solid = forms.solid_stress_power(d, stress, phi) + forms.constitutive_constraint(d, ps, qs, E, nu)
+    form = ng.BilinearForm(system.space)
+    form += fluid.Compile() * ng.dx("fluid", bonus_intorder=2)
+    form += traction.Compile() * ng.dx(
+        "fluid", definedonelements=_fluid_beside_interface(system.mesh), bonus_intorder=2
+    )
+    form += solid.Compile() * ng.dx("solid", bonus_intorder=2)
+    return form
+
+
+def _motion_form(space: Any) -> Any:
+    d, phi = space.TrialFunction()[2], space.TestFunction()[2]
+    form = ng.BilinearForm(space)
+    form += forms.mesh_motion(d, phi) * ng.dx("fluid")
+    form.Assemble()
+    return form
+
+
+def _fluid_beside_interface(mesh: Any) -> Any:
+    """Mark the fluid elements that touch the interface: only there is φ|Γ not zero."""
+    on_interface = {v.nr for e in mesh.Elements(ng.BND) if e.mat == "interface" for v in e.vertices}
+    marked = ng.BitArray(mesh.ne)
+    marked.Clear()
+    for element in mesh.Elements(ng.VOL):
+        if element.mat == "fluid" and any(v.nr in on_interface for v in element.vertices):
+            marked.Set(element.nr)
+    return marked
+
+
+def _motion_rows(system: CoupledSystem) -> Bool[np.ndarray, " dof"]:
+    """Mark the displacement rows inside the fluid: not shared with any solid element, interface included."""
+    part = system.space.Range(2)
+    rows = np.zeros(system.space.ndof, bool)
+    rows[part.start : part.stop] = True
+    displacement = system.space.components[2]
+    for element in displacement.Elements(ng.VOL):
+        if element.mat == "solid":
+            rows[[part.start + dof for dof in element.dofs if dof >= 0]] = False
+    return rows
+
+
+Residual = Callable[[Vector], Vector]
