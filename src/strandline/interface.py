@@ -1,13 +1,18 @@
 """The interface: what a forward model returns and an experiment observes."""
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from strandline.errors import InvalidInterface
+from strandline.errors import InvalidInput, InvalidInterface
 
-__all__ = ["Interface", "Observation"]
+__all__ = ["Interface", "Observation", "Oriented", "oriented_like"]
+
+_ROUNDING = 8 * float(np.finfo(float).eps)
+"""Share of an interface's extent below which two of its points count as touching."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,10 +23,12 @@ class Interface:
         points: node coordinates (point, xyz).
         cells: node numbers of the segments (cell, 2) or triangles (cell, 3).
 
-    Segments run along the interface with the solid on one constant side; the order of the two nodes fixes the normal.
+    Segments run along the interface, each from where the last one ends, with the solid on one constant side; the
+    order of the two nodes fixes the normal.
 
     Raises:
-        InvalidInterface: fewer points than one cell needs, a value that is not finite, or a cell of no extent.
+        InvalidInterface: fewer points than one cell needs, a value that is not finite, a cell of no extent, a cell
+            with a node that does not exist, or segments that are no chain.
     """
 
     points: Float[np.ndarray, "point xyz"]
@@ -43,6 +50,7 @@ class Interface:
                 expected="finite coordinates in mm",
                 remedy="Remove or correct the point.",
             )
+        self._require_chain()
         if self.dim == 2 and (self.lengths == 0).any():
             where = int(np.argmax(self.lengths == 0))
             raise InvalidInterface(
@@ -100,21 +108,24 @@ class Interface:
         return Interface.polyline(self.points[::-1], closed=self.closed)
 
     def resampled(self, number: int) -> "Interface":
-        """Return `number` points equally spaced by arclength along an open polyline."""
+        """Return the polyline through `number` of its points, equally spaced by arclength.
+
+        An open one keeps its two ends, a closed one its first point.
+        """
         arclength = np.concatenate([[0.0], np.cumsum(self.lengths)])
-        wanted = np.linspace(0.0, arclength[-1], number)
-        columns = [np.interp(wanted, arclength, self.points[:, k]) for k in range(self.dim)]
-        return Interface.polyline(np.stack(columns, axis=1))
+        wanted = np.linspace(0.0, arclength[-1], number, endpoint=not self.closed)
+        return Interface.polyline(self._at(wanted, arclength), closed=self.closed)
 
     def runs_against(self, other: "Interface") -> bool:
         """Tell whether `other`, roughly the same polyline, is run through from its other end.
 
-        Open polylines are compared by their chords, closed ones by the sign of the area they enclose.
+        Open polylines are compared point by point at equal shares of their length, closed ones by the sign of the
+        area they enclose.
         """
-        if self.closed and other.closed:
+        if self.closed or other.closed:
             return bool(self._signed_area() * other._signed_area() < 0)
-        chords = [i.points[i.cells[-1, -1]] - i.points[i.cells[0, 0]] for i in (self, other)]
-        return bool(chords[0] @ chords[1] < 0)
+        mine, theirs = self._shares, other._shares
+        return bool(np.sum((mine - theirs[::-1]) ** 2) < np.sum((mine - theirs) ** 2))
 
     def require_simple(self) -> None:
         """Refuse a polyline that crosses or touches itself.
@@ -132,26 +143,63 @@ class Interface:
                 remedy="Sort the points along the interface or remove the loop.",
             )
 
+    def _require_chain(self) -> None:
+        if self.cells.min() < 0 or self.cells.max() >= len(self.points):
+            found, wanted = (
+                [int(self.cells.min()), int(self.cells.max())],
+                f"numbers from 0 to {len(self.points) - 1}",
+            )
+        elif self.cells.shape[1] == 2 and (self.cells[1:, 0] != self.cells[:-1, 1]).any():
+            where = int(np.argmax(self.cells[1:, 0] != self.cells[:-1, 1]))
+            found, wanted = self.cells[where : where + 2].tolist(), "each segment to start where the last one ends"
+        else:
+            return
+        raise InvalidInterface(
+            "nodes of the cells",
+            value=found,
+            expected=wanted,
+            remedy="Use Interface.polyline for points in their order.",
+        )
+
+    @property
+    def _shares(self) -> Float[np.ndarray, "share xyz"]:
+        """Points at equal shares of the length."""
+        arclength = np.concatenate([[0.0], np.cumsum(self.lengths)])
+        return self._at(np.linspace(0.0, arclength[-1], 17), arclength)
+
+    def _at(
+        self, wanted: Float[np.ndarray, " place"], arclength: Float[np.ndarray, " node"]
+    ) -> Float[np.ndarray, "place xyz"]:
+        chain = self.points[np.append(self.cells[:, 0], self.cells[-1, 1])]
+        return np.stack([np.interp(wanted, arclength, chain[:, k]) for k in range(self.dim)], axis=1)
+
     def _signed_area(self) -> float:
-        a, b = self.starts, self.ends
-        return float(0.5 * np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+        """Area to the left, mm²; an open polyline is closed by its chord."""
+        origin = self.points[self.cells[0, 0]]
+        return float(0.5 * _cross(self.starts - origin, self.ends - origin).sum())
 
     def _first_crossing(self) -> tuple[int, int, Float[np.ndarray, "2"]] | None:
-        """Return (i, j, place) of the first pair of segments, not neighbours, that share a point."""
-        a, d = self.starts, self.ends - self.starts
-        number = len(a)
-        i, j = np.triu_indices(number, k=2)
-        if self.closed:
-            i, j = i[(i > 0) | (j < number - 1)], j[(i > 0) | (j < number - 1)]
-        gap = a[j] - a[i]
-        denominator = _cross(d[i], d[j])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            s, t = _cross(gap, d[j]) / denominator, _cross(gap, d[i]) / denominator
-        hit = np.flatnonzero((s >= 0) & (s <= 1) & (t >= 0) & (t <= 1))
-        if hit.size == 0:
-            return None
-        k = hit[0]
-        return int(i[k]), int(j[k]), a[i[k]] + s[k] * d[i[k]]
+        """Return (i, j, place) of the first pair of segments that share a point; neighbours, more than their node."""
+        fold = self._first_fold()
+        if fold is not None:
+            return fold
+        slack = _ROUNDING * float(np.ptp(self.points, axis=0).max())
+        number = len(self.cells)
+        for i in range(number - 2):
+            others = slice(i + 2, number - 1 if self.closed and i == 0 else number)
+            hit = np.flatnonzero(_meet(self.starts, self.ends, i, others, slack))
+            if hit.size:
+                j = i + 2 + int(hit[0])
+                return i, j, _shared_point(self.starts[i], self.ends[i], self.starts[j], self.ends[j])
+        return None
+
+    def _first_fold(self) -> tuple[int, int, Float[np.ndarray, "2"]] | None:
+        """Return (i, j, place) of the first segment j that runs back over the segment i before it."""
+        d = (self.ends - self.starts) / self.lengths[:, None]
+        onward = d if self.closed else d[:-1]
+        after = np.roll(d, -1, axis=0) if self.closed else d[1:]
+        fold = np.flatnonzero((np.abs(_cross(onward, after)) <= _ROUNDING) & (np.sum(onward * after, axis=1) < 0))
+        return None if fold.size == 0 else (int(fold[0]), int(fold[0] + 1) % len(d), self.ends[fold[0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,12 +210,72 @@ class Observation:
         interface: the observed interface, mm.
         noise_variance: σ_N², in the unit of the discrepancy d².
         condition: the experimental condition or time it belongs to.
+
+    Raises:
+        InvalidInput: a variance that is not a finite number above 0.
     """
 
     interface: Interface
     noise_variance: float
     condition: str = ""
 
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.noise_variance) and self.noise_variance > 0):
+            raise InvalidInput(
+                "noise variance of the observation",
+                value=self.noise_variance,
+                expected="a finite number above 0, in the unit of the discrepancy d²",
+                remedy="Estimate it from the resolution of the measurement.",
+            )
 
-def _cross(a: Float[np.ndarray, "pair 2"], b: Float[np.ndarray, "pair 2"]) -> Float[np.ndarray, " pair"]:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+class Oriented(NamedTuple):
+    """An interface, and whether it had to be turned round."""
+
+    interface: Interface
+    flipped: bool
+
+
+def oriented_like(observed: Interface, reference: Interface) -> Oriented:
+    """Return `observed` run through from the same end as `reference`, and whether it had to be turned round."""
+    flipped = observed.runs_against(reference)
+    return Oriented(observed.reversed() if flipped else observed, flipped)
+
+
+def _cross(a: Float[np.ndarray, "*#pair 2"], b: Float[np.ndarray, "*#pair 2"]) -> Float[np.ndarray, "..."]:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _meet(
+    starts: Float[np.ndarray, "cell 2"], ends: Float[np.ndarray, "cell 2"], i: int, others: slice, slack: float
+) -> Bool[np.ndarray, " other"]:
+    """Tell which of the `others` share a point with segment i: boxes overlap, and each has its ends on both sides."""
+    a, b, p, q = starts[i], ends[i], starts[others], ends[others]
+    low, high = np.minimum(p, q), np.maximum(p, q)
+    boxes = (low <= np.maximum(a, b) + slack).all(axis=1) & (high >= np.minimum(a, b) - slack).all(axis=1)
+    return np.asarray(boxes & _straddle(a, b, p, q, slack) & _straddle(p, q, a, b, slack))
+
+
+def _straddle(
+    a: Float[np.ndarray, "*#other 2"],
+    b: Float[np.ndarray, "*#other 2"],
+    p: Float[np.ndarray, "*#other 2"],
+    q: Float[np.ndarray, "*#other 2"],
+    slack: float,
+) -> Bool[np.ndarray, " other"]:
+    """Tell whether p and q lie on different sides of the line through a and b, or on it."""
+    d = (b - a) / np.linalg.norm(b - a, axis=-1, keepdims=True)
+    one, two = _cross(d, p - a), _cross(d, q - a)
+    return np.asarray((np.minimum(one, two) <= slack) & (np.maximum(one, two) >= -slack))
+
+
+def _shared_point(
+    a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "2"]:
+    """Return a point that two segments which meet have in common; where they overlap, the middle of the overlap."""
+    d, e = b - a, q - p
+    denominator = float(_cross(d, e))
+    if abs(denominator) > 1e-12 * math.hypot(*d) * math.hypot(*e):
+        return np.asarray(a + np.clip(_cross(p - a, e) / denominator, 0.0, 1.0) * d)
+    shares = np.clip([(p - a) @ d / (d @ d), (q - a) @ d / (d @ d)], 0.0, 1.0)
+    return np.asarray(a + shares.mean() * d)

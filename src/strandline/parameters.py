@@ -85,6 +85,10 @@ class ParameterSpace:
         return iter(self.parameters)
 
     def __getitem__(self, name: str) -> Parameter:
+        if name not in self.names:
+            raise InvalidInput(
+                "name of an input", value=name, expected=f"one of {', '.join(self.names)}", remedy="Correct the name."
+            )
         return self.parameters[self.names.index(name)]
 
     @property

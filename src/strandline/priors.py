@@ -18,6 +18,9 @@ __all__ = ["PRIORS", "LogNormal", "Normal", "Prior", "ScaledBeta", "Truncated", 
 
 Array = Any  # a NumPy or a JAX array of any shape, or a float
 
+LEAST_MASS = 1e-10
+"""Mass that a truncated prior must keep: below, the rounding of the cumulative distribution shows in its density."""
+
 
 @runtime_checkable
 class Prior(Protocol):
@@ -78,6 +81,7 @@ class Normal:
     fields: ClassVar[str] = "[mean, sd]"
 
     def __post_init__(self) -> None:
+        _require_finite("normal", "mean", self.mean)
         _require_positive("normal", "sd", self.sd)
 
     @property
@@ -107,6 +111,7 @@ class LogNormal:
     fields: ClassVar[str] = "[mu, sigma]"
 
     def __post_init__(self) -> None:
+        _require_finite("lognormal", "mu", self.mu)
         _require_positive("lognormal", "sigma", self.sigma)
 
     @property
@@ -183,18 +188,23 @@ class Truncated:
 
     def __post_init__(self) -> None:
         _require_interval("truncated", self.low, self.high)
-        if not 1.0 - self.mass_cut > 0.0:
+        if not self.mass > LEAST_MASS:
             raise InvalidInput(
                 "truncated prior keeps no mass",
                 value=f"{self.base} on [{self.low:g}, {self.high:g}]",
-                expected="an interval in which the prior has mass",
+                expected=f"an interval in which the prior has a mass above {LEAST_MASS:g}",
                 remedy="Move the bounds or the prior.",
             )
 
     @property
+    def mass(self) -> float:
+        """Probability of `base` in [low, high]."""
+        return float(self.base.cdf(self.high) - self.base.cdf(self.low))
+
+    @property
     def mass_cut(self) -> float:
         """Probability of `base` outside [low, high]."""
-        return float(1.0 - (self.base.cdf(self.high) - self.base.cdf(self.low)))
+        return 1.0 - self.mass
 
     @property
     def support(self) -> tuple[float, float]:
@@ -205,17 +215,17 @@ class Truncated:
         """Return the log density of `base`, normalised to the interval."""
         xp = _namespace(x)
         inside = (x >= self.low) & (x <= self.high)
-        return xp.where(inside, self.base.log_density(x) - math.log1p(-self.mass_cut), -xp.inf)
+        return xp.where(inside, self.base.log_density(x) - math.log(self.mass), -xp.inf)
 
     def cdf(self, x: Array) -> Array:
         """Return the cumulative distribution."""
         below = self.base.cdf(self.low)
-        return np.clip((self.base.cdf(np.clip(x, self.low, self.high)) - below) / (1.0 - self.mass_cut), 0, 1)
+        return np.clip((self.base.cdf(np.clip(x, self.low, self.high)) - below) / self.mass, 0, 1)
 
     def quantile(self, p: Array) -> Array:
         """Return the quantile function."""
         below = self.base.cdf(self.low)
-        return np.clip(self.base.quantile(below + np.asarray(p) * (1.0 - self.mass_cut)), self.low, self.high)
+        return np.clip(self.base.quantile(below + np.asarray(p) * self.mass), self.low, self.high)
 
 
 PRIORS = {"uniform": Uniform, "normal": Normal, "lognormal": LogNormal, "beta": ScaledBeta}
@@ -246,6 +256,13 @@ def _require_interval(name: str, low: float, high: float) -> None:
             value=[low, high],
             expected="two finite numbers, the lower one first",
             remedy="Correct the bounds.",
+        )
+
+
+def _require_finite(name: str, field: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise InvalidInput(
+            f"{field} of the {name} prior", value=value, expected="a finite number", remedy=f"Correct {field}."
         )
 
 

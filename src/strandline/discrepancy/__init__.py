@@ -1,1 +1,27 @@
 """Discrepancies d² between a simulated and an observed interface, one measure a file."""
+
+from strandline.discrepancy.closest_point import ClosestPoint
+from strandline.discrepancy.currents import Currents
+from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
+from strandline.discrepancy.protocol import Discrepancy, independent_terms, unit_of
+from strandline.discrepancy.tracked_points import TrackedPoints
+
+__all__ = [
+    "DISCREPANCIES",
+    "ClosestPoint",
+    "Currents",
+    "Discrepancy",
+    "LineReadings",
+    "MeasurementLines",
+    "TrackedPoints",
+    "independent_terms",
+    "unit_of",
+]
+
+DISCREPANCIES = {
+    "measurement_lines": MeasurementLines,
+    "tracked_points": TrackedPoints,
+    "closest_point": ClosestPoint,
+    "currents": Currents,
+}
+"""Names in study files → measures; their options are the fields of the class."""

@@ -1,1 +1,4 @@
 """Forward models: the built-in biofilm and adapters to other simulators."""
+
+MODELS = {"biofilm": "strandline.models.biofilm.model:Biofilm"}
+"""Names in study files → ``module:class``, imported only where it is used."""

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from strandline.interface import Interface
 
@@ -75,8 +75,9 @@ def fingerprint(model: ForwardModel) -> str:
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
         return own
-    subject = model if inspect.isfunction(model) else type(model)
-    is_record = dataclasses.is_dataclass(model) and not isinstance(model, type)
-    fields = dataclasses.asdict(model) if is_record else {}
+    instance: Any = model
+    subject = instance if inspect.isfunction(instance) else type(instance)
+    is_record = dataclasses.is_dataclass(instance) and not isinstance(instance, type)
+    fields = dataclasses.asdict(instance) if is_record else {}
     text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
     return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,1 +1,29 @@
-"""Figures: each function takes data and an optional Axes and returns the Axes."""
+"""Figures: each function takes data and an optional Axes (or Figure, for several panels) and returns it."""
+
+from strandline.plots.field import FieldGrid, plot_field, plot_profile, three_measures
+from strandline.plots.flow import FlowFields, plot_flow
+from strandline.plots.interfaces import plot_interfaces
+from strandline.plots.joint import plot_hexagons, plot_joint, plot_pairs
+from strandline.plots.leave_one_out import plot_leave_one_out
+from strandline.plots.marginals import Curve, plot_marginal, plot_marginals
+from strandline.plots.particles import plot_particles
+from strandline.plots.tempering import plot_tempering
+
+__all__ = [
+    "Curve",
+    "FieldGrid",
+    "FlowFields",
+    "plot_field",
+    "plot_flow",
+    "plot_hexagons",
+    "plot_interfaces",
+    "plot_joint",
+    "plot_leave_one_out",
+    "plot_marginal",
+    "plot_marginals",
+    "plot_pairs",
+    "plot_particles",
+    "plot_profile",
+    "plot_tempering",
+    "three_measures",
+]

@@ -1,1 +1,20 @@
 """Adaptive tempered Sequential Monte Carlo."""
+
+from strandline.smc.moves import Moved, metropolis
+from strandline.smc.records import SMCResult, SMCSettings, StepInfo
+from strandline.smc.resampling import systematic
+from strandline.smc.sampler import Particles, sample
+from strandline.smc.tempering import effective_sample_size, next_temperature
+
+__all__ = [
+    "Moved",
+    "Particles",
+    "SMCResult",
+    "SMCSettings",
+    "StepInfo",
+    "effective_sample_size",
+    "metropolis",
+    "next_temperature",
+    "sample",
+    "systematic",
+]

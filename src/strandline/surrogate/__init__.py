@@ -1,1 +1,30 @@
 """Gaussian-process surrogates."""
+
+from strandline.surrogate.gaussian_process import GaussianProcess, batched_mean, condition
+from strandline.surrogate.hyperparameters import (
+    Attempt,
+    Evidence,
+    FittedHyperparameters,
+    evidence,
+    fit_hyperparameters,
+)
+from strandline.surrogate.kernels import KERNELS, Kernel
+from strandline.surrogate.log_likelihood import LogLikelihoodSurrogate, fit_log_likelihood
+from strandline.surrogate.validation import Validation, validate
+
+__all__ = [
+    "KERNELS",
+    "Attempt",
+    "Evidence",
+    "FittedHyperparameters",
+    "GaussianProcess",
+    "Kernel",
+    "LogLikelihoodSurrogate",
+    "Validation",
+    "batched_mean",
+    "condition",
+    "evidence",
+    "fit_hyperparameters",
+    "fit_log_likelihood",
+    "validate",
+]

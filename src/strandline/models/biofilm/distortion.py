@@ -4,11 +4,11 @@ from typing import Any
 
 import ngsolve as ng
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from strandline.models.biofilm.forms import deformation_gradient
 
-__all__ = ["NODES_P2", "jacobian_bound", "on_elements"]
+__all__ = ["NODES_P2", "jacobian_bound", "on_elements", "quadratic_nodes"]
 
 NODES_P2 = ((1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (0.5, 0.5), (0.0, 0.5), (0.5, 0.0))
 """Reference coordinates of the three corners and of the midpoints of edges (0,1), (1,2), (2,0)."""
@@ -32,3 +32,11 @@ def jacobian_bound(mesh: Any, displacement: Any, is_solid: Bool[np.ndarray, " ce
     edge = 2.0 * middle - 0.5 * (corner + np.roll(corner, -1, axis=1))
     bound = np.minimum(corner.min(axis=1), edge.min(axis=1))
     return float(bound[~is_solid].min()), float(bound[is_solid].min())
+
+
+def quadratic_nodes(mesh: Any) -> tuple[Int[np.ndarray, "cell 6"], int]:
+    """Return the numbers of each element's six P2 nodes, shared with its neighbours, and how many nodes there are."""
+    corners = np.array([[v.nr for v in element.vertices] for element in mesh.Elements(ng.VOL)])
+    edges = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+    unique, number = np.unique(edges, axis=0, return_inverse=True)
+    return np.concatenate([corners, mesh.nv + number.reshape(-1, 3)], axis=1), mesh.nv + len(unique)

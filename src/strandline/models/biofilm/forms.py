@@ -2,7 +2,7 @@
 
 Notation, with d the displacement (ALE extension in the fluid): F = I + ∇d, J = det F, C = cof F = J F⁻ᵀ; v, p fluid
 velocity and pressure; pₛ solid pressure. Test functions w (momentum), q (continuity), φ (displacement), qₛ. All
-quantities are scaled: lengths by 1 mm, velocities by U = 100 mm/s, stresses by ρU² (see `scales`).
+quantities are scaled: lengths by 1 mm, velocities by U = 100 mm/s, stresses by ρU² (see `model`).
 
 Sources: Hron and Turek, A monolithic FEM/multigrid solver for an ALE formulation of fluid–structure interaction (2006),
 for the ALE form; Holzapfel, Nonlinear Solid Mechanics (2000), section 6, for the Saint-Venant–Kirchhoff law.
@@ -70,6 +70,6 @@ def solid_stress_power(d: Form, second_piola: Form, test: Form) -> Form:
 
 
 def mesh_motion(d: Form, test: Form) -> Form:
-    """Return the linear elasticity that extends the displacement into the fluid, stiff (1/h²) where elements are small."""
+    """Return the linear elasticity that extends the displacement into the fluid, stiff (1/h²) in small elements."""
     strain, virtual = (0.5 * (Grad(u) + Grad(u).trans) for u in (d, test))
     return (2 * InnerProduct(strain, virtual) + Trace(strain) * Trace(virtual)) / specialcf.mesh_size**2

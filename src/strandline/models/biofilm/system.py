@@ -1,12 +1,11 @@
 """The discrete coupled system: unknowns, residual, Jacobian.
 
-Velocity P2 and pressure P1 on the fluid, displacement P2 on the whole domain, solid pressure P1 on the solid. The fluid's
-momentum balance is tested with w + φ on the interface, so the traction there is the consistent residual. The rows of
-displacement unknowns *inside* the fluid are exchanged for those of the mesh motion (`row selection`): exactly
+Velocity P2 and pressure P1 on the fluid, displacement P2 on the whole domain, solid pressure P1 on the solid. The
+fluid's momentum balance is tested with w + φ on the interface, so the traction there is the consistent residual. The
+rows of displacement unknowns *inside* the fluid are exchanged for those of the mesh motion (`row selection`): exactly
 conservative, and no penalty pollutes the interface.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -60,12 +59,13 @@ class CoupledSystem:
     @property
     def values(self) -> Float[np.ndarray, " dof"]:
         """All coefficients of the state, prescribed ones included; a view."""
-        return np.asarray(self.state.vec.FV().NumPy())
+        values: Float[np.ndarray, " dof"] = self.state.vec.FV().NumPy()
+        return values
 
     def block(self, component: int) -> Bool[np.ndarray, " unknown"]:
         """Tell which unknowns belong to component 0 v, 1 p, 2 d, 3 pₛ."""
         part = self.space.Range(component)
-        return (self.free >= part.start) & (self.free < part.stop)
+        return np.asarray((self.free >= part.start) & (self.free < part.stop))
 
     def set_unknowns(self, x: Vector) -> None:
         """Write the unknowns into the state."""
@@ -78,7 +78,7 @@ class CoupledSystem:
             ForwardModelError: ``nonfinite_residual``.
         """
         self.set_unknowns(x)
-        return self.full_residual()[self.free]
+        return np.asarray(self.full_residual()[self.free])
 
     def full_residual(self) -> Float[np.ndarray, " dof"]:
         """Return the residual of every row at the present state; prescribed rows hold the reactions."""
@@ -109,9 +109,7 @@ class CoupledSystem:
         kept, young, poisson = np.array(self.values), self.young.Get(), self.poisson.Get()
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
         self.young.Set(1.0), self.poisson.Set(0.23)
-        pattern = _Pattern.find(
-            self._assemble(), self._balance.mat, self._motion.mat, self._is_motion, self.free
-        )
+        pattern = _Pattern.find(self._assemble(), self._balance.mat, self._motion.mat, self._is_motion, self.free)
         self.values[:] = kept
         self.young.Set(young), self.poisson.Set(poisson)
         return pattern
@@ -187,9 +185,7 @@ def _reduced_entries(
     values: Float[np.ndarray, " entry"],
     rows_wanted: Bool[np.ndarray, " dof"],
     number: Int[np.ndarray, " dof"],
-) -> tuple[
-    Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]
-]:
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return reduced row, reduced column, entry number and value of the nonzero entries in the wanted free rows."""
     _, columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR())
     rows = np.repeat(np.arange(matrix.height), np.diff(pointers))
@@ -255,5 +251,3 @@ def _motion_rows(system: CoupledSystem) -> Bool[np.ndarray, " dof"]:
             rows[[part.start + dof for dof in element.dofs if dof >= 0]] = False
     return rows
 
-
-Residual = Callable[[Vector], Vector]

@@ -1,0 +1,222 @@
+"""The whole method on one screen: from a problem to the posterior.
+
+priors → Sobol design → forward runs → discrepancy → surrogate of the log-likelihood → tempered SMC → posterior.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design import sobol
+from strandline.discrepancy import Discrepancy
+from strandline.errors import TooFewRuns
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.models.protocol import ForwardModel
+from strandline.parameters import ParameterSpace
+from strandline.posterior import (
+    GaussianApproximation,
+    LaplaceApproximation,
+    Posterior,
+    laplace,
+    log_prior_hessian,
+)
+from strandline.quadrature import QuadratureResult, integrate
+from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
+from strandline.smc import SMCResult, SMCSettings, StepInfo, sample
+from strandline.surrogate import LogLikelihoodSurrogate, batched_mean, fit_log_likelihood
+
+__all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is asked.
+
+    Args:
+        model: the simulator.
+        space: its unknown inputs with their priors.
+        fixed: its known inputs by name.
+        observations: the observed interface(s) and the noise.
+        discrepancies: measures by name. The first one makes the posterior; the others get a surrogate to compare with.
+    """
+
+    model: ForwardModel
+    space: ParameterSpace
+    fixed: Mapping[str, float]
+    observations: tuple[Observation, ...]
+    discrepancies: Mapping[str, Discrepancy]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How it is answered; the defaults are the study's.
+
+    Args:
+        runs: size of the Sobol design.
+        scramble: seed of the design's scrambling, None for the plain sequence.
+        kernel: of the Gaussian process.
+        particles: of the sampler.
+        smc: the sampler's other settings.
+        seed: of every random number after the design.
+    """
+
+    runs: int = 1000
+    scramble: int | None = None
+    kernel: str = "matern32"
+    particles: int = 5000
+    smc: SMCSettings = field(default_factory=SMCSettings)
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Problem, settings and all that was learnt."""
+
+    problem: Problem
+    settings: Settings
+    records: tuple[RunRecord, ...]
+    training: Float[np.ndarray, "run dim"]
+    log_likelihoods: Mapping[str, Float[np.ndarray, " run"]]
+    surrogates: Mapping[str, LogLikelihoodSurrogate]
+    sampling: SMCResult
+    posterior: Posterior
+    gaussian: GaussianApproximation
+    laplace: LaplaceApproximation
+    quadrature: QuadratureResult | None
+    seconds: Mapping[str, float]
+
+    @property
+    def surrogate(self) -> LogLikelihoodSurrogate:
+        """The surrogate that made the posterior."""
+        return next(iter(self.surrogates.values()))
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Who wants to know how far it is: functions called as the work goes on; by default nobody."""
+
+    stage: Callable[[str], None] = lambda name: None
+    run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
+    step: Callable[[StepInfo], None] = lambda info: None
+
+
+def calibrate(
+    problem: Problem,
+    settings: Settings,
+    *,
+    ledger: Ledger,
+    executor: Executor,
+    observer: Observer | None = None,
+) -> Calibration:
+    """Return the posterior of the unknown inputs of `problem`.
+
+    Finished runs in the ledger are not repeated. The same arguments give the same result to the bit, whatever order the
+    runs ended in.
+
+    Raises:
+        TooFewRuns: fewer successful runs than the Gaussian process needs.
+    """
+    watch, tell = _Stopwatch(), observer or Observer()
+    space = problem.space
+    with watch("forward", tell):
+        design = space.to_physical(sobol(settings.runs, space.dim, scramble=settings.scramble))
+        inputs = [{**problem.fixed, **space.as_mapping(x)} for x in design]
+        records = run_campaign(problem.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
+    with watch("surrogate", tell):
+        training, log_likelihoods = _training_set(problem, design, records)
+        surrogates = {
+            name: fit_log_likelihood(training, values, kernel=settings.kernel)
+            for name, values in log_likelihoods.items()
+        }
+        process = next(iter(surrogates.values())).process
+    with watch("sampling", tell):
+        start, chain = jax.random.split(jax.random.key(settings.seed))
+        uniform = jax.random.uniform(start, (settings.particles, space.dim), dtype=float)
+        initial = space.prior_quantiles(np.asarray(uniform))
+        sampling = sample(
+            chain, batched_mean(process), space.log_prior, initial, settings=settings.smc, on_step=tell.step
+        )
+        posterior = Posterior(
+            space=space,
+            draws=sampling.positions,
+            log_weights=sampling.log_weights,
+            log_likelihood=sampling.log_likelihood,
+            log_prior=sampling.log_prior,
+            log_evidence=sampling.log_evidence,
+        )
+    with watch("check", tell):
+        mode = posterior.map_estimate
+        hessian = process.hessian(mode[None])[0] + log_prior_hessian(space, mode)
+        quadrature = _quadrature(space, process.mean)
+    return Calibration(
+        problem=problem,
+        settings=settings,
+        records=records,
+        training=training,
+        log_likelihoods=log_likelihoods,
+        surrogates=surrogates,
+        sampling=sampling,
+        posterior=posterior,
+        gaussian=GaussianApproximation(posterior.mean, posterior.covariance),
+        laplace=laplace(hessian, mode),
+        quadrature=quadrature,
+        seconds=watch.seconds,
+    )
+
+
+def _training_set(
+    problem: Problem, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
+    """Return the inputs of the successful runs and their log-likelihood under each measure."""
+    succeeded = [i for i, record in enumerate(records) if record.ok]
+    interfaces = [record.interface for record in records if record.interface is not None]
+    _require_enough(len(succeeded), records, problem.space.dim)
+    values = {}
+    for name, discrepancy in problem.discrepancies.items():
+        likelihood = InterfaceLikelihood(problem.observations, discrepancy)
+        values[name] = np.array([likelihood(interface) for interface in interfaces])
+    return design[succeeded], values
+
+
+def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> None:
+    needed = dim + 2
+    if succeeded >= needed:
+        return
+    kinds = Counter(record.failure_kind or record.state for record in records if not record.ok)
+    shown = ", ".join(f"{kind}: {count}" for kind, count in kinds.most_common(3)) or "none failed"
+    last = next((record.message for record in records if record.message), "")
+    raise TooFewRuns(
+        "every forward run failed" if succeeded == 0 else "too few successful forward runs",
+        value=f"{succeeded} of {len(records)} ({shown}{'; e.g. ' + last.splitlines()[0] if last else ''})",
+        expected=f"at least {needed} for a Gaussian process in {dim} dimension(s)",
+        remedy="Enlarge the design, or look at the failures with `strandline status`.",
+    )
+
+
+def _quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> QuadratureResult | None:
+    """Integrate the same surrogate directly where the dimension allows it: the check of the sampler."""
+    if space.dim > 3:
+        return None
+    return integrate(lambda x: log_likelihood(x) + space.log_prior(x), space.low, space.high)
+
+
+class _Stopwatch:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str, observer: Observer) -> Iterator[None]:
+        observer.stage(stage)
+        begun = time.perf_counter()
+        yield
+        self.seconds[stage] = time.perf_counter() - begun

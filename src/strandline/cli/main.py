@@ -1,0 +1,84 @@
+"""The command `strandline`: its subcommands, loaded when called, and how errors end it."""
+
+import importlib
+import os
+import sys
+from typing import Any
+
+import click
+
+from strandline import __version__
+from strandline.errors import InvalidInput, StrandlineError
+
+__all__ = ["main"]
+
+COMMANDS = {
+    "init": "Write a commented study folder that runs.",
+    "check": "Validate a study and make one forward run.",
+    "run": "Do the whole study; go on where it was stopped.",
+    "status": "Tell how many runs are done, and how the others ended.",
+    "report": "Make posterior, figures and report anew from finished runs.",
+    "forward": "Make one forward run at chosen inputs.",
+}
+
+
+class _LazyGroup(click.Group):
+    """Knows the commands by name and imports only the one that is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"strandline.cli.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="strandline")
+def _group() -> None:
+    """Bayesian calibration of computational-mechanics models from the shape of an interface.
+
+    A study is a folder with a file study.yaml. Start with `strandline init my-study`.
+    """
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; exit code 0 done, 1 numerics failed, 2 bad input, 130 interrupted."""
+    os.environ.setdefault("JAX_ENABLE_X64", "1")
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    try:
+        _call(arguments)
+    except InvalidInput as error:
+        _end(str(error), 2)
+    except StrandlineError as error:
+        _end(str(error), 1)
+    except BrokenPipeError:
+        sys.stderr.close()
+        raise SystemExit(0) from None
+    except KeyboardInterrupt:
+        _end("interrupted; what is finished is kept, and `strandline run` goes on from there", 130)
+
+
+def _call(arguments: list[str] | None) -> Any:
+    try:
+        return _group.main(args=arguments, standalone_mode=False)
+    except click.exceptions.Exit as ended:
+        raise SystemExit(ended.exit_code) from None
+    except click.Abort:
+        raise KeyboardInterrupt from None
+    except click.ClickException as error:
+        hint = f" See `{error.ctx.command_path} --help`." if getattr(error, "ctx", None) else ""  # type: ignore[attr-defined]
+        _end(error.format_message() + hint, 2)
+
+
+def _end(message: str, code: int) -> None:
+    click.echo(f"strandline: {message}", err=True)
+    raise SystemExit(code)

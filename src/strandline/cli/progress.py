@@ -1,0 +1,107 @@
+"""Progress: bars on a terminal, plain lines elsewhere."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from strandline.calibrate import Observer
+from strandline.runs import Progress as Runs
+from strandline.runs import RunRecord
+from strandline.smc import StepInfo
+
+__all__ = ["observing"]
+
+STAGES = {
+    "observation": "observation",
+    "forward": "forward runs",
+    "surrogate": "surrogate",
+    "sampling": "sampling",
+    "check": "quadrature check",
+    "report": "figures and report",
+}
+SECONDS_BETWEEN_LINES = 15.0
+
+
+@contextmanager
+def observing(*, quiet: bool = False) -> Iterator[Observer]:
+    """Give an observer that shows how far the study is, on standard error."""
+    console = Console(stderr=True)
+    if quiet:
+        yield Observer()
+    elif console.is_terminal:
+        with _bars(console) as bars:
+            yield bars
+    else:
+        yield _lines(console)
+
+
+@contextmanager
+def _bars(console: Console) -> Iterator[Observer]:
+    columns = (
+        SpinnerColumn(finished_text="✓"),
+        TextColumn("{task.description:<18}"),
+        BarColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        current = [progress.add_task("starting", total=None, note="")]
+
+        def stage(name: str) -> None:
+            progress.update(current[0], total=1, completed=1)
+            current[0] = progress.add_task(STAGES.get(name, name), total=None, note="")
+
+        def run(record: RunRecord, state: Runs) -> None:
+            progress.update(current[0], total=state.total, completed=state.finished, note=_run_note(state))
+
+        def step(info: StepInfo) -> None:
+            progress.update(current[0], total=1.0, completed=float(info.temperature), note=_step_note(info))
+
+        yield Observer(stage=stage, run=run, step=step)
+        progress.update(current[0], total=1, completed=1)
+
+
+def _lines(console: Console) -> Observer:
+    last = [time.monotonic()]
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True)
+
+    def stage(name: str) -> None:
+        last[0] = time.monotonic()
+        say(f"{STAGES.get(name, name)} …")
+
+    def due(finished: bool) -> bool:
+        if not finished and time.monotonic() - last[0] < SECONDS_BETWEEN_LINES:
+            return False
+        last[0] = time.monotonic()
+        return True
+
+    def run(record: RunRecord, state: Runs) -> None:
+        if due(state.finished == state.total):
+            say(f"  {state.finished}/{state.total} {_run_note(state)}")
+
+    def step(info: StepInfo) -> None:
+        if due(float(info.temperature) >= 1.0):
+            say(f"  {_step_note(info)}")
+
+    return Observer(stage=stage, run=run, step=step)
+
+
+def _run_note(state: Runs) -> str:
+    remaining = state.remaining_seconds
+    eta = "" if remaining is None else f", {_duration(remaining)} left"
+    return f"{state.ok} ok, {state.failed} failed{eta}"
+
+
+def _step_note(info: StepInfo) -> str:
+    return f"γ {info.temperature:.4f}, effective samples {info.ess:.0f}, acceptance {info.acceptance:.2f}"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

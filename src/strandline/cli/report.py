@@ -1,0 +1,24 @@
+"""`strandline report`: the results anew from finished runs."""
+
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command("report")
+@click.argument("study", type=click.Path(path_type=Path))
+@click.option("--quiet", is_flag=True, help="Tell only the result.")
+def command(study: Path, quiet: bool) -> None:
+    """Make the posterior, figures and report of STUDY anew from its ledger; no forward run is made."""
+    from strandline.cli.progress import observing
+    from strandline.cli.results import show
+    from strandline.studies import load_study, run_study
+    from strandline.studies.run import require_finished
+
+    loaded = load_study(study)
+    require_finished(loaded)
+    with observing(quiet=quiet) as observer:
+        outcome = run_study(loaded, observer=observer)
+    show(outcome.summary, outcome.report)

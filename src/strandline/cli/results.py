@@ -1,0 +1,40 @@
+"""The result of a study on the terminal."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+__all__ = ["show"]
+
+
+def show(summary: Mapping[str, Any], report: Path) -> None:
+    """Print the posterior, the checks and the warnings."""
+    runs, check = summary["runs"], summary["quadrature_check"]
+    click.echo(
+        f"\n{summary['study']}: {runs['ok']} forward runs ok, {runs['failed']} failed {_kinds(runs['by_kind'])}"
+        f"({runs['new']} new, {runs['reused']} reused)"
+    )
+    click.echo(
+        f"{'input':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'median':>10} {'5 %':>10} {'95 %':>10} {'MAP':>10}"
+    )
+    for name, item in summary["inputs"].items():
+        unit = "" if item["unit"] == "1" else item["unit"]
+        figures = (item[k] for k in ("mean", "sd", "median", "q05", "q95", "map"))
+        mean, sd, *rest = (f"{value:.4g}" for value in figures)
+        click.echo(f"{name:>10} {unit:>7} {mean:>10} {sd:>9} " + " ".join(f"{text:>10}" for text in rest))
+    click.echo(f"log-evidence {summary['log_evidence']:.3f}; effective samples {summary['sampler']['ess']:.0f}")
+    if check is not None:
+        click.echo(
+            f"sampler against quadrature: means differ by {check['max_mean_error_sd']:.3f} sd, "
+            f"standard deviations by {check['max_sd_ratio_error']:.1%}"
+        )
+    for warning in summary["warnings"]:
+        click.echo(f"warning: {warning}")
+    seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
+    click.echo(f"seconds: {seconds}\nreport: {report}")
+
+
+def _kinds(by_kind: Mapping[str, int]) -> str:
+    return "(" + ", ".join(f"{kind} {count}" for kind, count in by_kind.items()) + ") " if by_kind else ""

@@ -1,0 +1,172 @@
+"""Euclidean distance along measurement lines, Eq. (6) of the study."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from strandline.discrepancy.memo import Snapshot
+from strandline.discrepancy.protocol import require_polylines
+from strandline.errors import InvalidInput
+from strandline.interface import Interface
+
+__all__ = ["LineReadings", "MeasurementLines"]
+
+REACH = 0.25
+"""Default reach of a measurement line, as a share of the length of the observed interface."""
+
+Bases = Float[np.ndarray, "line 4"]
+
+
+@dataclass(frozen=True, eq=False)
+class LineReadings:
+    """What the measurement lines read off one simulated interface.
+
+    Args:
+        distances: signed distance along each line from the observed to the simulated interface, mm; positive to the
+            side of the line's direction; `reach` where the line misses.
+        missed: which lines do not meet the simulated interface within their reach.
+    """
+
+    distances: Float[np.ndarray, " line"]
+    missed: Bool[np.ndarray, " line"]
+
+
+@dataclass(frozen=True)
+class MeasurementLines:
+    """d² = Σ over the lines of (distance along the line between simulated and observed interface)², mm²; Eq. (6).
+
+    Args:
+        lines: how many lines, or the lines themselves as rows (x, y, dx, dy) in mm: a point and a direction of any
+            length, running to both sides. A number n places them on the observed interface at the fractions
+            (i + ½)/n, i = 0 … n-1, of its arclength, so that every line stands for an equal share of it and none for
+            an end; the direction is the normal of the segment there.
+        reach: largest distance along a line that is looked at, mm; by default a quarter of the observed length.
+
+    A line that does not meet the simulated interface within its reach counts reach²: the measure is bounded by
+    n · reach², and continuous where a crossing moves out of reach. Of several crossings the one nearest the observed
+    point counts. A given line starts from its crossing with the observed interface nearest to (x, y).
+
+    Raises:
+        InvalidInput: fewer than one line, a line without direction, a reach that is not above 0; on evaluation, a
+            given line that misses the observed interface.
+    """
+
+    lines: int | Sequence[Sequence[float | int]] | Float[np.ndarray, "line 4"] = 10
+    reach: float | None = field(default=None, kw_only=True)
+    unit: ClassVar[str] = "mm²"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.lines, int):
+            object.__setattr__(self, "lines", _checked_lines(self.lines))
+        elif self.lines < 1:
+            _refuse_lines(f"{self.lines} lines")
+        if self.reach is not None and not (math.isfinite(self.reach) and self.reach > 0):
+            raise InvalidInput(
+                "reach of the measurement lines",
+                value=self.reach,
+                expected="a length in mm above 0",
+                remedy="Correct the reach, or leave it out for a quarter of the observed length.",
+            )
+
+    def __call__(self, simulated: Interface, observed: Interface) -> float:
+        """Return d², mm²."""
+        return float(np.sum(self.read(simulated, observed).distances ** 2))
+
+    def read(self, simulated: Interface, observed: Interface) -> LineReadings:
+        """Return the signed distance of each line and whether it missed."""
+        require_polylines(simulated, observed)
+        reach = self.reach_on(observed)
+        found = _nearest_crossings(simulated, _placed(self, Snapshot.of(observed)))
+        missed = ~(np.abs(found) <= reach)
+        return LineReadings(np.where(missed, reach, found), missed)
+
+    def reach_on(self, observed: Interface) -> float:
+        """Return the reach in use on `observed`, mm."""
+        return REACH * float(observed.lengths.sum()) if self.reach is None else self.reach
+
+    def place(self, observed: Interface) -> Float[np.ndarray, "line 4"]:
+        """Return the lines on `observed`: the observed point and the unit direction, (line, 4)."""
+        require_polylines(observed)
+        return _placed(self, Snapshot.of(observed)).copy()
+
+    def terms(self, observed: Interface) -> int:
+        """Return the number of independent distances: one a line."""
+        return self.lines if isinstance(self.lines, int) else len(self.lines)
+
+
+@lru_cache(maxsize=64)
+def _placed(measure: MeasurementLines, snapshot: Snapshot) -> Bases:
+    observed = snapshot.interface
+    if isinstance(measure.lines, int):
+        return _equally_spaced(observed, measure.lines)
+    lines = np.array(measure.lines, float)
+    lines[:, 2:] /= np.hypot(lines[:, 2], lines[:, 3])[:, None]
+    offsets = _nearest_crossings(observed, lines)
+    if not np.isfinite(offsets).all():
+        where = int(np.argmin(np.isfinite(offsets)))
+        raise InvalidInput(
+            f"measurement line {where} misses the observed interface",
+            value=lines[where].tolist(),
+            expected="a line (x, y, dx, dy) that crosses it",
+            remedy="Move the line or leave it out.",
+        )
+    lines[:, :2] += offsets[:, None] * lines[:, 2:]
+    return lines
+
+
+def _equally_spaced(observed: Interface, number: int) -> Bases:
+    ends = np.cumsum(observed.lengths)
+    wanted = (np.arange(number) + 0.5) / number * ends[-1]
+    segment = np.minimum(np.searchsorted(ends, wanted), len(ends) - 1)
+    back = (ends[segment] - wanted) / observed.lengths[segment]
+    points = observed.ends[segment] + back[:, None] * (observed.starts - observed.ends)[segment]
+    return np.hstack([points, (observed.normals / observed.lengths[:, None])[segment]])
+
+
+def _nearest_crossings(interface: Interface, lines: Bases) -> Float[np.ndarray, " line"]:
+    """Return the signed distance from each line's point to its nearest crossing with `interface`; inf where none."""
+    delta = interface.points[None, :, :] - lines[:, None, :2]
+    direction = lines[:, None, 2:]
+    along = np.sum(delta * direction, axis=2)
+    side = direction[..., 0] * delta[..., 1] - direction[..., 1] * delta[..., 0]
+    i, j = interface.cells.T
+    crossed = side[:, i] * side[:, j] <= 0
+    span = side[:, i] - side[:, j]
+    share = np.divide(side[:, i], span, out=_foot(along[:, i], along[:, j]), where=span != 0)
+    place = along[:, i] + share * (along[:, j] - along[:, i])
+    place = np.where(crossed, place, np.inf)
+    return np.asarray(place[np.arange(len(lines)), np.argmin(np.abs(place), axis=1)])
+
+
+def _foot(
+    start: Float[np.ndarray, "line cell"], end: Float[np.ndarray, "line cell"]
+) -> Float[np.ndarray, "line cell"]:
+    """Return where on a segment that lies *in* the line, as a share of it, the line's point is nearest."""
+    span = end - start
+    return np.asarray(np.clip(np.divide(-start, span, out=np.zeros_like(span), where=span != 0), 0.0, 1.0))
+
+
+def _checked_lines(
+    lines: Sequence[Sequence[float | int]] | Float[np.ndarray, "line 4"],
+) -> tuple[tuple[float, ...], ...]:
+    rows = tuple(tuple(float(value) for value in row) for row in lines)
+    if not rows:
+        _refuse_lines("no line")
+    for row in rows:
+        if len(row) != 4 or not all(map(math.isfinite, row)) or row[2] == row[3] == 0:
+            _refuse_lines(list(row))
+    return rows
+
+
+def _refuse_lines(value: object) -> None:
+    raise InvalidInput(
+        "measurement lines",
+        value=value,
+        expected="a number of lines from 1 up, or rows (x, y, dx, dy) of finite numbers, dx or dy not 0",
+        remedy="Correct the lines.",
+    )

@@ -1,0 +1,50 @@
+"""What a discrepancy is."""
+
+from typing import Protocol, runtime_checkable
+
+from strandline.errors import InvalidInterface
+from strandline.interface import Interface
+
+__all__ = ["Discrepancy", "independent_terms", "require_polylines", "unit_of"]
+
+
+@runtime_checkable
+class Discrepancy(Protocol):
+    """A measure of how far a simulated interface is from the observed one: d² ≥ 0, finite.
+
+    A plain function of this signature serves. A measure may also state
+
+    - `unit`: the unit of d², e.g. ``mm²``; the noise variance σ_N² has the same;
+    - `terms(observed)`: of how many independent Gaussian residuals d² is the sum, None where it is no such sum.
+    """
+
+    def __call__(self, simulated: Interface, observed: Interface) -> float:
+        """Return d²."""
+        ...
+
+
+def unit_of(discrepancy: Discrepancy) -> str:
+    """Return the unit of d² that `discrepancy` states; empty where it states none."""
+    return str(getattr(discrepancy, "unit", ""))
+
+
+def independent_terms(discrepancy: Discrepancy, observed: Interface) -> int | None:
+    """Return of how many independent residuals d² is the sum; None where it is no such sum or does not say."""
+    terms = getattr(discrepancy, "terms", None)
+    return None if terms is None else terms(observed)
+
+
+def require_polylines(*interfaces: Interface) -> None:
+    """Refuse what is not a polyline in the plane.
+
+    Raises:
+        InvalidInterface: an interface with other than two coordinates a point.
+    """
+    for interface in interfaces:
+        if interface.dim != 2:
+            raise InvalidInterface(
+                "interface of a discrepancy measure",
+                value=f"points with {interface.dim} coordinates",
+                expected="a polyline in the plane",
+                remedy="This measure knows no surfaces yet; supply a plane interface.",
+            )

@@ -1,0 +1,37 @@
+"""Distance between corresponding nodes: for experiments that track material points."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from strandline.errors import InvalidInterface
+from strandline.interface import Interface
+
+__all__ = ["TrackedPoints"]
+
+
+@dataclass(frozen=True)
+class TrackedPoints:
+    """d² = Σ over the nodes of |simulated node - observed node of the same number|², mm²; Eq. (6) for tracked points.
+
+    Raises:
+        InvalidInterface: on evaluation, interfaces with different numbers of nodes or coordinates.
+    """
+
+    unit: ClassVar[str] = "mm²"
+
+    def __call__(self, simulated: Interface, observed: Interface) -> float:
+        """Return d², mm²."""
+        if simulated.points.shape != observed.points.shape:
+            raise InvalidInterface(
+                "nodes of the simulated interface do not correspond to the tracked points",
+                value=f"shape {simulated.points.shape}",
+                expected=f"shape {observed.points.shape}, node by node the same material points",
+                remedy="Track the simulator's own nodes, or use a measure that needs no correspondence.",
+            )
+        return float(np.sum((simulated.points - observed.points) ** 2))
+
+    def terms(self, observed: Interface) -> int:
+        """Return the number of independent residuals: one a coordinate of every node."""
+        return int(observed.points.size)

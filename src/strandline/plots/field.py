@@ -1,0 +1,197 @@
+"""A scalar over two inputs: likelihood, log-likelihood or surrogate standard deviation (Figs. 5–8)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import FuncNorm, Normalize
+from matplotlib.figure import Figure, SubFigure
+
+from strandline.parameters import Parameter
+from strandline.plots.style import (
+    BLACK,
+    GREY,
+    RED,
+    axes_or_new,
+    below,
+    figure_of,
+    figure_or_new,
+    mark,
+    root_scale,
+    styled,
+)
+
+__all__ = ["FieldGrid", "plot_field", "plot_profile", "three_measures"]
+
+Kind = Literal["likelihood", "log_likelihood", "sd"]
+_LABELS = {
+    "likelihood": "likelihood / maximum",
+    "log_likelihood": "log-likelihood",
+    "sd": "surrogate standard deviation",
+}
+_COLOURS = {"likelihood": "viridis", "log_likelihood": "viridis", "sd": "cividis"}
+
+
+@dataclass(frozen=True, eq=False)
+class FieldGrid:
+    """A scalar on a grid of two inputs, with the runs it was learnt from.
+
+    Args:
+        x: the input along the horizontal axis.
+        y: the input along the vertical axis.
+        x_values: grid of the first (x,), physical.
+        y_values: grid of the second (y,), physical.
+        values: the scalar (x, y): log-likelihood, or standard deviation.
+        failed: inputs of the failed runs (run, 2); None for none.
+        training: inputs of the successful runs (run, 2); None leaves them out.
+        truth: the ground truth (2,), where there is one.
+    """
+
+    x: Parameter
+    y: Parameter
+    x_values: Float[np.ndarray, " x"]
+    y_values: Float[np.ndarray, " y"]
+    values: Float[np.ndarray, "x y"]
+    failed: Float[np.ndarray, "run 2"] | None = None
+    training: Float[np.ndarray, "train 2"] | None = None
+    truth: Float[np.ndarray, "2"] | None = None
+
+
+def plot_field(
+    grid: FieldGrid,
+    *,
+    kind: Kind = "log_likelihood",
+    levels: int = 8,
+    floor: float | None = None,
+    colour_bar: bool = True,
+    legend: bool = True,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a field in colours with contour lines.
+
+    The colours and lines of a log-likelihood are equally spaced in the square root of its drop from the maximum.
+
+    Args:
+        grid: the field; for `kind` "likelihood" its values are log-likelihoods, and exp(value - maximum) is drawn.
+        kind: what the values are.
+        levels: number of steps of the contour lines.
+        floor: lower end of the colours; values below take the last colour.
+        colour_bar: whether to draw one.
+        legend: whether to explain the crosses and points under the axes.
+        ax: axes to draw in.
+    """
+    values = np.exp(grid.values - grid.values.max()) if kind == "likelihood" else grid.values
+    norm = _norm(values, kind, floor)
+    with styled():
+        ax = axes_or_new(ax, (5.0, 3.8))
+        drawn = ax.pcolormesh(
+            grid.x_values, grid.y_values, values.T, cmap=_COLOURS[kind], norm=norm, shading="gouraud", rasterized=True
+        )
+        steps = norm.inverse(np.linspace(0.0, 1.0, levels + 1)[1:-1])
+        lines: Any = {"colors": "white", "linewidths": 0.5, "linestyles": "solid", "alpha": 0.8}
+        ax.contour(grid.x_values, grid.y_values, values.T, levels=np.unique(steps), **lines)
+        _draw_runs(ax, grid)
+        ax.set(xlabel=grid.x.label(), ylabel=grid.y.label(), xlim=grid.x.interval, ylim=grid.y.interval)
+        if colour_bar:
+            extend = "min" if float(values.min()) < float(norm.vmin or 0.0) else "neither"
+            figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind], extend=extend)
+        if legend:
+            below(ax)
+    return ax
+
+
+def three_measures(
+    fields: Mapping[str, FieldGrid],
+    *,
+    kind: Kind = "likelihood",
+    floor: float | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw fields side by side, titled by their keys: (a), (b), (c).
+
+    Normalised likelihoods share one colour bar; other fields have one each, for discrepancies differ in scale.
+    """
+    shared = kind == "likelihood"
+    with styled():
+        figure = figure_or_new(figure, (0.6 + (2.9 if shared else 3.4) * len(fields), 3.5))
+        panels = figure.subplots(1, len(fields), sharey=True, squeeze=False)[0]
+        for letter, ax, (title, grid) in zip("abcdefgh", panels, fields.items(), strict=False):
+            plot_field(grid, kind=kind, floor=floor, colour_bar=not shared, legend=False, ax=ax)
+            ax.set_title(f"({letter}) {title}")
+            ax.label_outer()
+        _keep_last_label(figure, panels)
+        if shared:
+            figure.colorbar(panels[0].collections[0], ax=list(panels), label=_LABELS[kind], pad=0.01)
+        handles, labels = panels[0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
+    return figure
+
+
+def plot_profile(
+    x: Parameter,
+    x_values: Float[np.ndarray, " x"],
+    values: Float[np.ndarray, " x"],
+    *,
+    sd: Float[np.ndarray, " x"] | None = None,
+    failed: Float[np.ndarray, " run"] | None = None,
+    truth: float | None = None,
+    label: str = "log-likelihood",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw a scalar over a single input, with a band of two standard deviations and the failed runs at its foot."""
+    with styled():
+        ax = axes_or_new(ax)
+        ax.plot(x_values, values, color=BLACK)
+        if sd is not None:
+            ax.fill_between(x_values, values - 2 * sd, values + 2 * sd, color=GREY, alpha=0.4, label="± 2 sd")
+        if failed is not None and len(failed):
+            foot = np.full(len(failed), ax.get_ylim()[0])
+            ax.plot(failed, foot, "x", color=GREY, label="failed run", clip_on=False)
+        if truth is not None:
+            ax.axvline(truth, color=RED, linestyle=":", label="ground truth")
+        ax.set(xlabel=x.label(), ylabel=label, xlim=x.interval)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend()
+    return ax
+
+
+def _norm(values: Float[np.ndarray, "x y"], kind: Kind, floor: float | None) -> Normalize:
+    """Return the map from values to colours."""
+    top = float(values.max())
+    if kind == "likelihood":
+        return Normalize(0.0, 1.0)
+    if kind == "sd":
+        return Normalize(0.0, top or 1.0)
+    low = float(values.min()) if floor is None else floor
+    return FuncNorm(root_scale(top), vmin=min(low, top - 1e-9), vmax=top)
+
+
+def _keep_last_label(figure: Figure | SubFigure, panels: Sequence[Axes]) -> None:
+    """Leave the label to the rightmost of several colour bars."""
+    bars = [ax for ax in figure.axes if ax not in list(panels)]
+    for bar in bars[:-1]:
+        bar.set_ylabel("")
+
+
+def _draw_runs(ax: Axes, grid: FieldGrid) -> None:
+    if grid.training is not None and len(grid.training):
+        edge: Any = {"markeredgecolor": "#505050", "markeredgewidth": 0.4}
+        ax.plot(*grid.training.T, ".", color="white", markersize=3.5, label="training point", **edge)
+    if grid.failed is not None and len(grid.failed):
+        rim: Any = [patheffects.withStroke(linewidth=2.0, foreground="#303030")]
+        ax.plot(
+            *grid.failed.T,
+            "x",
+            color="#c8c8c8",
+            markersize=4.5,
+            markeredgewidth=1.2,
+            label="failed run",
+            path_effects=rim,
+        )
+    if grid.truth is not None:
+        mark(ax, grid.truth, RED, "ground truth", marker="+")

@@ -1,0 +1,100 @@
+"""Velocity, pressure and displacement on the deformed mesh (Fig. 3)."""
+
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.tri import Triangulation
+
+from strandline.plots.style import BLACK, figure_of, figure_or_new, styled
+
+__all__ = ["FlowFields", "plot_flow"]
+
+
+class FlowFields(Protocol):
+    """The state of a fluid–solid interaction at the nodes of its deformed mesh."""
+
+    @property
+    def points(self) -> Float[np.ndarray, "point 2"]:
+        """Deformed node coordinates, mm."""
+        ...
+
+    @property
+    def triangles(self) -> Int[np.ndarray, "cell 3"]:
+        """Node numbers of the cells."""
+        ...
+
+    @property
+    def cell_is_solid(self) -> Bool[np.ndarray, " cell"]:
+        """Which cells are solid."""
+        ...
+
+    @property
+    def velocity(self) -> Float[np.ndarray, "point 2"]:
+        """Fluid velocity, mm/s."""
+        ...
+
+    @property
+    def pressure(self) -> Float[np.ndarray, " point"]:
+        """Fluid pressure, Pa."""
+        ...
+
+    @property
+    def displacement(self) -> Float[np.ndarray, "point 2"]:
+        """Displacement from the undeformed state, mm."""
+        ...
+
+
+def plot_flow(fields: FlowFields, *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
+    """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other."""
+    speed = np.linalg.norm(fields.velocity, axis=1)
+    length = np.linalg.norm(fields.displacement, axis=1)
+    fluid, solid = ~fields.cell_is_solid, fields.cell_is_solid
+    with styled():
+        figure = figure_or_new(figure, (5.2, 7.2))
+        panels = figure.subplots(3, 1, sharex=True, sharey=True)
+        _panel(panels[0], fields, speed, fluid, "velocity magnitude [mm/s]", "viridis")
+        _panel(panels[1], fields, fields.pressure, fluid, "pressure [Pa]", "cividis")
+        _panel(panels[2], fields, length, solid, "displacement magnitude [mm]", "viridis")
+        panels[-1].set_xlabel("x [mm]")
+    return figure
+
+
+def interface_edges(fields: FlowFields) -> Float[np.ndarray, "edge 2 2"]:
+    """Return the end points of the edges between a solid and a fluid cell (edge, end, xy)."""
+    fluid = _edges(fields.triangles[~fields.cell_is_solid])
+    solid = _edges(fields.triangles[fields.cell_is_solid])
+    shared = sorted(fluid & solid)
+    return np.asarray(fields.points[np.array(shared, int).reshape(-1, 2)])
+
+
+def _edges(triangles: Int[np.ndarray, "cell 3"]) -> set[tuple[int, int]]:
+    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    return set(map(tuple, pairs.tolist()))
+
+
+def _panel(
+    ax: Axes,
+    fields: FlowFields,
+    values: Float[np.ndarray, " point"],
+    cells: Bool[np.ndarray, " cell"],
+    label: str,
+    colours: str,
+) -> None:
+    """Draw nodal `values` on the chosen cells; the others stay pale grey."""
+    x, y = fields.points.T
+    rest = fields.triangles[~cells]
+    if len(rest):
+        ax.tripcolor(x, y, rest, facecolors=np.zeros(len(rest)), cmap="Greys", vmin=-0.15, vmax=1.0)
+    if cells.any():
+        mesh = Triangulation(x, y, fields.triangles[cells])
+        used = values[np.unique(fields.triangles[cells])]  # nodes elsewhere must not stretch the colours
+        low, high = float(used.min()), float(used.max())
+        drawn = ax.tripcolor(mesh, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
+        figure_of(ax).colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
+    ax.add_collection(LineCollection(list(interface_edges(fields)), colors=BLACK, linewidths=1.2))
+    ax.margins(0.0)
+    ax.set(aspect="equal", ylabel="y [mm]")

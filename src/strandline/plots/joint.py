@@ -1,0 +1,240 @@
+"""Joint marginal of two inputs with everything the study draws into it (Figs. 9a, 9c, 9d, 14)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+
+from strandline.errors import NumericsError
+from strandline.plots.marginals import draw_marginal
+from strandline.plots.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    axes_or_new,
+    figure_of,
+    figure_or_new,
+    mark,
+    percent,
+    styled,
+)
+from strandline.posterior import (
+    GaussianApproximation,
+    KernelDensity,
+    LaplaceApproximation,
+    Posterior,
+    histogram_mode,
+)
+
+__all__ = ["plot_hexagons", "plot_joint", "plot_pairs"]
+
+PERCENTILES = (0.1, 0.5, 0.9)
+
+
+def plot_joint(
+    posterior: Posterior,
+    names: tuple[str, str],
+    *,
+    laplace: LaplaceApproximation | None = None,
+    truth: Mapping[str, float] | None = None,
+    mode: Float[np.ndarray, "2"] | None = None,
+    percentiles: Sequence[float] = PERCENTILES,
+    bins: int = 30,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw hexagons of weight, percentile lines of three approximations, point estimates, marginals and priors.
+
+    Args:
+        posterior: the weighted draws, of any number of inputs.
+        names: the inputs along x and y.
+        laplace: the Laplace approximation of *all* inputs of `posterior`; an indefinite one is noted, not drawn.
+        truth: the ground truth by name.
+        mode: the MAP estimate of the two inputs. Where it is left out: the best particle if these are all inputs,
+            else the fullest bin (paper, Remark 8).
+        percentiles: probabilities that the lines enclose, as fractions.
+        bins: hexagons across, and bins of the marginals.
+        figure: figure to draw in.
+    """
+    x, y = (posterior.space[name] for name in names)
+    values = posterior.columns(names)
+    with styled():
+        figure = figure_or_new(figure, (6.6, 6.0))
+        main, top, right = _layout(figure)
+        plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
+        _draw_gaussian(main, posterior, names, percentiles)
+        note = _draw_laplace(main, posterior, names, laplace, percentiles)
+        _draw_points(main, posterior, names, mode, truth)
+        draw_marginal(top, x, values[:, 0], posterior.weights, bins=bins)
+        draw_marginal(right, y, values[:, 1], posterior.weights, bins=bins, upright=True)
+        figure.colorbar(main.collections[0], ax=right, label="probability of a hexagon", location="right", shrink=0.9)
+        _legend(figure, main, top, percentiles, note)
+    return figure
+
+
+def plot_hexagons(
+    posterior: Posterior,
+    names: tuple[str, str],
+    *,
+    percentiles: Sequence[float] = PERCENTILES,
+    bins: int = 30,
+    colour_bar: bool = True,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the weighted hexagonal histogram of two inputs with percentile lines of a kernel density estimate."""
+    x, y = (posterior.space[name] for name in names)
+    values = posterior.columns(names)
+    with styled():
+        ax = axes_or_new(ax, (5.0, 3.8))
+        drawn = ax.hexbin(
+            values[:, 0],
+            values[:, 1],
+            C=posterior.weights,
+            reduce_C_function=np.sum,
+            gridsize=bins,
+            extent=(*x.interval, *y.interval),
+            cmap="Blues",
+            linewidths=0.1,
+        )
+        drawn.set_clim(vmin=0.0)
+        _draw_kde(ax, values, posterior.weights, (x.interval, y.interval), percentiles)
+        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=x.interval, ylim=y.interval)
+        if colour_bar:
+            figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
+    return ax
+
+
+def plot_pairs(
+    posterior: Posterior,
+    names: Sequence[str] | None = None,
+    *,
+    bins: int = 20,
+    truth: Mapping[str, float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the joint marginals of all pairs of inputs below a diagonal of their marginals; one input or more."""
+    chosen = posterior.space.names if names is None else tuple(names)
+    count = len(chosen)
+    with styled():
+        figure = figure_or_new(figure, (1.2 + 1.9 * count, 1.0 + 1.7 * count))
+        panels: Any = figure.subplots(count, count, squeeze=False)
+        for i, j in np.ndindex(count, count):
+            _pair_panel(panels[i, j], posterior, chosen[j], chosen[i], bins, truth)
+            panels[i, j].set_xlabel(panels[i, j].get_xlabel() if i == count - 1 else "")
+            panels[i, j].set_ylabel(panels[i, j].get_ylabel() if j == 0 and i > 0 else "")
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _pair_panel(
+    ax: Axes, posterior: Posterior, across: str, up: str, bins: int, truth: Mapping[str, float] | None
+) -> None:
+    row, column = posterior.space.names.index(up), posterior.space.names.index(across)
+    parameter = posterior.space[across]
+    if row == column:
+        draw_marginal(ax, parameter, posterior.draws[:, row], posterior.weights, bins=bins)
+        ax.set(yticks=[], xlabel=parameter.label(), xlim=parameter.interval)
+    elif row < column:
+        ax.set_axis_off()
+    else:
+        plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, ax=ax)
+        if truth is not None and across in truth and up in truth:
+            mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="+")
+
+
+def _layout(figure: Figure | SubFigure) -> tuple[Axes, Axes, Axes]:
+    """Return the axes in the middle, above and to the right."""
+    grid = figure.add_gridspec(2, 2, width_ratios=(4, 1.1), height_ratios=(1.1, 4))
+    main = figure.add_subplot(grid[1, 0])
+    top, right = figure.add_subplot(grid[0, 0], sharex=main), figure.add_subplot(grid[1, 1], sharey=main)
+    top.tick_params(labelbottom=False, labelleft=False, left=False)
+    right.tick_params(labelleft=False, labelbottom=False, bottom=False)
+    top.set_ylabel("density")
+    right.set_xlabel("density")
+    return main, top, right
+
+
+def _draw_kde(
+    ax: Axes,
+    values: Float[np.ndarray, "particle 2"],
+    weights: Float[np.ndarray, " particle"],
+    bounds: tuple[tuple[float, float], tuple[float, float]],
+    percentiles: Sequence[float],
+) -> None:
+    try:
+        estimate = KernelDensity.fit(values, weights, bounds=bounds)
+    except NumericsError:
+        return  # draws on a line have no density in the plane: the hexagons say all
+    axes = [np.linspace(*bound, 81) for bound in bounds]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    levels = np.unique(estimate.percentile_levels(percentiles))
+    ax.contour(*axes, estimate.density(points).reshape(81, 81).T, levels=levels, colors=BLACK, linewidths=1.2)
+
+
+def _draw_gaussian(ax: Axes, posterior: Posterior, names: tuple[str, str], percentiles: Sequence[float]) -> None:
+    indices = _indices(posterior, names)
+    approximation = GaussianApproximation(posterior.mean, posterior.covariance).marginal(indices)
+    _ellipses(ax, approximation, percentiles, ORANGE, "Gaussian")
+    mark(ax, approximation.mean, ORANGE, "mean")
+
+
+def _draw_laplace(
+    ax: Axes,
+    posterior: Posterior,
+    names: tuple[str, str],
+    laplace: LaplaceApproximation | None,
+    percentiles: Sequence[float],
+) -> str:
+    """Draw the Laplace approximation; return what to note where that is impossible."""
+    if laplace is None:
+        return ""
+    if not laplace.definite:
+        return "Laplace: none, Hessian indefinite"
+    _ellipses(ax, laplace.gaussian.marginal(_indices(posterior, names)), percentiles, GREEN, "Laplace")
+    return ""
+
+
+def _ellipses(
+    ax: Axes, approximation: GaussianApproximation, percentiles: Sequence[float], colour: str, label: str
+) -> None:
+    for p in percentiles:
+        curve = approximation.ellipse(p)
+        ax.plot(*curve.T, color=colour, linewidth=1.2, label=label, scalex=False, scaley=False)
+
+
+def _draw_points(
+    ax: Axes,
+    posterior: Posterior,
+    names: tuple[str, str],
+    mode: Float[np.ndarray, "2"] | None,
+    truth: Mapping[str, float] | None,
+) -> None:
+    if mode is None and posterior.space.dim == 2:
+        mode = posterior.map_estimate[_indices(posterior, names)]
+    if mode is None:
+        bounds = [posterior.space[name].interval for name in names]
+        mode = histogram_mode(posterior.columns(names), posterior.weights, bounds=bounds)
+    mark(ax, mode, GREEN, "MAP", size=10.0)
+    if truth is not None and all(name in truth for name in names):
+        mark(ax, [truth[name] for name in names], BLUE, "ground truth", marker="+")
+
+
+def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
+    return [posterior.space.names.index(name) for name in names]
+
+
+def _legend(figure: Figure | SubFigure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
+    """Put one entry for each kind of artist below the figure."""
+    entries: dict[str, Any] = {f"KDE {percent(percentiles)}": Line2D([], [], color=BLACK)}
+    for handle, label in zip(*main.get_legend_handles_labels(), strict=True):
+        lines = label in ("Gaussian", "Laplace")
+        entries[f"{label} {percent(percentiles)}" if lines else label] = handle
+    above = dict(zip(*reversed(top.get_legend_handles_labels()), strict=True))
+    entries["prior"] = above["prior"]
+    if note:
+        entries[note] = Line2D([], [], color="none")
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)

@@ -1,0 +1,120 @@
+"""Marginal of one input: weighted histogram, kernel density estimate and prior (Figs. 9 and 13)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+
+from strandline.errors import NumericsError
+from strandline.parameters import Parameter
+from strandline.plots.style import BLACK, BLUE, PURPLE, RED, SKY, axes_or_new, figure_or_new, styled
+from strandline.posterior import KernelDensity, Posterior, histogram
+
+__all__ = ["Curve", "plot_marginal", "plot_marginals"]
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A density from elsewhere to draw over a marginal, e.g. the quadrature of the same surrogate.
+
+    Args:
+        x: values of the input (point,).
+        density: densities there (point,).
+        label: what the legend calls it.
+    """
+
+    x: Float[np.ndarray, " point"]
+    density: Float[np.ndarray, " point"]
+    label: str = "quadrature"
+
+
+def plot_marginal(
+    posterior: Posterior,
+    name: str,
+    *,
+    bins: int = 30,
+    overlay: Curve | None = None,
+    truth: float | None = None,
+    legend: bool = True,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the marginal posterior of one input with its prior."""
+    parameter = posterior.space[name]
+    with styled():
+        ax = axes_or_new(ax, (4.0, 3.0))
+        draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, bins=bins)
+        if overlay is not None:
+            ax.plot(overlay.x, overlay.density, color=PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
+        if truth is not None:
+            ax.axvline(truth, color=BLUE, linestyle=":", label="ground truth")
+        ax.set(xlabel=parameter.label(), ylabel=density_label(parameter), xlim=parameter.interval)
+        if legend:
+            ax.legend()
+    return ax
+
+
+def plot_marginals(
+    posterior: Posterior,
+    names: Sequence[str] | None = None,
+    *,
+    bins: int = 30,
+    overlays: Mapping[str, Curve] | None = None,
+    truth: Mapping[str, float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the marginals of several inputs (of all of them where `names` is left out), three in a row."""
+    chosen = posterior.space.names if names is None else tuple(names)
+    columns = min(3, len(chosen))
+    rows = -(-len(chosen) // columns)
+    with styled():
+        figure = figure_or_new(figure, (max(3.0 * columns, 3.6), 2.4 * rows + 0.5))
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for ax, name in zip(panels, chosen, strict=False):
+            overlay, value = (overlays or {}).get(name), (truth or {}).get(name)
+            plot_marginal(posterior, name, bins=bins, overlay=overlay, truth=value, legend=False, ax=ax)
+        for ax in panels[len(chosen) :]:
+            ax.remove()
+        handles = {
+            label: h for ax in panels[: len(chosen)] for h, label in zip(*ax.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(len(handles), 4))
+    return figure
+
+
+def draw_marginal(
+    ax: Axes,
+    parameter: Parameter,
+    values: Float[np.ndarray, " particle"],
+    weights: Float[np.ndarray, " particle"],
+    *,
+    bins: int = 30,
+    upright: bool = False,
+) -> None:
+    """Draw histogram, kernel density estimate and prior of one input; `upright` puts the input on the y axis."""
+    bars = histogram(values, weights, bounds=parameter.interval, bins=bins)
+    orientation: Literal["horizontal", "vertical"] = "horizontal" if upright else "vertical"
+    ax.stairs(bars.density, bars.edges, fill=True, color=SKY, alpha=0.7, orientation=orientation, label="particles")
+    grid = np.linspace(*parameter.interval, 301)
+    prior = np.exp(np.asarray(parameter.truncated_prior.log_density(grid)))
+    prior = np.where(np.isfinite(prior), prior, np.nan)
+    try:
+        estimate = KernelDensity.fit(values[:, None], weights, bounds=[parameter.interval])
+        _line(ax, grid, estimate.density(grid[:, None]), upright, color=BLACK, label="KDE")
+    except NumericsError:
+        pass  # an input without spread has no density: its one bar says all
+    _line(ax, grid, prior, upright, color=RED, linestyle="--", label="prior")
+
+
+def density_label(parameter: Parameter) -> str:
+    """Return the label of a density axis with its unit: ``density [1/Pa]``."""
+    return "density" if parameter.unit in ("", "1") else f"density [1/({parameter.unit})]".replace("(Pa)", "Pa")
+
+
+def _line(
+    ax: Axes, x: Float[np.ndarray, " point"], y: Float[np.ndarray, " point"], upright: bool, **style: str
+) -> None:
+    ax.plot(*((y, x) if upright else (x, y)), **style)  # type: ignore[arg-type]

@@ -1,0 +1,115 @@
+"""Laplace approximation: the log posterior's curvature at its mode, as a Gaussian."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import InvalidInput, NumericsError
+from strandline.parameters import ParameterSpace
+from strandline.posterior.gaussian import GaussianApproximation
+
+__all__ = ["LaplaceApproximation", "laplace", "log_prior_hessian"]
+
+
+@dataclass(frozen=True, eq=False)
+class LaplaceApproximation:
+    """Second-order expansion of the log posterior about a mode; see `laplace`.
+
+    Args:
+        mode: where the expansion is made (dim,), physical.
+        hessian: second derivatives of the log posterior there (dim, dim).
+        covariance: minus the inverse of `hessian`; None where that is no covariance.
+        definite: whether `hessian` is negative definite.
+        eigenvalues: of `hessian`, ascending; one above zero is a direction in which the mode is none.
+    """
+
+    mode: Float[np.ndarray, " dim"]
+    hessian: Float[np.ndarray, "dim dim"]
+    covariance: Float[np.ndarray, "dim dim"] | None
+    definite: bool
+    eigenvalues: Float[np.ndarray, " dim"]
+
+    @property
+    def gaussian(self) -> GaussianApproximation:
+        """The Gaussian about the mode.
+
+        Raises:
+            NumericsError: the Hessian is indefinite, there is none.
+        """
+        if self.covariance is None:
+            raise NumericsError(
+                "the Hessian of the log posterior is not negative definite; its eigenvalues are "
+                f"{self.eigenvalues.tolist()}: "
+                "there is no Laplace approximation. The point may be no mode, or lie on a bound; use the particles."
+            )
+        return GaussianApproximation(self.mode, self.covariance)
+
+
+def laplace(
+    log_posterior_hessian_at_map: Float[np.ndarray, "dim dim"], mode: Float[np.ndarray, " dim"]
+) -> LaplaceApproximation:
+    """Return the Laplace approximation about `mode`; an indefinite Hessian is reported, not inverted.
+
+    Definiteness is decided after scaling to a unit diagonal, so that it does not depend on the units of the inputs.
+
+    Args:
+        log_posterior_hessian_at_map: second derivatives of log likelihood + log prior (dim, dim), physical units.
+        mode: the point they were taken at (dim,).
+
+    Raises:
+        InvalidInput: a Hessian that is not finite or not symmetric.
+    """
+    hessian = _symmetric(np.asarray(log_posterior_hessian_at_map, float))
+    curvature = np.diag(hessian)
+    scale = 1.0 / np.sqrt(np.where(curvature < 0, -curvature, 1.0))
+    scaled = -hessian * np.outer(scale, scale)
+    floor = len(hessian) * np.finfo(float).eps
+    definite = bool((curvature < 0).all() and np.linalg.eigvalsh(scaled)[0] > floor)
+    covariance = np.linalg.inv(scaled) * np.outer(scale, scale) if definite else None
+    return LaplaceApproximation(
+        mode=np.asarray(mode, float),
+        hessian=hessian,
+        covariance=covariance,
+        definite=definite,
+        eigenvalues=np.linalg.eigvalsh(hessian),
+    )
+
+
+def log_prior_hessian(space: ParameterSpace, x: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "dim dim"]:
+    """Return the exact second derivatives of the log prior at a physical point x (dim,) inside the support.
+
+    Raises:
+        InvalidInput: JAX runs in single precision, or the prior density at x is zero.
+    """
+    if jnp.zeros(()).dtype != np.float64:
+        raise InvalidInput(
+            "precision of JAX",
+            value="float32",
+            expected="float64",
+            remedy='Call jax.config.update("jax_enable_x64", True) at the start of the program.',
+        )
+    if not np.isfinite(space.log_prior(np.asarray(x))):
+        raise InvalidInput(
+            "log prior where its Hessian is wanted",
+            value=dict(space.as_mapping(np.asarray(x))),
+            expected="a point of positive and finite prior density",
+            remedy="Choose a point inside the support of every prior.",
+        )
+    return np.asarray(jax.hessian(space.log_prior)(jnp.asarray(x)))
+
+
+def _symmetric(hessian: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, "dim dim"]:
+    """Return the symmetric part; refuse what is far from symmetric or not finite."""
+    size = np.sqrt(np.outer(np.abs(np.diag(hessian)), np.abs(np.diag(hessian)))) + np.abs(hessian)
+    skew = np.abs(hessian - hessian.T)
+    if not np.isfinite(hessian).all() or (skew > 1e-3 * np.maximum(size, size.T)).any():
+        raise InvalidInput(
+            "Hessian of the log posterior",
+            value=hessian.tolist(),
+            expected="a finite, symmetric matrix",
+            remedy="Check the derivatives: where finite differences made them, change the step.",
+        )
+    return np.asarray(0.5 * (hessian + hessian.T))

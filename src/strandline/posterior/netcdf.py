@@ -1,0 +1,158 @@
+"""The posterior as an xarray DataTree in ArviZ's schema, and as a netCDF file."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from strandline.errors import InvalidInput
+from strandline.interface import Observation
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.posterior.posterior import Posterior
+
+__all__ = ["from_datatree", "read", "to_datatree", "write"]
+
+_RESERVED = ("weight", "log_weight", "log_likelihood", "log_prior", "particle", "chain", "draw")
+
+
+def to_datatree(
+    posterior: Posterior,
+    *,
+    seed: int,
+    attrs: Mapping[str, str | int | float] | None = None,
+    observed: Sequence[Observation] = (),
+    number: int | None = None,
+) -> xr.DataTree:
+    """Return the posterior as a tree of data sets.
+
+    Groups: ``posterior`` (chain, draw) holds *equally weighted* draws, on which ArviZ's functions are right as they
+    stand; ``weighted_posterior`` (particle) the particles with their weights, log-likelihood and log prior; ``prior``
+    (chain, draw) draws of the prior; ``observed_data`` the observed interfaces. No time is recorded: the same
+    posterior and seed give the same content.
+
+    Args:
+        posterior: the weighted draws.
+        seed: of the resampling and of the draws of the prior.
+        attrs: further attributes of the root, e.g. the study's name.
+        observed: the observations the posterior was made from.
+        number: how many equally weighted draws; as many as there are particles where it is left out.
+    """
+    _require_free_names(posterior.space)
+    size = posterior.number if number is None else number
+    equal = posterior.equally_weighted(np.random.default_rng([seed, 0]), size)
+    uniform = np.random.default_rng([seed, 1]).random((size, posterior.space.dim))
+    prior = posterior.space.prior_quantiles(np.clip(uniform, 1e-12, 1 - 1e-12))
+    groups = {
+        "posterior": _draws(posterior.space, equal),
+        "weighted_posterior": _particles(posterior),
+        "prior": _draws(posterior.space, prior),
+    }
+    if observed:
+        groups["observed_data"] = _observed(observed)
+    tree = xr.DataTree.from_dict(groups)
+    tree.attrs = {"inference_library": "strandline", "seed": seed, **dict(attrs or {})}
+    return tree
+
+
+def from_datatree(tree: xr.DataTree, space: ParameterSpace) -> Posterior:
+    """Return the weighted posterior that a tree of `to_datatree` holds, for the inputs of `space`."""
+    data = tree["weighted_posterior"].to_dataset()
+    missing = [name for name in space.names if name not in data]
+    if missing:
+        raise InvalidInput(
+            "inputs of the stored posterior",
+            value=sorted(str(name) for name in data.data_vars if name not in _RESERVED),
+            expected=f"all of {list(space.names)}",
+            remedy="Read it with the parameters it was written with.",
+        )
+    log_weights = data["log_weight"].to_numpy()
+    return Posterior(
+        space=space,
+        draws=np.stack([data[name].to_numpy() for name in space.names], axis=1),
+        log_weights=log_weights - logsumexp(log_weights) if abs(logsumexp(log_weights)) > 1e-9 else log_weights,
+        log_likelihood=data["log_likelihood"].to_numpy(),
+        log_prior=data["log_prior"].to_numpy(),
+        log_evidence=float(data.attrs["log_evidence"]),
+    )
+
+
+def write(tree: xr.DataTree, path: Path) -> None:
+    """Write the tree to a netCDF file, whole or not at all."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        tree.to_netcdf(partial, engine="h5netcdf")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read(path: Path) -> xr.DataTree:
+    """Return the tree of a netCDF file, all of it in memory and the file closed."""
+    if not path.is_file():
+        raise InvalidInput(
+            "file of a posterior",
+            value=str(path),
+            expected="a netCDF file that `write` made",
+            remedy="Check the path, or run the calibration first.",
+        )
+    with xr.open_datatree(path, engine="h5netcdf") as tree:
+        return tree.load()
+
+
+def _draws(space: ParameterSpace, values: Float[np.ndarray, "draw dim"]) -> xr.Dataset:
+    columns = zip(space, values.T, strict=True)
+    variables = {p.name: (("chain", "draw"), column[None], _attributes(p)) for p, column in columns}
+    return xr.Dataset(variables, coords={"chain": [0], "draw": np.arange(len(values))})
+
+
+def _particles(posterior: Posterior) -> xr.Dataset:
+    columns = zip(posterior.space, posterior.draws.T, strict=True)
+    variables: dict[str, Any] = {p.name: ("particle", column, _attributes(p)) for p, column in columns}
+    for name, column in {
+        "weight": posterior.weights,
+        "log_weight": posterior.log_weights,
+        "log_likelihood": posterior.log_likelihood,
+        "log_prior": posterior.log_prior,
+    }.items():
+        variables[name] = ("particle", column)
+    figures = {"log_evidence": posterior.log_evidence, "effective_sample_size": posterior.ess}
+    return xr.Dataset(variables, coords={"particle": np.arange(posterior.number)}, attrs=figures)
+
+
+def _attributes(parameter: Parameter) -> dict[str, Any]:
+    low, high = parameter.interval
+    return {"units": parameter.unit, "low": low, "high": high, "prior": repr(parameter.prior)}
+
+
+def _observed(observed: Sequence[Observation]) -> xr.Dataset:
+    conditions = [o.condition for o in observed]
+    if len(set(conditions)) != len(conditions):
+        raise InvalidInput(
+            "conditions of the observations",
+            value=conditions,
+            expected="a different name for each",
+            remedy="Name the conditions.",
+        )
+    variables = {}
+    for o in observed:
+        suffix = f"_{o.condition}" if o.condition else ""
+        attributes = {"units": "mm", "noise_variance": o.noise_variance}
+        variables[f"interface{suffix}"] = ((f"point{suffix}", "xyz"), o.interface.points, attributes)
+        variables[f"cells{suffix}"] = ((f"cell{suffix}", "corner"), o.interface.cells, {})
+    return xr.Dataset(variables)
+
+
+def _require_free_names(space: ParameterSpace) -> None:
+    taken = [name for name in space.names if name in _RESERVED or "/" in name]
+    if taken:
+        raise InvalidInput(
+            "names of inputs in a netCDF file",
+            value=taken,
+            expected=f"names without '/' and none of {list(_RESERVED)}",
+            remedy="Rename the inputs.",
+        )

@@ -1,0 +1,202 @@
+"""Which figures a calibration has: a name and a caption each, drawn one after the other."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from strandline import plots
+from strandline.calibrate import Calibration
+from strandline.errors import ForwardModelError
+from strandline.interface import Interface
+from strandline.surrogate import LogLikelihoodSurrogate
+
+__all__ = ["Captioned", "draw_figures"]
+
+GRID = 121
+EXAMPLES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Captioned:
+    """A figure, the name of its file, the section of the report it belongs to, and what it shows."""
+
+    name: str
+    section: str
+    caption: str
+    figure: Figure
+
+
+def draw_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    """Yield the figures of a calibration; those that need two inputs are left out where there are fewer or more."""
+    yield from _data(calibration, truth)
+    yield from _fields(calibration, truth)
+    yield from _surrogate(calibration)
+    yield from _sampler(calibration)
+    yield from _posterior(calibration, truth)
+
+
+def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    problem, space = calibration.problem, calibration.problem.space
+    at = truth if truth is not None else {**problem.fixed, **space.as_mapping(calibration.posterior.map_estimate)}
+    fields = getattr(problem.model, "fields", None)
+    where = "the inputs of the synthetic observation" if truth is not None else "the MAP estimate"
+    if fields is not None:
+        try:
+            figure = plots.plot_flow(fields(at))
+        except ForwardModelError:
+            figure = None
+        if figure is not None:
+            caption = f"Fluid velocity, fluid pressure and displacement of the solid on the deformed mesh at {where}."
+            yield Captioned("flow", "data", caption, _whole(figure))
+    undeformed = getattr(problem.model, "undeformed", lambda: None)()
+    axes = plots.plot_interfaces(
+        problem.observations[0].interface, reference=undeformed, simulated=_examples(calibration)
+    )
+    caption = "The observed interface, the undeformed one, and the interfaces of a few runs of the design."
+    yield Captioned("interfaces", "data", caption, _whole(axes.figure))
+
+
+def _examples(calibration: Calibration) -> dict[str, Interface]:
+    """Interfaces of runs at different quantiles of displacement, labelled by their inputs."""
+    runs = [record for record in calibration.records if record.interface is not None]
+    observed = calibration.problem.observations[0].interface.points
+    same = [r for r in runs if r.interface is not None and r.interface.points.shape == observed.shape]
+    if not same:
+        return {}
+    ranked = sorted(same, key=lambda r: float(np.abs(r.interface.points - observed).max()))  # type: ignore[union-attr]
+    chosen = [ranked[round(q * (len(ranked) - 1))] for q in (0.5, 0.85, 1.0)][:EXAMPLES]
+    names = calibration.problem.space.names
+    labelled = {", ".join(f"{n} = {r.inputs[n]:.3g}" for n in names): r.interface for r in chosen}
+    return {label: interface for label, interface in labelled.items() if interface is not None}
+
+
+def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    space = calibration.problem.space
+    if space.dim != 2:
+        return
+    means = {
+        _spoken(name): _grid(calibration, s, lambda s, x: s.process.mean(x), truth)
+        for name, s in calibration.surrogates.items()
+    }
+    deviations = {
+        _spoken(name): _grid(calibration, s, lambda s, x: np.sqrt(s.process.variance(x)), truth)
+        for name, s in calibration.surrogates.items()
+    }
+    several = "by discrepancy measure; " if len(means) > 1 else ""
+    crosses = "Grey crosses are failed forward runs."
+    yield Captioned(
+        "likelihood",
+        "surrogate",
+        f"Likelihood over its maximum, {several}mean of the Gaussian process. {crosses}",
+        _whole(plots.three_measures(means, kind="likelihood")),
+    )
+    yield Captioned(
+        "log_likelihood",
+        "surrogate",
+        f"Log-likelihood, {several}mean of the Gaussian process. {crosses}",
+        _whole(plots.three_measures(means, kind="log_likelihood")),
+    )
+    yield Captioned(
+        "log_likelihood_sd",
+        "surrogate",
+        f"Standard deviation of the Gaussian process, {several}in units of log-likelihood. {crosses}",
+        _whole(plots.three_measures(deviations, kind="sd")),
+    )
+
+
+def _grid(
+    calibration: Calibration,
+    surrogate: LogLikelihoodSurrogate,
+    function: Callable[[LogLikelihoodSurrogate, Any], Any],
+    truth: Mapping[str, float] | None,
+) -> plots.FieldGrid:
+    space = calibration.problem.space
+    x, y = (np.linspace(*parameter.interval, GRID) for parameter in space)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    return plots.FieldGrid(
+        x=space.parameters[0],
+        y=space.parameters[1],
+        x_values=x,
+        y_values=y,
+        values=function(surrogate, points).reshape(GRID, GRID),
+        failed=_failed(calibration),
+        truth=None if truth is None else np.array([truth[name] for name in space.names]),
+    )
+
+
+def _failed(calibration: Calibration) -> Float[np.ndarray, "run dim"]:
+    names = calibration.problem.space.names
+    rows = [[record.inputs[name] for name in names] for record in calibration.records if not record.ok]
+    return np.array(rows, float).reshape(-1, len(names))
+
+
+def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
+    values = next(iter(calibration.log_likelihoods.values()))
+    validation = calibration.surrogate.validation
+    axes = plots.plot_leave_one_out(values, values - validation.residuals, near_mode=validation.near_mode)
+    caption = (
+        "Each run's log-likelihood as the surrogate predicts it from all other runs. The runs near the mode decide "
+        f"the posterior: their root-mean-square error is {validation.loo_rms_near_mode:.3g}."
+    )
+    yield Captioned("leave_one_out", "surrogate", caption, _whole(axes.figure))
+
+
+def _sampler(calibration: Calibration) -> Iterator[Captioned]:
+    steps = calibration.sampling.steps
+    figure = plots.plot_tempering(
+        [s.temperature for s in steps],
+        [s.ess for s in steps],
+        [s.acceptance for s in steps],
+        particles=calibration.settings.particles,
+    )
+    caption = "The sampler's course: exponent γ of the likelihood, effective sample size, share of accepted moves."
+    yield Captioned("tempering", "sampler", caption, _whole(figure))
+
+
+def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    posterior, space = calibration.posterior, calibration.problem.space
+    if space.dim == 2:
+        names = (space.names[0], space.names[1])
+        figure = plots.plot_joint(posterior, names, laplace=calibration.laplace, truth=truth)
+        caption = (
+            "Posterior: weighted hexagonal histogram of the particles with percentile lines of the kernel density "
+            "(black), the Gaussian (orange) and the Laplace approximation (green); marginals with priors (red dashes)."
+        )
+        yield Captioned("posterior", "posterior", caption, _whole(figure))
+        axes = plots.plot_particles(posterior, names)
+        yield Captioned(
+            "particles", "posterior", "The particles; area and colour show the weight.", _whole(axes.figure)
+        )
+    elif space.dim > 2:
+        figure = plots.plot_pairs(posterior, truth=truth)
+        yield Captioned("posterior", "posterior", "Posterior of all pairs of inputs.", _whole(figure))
+    figure = plots.plot_marginals(posterior, overlays=_quadrature_curves(calibration), truth=truth)
+    caption = "Marginal posteriors with priors" + (
+        " and the direct quadrature of the same surrogate." if calibration.quadrature else "."
+    )
+    yield Captioned("marginals", "posterior", caption, _whole(figure))
+
+
+def _quadrature_curves(calibration: Calibration) -> dict[str, plots.Curve]:
+    exact = calibration.quadrature
+    if exact is None:
+        return {}
+    names = calibration.problem.space.names
+    curves = {}
+    for name, marginal in zip(names, exact.marginals, strict=True):
+        middle = 0.5 * (marginal.edges[1:] + marginal.edges[:-1])
+        curves[name] = plots.Curve(middle, marginal.density, "quadrature")
+    return curves
+
+
+def _spoken(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _whole(figure: Any) -> Figure:
+    assert isinstance(figure, Figure)
+    return figure

@@ -1,0 +1,97 @@
+"""What a user must be told in words about a finished calibration."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from strandline.calibrate import Calibration
+
+__all__ = ["find_warnings"]
+
+BOUND_SHARE = 0.02
+"""A bound counts as touched where the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
+BOUND_MASS = 0.01
+LOO_LIMIT = 0.5
+"""Leave-one-out error near the mode, in units of log-likelihood, above which the posterior's shape is in doubt."""
+ESS_SHARE = 0.1
+QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
+FAILED_SHARE = 0.3
+
+
+def find_warnings(calibration: Calibration, *, observation_turned: bool = False) -> Iterator[str]:
+    """Yield one sentence per doubt; none where all is well."""
+    if observation_turned:
+        yield "The observed points ran against the model's interface and were turned round."
+    yield from _runs(calibration)
+    yield from _prior(calibration)
+    yield from _surrogate(calibration)
+    yield from _sampler(calibration)
+    yield from _bounds(calibration)
+    if not calibration.laplace.definite:
+        yield (
+            "The Hessian of the log-posterior at the MAP is not negative definite, so there is no Laplace "
+            "approximation: the surrogate is rough there, or the MAP lies on a bound."
+        )
+
+
+def _runs(calibration: Calibration) -> Iterator[str]:
+    failed = sum(not record.ok for record in calibration.records)
+    if failed > FAILED_SHARE * len(calibration.records):
+        yield (
+            f"{failed} of {len(calibration.records)} forward runs failed: the surrogate knows nothing there. "
+            "See where they lie before you trust a posterior close to them."
+        )
+
+
+def _prior(calibration: Calibration) -> Iterator[str]:
+    for parameter in calibration.problem.space:
+        if parameter.mass_cut > 1e-6:
+            low, high = parameter.interval
+            yield (
+                f"The prior of {parameter.name} was truncated to the design box [{low:g}, {high:g}] {parameter.unit}: "
+                f"{parameter.mass_cut:.2%} of its mass was cut off."
+            )
+
+
+def _surrogate(calibration: Calibration) -> Iterator[str]:
+    validation = calibration.surrogate.validation
+    if validation.loo_rms_near_mode > LOO_LIMIT:
+        yield (
+            f"The surrogate's leave-one-out error near the mode is {validation.loo_rms_near_mode:.2g} in "
+            f"log-likelihood (over {validation.near_mode_count} runs; above {LOO_LIMIT:g} the posterior's shape is in "
+            "doubt). More runs, or a smoother measure (refined quadrature), will lower it."
+        )
+
+
+def _sampler(calibration: Calibration) -> Iterator[str]:
+    particles = calibration.settings.particles
+    if calibration.sampling.ess < ESS_SHARE * particles:
+        yield f"Only {calibration.sampling.ess:.0f} effective samples among {particles} particles."
+    exact, posterior = calibration.quadrature, calibration.posterior
+    if exact is None:
+        return
+    if not exact.converged:
+        yield "The quadrature that checks the sampler has not converged."
+    mean_error = float(np.max(np.abs(posterior.mean - exact.mean) / exact.sd))
+    sd_error = float(np.max(np.abs(posterior.sd / exact.sd - 1.0)))
+    if mean_error > QUADRATURE_MEAN or sd_error > QUADRATURE_SD:
+        yield (
+            f"Sampler and quadrature of the same surrogate differ: means by up to {mean_error:.3f} standard "
+            f"deviations, standard deviations by up to {sd_error:.1%}. More particles or steps will help."
+        )
+
+
+def _bounds(calibration: Calibration) -> Iterator[str]:
+    posterior = calibration.posterior
+    unit = posterior.space.to_unit(posterior.draws)
+    for i, parameter in enumerate(posterior.space):
+        sides = {"lower": unit[:, i] < BOUND_SHARE, "upper": unit[:, i] > 1.0 - BOUND_SHARE}
+        for side, touching in sides.items():
+            mass = float(posterior.weights @ touching)
+            if mass > BOUND_MASS:
+                bound = parameter.interval[0 if side == "lower" else 1]
+                yield (
+                    f"The posterior of {parameter.name} reaches the {side} end of its box, {bound:g} "
+                    f"{'' if parameter.unit == '1' else parameter.unit}: {mass:.1%} of its mass lies within 2 % of it. "
+                    "What lies beyond was excluded by the prior, not by the data."
+                ).replace(" :", ":")

@@ -1,0 +1,209 @@
+"""A campaign: make the runs of a design that the ledger does not hold yet, and keep every outcome as it comes."""
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from strandline.errors import InvalidInput, LedgerError, NumericsError
+from strandline.models.protocol import ForwardModel, fingerprint
+from strandline.runs.executors import Executor
+from strandline.runs.ledger import INTERRUPTED, Ledger
+from strandline.runs.record import RunRecord, RunRequest, run_key
+
+__all__ = ["Progress", "run_campaign"]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a campaign is; counts are of distinct runs.
+
+    Args:
+        total: runs that the design asks for.
+        finished: those that are settled: ok, or failed for good.
+        ok: settled with an interface.
+        failed: settled without one.
+        reused: settled before this campaign began.
+        elapsed: seconds since it began.
+    """
+
+    total: int
+    finished: int
+    ok: int
+    failed: int
+    reused: int
+    elapsed: float
+
+    @property
+    def remaining_seconds(self) -> float | None:
+        """Estimated time to the end at the pace so far; None before the first run is settled."""
+        made = self.finished - self.reused
+        return self.elapsed / made * (self.total - self.finished) if made else None
+
+
+def run_campaign(
+    model: ForwardModel,
+    inputs: Sequence[Mapping[str, float]],
+    *,
+    ledger: Ledger,
+    executor: Executor,
+    on_record: Callable[[RunRecord, Progress], None] | None = None,
+    maximum_attempts: int = 3,
+) -> tuple[RunRecord, ...]:
+    """Return one record per entry of `inputs`, in that order; only what the ledger lacks is run.
+
+    A run whose process vanished, or that was lost with its driver, is tried again up to `maximum_attempts` times in
+    all; every other end is final. Equal inputs are run once. A run that does not end ``ok`` is data: look at `state`.
+
+    Args:
+        model: the simulator.
+        inputs: the design: one mapping of inputs by name per run.
+        ledger: opened for writing, of this model; its caller is the only one to write.
+        executor: where the runs are made.
+        on_record: called with each record as it comes, the killed ones that will be tried again too.
+        maximum_attempts: how often a run may take its process down.
+
+    Raises:
+        LedgerError: the ledger belongs to another model, or cannot be written.
+    """
+    campaign = _Campaign(model, inputs, ledger, executor, on_record, maximum_attempts)
+    while campaign.pending:
+        campaign.run_pending()
+    return campaign.results()
+
+
+class _Campaign:
+    """State of one call of `run_campaign`."""
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        inputs: Sequence[Mapping[str, float]],
+        ledger: Ledger,
+        executor: Executor,
+        on_record: Callable[[RunRecord, Progress], None] | None,
+        maximum_attempts: int,
+    ) -> None:
+        self.model, self.ledger, self.executor, self.on_record = model, ledger, executor, on_record
+        self.maximum_attempts, self.began = _at_least_one(maximum_attempts), time.monotonic()
+        identity = fingerprint(model)
+        _require_same_model(ledger, identity)
+        self.order = [run_key(identity, entry) for entry in inputs]
+        self.requests = {key: RunRequest(key, dict(entry)) for key, entry in zip(self.order, inputs, strict=True)}
+        known = ledger.latest(self.requests)
+        self.settled = {key: record for key, record in known.items() if record.final}
+        self.reused = len(self.settled)
+        self.pending: list[RunRequest] = []
+        self._plan(list(self.requests.values()))
+
+    def run_pending(self) -> None:
+        """Run what is pending once, then plan what must be tried again."""
+        starts = _Starts(self.ledger, self.pending)
+        try:
+            self._consume(starts)
+        except BaseException:
+            starts.interrupt()
+            raise
+        if len(starts) == len(self.pending):
+            raise NumericsError("the executor ended without starting a single run; report it to its author")
+        self._plan(self.pending)
+
+    def results(self) -> tuple[RunRecord, ...]:
+        """Return the settled records in the order of the design."""
+        return tuple(self.settled[key] for key in self.order)
+
+    def _consume(self, starts: "_Starts") -> None:
+        records = self.executor(self.model, starts)
+        with contextlib.ExitStack() as stack:
+            if hasattr(records, "close"):
+                stack.callback(records.close)
+            for record in records:
+                self.ledger.finished(record)
+                starts.running.pop(record.key, None)
+                self._settle(record)
+                if self.on_record is not None:
+                    self.on_record(record, self._progress())
+
+    def _settle(self, record: RunRecord) -> None:
+        if record.final or self._attempts_spent(record.key):
+            self.settled[record.key] = record
+
+    def _plan(self, candidates: Iterable[RunRequest]) -> None:
+        """Keep as pending what may be tried (again); settle what has used up its attempts."""
+        pending = []
+        for request in candidates:
+            if request.key in self.settled:
+                continue
+            if self._attempts_spent(request.key):
+                self.settled[request.key] = self._given_up(request)
+            else:
+                pending.append(request)
+        self.pending = pending
+
+    def _attempts_spent(self, key: str) -> bool:
+        return self.ledger.attempts(key) >= self.maximum_attempts
+
+    def _given_up(self, request: RunRequest) -> RunRecord:
+        """Return the record of a run that was killed or lost too often, in this campaign or before."""
+        known = self.ledger.latest([request.key]).get(request.key)
+        times = f"{self.ledger.attempts(request.key)} attempts"
+        advice = "Look for what stops the process (memory?), or raise maximum_attempts."
+        if known is not None and known.failure_kind != INTERRUPTED:
+            return replace(known, message=f"{known.message}\ngiven up after {times}. {advice}")
+        message = f"lost: started and never ended, given up after {times}. {advice}"
+        return RunRecord(request.key, request.inputs, "killed", failure_kind="lost", message=message)
+
+    def _progress(self) -> Progress:
+        ok = sum(record.ok for record in self.settled.values())
+        finished = len(self.settled)
+        elapsed = time.monotonic() - self.began
+        return Progress(len(self.requests), finished, ok, finished - ok, self.reused, elapsed)
+
+
+class _Starts:
+    """Hands out requests and records each as STARTED in that moment; knows which are running."""
+
+    def __init__(self, ledger: Ledger, requests: Iterable[RunRequest]) -> None:
+        self.ledger, self.waiting = ledger, deque(requests)
+        self.running: dict[str, RunRequest] = {}
+
+    def __iter__(self) -> Iterator[RunRequest]:
+        return self
+
+    def __next__(self) -> RunRequest:
+        if not self.waiting:
+            raise StopIteration
+        request = self.waiting.popleft()
+        self.ledger.started(request)
+        self.running[request.key] = request
+        return request
+
+    def __len__(self) -> int:
+        return len(self.waiting)
+
+    def interrupt(self) -> None:
+        """Record the runs that were stopped together with the driver: they are no attempts of their own."""
+        with contextlib.suppress(LedgerError):
+            for request in self.running.values():
+                message = "stopped together with its driver; it will be run again"
+                record = RunRecord(request.key, request.inputs, "killed", failure_kind=INTERRUPTED, message=message)
+                self.ledger.finished(record)
+
+
+def _at_least_one(maximum_attempts: int) -> int:
+    if maximum_attempts < 1:
+        raise InvalidInput(
+            "maximum_attempts", value=maximum_attempts, expected="at least 1", remedy="Allow at least one attempt."
+        )
+    return maximum_attempts
+
+
+def _require_same_model(ledger: Ledger, identity: str) -> None:
+    if ledger.model != identity:
+        raise LedgerError(
+            f"{ledger.path} keeps the runs of another model",
+            value=f"{ledger.model} in the ledger, {identity} now",
+            expected="one and the same model",
+            remedy="Start a new ledger for the changed model, or take the model that made this one.",
+        )

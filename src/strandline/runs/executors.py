@@ -1,0 +1,251 @@
+"""Where runs are made: in this process, or in worker processes on this machine.
+
+An executor takes the model and an iterable of requests and yields one record per request, in the order in which runs
+end. It pulls a request in the moment in which it starts it. `strandline.testing.executors` has the tests that any
+executor must pass.
+"""
+
+import contextlib
+import os
+import pickle
+import shutil
+import tempfile
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing import spawn
+from multiprocessing.connection import Connection, wait
+from operator import length_hint
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from strandline.errors import InvalidInput
+from strandline.models.protocol import ForwardModel
+from strandline.runs.record import RunRecord, RunRequest, attempt
+from strandline.runs.workers import Worker
+
+__all__ = ["Executor", "InProcess", "LocalProcesses", "usable_cores"]
+
+LONGEST_WAIT_SECONDS = 0.5
+"""How often workers are looked at that have not said anything."""
+
+
+@runtime_checkable
+class Executor(Protocol):
+    """Makes runs: (model, requests) → their records, in order of completion.
+
+    Each request is answered exactly once, whatever the simulator does, and pulled only when it is started. What
+    cannot be attributed to one run (a model that cannot be loaded) is an exception. Closing the iterator early stops
+    the runs.
+    """
+
+    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
+        """Yield a record for each request."""
+        ...
+
+
+@dataclass(frozen=True)
+class InProcess:
+    """Runs one after the other in this process: for small models and for debugging.
+
+    A simulator that crashes takes the driver along, and one that hangs is waited for; `LocalProcesses` is safe.
+    """
+
+    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
+        """Yield a record for each request, in their order."""
+        for request in requests:
+            with tempfile.TemporaryDirectory(prefix="strandline-run-", ignore_cleanup_errors=True) as folder:
+                record = attempt(model, request, Path(folder))
+            yield record
+
+
+@dataclass(frozen=True)
+class LocalProcesses:
+    """Runs in worker processes on this machine; a crash or a hang costs the one run that it hits.
+
+    Args:
+        workers: how many processes; None for one per core that this process may use. Each computes on one thread.
+        timeout: seconds after which a run is killed; None for never.
+
+    Workers are fresh interpreters that load the model once. Each run has an empty folder of its own, removed after
+    it. What the simulator prints is kept where the run did not end well.
+    """
+
+    workers: int | None = None
+    timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise InvalidInput(
+                "number of workers",
+                value=self.workers,
+                expected="at least 1",
+                remedy="Leave it out to use all cores.",
+            )
+        if self.timeout is not None and not self.timeout > 0:
+            raise InvalidInput(
+                "timeout of a run",
+                value=self.timeout,
+                expected="seconds above 0",
+                remedy="Leave it out for no limit.",
+            )
+
+    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
+        """Yield a record for each request as runs end.
+
+        Raises:
+            InvalidInput: the model cannot be sent to, or loaded in, a worker process.
+        """
+        _require_posix()
+        setup = _setup(model)
+        limit = usable_cores() if self.workers is None else self.workers
+        return self._run(setup, requests, limit)
+
+    def _run(self, setup: bytes, requests: Iterable[RunRequest], limit: int) -> Iterator[RunRecord]:
+        number = max(1, min(limit, length_hint(requests, limit)))
+        with tempfile.TemporaryDirectory(prefix="strandline-runs-", ignore_cleanup_errors=True) as folder:
+            pool = _Pool(Path(folder), setup, iter(requests), self.timeout)
+            try:
+                yield from pool.records(number)
+            finally:
+                pool.close()
+
+
+class _Pool:
+    """The workers of one call, the requests still to come, and the records not handed over yet."""
+
+    def __init__(self, folder: Path, setup: bytes, requests: Iterator[RunRequest], timeout: float | None) -> None:
+        self.folder, self.requests, self.timeout = folder, requests, timeout
+        self.setup = folder / "model.pickle"
+        self.setup.write_bytes(setup)
+        self.workers: list[Worker] = []
+        self.done: deque[RunRecord] = deque()
+        self.exhausted = False
+        self.launched = self.started = 0
+
+    def records(self, number: int) -> Iterator[RunRecord]:
+        """Start `number` workers and yield records until every request that was pulled is answered."""
+        for _ in range(number):
+            self._launch()
+        while self.done or not self._finished():
+            while self.done:
+                yield self.done.popleft()
+            if not self._finished():
+                self._turn()
+
+    def close(self) -> None:
+        """Stop the workers: the idle ones by hanging up, the others at once."""
+        for worker in self.workers:
+            worker.hang_up()
+        deadline = time.monotonic() + 1.0
+        for worker in self.workers:
+            worker.end(deadline)
+        self.workers.clear()
+
+    def _finished(self) -> bool:
+        return self.exhausted and not any(worker.busy for worker in self.workers)
+
+    def _launch(self) -> None:
+        self.launched += 1
+        self.workers.append(Worker.launch(self.folder, self.launched, self.setup))
+
+    def _turn(self) -> None:
+        """Wait for news from the workers, then deal with all of it."""
+        by_connection = {worker.connection: worker for worker in self.workers}
+        for connection in wait(list(by_connection), timeout=self._patience()):
+            assert isinstance(connection, Connection)
+            self._hear(by_connection[connection])
+        for worker in list(self.workers):
+            if worker.overdue() and not worker.connection.poll():
+                self._lose(worker, worker.out_of_time(self.timeout or 0.0))
+            elif worker.gone() and not worker.connection.poll():
+                self._lose(worker, worker.vanished())
+
+    def _patience(self) -> float:
+        """Return the seconds until something must be looked at even without news."""
+        deadlines = [worker.deadline for worker in self.workers if worker.deadline is not None]
+        return min([LONGEST_WAIT_SECONDS, *(max(0.0, deadline - time.monotonic()) for deadline in deadlines)])
+
+    def _hear(self, worker: Worker) -> None:
+        """Take what `worker` sent and give it its next request."""
+        try:
+            record = worker.receive()
+        except (EOFError, OSError):
+            self._lose(worker, worker.vanished())
+            return
+        if record is not None:
+            self.done.append(record)
+            shutil.rmtree(worker.workdir, ignore_errors=True)
+        self._assign(worker)
+
+    def _lose(self, worker: Worker, record: RunRecord | None) -> None:
+        """Replace a worker that is gone; keep the record of the run that it had."""
+        self.workers.remove(worker)
+        worker.end()
+        if record is not None:
+            self.done.append(record)
+            shutil.rmtree(worker.workdir, ignore_errors=True)
+        if not self.exhausted:
+            self._launch()
+
+    def _assign(self, worker: Worker) -> None:
+        """Pull the next request, which starts it, and send it to `worker`."""
+        if self.exhausted:
+            return
+        try:
+            request = next(self.requests)
+        except StopIteration:
+            self.exhausted = True
+            return
+        self.started += 1
+        workdir = self.folder / f"run-{self.started}"
+        workdir.mkdir()
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            worker.send(request, workdir, self.timeout)
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _setup(model: ForwardModel) -> bytes:
+    """Return what a worker needs to load `model`, refusing a model that cannot travel."""
+    _require_not_loading()
+    try:
+        packed = pickle.dumps(model)
+    except Exception as error:
+        raise InvalidInput(
+            "the model cannot be sent to worker processes",
+            value=f"{type(error).__name__}: {error}",
+            expected="a function or dataclass defined at the top level of a module, with fields that can be pickled",
+            remedy="Move the model to the top level of a module (no lambda, no inner function), or use InProcess().",
+        ) from error
+    preparation = None
+    if b"__main__" in packed:
+        preparation = spawn.get_preparation_data("strandline-worker")
+        preparation.pop("authkey", None)
+    return pickle.dumps((preparation, packed))
+
+
+def _require_not_loading() -> None:
+    """Refuse to start workers from a worker that is only looking for the model in the user's script."""
+    from strandline.runs.worker import loads_main_module
+
+    if loads_main_module():
+        raise InvalidInput(
+            "worker processes were asked for while a worker was loading the script that defines the model",
+            value="a script without a guard",
+            expected="runs started under `if __name__ == '__main__':`",
+            remedy="Put the code that starts the runs under that line, or the model into a module of its own.",
+        )
+
+
+def _require_posix() -> None:
+    if os.name != "posix":
+        raise InvalidInput(
+            "worker processes", value=os.name, expected="Linux or macOS", remedy="Use InProcess(), or run under WSL."
+        )

@@ -1,0 +1,350 @@
+"""The ledger: an append-only SQLite file that keeps every run of one model, durably, as it ends.
+
+A run is STARTED before it is handed out and gets an outcome when it ends; STARTED without an outcome means running
+while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each write is
+on the disk when the call returns (write-ahead log, full synchronisation). Arrays are stored as raw little-endian
+numbers and each outcome carries a checksum; nothing is pickled. The file must lie on a disk of the driving machine or
+on a file system with working locks.
+"""
+
+import contextlib
+import os
+import socket
+import sqlite3
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from filelock import BaseFileLock, FileLock, Timeout
+
+from strandline.errors import LedgerError
+from strandline.runs import schema
+from strandline.runs.record import RunRecord, RunRequest
+
+__all__ = ["Counts", "Ledger"]
+
+INTERRUPTED = "interrupted"
+"""Failure kind of a run that its own driver stopped: it is no attempt at the run."""
+COPIED_STATES = frozenset({"ok", "failed", "invalid"})
+"""What the model itself decided; a timeout or a vanished process says something about the other machine only."""
+KEYS_PER_QUERY = 500
+LAST_OUTCOMES = "SELECT max(attempt) FROM outcomes JOIN starts USING (attempt)"
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Distinct runs of a ledger by what came of their last start.
+
+    `open` are those started without an outcome: running while a driver holds the ledger, lost otherwise.
+    """
+
+    ok: int = 0
+    failed: int = 0
+    timeout: int = 0
+    killed: int = 0
+    invalid: int = 0
+    open: int = 0
+
+    @property
+    def total(self) -> int:
+        """Number of distinct runs ever started."""
+        return self.ok + self.failed + self.timeout + self.killed + self.invalid + self.open
+
+
+class Ledger:
+    """All runs of one model; open it with `Ledger.open`, as a context manager."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, lock: BaseFileLock | None) -> None:
+        self.path = path
+        self._connection = connection
+        self._lock = lock
+        self._session: int | None = None
+
+    @classmethod
+    def open(cls, path: Path | str, *, model: str | None, description: str = "", read_only: bool = False) -> "Ledger":
+        """Return the ledger at `path`, created where there is none yet.
+
+        Args:
+            path: the SQLite file; its lock lies next to it, with the suffix ``.lock``.
+            model: fingerprint of the model whose runs it keeps; None takes whatever it is, read-only alone.
+            description: one line about the model, kept when the ledger is created.
+            read_only: take no lock and write nothing; works while a driver is writing.
+
+        Raises:
+            LedgerError: locked, of another model, of a newer version, damaged, missing (read-only), or in a folder
+                that cannot be written.
+        """
+        path = Path(path)
+        if read_only:
+            return cls._for_reading(path, model)
+        if model is None:
+            raise LedgerError(
+                f"model of the ledger {path}",
+                value=None,
+                expected="the model's fingerprint",
+                remedy="Give it, or open the ledger with read_only=True.",
+            )
+        lock = _locked(path)
+        try:
+            return cls._for_writing(path, model, description, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    @classmethod
+    def _for_reading(cls, path: Path, model: str | None) -> "Ledger":
+        ledger = cls(path, _connected_for_reading(path), None)
+        ledger._checked(model)
+        return ledger
+
+    @classmethod
+    def _for_writing(cls, path: Path, model: str, description: str, lock: BaseFileLock) -> "Ledger":
+        with _translated(path):
+            if not path.exists():
+                schema.create(path, model=model, description=description)
+            connection = schema.connect(path)
+        ledger = cls(path, connection, lock)
+        ledger._checked(model)
+        with ledger._closed_on_error(), _translated(path):
+            columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
+            row = connection.execute(
+                f"INSERT INTO sessions {columns}", (os.getpid(), socket.gethostname(), time.time())
+            )
+            ledger._session = row.lastrowid
+        return ledger
+
+    def _checked(self, model: str | None) -> None:
+        with self._closed_on_error(), _translated(self.path):
+            schema.require_version(self.path, self._connection)
+            if model is not None and model != self.model:
+                raise LedgerError(
+                    f"{self.path} keeps the runs of another model",
+                    value=f"{self.model} in the ledger, {model} now",
+                    expected="one and the same model",
+                    remedy="Start a new ledger for the changed model, or take the model that made this one.",
+                )
+
+    @contextlib.contextmanager
+    def _closed_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file and release the lock; a second call does nothing."""
+        self._connection.close()
+        if self._lock is not None:
+            self._lock.release()
+
+    def __enter__(self) -> "Ledger":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def model(self) -> str:
+        """Fingerprint of the model whose runs these are."""
+        return self._meta("model")
+
+    @property
+    def description(self) -> str:
+        """The line about the model that was given when the ledger was created."""
+        return self._meta("description")
+
+    def started(self, request: RunRequest) -> int:
+        """Record that a run is being started; return the number of the attempt."""
+        return self._start(request, time.time())
+
+    def finished(self, record: RunRecord) -> None:
+        """Record the outcome of the last start of the run that has none yet.
+
+        Raises:
+            LedgerError: the run was not started, or already has its outcome.
+        """
+        sql = "SELECT max(attempt) FROM starts WHERE key = ? AND attempt NOT IN (SELECT attempt FROM outcomes)"
+        (number,) = self._rows(sql, (record.key,))[0]
+        if number is None:
+            raise LedgerError(
+                f"outcome of run {record.key[:12]}",
+                value=record.state,
+                expected="a run that was started and has no outcome yet",
+                remedy="Call started() first, once per attempt.",
+            )
+        self._finish(number, record)
+
+    def latest(self, keys: Iterable[str]) -> dict[str, RunRecord]:
+        """Return the last outcome of each of the runs `keys` that has one.
+
+        Raises:
+            LedgerError: a stored outcome does not match its checksum.
+        """
+        wanted = list(dict.fromkeys(keys))
+        found: dict[str, RunRecord] = {}
+        for first in range(0, len(wanted), KEYS_PER_QUERY):
+            some = wanted[first : first + KEYS_PER_QUERY]
+            marks = ",".join("?" * len(some))
+            last = (
+                f"SELECT max(attempt) FROM outcomes JOIN starts USING (attempt) WHERE key IN ({marks}) GROUP BY key"
+            )
+            found |= {record.key: record for record in self._records(last, some)}
+        return found
+
+    def __iter__(self) -> Iterator[RunRecord]:
+        """Yield the last outcome of every run, in the order in which they were started."""
+        return self._records(f"{LAST_OUTCOMES} GROUP BY key")
+
+    def attempts(self, key: str) -> int:
+        """Return how often the run was tried; starts that the driver itself interrupted do not count."""
+        sql = "SELECT count(*) FROM starts LEFT JOIN outcomes USING (attempt) WHERE key = ? AND kind IS NOT ?"
+        return int(self._rows(sql, (key, INTERRUPTED))[0][0])
+
+    def counts(self) -> Counts:
+        """Return the number of distinct runs by what came of their last start."""
+        sql = """SELECT ifnull(state, 'open'), count(*) FROM starts LEFT JOIN outcomes USING (attempt)
+            WHERE attempt IN (SELECT max(attempt) FROM starts GROUP BY key) GROUP BY 1"""
+        return Counts(**dict(self._rows(sql)))
+
+    def copy_from(self, other: Path | str, keys: Iterable[str]) -> int:
+        """Copy from another ledger of the same model those of the runs `keys` that are missing here.
+
+        Copied is what the model itself decided (ok, failed, invalid), with the place it came from as `origin`.
+
+        Returns:
+            How many runs were copied.
+
+        Raises:
+            LedgerError: the other ledger is missing, unreadable, or of another model.
+        """
+        wanted = list(keys)
+        here = {key for key, record in self.latest(wanted).items() if record.final}
+        with Ledger.open(other, model=self.model, read_only=True) as source:
+            found = source.latest(key for key in wanted if key not in here).values()
+        taken = [record for record in found if record.state in COPIED_STATES]
+        with self._transaction():
+            for record in taken:
+                number = self._start(RunRequest(record.key, record.inputs), time.time())
+                self._finish(number, record, origin=record.origin or str(other))
+        return len(taken)
+
+    def _meta(self, key: str) -> str:
+        return str(self._rows("SELECT value FROM meta WHERE key = ?", (key,))[0][0])
+
+    def _start(self, request: RunRequest, at: float) -> int:
+        row = (self._writing_session(), request.key, schema.inputs_text(request.inputs), at)
+        with _translated(self.path):
+            sql = "INSERT INTO starts (session, key, inputs, started_at) VALUES (?, ?, ?, ?)"
+            return int(self._connection.execute(sql, row).lastrowid or 0)
+
+    def _finish(self, number: int, record: RunRecord, *, origin: str | None = None) -> None:
+        self._writing_session()
+        row = (number, *schema.row_of(record, origin or record.origin), time.time())
+        with _translated(self.path):
+            sql = f"INSERT INTO outcomes (attempt, {schema.OUTCOME_COLUMNS}, finished_at) VALUES ({schema.MARKS})"
+            self._connection.execute(sql, row)
+
+    def _writing_session(self) -> int:
+        if self._session is None:
+            raise LedgerError(
+                f"writing to {self.path}",
+                value="a ledger opened with read_only=True",
+                expected="a ledger opened for writing",
+                remedy="Open it without read_only.",
+            )
+        return self._session
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """Make all writes inside one: all of them last, or none."""
+        with _translated(self.path):
+            self._connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            self._connection.execute("ROLLBACK")
+            raise
+        with _translated(self.path):
+            self._connection.execute("COMMIT")
+
+    def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
+        sql = f"""SELECT key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)
+            WHERE attempt IN ({attempts}) ORDER BY attempt"""
+        with _translated(self.path):
+            for row in self._connection.execute(sql, values):
+                yield schema.record_of(self.path, row)
+
+    def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:
+        with _translated(self.path):
+            return self._connection.execute(sql, values).fetchall()
+
+
+def _locked(path: Path) -> BaseFileLock:
+    """Return the driver's lock on the ledger at `path`, taken."""
+    lock = FileLock(path.with_suffix(".lock"))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise LedgerError(
+            f"{path} is locked",
+            value=f"another run is using it, {_last_driver(path)}",
+            expected="one driver at a time",
+            remedy="Wait for the other run to end, or stop it; finished runs stay.",
+        ) from None
+    except OSError as error:
+        raise LedgerError(
+            f"folder of {path} cannot be written",
+            value=str(error),
+            expected="an existing folder with the right to write",
+            remedy="Create the folder or correct its permissions; read_only=True reads without writing.",
+        ) from error
+    return lock
+
+
+def _last_driver(path: Path) -> str:
+    """Return process id and host of the driver that opened the ledger last."""
+    try:
+        with contextlib.closing(_connected_for_reading(path)) as connection:
+            row = connection.execute("SELECT pid, host FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
+    except (LedgerError, sqlite3.Error):
+        row = None
+    return f"process {row[0]} on {row[1]}" if row else "process unknown"
+
+
+def _connected_for_reading(path: Path) -> sqlite3.Connection:
+    if not path.is_file():
+        raise LedgerError(
+            f"ledger {path}",
+            value="no such file",
+            expected="a ledger",
+            remedy="Run the study first, or correct the path.",
+        )
+    with _translated(path):
+        return schema.connect_read_only(path)
+
+
+@contextlib.contextmanager
+def _translated(path: Path) -> Iterator[None]:
+    """Turn errors of SQLite and of the file system into a `LedgerError` that names the file and the remedy."""
+    try:
+        yield
+    except (sqlite3.OperationalError, OSError) as error:
+        raise LedgerError(
+            f"ledger {path} cannot be read or written",
+            value=str(error),
+            expected="a readable file in a folder that can be written, with room on the disk",
+            remedy="Correct permissions or disk space and run again: finished runs stay.",
+        ) from error
+    except sqlite3.DatabaseError as error:
+        raise LedgerError(
+            f"ledger {path} is damaged or no ledger",
+            value=str(error),
+            expected="a SQLite file written by strandline",
+            remedy="Restore it from a backup, or move it away and run again.",
+        ) from error

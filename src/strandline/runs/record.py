@@ -1,0 +1,179 @@
+"""One forward run: what is asked, what came of it, and the one place where a simulator is called."""
+
+import contextlib
+import hashlib
+import json
+import math
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
+from strandline.interface import Interface
+from strandline.models.protocol import ForwardModel, Simulation
+
+__all__ = ["STATES", "RunRecord", "RunRequest", "State", "attempt", "run_key", "with_log"]
+
+State = Literal["ok", "failed", "timeout", "killed", "invalid"]
+STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
+"""How a run ends: with an interface | by its own account | out of time | its process vanished | with no interface."""
+
+MESSAGE_CHARACTERS = 4000
+MESSAGE_LOG_LINES = 10
+TRACEBACK_LINES = 12
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """A run to be made: its content address and its inputs by name."""
+
+    key: str
+    inputs: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class RunRecord:
+    """What came of one run. Every end but `ok` is data, not an exception.
+
+    Args:
+        key: content address of the run, see `run_key`.
+        inputs: inputs by name.
+        state: one of `STATES`.
+        interface: the predicted interface where `state` is ``ok``, else None.
+        diagnostics: figures about the run; the evidence of the failure where it failed.
+        seconds: wall-clock time of the run.
+        failure_kind: short machine-readable reason where the run did not end ``ok``.
+        message: the reason for a person, with the last lines of the log.
+        log: tail of what the run wrote to its standard output and error, kept where it did not end ``ok``.
+        origin: the ledger it was copied from; None for a run made here.
+    """
+
+    key: str
+    inputs: Mapping[str, float]
+    state: State
+    interface: Interface | None = None
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    failure_kind: str | None = None
+    message: str | None = None
+    log: str = ""
+    origin: str | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run yielded an interface."""
+        return self.state == "ok"
+
+    @property
+    def final(self) -> bool:
+        """Whether a repetition would be pointless; only a run whose process vanished deserves another try."""
+        return self.state != "killed"
+
+
+def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:
+    """Return the content address of a run: sha256 of the model's fingerprint and the exact inputs, by sorted name.
+
+    Raises:
+        InvalidInput: an input is not a finite number.
+    """
+    exact = [[name, _exact(name, inputs[name])] for name in sorted(inputs)]
+    return hashlib.sha256(json.dumps([fingerprint, exact]).encode()).hexdigest()
+
+
+def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecord:
+    """Call `model` in the empty folder `workdir` and return what came of it; no exception of the model gets out.
+
+    `KeyboardInterrupt` is the driver's own and does.
+    """
+    begin = time.perf_counter()
+    try:
+        ending = _accepted(request, model(dict(request.inputs), workdir))
+    except ForwardModelError as error:
+        ending = _ended(request, "failed", error.kind, error.message, error.evidence)
+    except InvalidInterface as error:
+        ending = _ended(request, "invalid", "invalid_interface", str(error))
+    except (Exception, SystemExit) as error:
+        ending = _ended(request, "failed", "exception", _told(error))
+    return replace(ending, seconds=time.perf_counter() - begin)
+
+
+def with_log(record: RunRecord, log: str) -> RunRecord:
+    """Return `record` with the tail of its log; the last lines also end its message. Unchanged where it is ok."""
+    log = _clean(log).strip()
+    if record.ok or not log:
+        return record
+    lines = "\n".join(log.splitlines()[-MESSAGE_LOG_LINES:])
+    return replace(
+        record, log=log, message=_short(f"{record.message or record.state}\nlast lines of its log:\n{lines}")
+    )
+
+
+def _accepted(request: RunRequest, result: object) -> RunRecord:
+    """Return the record of a model that returned `result`."""
+    simulation = Simulation(result) if isinstance(result, Interface) else result
+    if not isinstance(simulation, Simulation) or not isinstance(simulation.interface, Interface):
+        got = type(result).__name__
+        message = (
+            f"the model returned {got}; expected a Simulation or an Interface. Correct the model's return value."
+        )
+        return _ended(request, "invalid", "not_an_interface", message)
+    given = simulation.interface
+    points = np.array(given.points, dtype=np.float64, order="C")
+    if not np.isfinite(points).all():
+        message = (
+            f"{np.count_nonzero(~np.isfinite(points))} of {points.size} coordinates of the interface are not finite"
+        )
+        return _ended(request, "invalid", "non_finite", message)
+    interface = Interface(points, np.array(given.cells, dtype=np.int64, order="C"))
+    return RunRecord(request.key, request.inputs, "ok", interface, _figures(simulation.diagnostics))
+
+
+def _ended(
+    request: RunRequest, state: State, kind: str, message: str, evidence: Mapping[str, float] | None = None
+) -> RunRecord:
+    """Return the record of a run without an interface."""
+    figures, message = _figures(evidence or {}), _short(_clean(message))
+    return RunRecord(request.key, request.inputs, state, None, figures, failure_kind=_clean(kind), message=message)
+
+
+def _figures(given: Mapping[str, object]) -> dict[str, float]:
+    """Return the entries that are numbers: a text among the diagnostics must not cost the run its interface."""
+    numbers = {}
+    for name, value in given.items():
+        with contextlib.suppress(TypeError, ValueError):
+            numbers[_clean(str(name))] = float(value)  # type: ignore[arg-type]
+    return numbers
+
+
+def _told(error: BaseException) -> str:
+    """Return type, message and the last lines of the traceback of `error`."""
+    reason = "".join(traceback.format_exception_only(error)).strip()
+    lines = "".join(traceback.format_tb(error.__traceback__)[1:]).splitlines()[-TRACEBACK_LINES:]
+    return "\n".join([reason, *lines])
+
+
+def _exact(name: str, value: float) -> str:
+    if not math.isfinite(value):
+        raise InvalidInput(
+            f"input {name} of a run",
+            value=value,
+            expected="a finite number",
+            remedy="Correct the design or the prior it comes from.",
+        )
+    return (float(value) + 0.0).hex()
+
+
+def _clean(text: str) -> str:
+    """Return `text` without characters that UTF-8 cannot hold."""
+    return text.encode("utf-8", "replace").decode()
+
+
+def _short(text: str) -> str:
+    """Return `text`, its middle left out where it is too long: reason and last lines stay."""
+    half = MESSAGE_CHARACTERS // 2
+    return text if len(text) <= MESSAGE_CHARACTERS else f"{text[:half]}\n[…]\n{text[-half:]}"

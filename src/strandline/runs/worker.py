@@ -1,0 +1,105 @@
+"""What a worker process does: load the model once, then answer one request after the other until its pipe closes."""
+
+import contextlib
+import ctypes
+import os
+import pickle
+import signal
+import sys
+import threading
+import traceback
+from multiprocessing import spawn
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from strandline.models.protocol import ForwardModel
+from strandline.runs.record import attempt
+
+__all__ = ["READY", "UNUSABLE", "loads_main_module", "main"]
+
+READY, UNUSABLE = "ready", "unusable"
+_loading = threading.Event()
+
+
+def loads_main_module() -> bool:
+    """Tell whether this process is a worker that is running the user's script in search of the model."""
+    return _loading.is_set()
+
+
+def main(descriptor: int, setup: str) -> None:
+    """Serve the driver at the other end of the socket `descriptor`; `setup` is the file it left for its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    _die_with_driver()
+    os.set_inheritable(descriptor, False)
+    with Connection(descriptor) as connection, contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        try:
+            model = _load(Path(setup))
+        except (Exception, SystemExit):
+            connection.send((UNUSABLE, traceback.format_exc()))
+            return
+        connection.send((READY, ""))
+        _serve(connection, model)
+
+
+def _serve(connection: Connection, model: ForwardModel) -> None:
+    """Answer requests until the driver hangs up."""
+    home = Path.cwd()
+    while True:
+        request, workdir = connection.recv()
+        _empty_log()
+        record = attempt(model, request, Path(workdir))
+        _flush()
+        os.chdir(home)
+        connection.send(record)
+
+
+def _load(setup: Path) -> ForwardModel:
+    """Return the model; where it is defined in the driver's script, run that script as ``__mp_main__`` first."""
+    preparation, model = pickle.loads(setup.read_bytes())
+    if preparation is not None:
+        _loading.set()
+        spawn.prepare(preparation)
+        _loading.clear()
+    loaded: ForwardModel = pickle.loads(model)
+    return loaded
+
+
+def _die_with_driver() -> None:
+    """Have this process and its children killed when the driver is gone.
+
+    The driver holds the other end of the standard input and never writes to it, so all that can happen there is its
+    closing. On Linux the kernel then kills the process group, whatever the simulator is doing; elsewhere a thread
+    does when it next gets to run.
+    """
+    lifeline = os.dup(0)
+    empty = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(empty, 0)
+    os.close(empty)
+    if sys.platform == "linux":
+        import fcntl
+
+        fcntl.fcntl(lifeline, fcntl.F_SETOWN, -os.getpgid(0))
+        fcntl.fcntl(lifeline, fcntl.F_SETSIG, signal.SIGKILL)
+        fcntl.fcntl(lifeline, fcntl.F_SETFL, fcntl.fcntl(lifeline, fcntl.F_GETFL) | os.O_ASYNC)
+    else:
+        threading.Thread(target=_kill_after, args=(lifeline,), daemon=True).start()
+
+
+def _kill_after(lifeline: int) -> None:
+    os.read(lifeline, 1)
+    os.killpg(0, signal.SIGKILL)
+
+
+def _empty_log() -> None:
+    """Let the log begin with this run: it is opened for appending, so it may be cut from outside or here."""
+    with contextlib.suppress(OSError):
+        os.ftruncate(1, 0)
+
+
+def _flush() -> None:
+    """Write out what Python and C still hold back, so that it lands in the log of its own run."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(Exception):
+            stream.flush()
+    ctypes.CDLL(None).fflush(None)

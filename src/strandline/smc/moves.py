@@ -1,0 +1,115 @@
+"""Random-walk Metropolis-Hastings moves of all particles at once."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key, UInt32
+
+__all__ = ["BatchedLogDensity", "Moved", "metropolis", "proposal_factor", "proposal_scale"]
+
+BatchedLogDensity = Callable[[Float[Array, "particle dim"]], Float[Array, " particle"]]
+RandomKey = Key[Array, ""] | UInt32[Array, "2"]
+Scalar = Float[Array, ""]
+PerParticle = Float[Array, " particle"]
+Positions = Float[Array, "particle dim"]
+
+OFFSET, SLOPE = 1 / 9, 8 / 9  # a and b of the scale a + b·(mean acceptance)
+_JITTER = 1e-10  # added to the correlation matrix
+NARROWEST = 1e-8  # smallest standard deviation of a proposal, in those of the initial particles
+
+
+class Moved(NamedTuple):
+    """Particles after some moves.
+
+    Attributes:
+        positions: physical positions.
+        log_likelihood: log L there.
+        log_prior: log p there.
+        acceptance: accepted proposals over all proposals, particles and moves alike.
+        undefined: proposals inside the support whose log-likelihood was NaN or +inf; they were rejected.
+    """
+
+    positions: Positions
+    log_likelihood: PerParticle
+    log_prior: PerParticle
+    acceptance: Scalar
+    undefined: Int[Array, ""]
+
+
+def proposal_scale(acceptance: Scalar) -> Scalar:
+    """Return (a + b·mean acceptance)², the factor of the proposal covariance (Algorithm 1; a = 1/9, b = 8/9)."""
+    return (OFFSET + SLOPE * acceptance) ** 2
+
+
+def proposal_factor(
+    positions: Positions, weights: PerParticle, floor: Float[Array, " dim"]
+) -> Float[Array, "dim dim"]:
+    """Return a lower factor F of the weighted covariance, F Fᵀ = Σ w (x - m)(x - m)ᵀ.
+
+    Args:
+        positions: physical positions.
+        weights: normalised weights.
+        floor: smallest standard deviation by input; it keeps a collapsed population moving.
+    """
+    centred = positions - weights @ positions
+    covariance = (weights[:, None] * centred).T @ centred
+    sd = jnp.maximum(jnp.sqrt(jnp.diagonal(covariance)), floor)
+    safe = jnp.where(sd > 0, sd, 1.0)
+    correlation = covariance / jnp.outer(safe, safe)
+    correlation = jnp.where(jnp.eye(len(sd), dtype=bool), 1.0 + _JITTER, correlation)
+    factor: Array = sd[:, None] * jnp.linalg.cholesky(correlation)
+    return factor
+
+
+def metropolis(
+    key: RandomKey,
+    positions: Positions,
+    log_likelihood: PerParticle,
+    log_prior: PerParticle,
+    *,
+    target: tuple[BatchedLogDensity, BatchedLogDensity],
+    temperature: Scalar,
+    factor: Float[Array, "dim dim"],
+    steps: int,
+) -> Moved:
+    """Move every particle `steps` times by a kernel that leaves π_γ ∝ L^γ p invariant.
+
+    Args:
+        key: random key, spent here.
+        positions: physical positions.
+        log_likelihood: log L at the positions.
+        log_prior: log p at the positions.
+        target: (log L, log p) as batched, jittable functions; a log p of -inf rejects whatever log L says.
+        temperature: γ.
+        factor: F, the proposal's covariance being F Fᵀ.
+        steps: number of proposals per particle.
+    """
+
+    def move(step: Int[Array, ""], now: Moved) -> Moved:
+        walk, toss = jax.random.split(jax.random.fold_in(key, step))
+        proposal = now.positions + jax.random.normal(walk, positions.shape, positions.dtype) @ factor.T
+        prior, likelihood = target[1](proposal), target[0](proposal)
+        undefined = jnp.isfinite(prior) & (jnp.isnan(likelihood) | jnp.isposinf(likelihood))
+        likelihood = jnp.where(jnp.isneginf(prior) | undefined, -jnp.inf, likelihood)
+        gain = _tempered(likelihood, prior, temperature) - _tempered(now.log_likelihood, now.log_prior, temperature)
+        accept = jnp.log(jax.random.uniform(toss, gain.shape, gain.dtype)) < gain  # NaN (-inf - -inf) stays put
+        return Moved(
+            jnp.where(accept[:, None], proposal, now.positions),
+            jnp.where(accept, likelihood, now.log_likelihood),
+            jnp.where(accept, prior, now.log_prior),
+            now.acceptance + jnp.mean(accept.astype(gain.dtype)) / steps,
+            now.undefined + jnp.sum(undefined),
+        )
+
+    none = jnp.zeros((), log_prior.dtype)
+    start = Moved(positions, log_likelihood, log_prior, none, jnp.zeros((), int))
+    moved: Moved = jax.lax.fori_loop(0, steps, move, start)
+    return moved
+
+
+def _tempered(log_likelihood: PerParticle, log_prior: PerParticle, temperature: Scalar) -> PerParticle:
+    """Return log(L^γ p); zero likelihood stays zero."""
+    dead = jnp.isneginf(log_likelihood)
+    return jnp.where(dead, -jnp.inf, log_prior + temperature * jnp.where(dead, 0.0, log_likelihood))

@@ -1,0 +1,86 @@
+"""Settings and results of the sampler."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import InvalidInput
+
+__all__ = ["SMCResult", "SMCSettings", "StepInfo", "require"]
+
+
+def require(right: bool, what: str, value: object, expected: str) -> None:
+    """Raise InvalidInput unless `right`."""
+    if not right:
+        raise InvalidInput(what, value=value, expected=expected, remedy="Change it and sample again.")
+
+
+@dataclass(frozen=True)
+class SMCSettings:
+    """Settings of the sampler; the defaults are the study's in two and three dimensions.
+
+    Args:
+        rejuvenation_steps: Metropolis-Hastings moves per particle and tempering step.
+        zeta: share of the effective sample size that one tempering step keeps, in (0, 1).
+        resample_below: resample where the effective sample size falls below this share of the particles; 0: never.
+        maximum_steps: tempering steps after which the sampler gives up.
+    """
+
+    rejuvenation_steps: int = 20
+    zeta: float = 0.995
+    resample_below: float = 0.5
+    maximum_steps: int = 10_000
+
+    def __post_init__(self) -> None:
+        require(0 < self.zeta < 1, "zeta", self.zeta, "a number between 0 and 1, both excluded")
+        require(self.rejuvenation_steps >= 1, "rejuvenation_steps", self.rejuvenation_steps, "at least 1")
+        require(0 <= self.resample_below <= 1, "resample_below", self.resample_below, "a number in [0, 1]")
+        require(self.maximum_steps >= 1, "maximum_steps", self.maximum_steps, "at least 1")
+
+
+@dataclass(frozen=True)
+class StepInfo:
+    """What one tempering step did.
+
+    Args:
+        temperature: γ after the step.
+        ess: effective sample size after reweighting, before any resampling.
+        acceptance: accepted share of the moves of this step.
+        resampled: whether the particles were resampled.
+        log_evidence_increment: log Σ w_i L_i^(γ' - γ).
+        covariance_scale: (a + b·mean acceptance)² used in this step, from the acceptance of the previous one; 1 in
+            the first step, as if all had been accepted.
+    """
+
+    temperature: float
+    ess: float
+    acceptance: float
+    resampled: bool
+    log_evidence_increment: float
+    covariance_scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class SMCResult:
+    """Weighted particles of the posterior.
+
+    Args:
+        positions: physical positions; unequal weights, so every summary must be weighted.
+        log_weights: normalised log weights.
+        log_likelihood: log L at the positions.
+        log_prior: log p at the positions.
+        log_evidence: log ∫ L p dx, for the normalised prior that the initial particles were drawn from.
+        ess: effective sample size.
+        steps: what each tempering step did.
+        likelihood_evaluations: evaluated points, out-of-support proposals included.
+    """
+
+    positions: Float[np.ndarray, "particle dim"]
+    log_weights: Float[np.ndarray, " particle"]
+    log_likelihood: Float[np.ndarray, " particle"]
+    log_prior: Float[np.ndarray, " particle"]
+    log_evidence: float
+    ess: float
+    steps: tuple[StepInfo, ...]
+    likelihood_evaluations: int

@@ -1,0 +1,210 @@
+"""Adaptive tempered Sequential Monte Carlo (Willmann et al. 2022, Algorithm 1).
+
+One tempering step is a pure, jitted function (key, state) -> (state, info); the loop over steps is plain Python.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from strandline.errors import NumericsError
+from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey, metropolis, proposal_factor, proposal_scale
+from strandline.smc.records import SMCResult, SMCSettings, StepInfo, require
+from strandline.smc.resampling import systematic
+from strandline.smc.tempering import effective_sample_size, next_temperature, reweighted
+
+__all__ = ["Particles", "sample"]
+
+_STUDY = SMCSettings()
+
+
+class Particles(NamedTuple):
+    """State between two tempering steps; `log_weights` are normalised."""
+
+    positions: Float[Array, "particle dim"]
+    log_weights: Float[Array, " particle"]
+    log_likelihood: Float[Array, " particle"]
+    log_prior: Float[Array, " particle"]
+    temperature: Float[Array, ""]
+    acceptance: Float[Array, ""]
+    narrowest: Float[Array, " dim"]
+
+
+class _Info(NamedTuple):
+    ess: Float[Array, ""]
+    resampled: Array
+    log_evidence_increment: Float[Array, ""]
+    covariance_scale: Float[Array, ""]
+    undefined: Array
+
+
+def sample(
+    key: RandomKey,
+    log_likelihood: BatchedLogDensity,
+    log_prior: BatchedLogDensity,
+    initial: Float[Array | np.ndarray, "particle dim"],
+    *,
+    settings: SMCSettings = _STUDY,
+    on_step: Callable[[StepInfo], None] | None = None,
+) -> SMCResult:
+    """Draw weighted particles of the posterior ∝ L p; the same key gives the same bits.
+
+    The step is compiled once for each pair of functions and each shape: keep the function objects between calls.
+
+    Args:
+        key: random key; not to be used again.
+        log_likelihood: log L of physical points, batched and jittable; -inf allowed. Where log p is -inf its value
+            is ignored.
+        log_prior: log p of physical points, batched, jittable, normalised if the evidence is to mean anything.
+        initial: draws of the prior, physical.
+        settings: the sampler's settings.
+        on_step: called after every tempering step.
+
+    Raises:
+        InvalidInput: double precision is off, fewer than two particles, or an initial particle outside the prior.
+        NumericsError: a log-likelihood of NaN or +inf inside the prior, none above -inf, or no end to the tempering.
+    """
+    state = _start(log_likelihood, log_prior, initial)
+    functions = _hashable(log_likelihood), _hashable(log_prior)
+    steps: list[StepInfo] = []
+    while state.temperature < 1.0:
+        _require_steps_left(len(steps), settings, state)
+        before = float(state.temperature)
+        state, info = _step(jax.random.fold_in(key, len(steps)), state, target=functions, settings=settings)
+        _check(info, before, state)
+        steps.append(_report(state, info))
+        if on_step is not None:
+            on_step(steps[-1])
+    return _result(state, tuple(steps), settings)
+
+
+@partial(jax.jit, static_argnames=("target", "settings"))
+def _step(
+    key: RandomKey,
+    state: Particles,
+    *,
+    target: tuple[BatchedLogDensity, BatchedLogDensity],
+    settings: SMCSettings,
+) -> tuple[Particles, _Info]:
+    """Temper, reweight, resample where needed, rejuvenate: one round of Algorithm 1."""
+    for_resampling, for_moves = jax.random.split(key)
+    number = len(state.log_weights)
+    temperature = next_temperature(state.log_weights, state.log_likelihood, state.temperature, settings.zeta)
+    log_weights = reweighted(state.log_weights, state.log_likelihood, temperature - state.temperature)
+    increment = jax.nn.logsumexp(log_weights)
+    log_weights = log_weights - increment
+    ess = effective_sample_size(log_weights)
+    resample = ess < settings.resample_below * number
+    chosen = jnp.where(resample, systematic(for_resampling, log_weights), jnp.arange(number))
+    log_weights = jnp.where(resample, -jnp.log(number), log_weights)
+    positions = state.positions[chosen]
+    scale = proposal_scale(state.acceptance)
+    moved = metropolis(
+        for_moves,
+        positions,
+        state.log_likelihood[chosen],
+        state.log_prior[chosen],
+        target=target,
+        temperature=temperature,
+        factor=jnp.sqrt(scale) * proposal_factor(positions, jnp.exp(log_weights), state.narrowest),
+        steps=settings.rejuvenation_steps,
+    )
+    after = Particles(*moved[:1], log_weights, *moved[1:3], temperature, moved.acceptance, state.narrowest)
+    return after, _Info(ess, resample, increment, scale, moved.undefined)
+
+
+def _start(
+    log_likelihood: BatchedLogDensity,
+    log_prior: BatchedLogDensity,
+    initial: Float[Array | np.ndarray, "particle dim"],
+) -> Particles:
+    """Return the state at γ = 0 after checking all that can be checked."""
+    _require_double()
+    require(len(initial) >= 2, "number of particles", len(initial), "at least 2")
+    positions = jnp.asarray(initial, float)
+    prior, likelihood = jax.jit(log_prior)(positions), jax.jit(log_likelihood)(positions)
+    outside = int(jnp.sum(~jnp.isfinite(prior)))
+    require(outside == 0, "initial particles outside the prior", outside, "none: draws of the prior itself")
+    if jnp.isnan(likelihood).any() or jnp.isposinf(likelihood).any():
+        where = int(jnp.argmax(jnp.isnan(likelihood) | jnp.isposinf(likelihood)))
+        raise NumericsError(
+            f"the log-likelihood is {float(likelihood[where])} at {positions[where].tolist()}. "
+            "Mend the likelihood there, or return -inf where it is zero."
+        )
+    if jnp.isneginf(likelihood).all():
+        raise NumericsError(
+            f"all {len(likelihood)} initial particles have a likelihood of zero. "
+            "Use more particles, a wider noise, or a prior that covers the data."
+        )
+    number, one = len(positions), jnp.ones((), positions.dtype)
+    log_weights = jnp.full(number, -np.log(number))
+    return Particles(positions, log_weights, likelihood, prior, 0 * one, one, NARROWEST * jnp.std(positions, axis=0))
+
+
+def _hashable(function: BatchedLogDensity) -> BatchedLogDensity:
+    """Return the function itself where the compiler can remember it, else a stand-in for this call."""
+    try:
+        hash(function)
+    except TypeError:
+        return lambda x: function(x)
+    return function
+
+
+def _check(info: _Info, before: float, state: Particles) -> None:
+    """Refuse a step that met undefined likelihoods or that did not advance."""
+    if int(info.undefined) > 0:
+        raise NumericsError(
+            f"the log-likelihood was NaN or +inf at {int(info.undefined)} proposal(s) inside the prior "
+            f"at temperature {float(state.temperature):.3g}. Return -inf where the likelihood is zero."
+        )
+    if not float(state.temperature) > before:
+        raise NumericsError(
+            f"the temperature stalls at {before:.6g}: one particle outweighs all others. "
+            "Clip extreme log-likelihoods or use more particles."
+        )
+
+
+def _require_steps_left(done: int, settings: SMCSettings, state: Particles) -> None:
+    if done >= settings.maximum_steps:
+        raise NumericsError(
+            f"{done} tempering steps reached only temperature {float(state.temperature):.4g}. "
+            f"Lower zeta (now {settings.zeta}) or raise maximum_steps."
+        )
+
+
+def _report(state: Particles, info: _Info) -> StepInfo:
+    return StepInfo(
+        temperature=float(state.temperature),
+        ess=float(info.ess),
+        acceptance=float(state.acceptance),
+        resampled=bool(info.resampled),
+        log_evidence_increment=float(info.log_evidence_increment),
+        covariance_scale=float(info.covariance_scale),
+    )
+
+
+def _result(state: Particles, steps: tuple[StepInfo, ...], settings: SMCSettings) -> SMCResult:
+    return SMCResult(
+        positions=np.asarray(state.positions),
+        log_weights=np.asarray(state.log_weights),
+        log_likelihood=np.asarray(state.log_likelihood),
+        log_prior=np.asarray(state.log_prior),
+        log_evidence=sum(step.log_evidence_increment for step in steps),
+        ess=float(effective_sample_size(state.log_weights)),
+        steps=steps,
+        likelihood_evaluations=len(state.positions) * (1 + settings.rejuvenation_steps * len(steps)),
+    )
+
+
+def _require_double() -> None:
+    require(
+        jnp.zeros(()).dtype == jnp.float64,
+        "precision of JAX",
+        "float32",
+        'float64: call jax.config.update("jax_enable_x64", True) before any other use of JAX',
+    )

@@ -1,0 +1,222 @@
+"""`StudyFile` → domain objects, with every check that needs no forward run."""
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from strandline.discrepancy import DISCREPANCIES, Discrepancy
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.models import MODELS
+from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import PRIORS, Prior
+from strandline.studies.schema import Input, Quantity, StudyFile
+from strandline.surrogate import KERNELS
+
+__all__ = ["build_discrepancies", "build_fixed", "build_model", "build_space", "check_kernel", "check_values"]
+
+MASS_CUT_ACCEPTED = 0.5
+
+
+def build_model(choice: Mapping[str, Mapping[str, Any] | None]) -> ForwardModel:
+    """Return the forward model that the study names."""
+    (name, options) = next(iter(choice.items()))
+    target = _entry(MODELS, name, "model")
+    module, _, attribute = target.partition(":")
+    model: ForwardModel = _construct(getattr(importlib.import_module(module), attribute), options, f"model.{name}")
+    return model
+
+
+def build_discrepancies(
+    choice: Mapping[str, Mapping[str, Any] | None] | list[dict[str, dict[str, Any] | None]],
+) -> dict[str, Discrepancy]:
+    """Return the measures by name, in the order of the study."""
+    result: dict[str, Discrepancy] = {}
+    for item in choice if isinstance(choice, list) else [choice]:
+        (name, options) = next(iter(item.items()))
+        if name in result:
+            raise InvalidStudy(
+                "discrepancy", value=name, expected="each measure once", remedy=f"Remove the second {name}."
+            )
+        result[name] = _construct(_entry(DISCREPANCIES, name, "discrepancy"), options, f"discrepancy.{name}")
+    return result
+
+
+def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSpace:
+    """Return the unknown inputs, checked against what the model declares."""
+    declared = {item.name: item for item in declared_inputs(model)}
+    parameters = tuple(_parameter(name, item, declared.get(name)) for name, item in inputs.items())
+    for parameter in parameters:
+        _check_name(parameter.name, declared, f"inputs.{parameter.name}")
+        for bound in parameter.interval:
+            _check_range(bound, declared, parameter.name, f"inputs.{parameter.name}: end of the design box")
+    return ParameterSpace(parameters)
+
+
+def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
+    """Return the known inputs; together with the unknown ones they must be all that the model takes."""
+    declared = {item.name: item for item in declared_inputs(model)}
+    fixed = {name: _fixed_value(name, given, declared) for name, given in study.fixed.items()}
+    check_values(fixed, model, "fixed")
+    for name in fixed:
+        if name in study.inputs:
+            raise InvalidStudy(
+                f"{name} is both fixed and an input",
+                value=fixed[name],
+                expected="one of the two",
+                remedy=f"Remove {name} from fixed or from inputs.",
+            )
+    missing = [name for name in declared if name not in fixed and name not in study.inputs]
+    if missing:
+        raise InvalidStudy(
+            f"no value for {', '.join(missing)}, which the model takes",
+            value=None,
+            expected="a prior under inputs or a number under fixed",
+            remedy=f"Add e.g. `fixed: {{{missing[0]}: …}}`.",
+        )
+    return fixed
+
+
+def check_values(values: Mapping[str, float], model: ForwardModel, place: str) -> None:
+    """Refuse names that the model does not know and values outside the range it declares."""
+    declared = {item.name: item for item in declared_inputs(model)}
+    for name, value in values.items():
+        _check_name(name, declared, f"{place}.{name}")
+        _check_range(value, declared, name, f"{place}.{name}")
+
+
+def check_kernel(name: str) -> str:
+    """Return `name` if a kernel is called so."""
+    _entry(KERNELS, name, "surrogate.log_likelihood.kernel")
+    return name
+
+
+def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter:
+    unit = item.unit
+    if declared is not None and _plain(unit or "1") != _plain(declared.unit):
+        raise InvalidStudy(
+            f"unit of inputs.{name}",
+            value=unit,
+            expected=f"{declared.unit}, the unit the model takes",
+            remedy=f"Add `unit: {declared.unit}` to {name} and give its prior in that unit.",
+        )
+    prior = _prior(name, item)
+    parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box)
+    _check_prior_in_box(parameter)
+    return parameter
+
+
+def _prior(name: str, item: Input) -> Prior:
+    (kind, numbers) = next(iter(item.prior.items()))
+    prior_class: Any = _entry(PRIORS, kind, f"inputs.{name}.prior")
+    wanted = dataclasses.fields(prior_class)
+    if len(numbers) != len(wanted):
+        raise InvalidStudy(
+            f"inputs.{name}.prior.{kind}",
+            value=numbers,
+            expected=f"{len(wanted)} numbers {prior_class.fields}",
+            remedy="Correct the list.",
+        )
+    try:
+        prior: Prior = prior_class(*numbers)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"inputs.{name}.prior.{kind}: {error.what}",
+            value=error.value,
+            expected=error.expected,
+            remedy=error.remedy,
+        ) from None
+    return prior
+
+
+def _check_prior_in_box(parameter: Parameter) -> None:
+    """A bounded prior must lie in the box; an unbounded one must keep most of its mass there."""
+    support, box = parameter.prior.support, parameter.interval
+    sticks_out = np.isfinite(support).all() and (support[0] < box[0] or support[1] > box[1])
+    if sticks_out or parameter.mass_cut > MASS_CUT_ACCEPTED:
+        raise InvalidStudy(
+            f"the prior of {parameter.name} lies outside its design box",
+            value=f"support [{support[0]:g}, {support[1]:g}], box [{box[0]:g}, {box[1]:g}], "
+            f"{parameter.mass_cut:.0%} of its mass outside",
+            expected="a bounded prior within the box, or at most half of an unbounded prior's mass outside",
+            remedy="Widen the box or narrow the prior.",
+        )
+
+
+def _fixed_value(name: str, given: float | Quantity, declared: Mapping[str, ModelInput]) -> float:
+    if not isinstance(given, Quantity):
+        return float(given)
+    if name in declared and _plain(given.unit) != _plain(declared[name].unit):
+        raise InvalidStudy(
+            f"unit of fixed.{name}",
+            value=given.unit,
+            expected=f"{declared[name].unit}, the unit the model takes",
+            remedy="Convert the value.",
+        )
+    return float(given.value)
+
+
+def _check_name(name: str, declared: Mapping[str, ModelInput], place: str) -> None:
+    if declared and name not in declared:
+        raise InvalidStudy(
+            f"{place}: the model has no such input",
+            value=name,
+            expected=f"one of {', '.join(declared)}",
+            remedy="Correct the name.",
+        )
+
+
+def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, place: str) -> None:
+    item = declared.get(name)
+    if item is not None and not item.admits(value):
+        meaning = f" ({item.meaning})" if item.meaning else ""
+        raise InvalidStudy(
+            place,
+            value=value,
+            expected=f"{name}{meaning} in {item.range_text()} {'' if item.unit == '1' else item.unit}".rstrip(),
+            remedy=f"Choose values of {name} within this range.",
+        )
+
+
+def _entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
+    if name not in registry:
+        raise InvalidStudy(place, value=name, expected=f"one of {', '.join(registry)}", remedy="Choose one of them.")
+    return registry[name]
+
+
+def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> Any:
+    """Call a frozen dataclass with options from the study; unknown or missing ones are told by name."""
+    options = dict(options or {})
+    fields = {f.name: f for f in dataclasses.fields(factory) if f.init}
+    for name in options:
+        if name not in fields:
+            raise InvalidStudy(
+                f"{place}: unknown option",
+                value=name,
+                expected=f"one of {', '.join(fields)}",
+                remedy=f"Remove or correct {name}.",
+            )
+    for name, field in fields.items():
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if required and name not in options:
+            raise InvalidStudy(
+                f"{place}.{name}", value=None, expected="this option", remedy=f"Add `{name}: …` to {place}."
+            )
+    try:
+        return factory(**options)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"{place}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
+        ) from None
+    except (TypeError, ValueError) as error:
+        raise InvalidStudy(
+            place, value=options, expected=str(error), remedy=f"Correct the options of {place}."
+        ) from None
+
+
+def _plain(unit: str) -> str:
+    """Return a unit with its spellings unified: ``mm²/s`` and ``mm^2/s``."""
+    return unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace(" ", "")

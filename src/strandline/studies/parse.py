@@ -1,0 +1,153 @@
+"""study.yaml → `StudyFile`, with one clear line for whatever is wrong in it."""
+
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from strandline.errors import InvalidStudy
+from strandline.studies.schema import SCHEMA_VERSION, StudyFile
+
+__all__ = ["FILE_NAME", "parse_study"]
+
+FILE_NAME = "study.yaml"
+
+
+def parse_study(folder: Path) -> tuple[StudyFile, str]:
+    """Return the validated content of `folder`/study.yaml and its text.
+
+    Raises:
+        InvalidStudy: no folder, no file, not YAML, or content that does not fit the schema.
+    """
+    text = _read(folder)
+    content = _load(folder / FILE_NAME, text)
+    version = content.get("version")
+    if version != SCHEMA_VERSION:
+        raise InvalidStudy(
+            f"{FILE_NAME}: version",
+            value=version,
+            expected=f"version: {SCHEMA_VERSION}",
+            remedy=f"Put `version: {SCHEMA_VERSION}` on its first line, or use a matching strandline.",
+        )
+    try:
+        return StudyFile.model_validate(content), text
+    except ValidationError as error:
+        raise _first_problem(error) from None
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that refuses repeated keys."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.MarkedYAMLError(problem=f"the key {key!r} stands twice", problem_mark=node.start_mark)
+        return super().construct_mapping(node, deep=deep)
+
+
+def _read(folder: Path) -> str:
+    path = folder / FILE_NAME
+    if not path.is_file():
+        raise InvalidStudy(
+            "not a study folder",
+            value=str(folder),
+            expected=f"a folder with a file {FILE_NAME}",
+            remedy="Make one with `strandline init FOLDER`, or correct the path.",
+        )
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidStudy(
+            f"{FILE_NAME} cannot be read",
+            value=str(error),
+            expected="a readable text file in UTF-8",
+            remedy="Check its permissions and encoding.",
+        ) from None
+
+
+def _load(path: Path, text: str) -> dict[str, Any]:
+    try:
+        content = yaml.load(text, Loader=_Loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise InvalidStudy(
+            f"{path.name}{where} is not valid YAML",
+            value=getattr(error, "problem", None) or str(error),
+            expected="YAML with every key once",
+            remedy="Correct the line.",
+        ) from None
+    if not isinstance(content, dict):
+        raise InvalidStudy(
+            f"{path.name} holds no mapping",
+            value=content,
+            expected="keys such as version, name, model, inputs",
+            remedy="See `strandline init`, which writes a commented example.",
+        )
+    return content
+
+
+def _first_problem(error: ValidationError) -> InvalidStudy:
+    """Translate pydantic's findings: an unknown key first, since it explains missing ones."""
+    findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    first = findings[0]
+    more = f" ({len(findings) - 1} more like it may follow.)" if len(findings) > 1 else ""
+    place = ".".join(str(part) for part in first["loc"] if not _is_internal(part))
+    if first["type"] == "extra_forbidden":
+        return _unknown_key(first["loc"], place, more)
+    value = None if first["type"] == "missing" else first["input"]
+    return InvalidStudy(
+        f"{FILE_NAME}: {place or 'study'}",
+        value=value,
+        expected=_expectation(first["type"], first["msg"]),
+        remedy=f"Correct {place or 'it'}.{more}",
+    )
+
+
+def _unknown_key(location: tuple[int | str, ...], place: str, more: str) -> InvalidStudy:
+    known = _known_keys(StudyFile, location[:-1])
+    close = get_close_matches(str(location[-1]), known, n=1)
+    return InvalidStudy(
+        f"{FILE_NAME}: unknown key {place}",
+        value=str(location[-1]),
+        expected=f"one of {', '.join(known)}" if known else "no such key",
+        remedy=(f"Did you mean {close[0]}?" if close else f"Remove {place}.") + more,
+    )
+
+
+def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys allowed at `location`, following nested models by name."""
+    current: Any = model
+    for part in location:
+        if not (isinstance(current, type) and issubclass(current, BaseModel)):
+            return []
+        if part not in current.model_fields:
+            continue
+        current = _model_within(current.model_fields[str(part)].annotation)
+    return list(current.model_fields) if current is not None else []
+
+
+def _model_within(annotation: Any) -> Any:
+    """Return the pydantic model inside an annotation such as ``dict[str, Input]``, or None."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in getattr(annotation, "__args__", ()):
+        found = _model_within(argument)
+        if found is not None:
+            return found
+    return None
+
+
+def _is_internal(part: int | str) -> bool:
+    """Tell pydantic's own names of union branches from keys of the file."""
+    return isinstance(part, str) and any(mark in part for mark in ("[", "function-", "dict", "Quantity", "float"))
+
+
+def _expectation(kind: str, message: str) -> str:
+    if kind == "missing":
+        return "this key"
+    text = message.removeprefix("Value error, ").removeprefix("Input should be ")
+    return text[:1].lower() + text[1:]

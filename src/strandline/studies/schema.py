@@ -1,0 +1,142 @@
+"""The shape of study.yaml, version 1. These objects never leave `studies`."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+__all__ = ["SCHEMA_VERSION", "StudyFile"]
+
+SCHEMA_VERSION = 1
+
+
+def _number(value: Any) -> Any:
+    """Refuse true/false and text where a number is wanted; accept `1e-5`, which YAML 1.1 reads as text."""
+    if isinstance(value, bool):
+        raise ValueError("a truth value is not a number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
+Count = Annotated[int, BeforeValidator(_number), Field(ge=1)]
+Options = dict[str, Any]
+Choice = Annotated[dict[str, Options | None], Field(min_length=1, max_length=1)]
+"""One named variant with its options: ``{currents: {width: 0.005}}``."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Quantity(_Strict):
+    """A known input with its unit."""
+
+    value: Number
+    unit: str
+
+
+class Input(_Strict):
+    """An unknown input."""
+
+    prior: Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]
+    unit: str | None = None
+    box: tuple[Number, Number] | None = None
+
+
+class ObservationFile(_Strict):
+    """Where the observed interface comes from: a file of points, or a run of the model itself."""
+
+    file: str | None = None
+    unit: Literal["mm", "um", "µm", "m"] | None = None
+    synthetic: dict[str, Number] | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "ObservationFile":
+        if (self.file is None) == (self.synthetic is None):
+            raise ValueError("give either `file` (with `unit`) or `synthetic`")
+        if self.file is not None and self.unit is None:
+            raise ValueError("the unit of the coordinates is missing: add `unit: mm` (or um, m)")
+        return self
+
+
+class Noise(_Strict):
+    """σ_N² or σ_N of the likelihood."""
+
+    variance: Annotated[Number, Field(gt=0)] | None = None
+    sd: Annotated[Number, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> "Noise":
+        if (self.variance is None) == (self.sd is None):
+            raise ValueError("give either `variance` or `sd`")
+        return self
+
+
+class Sobol(_Strict):
+    """Consecutive points of one Sobol sequence."""
+
+    runs: Count
+    scramble: Annotated[int, Field(ge=0)] | None = None
+
+
+class Design(_Strict):
+    """The design of experiments."""
+
+    sobol: Sobol
+
+
+class LogLikelihood(_Strict):
+    """A Gaussian process of the log-likelihood."""
+
+    kernel: str = "matern32"
+
+
+class Surrogate(_Strict):
+    """The surrogate."""
+
+    log_likelihood: LogLikelihood = LogLikelihood()
+
+
+class SMC(_Strict):
+    """Adaptive tempered Sequential Monte Carlo."""
+
+    particles: Annotated[int, BeforeValidator(_number), Field(ge=10)] = 5000
+    rejuvenation_steps: Count = 20
+    zeta: Annotated[Number, Field(gt=0, lt=1)] = 0.995
+
+
+class Sampler(_Strict):
+    """The sampler."""
+
+    smc: SMC = SMC()
+
+
+class Local(_Strict):
+    """Worker processes on this machine."""
+
+    workers: Count | None = None
+    timeout: Annotated[Number, Field(gt=0)] | None = None
+
+
+class ExecutorChoice(_Strict):
+    """Where forward runs are made."""
+
+    local: Local = Local()
+
+
+class StudyFile(_Strict):
+    """The whole of study.yaml."""
+
+    version: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    model: Choice
+    fixed: dict[str, Number | Quantity] = {}
+    inputs: Annotated[dict[str, Input], Field(min_length=1)]
+    observation: ObservationFile
+    discrepancy: Choice | Annotated[list[Choice], Field(min_length=1)]
+    noise: Noise
+    design: Design
+    surrogate: Surrogate = Surrogate()
+    sampler: Sampler = Sampler()
+    executor: ExecutorChoice = ExecutorChoice()
+    reuse: list[str] = []
+    seed: Annotated[int, BeforeValidator(_number), Field(ge=0)] = 1

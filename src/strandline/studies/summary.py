@@ -1,0 +1,163 @@
+"""summary.json: every figure of a finished study that a program might want."""
+
+import platform
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from strandline import __version__
+from strandline.calibrate import Calibration
+from strandline.discrepancy.protocol import independent_terms, unit_of
+from strandline.likelihood import InterfaceLikelihood
+from strandline.models.protocol import fingerprint
+from strandline.report.warnings import find_warnings
+from strandline.studies.study import Study
+from strandline.surrogate import LogLikelihoodSurrogate
+
+__all__ = ["summarise", "versions"]
+
+PACKAGES = ("numpy", "scipy", "jax", "ngsolve", "xarray")
+QUANTILES = (0.05, 0.5, 0.95)
+
+
+def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_runs: int) -> dict[str, Any]:
+    """Return the summary as plain numbers, texts, lists and dicts.
+
+    Args:
+        study: what was asked.
+        calibration: what was found.
+        new_runs: forward runs made by this call.
+        reused_runs: design runs that were in a ledger already.
+    """
+    sampling = calibration.sampling
+    return {
+        "study": study.name,
+        "version": __version__,
+        "versions": versions(),
+        "seed": study.settings.seed,
+        "model": fingerprint(study.model),
+        "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
+        "fixed": dict(study.fixed),
+        "truth": None if study.truth is None else dict(study.truth),
+        "inputs": _inputs(calibration),
+        "log_evidence": sampling.log_evidence,
+        "likelihood": _likelihood(study, calibration),
+        "surrogate": _surrogate(calibration.surrogate),
+        "measures": {name: _surrogate(s) for name, s in calibration.surrogates.items()},
+        "sampler": {
+            "particles": study.settings.particles,
+            "rejuvenation_steps": study.settings.smc.rejuvenation_steps,
+            "zeta": study.settings.smc.zeta,
+            "tempering_steps": len(sampling.steps),
+            "likelihood_evaluations": sampling.likelihood_evaluations,
+            "ess": sampling.ess,
+        },
+        "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
+        "laplace": _laplace(calibration),
+        "quadrature_check": quadrature_check(calibration),
+        "warnings": list(find_warnings(calibration, observation_turned=study.observation_turned)),
+        "seconds": dict(calibration.seconds),
+    }
+
+
+def quadrature_check(calibration: Calibration) -> dict[str, Any] | None:
+    """Compare the sampler with the direct integration of the same surrogate; None above three inputs."""
+    exact, posterior = calibration.quadrature, calibration.posterior
+    if exact is None:
+        return None
+    names = posterior.space.names
+    per_input = {n: {"mean": float(m), "sd": float(s)} for n, m, s in zip(names, exact.mean, exact.sd, strict=True)}
+    return per_input | {
+        "max_mean_error_sd": float(np.max(np.abs(posterior.mean - exact.mean) / exact.sd)),
+        "max_sd_ratio_error": float(np.max(np.abs(posterior.sd / exact.sd - 1.0))),
+        "log_evidence": exact.log_evidence,
+        "converged": exact.converged,
+        "evaluations": exact.evaluations,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that numbers depend on."""
+    return {"python": platform.python_version()} | {name: metadata.version(name) for name in PACKAGES}
+
+
+def _runs(calibration: Calibration) -> dict[str, Any]:
+    failed = [record for record in calibration.records if not record.ok]
+    return {
+        "ok": len(calibration.records) - len(failed),
+        "failed": len(failed),
+        "by_kind": dict(Counter(record.failure_kind or record.state for record in failed)),
+    }
+
+
+def _inputs(calibration: Calibration) -> dict[str, Any]:
+    posterior = calibration.posterior
+    quantiles = posterior.quantiles(QUANTILES)
+    return {
+        parameter.name: {
+            "unit": parameter.unit,
+            "mean": float(posterior.mean[i]),
+            "sd": float(posterior.sd[i]),
+            "median": float(quantiles[1, i]),
+            "q05": float(quantiles[0, i]),
+            "q95": float(quantiles[2, i]),
+            "map": float(posterior.map_estimate[i]),
+            "prior": repr(parameter.prior),
+            "box": list(parameter.interval),
+            "prior_mass_cut": parameter.mass_cut,
+        }
+        for i, parameter in enumerate(posterior.space)
+    }
+
+
+def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
+    """Measure, noise and the Gaussian constant that the log-likelihood leaves out."""
+    name, discrepancy = next(iter(calibration.problem.discrepancies.items()))
+    observations = calibration.problem.observations
+    return {
+        "discrepancy": name,
+        "options": repr(discrepancy),
+        "unit": unit_of(discrepancy),
+        "noise_variance": study.noise_variance,
+        "independent_terms": independent_terms(discrepancy, observations[0].interface),
+        "gaussian_constant": InterfaceLikelihood(observations, discrepancy).constant,
+    }
+
+
+def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
+    process, validation = surrogate.process, surrogate.validation
+    return {
+        "n_train": len(process.x_train),
+        "loo_rms": validation.loo_rms,
+        "loo_rms_near_mode": validation.loo_rms_near_mode,
+        "near_mode_count": validation.near_mode_count,
+        "hyperparameters": {
+            "length_scale": float(process.length_scale),
+            "signal_variance": float(process.signal_variance),
+            "nugget": float(process.nugget),
+        },
+        "optimiser": _plain(asdict(surrogate.fit)),
+    }
+
+
+def _laplace(calibration: Calibration) -> dict[str, Any]:
+    approximation = calibration.laplace
+    covariance = approximation.covariance
+    return {
+        "definite": approximation.definite,
+        "eigenvalues": approximation.eigenvalues.tolist(),
+        "covariance": None if covariance is None else covariance.tolist(),
+    }
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what JSON can hold of a record of figures."""
+    return {
+        key: value.item() if isinstance(value, np.generic) else value
+        for key, value in values.items()
+        if isinstance(value, str | int | float | bool | np.generic) or value is None
+    }

@@ -1,0 +1,280 @@
+"""Hyperparameters by maximum evidence, in coordinates that suit its flat ridge.
+
+On a log-likelihood the evidence rises along σ0²/l³ = const, so the coordinates are (log σ0²/l³, log l) and l is
+bounded; the nugget is given.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import OptimizeResult, minimize
+
+from strandline.errors import InvalidInput, NumericsError, TooFewRuns
+from strandline.surrogate.kernels import Kernel
+from strandline.surrogate.linear_algebra import distances, factorise, fill_lower, invert, lower_panels, solve
+
+__all__ = ["Attempt", "Evidence", "FittedHyperparameters", "evidence", "fit_hyperparameters", "require_runs"]
+
+SHORTEST_LENGTH = 0.01
+STARTING_LENGTHS = (0.5, 3.0)
+_WINDOW = 40.0  # half-width of the box of log σ0²/l³ around its first guess
+_FLAT = 1e-3  # nats: a smaller change of the log evidence decides nothing
+_STEP = 0.01  # perturbation of the coordinates when a stop is checked
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Log evidence and its derivatives by (log σ0²/l³, log l)."""
+
+    value: float
+    gradient: Float[np.ndarray, "2"]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One start of the optimiser and how it ended.
+
+    Args:
+        start: length scale at the start.
+        length_scale: length scale at the end.
+        signal_variance: signal variance at the end.
+        log_evidence: log evidence at the end.
+        evaluations: evaluations of the evidence.
+        message: the optimiser's own words.
+        verdict: ``converged``, or what the check of another stop found.
+        accepted: whether the end is a maximum within tolerance.
+    """
+
+    start: float
+    length_scale: float
+    signal_variance: float
+    log_evidence: float
+    evaluations: int
+    message: str
+    verdict: str
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class FittedHyperparameters:
+    """The best accepted attempt, and all attempts.
+
+    Args:
+        length_scale: l, in standard deviations of the inputs.
+        signal_variance: σ0².
+        nugget: σ_n², as given.
+        log_evidence: log p(y | l, σ0², σ_n²).
+        at_bound: whether l lies at its upper bound: the usual end on a log-likelihood.
+        message: the optimiser's own words on the best attempt.
+        verdict: what the check of the best attempt found.
+        attempts: every start with its end.
+    """
+
+    length_scale: float
+    signal_variance: float
+    nugget: float
+    log_evidence: float
+    at_bound: bool
+    message: str
+    verdict: str
+    attempts: tuple[Attempt, ...]
+
+
+class _Objective:
+    """Evidence of fixed data with its two n×n work arrays kept between evaluations."""
+
+    def __init__(
+        self, x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"], kernel: Kernel, nugget: float
+    ) -> None:
+        self.y, self.kernel, self.nugget = y, kernel, nugget
+        self.r = distances(x)
+        self.K = np.zeros_like(self.r)
+        self.worst = math.inf
+
+    def evidence(self, log_ratio: float, log_length: float) -> Evidence:
+        """Return the evidence at (log σ0²/l³, log l)."""
+        inverse_length, variance = math.exp(-log_length), math.exp(log_ratio + 3 * log_length)
+        self._fill(inverse_length, variance)
+        factorise(self.K)
+        alpha = solve(self.K, self.y)
+        value = -0.5 * self.y @ alpha - np.log(np.diagonal(self.K)).sum() - 0.5 * len(alpha) * math.log(2 * math.pi)
+        invert(self.K)
+        by_variance = self._by_log_variance(alpha)
+        by_length = 3 * by_variance + self._by_log_length(alpha, inverse_length, variance)
+        return Evidence(float(value), np.array([by_variance, by_length]))
+
+    def _fill(self, inverse_length: float, variance: float) -> None:
+        def covariance(r: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
+            return np.asarray(variance * self.kernel.correlation(inverse_length * r))
+
+        fill_lower(self.K, self.r, covariance, diagonal=self.nugget)
+
+    def _by_log_variance(self, alpha: Float[np.ndarray, " run"]) -> float:
+        """Return ∂/∂log σ0² = ½ (αᵀ σ0²C α - tr K⁻¹ σ0²C) with σ0²C = K - σ_n² I; `K` holds K⁻¹."""
+        fit = self.y @ alpha - self.nugget * alpha @ alpha
+        trace = len(alpha) - self.nugget * np.trace(self.K)
+        return float(0.5 * (fit - trace))
+
+    def _by_log_length(self, alpha: Float[np.ndarray, " run"], inverse_length: float, variance: float) -> float:
+        """Return ½ Σ_ij (α_i α_j - K⁻¹_ij) ∂K_ij/∂log l from lower triangles; the diagonal adds nothing."""
+        total = 0.0
+        for rows, columns in lower_panels(len(alpha)):
+            slope = self.kernel.by_log_length(inverse_length * self.r[rows, columns])
+            slope *= np.outer(alpha[rows], alpha[columns]) - self.K[rows, columns]
+            square = slope[: slope.shape[1]]
+            total += slope.sum() - np.triu(square).sum()
+        return float(variance * total)
+
+    def descent(self, z: Float[np.ndarray, "2"]) -> tuple[float, Float[np.ndarray, "2"]]:
+        """Return minus the evidence for the optimiser; where K breaks down, a wall above all values seen."""
+        try:
+            found = self.evidence(float(z[0]), float(z[1]))
+        except NumericsError:
+            return (self.worst + 1e3 if math.isfinite(self.worst) else 1e30), np.zeros(2)
+        self.worst = -found.value if math.isinf(self.worst) else max(self.worst, -found.value)
+        return -found.value, -found.gradient
+
+
+def evidence(
+    x_std: Float[np.ndarray, "run dim"],
+    y_centred: Float[np.ndarray, " run"],
+    *,
+    kernel: Kernel,
+    length_scale: float,
+    signal_variance: float,
+    nugget: float,
+) -> Evidence:
+    """Return log p(y | X, l, σ0², σ_n²) and its gradient by (log σ0²/l³, log l).
+
+    Args:
+        x_std: standardised inputs.
+        y_centred: centred targets.
+        kernel: the correlation function.
+        length_scale: l, in standard deviations of the inputs.
+        signal_variance: σ0².
+        nugget: σ_n².
+
+    Raises:
+        NumericsError: the covariance is not positive definite.
+    """
+    objective = _Objective(x_std, y_centred, kernel, nugget)
+    return objective.evidence(math.log(signal_variance) - 3 * math.log(length_scale), math.log(length_scale))
+
+
+def fit_hyperparameters(
+    x_std: Float[np.ndarray, "run dim"],
+    y_centred: Float[np.ndarray, " run"],
+    *,
+    kernel: Kernel,
+    nugget: float,
+    length_scale_bound: float = 10.0,
+    starting_lengths: tuple[float, ...] = STARTING_LENGTHS,
+) -> FittedHyperparameters:
+    """Maximise the evidence by L-BFGS-B from several length scales.
+
+    Args:
+        x_std: standardised inputs.
+        y_centred: centred targets.
+        kernel: the correlation function.
+        nugget: σ_n², kept fixed.
+        length_scale_bound: upper bound of l, in standard deviations of the inputs.
+        starting_lengths: values of l to start from; those above the bound start at it.
+
+    Raises:
+        TooFewRuns: fewer than dim + 2 runs.
+        InvalidInput: a value that is not finite.
+        NumericsError: constant targets, or no start that ended at a maximum.
+    """
+    require_runs(x_std, y_centred)
+    objective = _Objective(x_std, y_centred, kernel, nugget)
+    starts = [min(s, length_scale_bound) for s in starting_lengths]
+    attempts = tuple(_attempt(objective, start, length_scale_bound) for start in starts)
+    best = max(attempts, key=lambda a: (a.accepted, a.log_evidence))
+    if not best.accepted:
+        raise NumericsError(f"no start of the evidence optimiser ended at a maximum: {_account(attempts)}")
+    return FittedHyperparameters(
+        length_scale=best.length_scale,
+        signal_variance=best.signal_variance,
+        nugget=nugget,
+        log_evidence=best.log_evidence,
+        at_bound=best.length_scale >= length_scale_bound * (1 - 1e-6),
+        message=best.message,
+        verdict=best.verdict,
+        attempts=attempts,
+    )
+
+
+def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) -> None:
+    """Refuse training data that no surrogate can be fitted to.
+
+    Raises:
+        TooFewRuns: fewer than dim + 2 runs.
+        InvalidInput: a value that is not finite.
+        NumericsError: constant targets.
+    """
+    if len(y) < x.shape[1] + 2:
+        raise TooFewRuns(
+            "training of the surrogate",
+            value=f"{len(y)} successful run(s)",
+            expected=f"at least {x.shape[1] + 2} for {x.shape[1]} input(s)",
+            remedy="Add runs to the design, or look at why runs failed.",
+        )
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        where = int(np.argmin(np.isfinite(x).all(axis=1) & np.isfinite(y)))
+        raise InvalidInput(
+            f"training run {where}",
+            value=f"inputs {x[where].tolist()}, target {y[where]}",
+            expected="finite numbers",
+            remedy="Leave failed runs out of the training.",
+        )
+    if np.ptp(y) == 0:
+        raise NumericsError(
+            f"all {len(y)} training targets equal {y[0]:g}: there is nothing to learn. "
+            "Check the discrepancy measure and that the inputs move the interface."
+        )
+
+
+def _attempt(objective: _Objective, start: float, bound: float) -> Attempt:
+    """Run the optimiser from one length scale and judge its stop."""
+    ratio = math.log(float(np.var(objective.y))) - 3 * math.log(start)
+    box = [(ratio - _WINDOW, ratio + _WINDOW), (math.log(SHORTEST_LENGTH), math.log(bound))]
+    z0 = np.array([ratio, math.log(start)])
+    found = minimize(objective.descent, z0, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": 200})
+    verdict, accepted = _judge(objective, found, box)
+    length = min(math.exp(found.x[1]), bound)
+    return Attempt(
+        start=start,
+        length_scale=length,
+        signal_variance=math.exp(found.x[0]) * length**3,
+        log_evidence=-float(found.fun),
+        evaluations=int(found.nfev),
+        message=str(found.message),
+        verdict=verdict,
+        accepted=accepted,
+    )
+
+
+def _judge(objective: _Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
+    """Return a verdict on the optimiser's stop and whether to accept it.
+
+    A stop without success (line search "ABNORMAL", limit of iterations) is accepted only if small steps along both
+    coordinates and along the gradient, inside the box, gain less than `_FLAT`.
+    """
+    if found.fun >= 1e29:
+        return "the covariance was never positive definite", False
+    if found.success:
+        return "converged", True
+    low, high = np.array(box).T
+    slope = np.clip(found.x - np.asarray(found.jac), low, high) - found.x
+    norm = float(np.linalg.norm(slope))
+    steps = [*(_STEP * np.eye(2)), *(-_STEP * np.eye(2)), _STEP * slope / max(norm, 1e-300)]
+    gain = max(float(found.fun) - objective.descent(np.clip(found.x + step, low, high))[0] for step in steps)
+    figures = f"projected gradient {norm:.2g}, best gain of a step of {_STEP:g} is {gain:.2g} nats"
+    return (f"accepted: {figures}", True) if gain < _FLAT else (f"not a maximum: {figures}", False)
+
+
+def _account(attempts: tuple[Attempt, ...]) -> str:
+    lines = [f"from l = {a.start:g} to {a.length_scale:.3g}: {a.message} ({a.verdict})" for a in attempts]
+    return "; ".join(lines) + ". Raise the nugget, clip extreme log-likelihoods or bound the length scale lower."

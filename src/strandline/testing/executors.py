@@ -1,0 +1,215 @@
+"""Conformance suite for executors: what any `strandline.runs.Executor` must do.
+
+Each check takes an executor and the number of runs that it makes at a time, and raises `AssertionError` with a
+sentence on what is wrong. With pytest:
+
+```python
+@pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS.keys())
+def test_my_executor(check):
+    check(MyExecutor(), workers=2)
+```
+
+`CRASH_CHECKS` are for executors that keep simulators in processes of their own, `TIMEOUT_CHECKS` for those that stop
+a run after two seconds at the latest.
+"""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from strandline.interface import Interface
+from strandline.models.protocol import fingerprint
+from strandline.runs.executors import Executor
+from strandline.runs.record import RunRecord, RunRequest, run_key
+from strandline.testing.models import Cantilever, Faulty, Slow
+
+__all__ = ["CHECKS", "CRASH_CHECKS", "TIMEOUT_CHECKS", "requests_for", "same_outcome"]
+
+STIFFNESS = (300.0, 400.0, 450.0, 600.0, 350.0, 420.0)
+"""Young's moduli of the usual requests, Pa; the models with a fault misbehave at the fourth."""
+SICK = 600.0
+
+
+@runtime_checkable
+class Check(Protocol):
+    """One check of the suite."""
+
+    def __call__(self, executor: Executor, *, workers: int) -> None: ...
+
+
+def requests_for(model: Any, stiffness: Sequence[float] = STIFFNESS) -> list[RunRequest]:
+    """Return requests for a `Cantilever`, or a wrapper of it, at these Young's moduli, Pa."""
+    inputs = [{"E": float(value), "load": 1e-5} for value in stiffness]
+    return [RunRequest(run_key(fingerprint(model), entry), entry) for entry in inputs]
+
+
+def same_outcome(one: RunRecord, other: RunRecord) -> bool:
+    """Tell whether two records say the same, the interface bit for bit; times and logs may differ."""
+    return _facts(one) == _facts(other)
+
+
+def check_answers_each_request_once(executor: Executor, *, workers: int) -> None:
+    """Every request gets one record, with its own key and inputs."""
+    requests = requests_for(Cantilever())
+    records = list(executor(Cantilever(), iter(requests)))
+    _require_one_each(requests, records)
+    inputs = {request.key: dict(request.inputs) for request in requests}
+    _require(all(dict(r.inputs) == inputs[r.key] for r in records), "a record carries another run's inputs")
+
+
+def check_accepts_no_requests(executor: Executor, *, workers: int) -> None:
+    """Nothing asked, nothing answered."""
+    _require(list(executor(Cantilever(), iter([]))) == [], "records without requests")
+
+
+def check_returns_the_models_result(executor: Executor, *, workers: int) -> None:
+    """Interfaces and diagnostics come through bit for bit."""
+    model = Cantilever()
+    for record in executor(model, requests_for(model)):
+        direct = model(record.inputs, Path())
+        expected = RunRecord(record.key, record.inputs, "ok", direct.interface, direct.diagnostics)
+        _require(
+            same_outcome(record, expected), f"the record of {dict(record.inputs)} is not what the model returned"
+        )
+        _require(math.isfinite(record.seconds) and record.seconds >= 0, f"seconds = {record.seconds}")
+
+
+def check_yields_in_order_of_completion(executor: Executor, *, workers: int) -> None:
+    """A slow first run holds up the others only where there is one worker."""
+    model = Slow(Cantilever(), seconds=0.0025, name="E")
+    requests = requests_for(model, [400.0, 4.0, 8.0, 12.0])
+    _warm(executor, model)
+    order = [record.inputs["E"] for record in executor(model, requests)]
+    expected = [400.0, 4.0, 8.0, 12.0] if workers == 1 else [4.0, 8.0, 12.0, 400.0]
+    alike = order == expected or (workers > 2 and order[-1] == 400.0)
+    _require(alike, f"records came in the order {order}, the runs ended in the order {expected}")
+
+
+def check_pulls_when_a_worker_is_free(executor: Executor, *, workers: int) -> None:
+    """A request is pulled when it is started: never more are out than there are workers."""
+    requests = requests_for(Cantilever(), np.linspace(300.0, 500.0, 4 * workers + 4).tolist())
+    pulled: list[RunRequest] = []
+    records = executor(Slow(seconds=0.01), _noted(requests, pulled))
+    _require(not pulled, "requests were pulled before the first record was asked for")
+    for answered, _ in enumerate(records, start=1):
+        out = len(pulled) - answered
+        _require(out <= workers, f"{out} requests are out, with {workers} worker(s)")
+
+
+def check_stops_when_closed(executor: Executor, *, workers: int) -> None:
+    """Closing the iterator stops the pulling and does not wait for the rest."""
+    requests = requests_for(Cantilever(), np.linspace(300.0, 500.0, 200).tolist())
+    pulled: list[RunRequest] = []
+    records = executor(Slow(seconds=0.1), _noted(requests, pulled))
+    next(records)
+    begin = time.monotonic()
+    if hasattr(records, "close"):
+        records.close()
+    count = len(pulled)
+    time.sleep(0.3)
+    _require(time.monotonic() - begin < 8.0, "closing took as long as the runs")
+    _require(len(pulled) == count <= workers + 1, f"{len(pulled)} requests were pulled though one record was wanted")
+
+
+def check_gives_each_run_an_empty_folder(executor: Executor, *, workers: int) -> None:
+    """What one run leaves behind is not there in the next."""
+    states = [record.state for record in executor(*_faulty("dirty", above=0.0))]
+    _require(states == ["ok"] * len(STIFFNESS), f"a run met a used folder: {states}")
+
+
+def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Check:
+    """Return the check that `fault` ends in `state` and `kind` for the run that it hits, and for no other."""
+
+    def check(executor: Executor, *, workers: int) -> None:
+        model, requests = _faulty(fault)
+        records = list(executor(model, requests))
+        _require_one_each(requests, records)
+        for record in records:
+            if record.inputs["E"] != SICK:
+                _require(record.ok, f"a healthy run ended {record.state}: {record.message}")
+                continue
+            ending = (record.state, record.failure_kind)
+            _require(ending == (state, kind), f"'{fault}' ended {ending}, expected {(state, kind)}")
+            _require(told in (record.message or ""), f"the message lacks '{told}': {record.message}")
+            _require(record.interface is None, "a run that failed has an interface")
+
+    check.__doc__ = f"The fault '{fault}' ends '{state}' ({kind}) and harms no other run."
+    return check
+
+
+CHECKS: dict[str, Check] = {
+    "answers_each_request_once": check_answers_each_request_once,
+    "accepts_no_requests": check_accepts_no_requests,
+    "returns_the_models_result": check_returns_the_models_result,
+    "yields_in_order_of_completion": check_yields_in_order_of_completion,
+    "pulls_when_a_worker_is_free": check_pulls_when_a_worker_is_free,
+    "stops_when_closed": check_stops_when_closed,
+    "gives_each_run_an_empty_folder": check_gives_each_run_an_empty_folder,
+    "exception": _failure_check("exception", "failed", "exception", told="the matrix is singular"),
+    "declared_failure": _failure_check("declared", "failed", "newton_stalled", told="half of the load"),
+    "unpicklable_exception": _failure_check("unpicklable", "failed", "exception", told="payload that cannot travel"),
+    "system_exit": _failure_check("leave", "failed", "exception", told="SystemExit"),
+    "nan": _failure_check("nan", "invalid", "non_finite", told="not finite"),
+    "nothing_returned": _failure_check("nothing", "invalid", "not_an_interface", told="NoneType"),
+}
+"""What every executor must do, by name."""
+
+CRASH_CHECKS: dict[str, Check] = {
+    "exit": _failure_check("exit", "killed", "worker_died", told="code 3"),
+    "sigkill": _failure_check("kill", "killed", "worker_died", told="SIGKILL"),
+    "segfault": _failure_check("segfault", "killed", "worker_died", told="SIGSEGV"),
+    "huge_output": _failure_check("chatter", "failed", "exception", told="the last words"),
+}
+"""What an executor with processes of its own must survive, and tell about."""
+
+TIMEOUT_CHECKS: dict[str, Check] = {
+    "hang": _failure_check("hang", "timeout", "timeout", told="waiting for nothing"),
+    "hang_in_c": _failure_check("hang_in_c", "timeout", "timeout"),
+    "hanging_child": _failure_check("child", "timeout", "timeout"),
+}
+"""What an executor with a timeout must stop."""
+
+
+def _faulty(fault: str, *, above: float = 500.0) -> tuple[Faulty, list[RunRequest]]:
+    model = Faulty(fault=fault, above=above)
+    return model, requests_for(model)
+
+
+def _warm(executor: Executor, model: Any) -> None:
+    """Make one run, so that files are in the cache and workers start about equally fast."""
+    list(executor(model, requests_for(model, [1.0])))
+
+
+def _noted(requests: Sequence[RunRequest], pulled: list[RunRequest]) -> Iterator[RunRequest]:
+    """Yield `requests`, noting each in `pulled` as it is taken."""
+    for request in requests:
+        pulled.append(request)
+        yield request
+
+
+def _facts(record: RunRecord) -> tuple[object, ...]:
+    found = record.interface
+    shape = None if found is None else _bits(found)
+    return record.key, dict(record.inputs), record.state, shape, dict(record.diagnostics), record.failure_kind
+
+
+def _bits(interface: Interface) -> tuple[object, ...]:
+    points, cells = np.asarray(interface.points), np.asarray(interface.cells)
+    return points.dtype.kind, points.shape, points.tobytes(), cells.shape, cells.tobytes()
+
+
+def _require_one_each(requests: Sequence[RunRequest], records: Sequence[RunRecord]) -> None:
+    asked, answered = Counter(r.key for r in requests), Counter(r.key for r in records)
+    missing, surplus = asked - answered, answered - asked
+    _require(not missing, f"{missing.total()} request(s) without a record")
+    _require(not surplus, f"{surplus.total()} record(s) too many")
+
+
+def _require(condition: bool, otherwise: str) -> None:
+    if not condition:
+        raise AssertionError(otherwise)

@@ -1,0 +1,278 @@
+"""Small forward models for tests: a beam with a closed-form interface, and wrappers that misbehave.
+
+They live in an importable module because worker processes must be able to load them.
+"""
+
+import ctypes
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import ForwardModelError
+from strandline.interface import Interface
+from strandline.models.protocol import ModelInput, Simulation
+
+__all__ = ["FAULTS", "Cantilever", "Counted", "CrashesOnce", "Faulty", "Slow"]
+
+
+@dataclass(frozen=True)
+class Cantilever:
+    """Outline of a clamped beam, of unit depth, bent by a force at its tip (Euler–Bernoulli, plane stress).
+
+    The centre line sinks by ``w(x) = F x² (3L - x) / (6 E I)`` with ``I = h³/12``; cross-sections stay plane and turn
+    by ``w'``. The interface is the outline without its clamped end: along the upper side, around the tip, back along
+    the lower side.
+
+    Args:
+        length: L, mm.
+        height: h, mm.
+        nodes: nodes on each of the two long sides.
+
+    Inputs are Young's modulus ``E`` in Pa and the force ``load`` in N per m of depth, positive upwards.
+    """
+
+    length: float = 1.0
+    height: float = 0.1
+    nodes: int = 17
+
+    inputs: ClassVar[tuple[ModelInput, ...]] = (
+        ModelInput("E", "Pa", 0.0, np.inf, low_included=False, meaning="Young's modulus"),
+        ModelInput("load", "N/m", -np.inf, np.inf, meaning="force at the tip, per depth"),
+    )
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the shape of the beam."""
+        return f"test:cantilever-1/{self.length!r}/{self.height!r}/{self.nodes}"
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+        """Return the outline, mm, and the tip's deflection.
+
+        Raises:
+            ForwardModelError: ``nonpositive_stiffness``, or ``large_deflection`` where the tip would move by more
+                than the beam's length and the linear theory means nothing.
+        """
+        modulus, load = inputs["E"], inputs["load"]
+        if modulus <= 0:
+            raise ForwardModelError("nonpositive_stiffness", f"E = {modulus:g} Pa, not above 0", {"E": modulus})
+        tip = float(self.deflection(np.array([self.length]), modulus, load)[0])
+        if abs(tip) > self.length:
+            text = f"the tip would move by {tip:.3g} mm, the beam is {self.length:g} mm long"
+            raise ForwardModelError("large_deflection", text, {"tip": tip})
+        return Simulation(self.outline(modulus, load), {"tip": tip})
+
+    def deflection(self, x: Float[np.ndarray, " point"], modulus: float, load: float) -> Float[np.ndarray, " point"]:
+        """Return w at the distances `x` from the clamp, both in mm."""
+        return self._flexibility(modulus, load) * x**2 * (3 * self.length - x)
+
+    def outline(self, modulus: float, load: float) -> Interface:
+        """Return the deformed outline, mm."""
+        x = np.linspace(0.0, self.length, self.nodes)
+        slope = self._flexibility(modulus, load) * (6 * self.length * x - 3 * x**2)
+        centre, half = self.deflection(x, modulus, load), 0.5 * self.height
+        upper = np.stack([x - half * slope, centre + half], axis=1)
+        lower = np.stack([x + half * slope, centre - half], axis=1)
+        return Interface.polyline(np.concatenate([upper, lower[::-1]]))
+
+    def _flexibility(self, modulus: float, load: float) -> float:
+        """Return F / (6 E I) in mm⁻²; N/m over Pa is m, hence the factor 1000."""
+        return 1000.0 * load / modulus * 2.0 / self.height**3
+
+
+Model = Callable[[Mapping[str, float], Path], Any]
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """`base`, with the fault `fault` (a name in `FAULTS`) where the input `name` is above `above`."""
+
+    base: Any = Cantilever()
+    fault: str = "exception"
+    name: str = "E"
+    above: float = 500.0
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the base, the fault and where it strikes."""
+        return f"{self.base.fingerprint}+{self.fault}:{self.name}>{self.above!r}"
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        """Return what the base returns, or misbehave."""
+        good = self.base(inputs, workdir)
+        return FAULTS[self.fault](good, workdir) if inputs[self.name] > self.above else good
+
+
+@dataclass(frozen=True)
+class Slow:
+    """`base`, `seconds` later; with `name` given, that many seconds per unit of the input."""
+
+    base: Any = Cantilever()
+    seconds: float = 0.1
+    name: str | None = None
+
+    @property
+    def fingerprint(self) -> str:
+        """The base's: time does not change results."""
+        return str(self.base.fingerprint)
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        """Wait, then return what the base returns."""
+        time.sleep(self.seconds * (1.0 if self.name is None else inputs[self.name]))
+        return self.base(inputs, workdir)
+
+
+@dataclass(frozen=True)
+class Counted:
+    """`base`, leaving a line with process id and inputs in ``calls`` of `folder` before and in ``ends`` after."""
+
+    folder: str
+    base: Any = Cantilever()
+
+    @property
+    def fingerprint(self) -> str:
+        """The base's: counting does not change results."""
+        return str(self.base.fingerprint)
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        """Note the call, then return what the base returns."""
+        line = f"{os.getpid()} {sorted(inputs.items())}\n"
+        _append(Path(self.folder) / "calls", line)
+        result = self.base(inputs, workdir)
+        _append(Path(self.folder) / "ends", line)
+        return result
+
+
+@dataclass(frozen=True)
+class CrashesOnce:
+    """`base`, whose process dies the first time that inputs are run; `folder` keeps the memory of it."""
+
+    folder: str
+    base: Any = Cantilever()
+
+    @property
+    def fingerprint(self) -> str:
+        """The base's: the second attempt counts."""
+        return str(self.base.fingerprint)
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        """Die, or return what the base returns."""
+        mark = Path(self.folder) / "-".join(value.hex() for _, value in sorted(inputs.items()))
+        if not mark.exists():
+            mark.touch()
+            os._exit(3)
+        return self.base(inputs, workdir)
+
+
+class UnpicklableError(Exception):
+    """An exception that can neither be pickled nor rebuilt."""
+
+    def __init__(self, first: object, second: object) -> None:
+        self.payload = lambda: (first, second)
+        super().__init__("payload that cannot travel")
+
+
+def _append(path: Path, line: str) -> None:
+    """Write one line in one system call, so that lines of several processes do not mix."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    try:
+        os.write(descriptor, line.encode())
+    finally:
+        os.close(descriptor)
+
+
+def _exit(good: Simulation, workdir: Path) -> Simulation:
+    print("about to leave with code 3", flush=True)
+    os._exit(3)
+
+
+def _kill(good: Simulation, workdir: Path) -> Simulation:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return good
+
+
+def _segfault(good: Simulation, workdir: Path) -> Simulation:
+    ctypes.string_at(0)
+    return good
+
+
+def _hang(good: Simulation, workdir: Path) -> Simulation:
+    print("waiting for nothing", flush=True)
+    time.sleep(3600)
+    return good
+
+
+def _hang_in_c(good: Simulation, workdir: Path) -> Simulation:
+    ctypes.PyDLL(None).sleep(3600)  # PyDLL keeps the interpreter's lock: no Python thread runs meanwhile
+    return good
+
+
+def _child(good: Simulation, workdir: Path) -> Simulation:
+    subprocess.run(["sleep", "3600"], check=True)
+    return good
+
+
+def _nan(good: Simulation, workdir: Path) -> Simulation:
+    good.interface.points[0] = np.nan
+    return good
+
+
+def _exception(good: Simulation, workdir: Path) -> Simulation:
+    raise RuntimeError("the matrix is singular")
+
+
+def _declared(good: Simulation, workdir: Path) -> Simulation:
+    raise ForwardModelError("newton_stalled", "no convergence beyond half of the load", {"load": 0.5})
+
+
+def _unpicklable(good: Simulation, workdir: Path) -> Simulation:
+    raise UnpicklableError(good, workdir)
+
+
+def _leave(good: Simulation, workdir: Path) -> Simulation:
+    raise SystemExit(2)
+
+
+def _nothing(good: Simulation, workdir: Path) -> None:
+    return None
+
+
+def _chatter(good: Simulation, workdir: Path) -> Simulation:
+    for _ in range(200):
+        os.write(1, b"iteration without end " * 4096)
+    os.write(1, b"\nthe last words\n")
+    raise RuntimeError("said too much")
+
+
+def _dirty(good: Simulation, workdir: Path) -> Simulation:
+    if any(workdir.iterdir()):
+        raise RuntimeError(f"{workdir} is not empty")
+    (workdir / "restart.dat").write_bytes(b"0" * 1000)
+    os.chdir(workdir)
+    return good
+
+
+FAULTS: dict[str, Callable[[Simulation, Path], Simulation | None]] = {
+    "exit": _exit,
+    "kill": _kill,
+    "segfault": _segfault,
+    "hang": _hang,
+    "hang_in_c": _hang_in_c,
+    "child": _child,
+    "nan": _nan,
+    "exception": _exception,
+    "declared": _declared,
+    "unpicklable": _unpicklable,
+    "leave": _leave,
+    "nothing": _nothing,
+    "chatter": _chatter,
+    "dirty": _dirty,
+}
+"""Name → what a simulator may do instead of returning its result."""

@@ -1,0 +1,116 @@
+"""The stored posterior: ArviZ reads it rightly, writing is repeatable and leaves no half file behind."""
+
+import hashlib
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from strandline.errors import InvalidInput
+from strandline.interface import Interface, Observation
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.posterior import Posterior, from_datatree, read, to_datatree, write
+from strandline.priors import ScaledBeta, Uniform
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import arviz
+
+SPACE = ParameterSpace(
+    (Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", ScaledBeta(3.0, 2.0, -0.8, 0.5)))
+)
+LINE = Interface.polyline(np.array([[0.0, 0.0], [0.5, 0.4], [1.0, 0.0]]))
+
+
+def weighted_posterior(number: int = 4000) -> Posterior:
+    draws = SPACE.prior_quantiles(np.random.default_rng(0).uniform(size=(number, 2)))
+    log_likelihood = -0.5 * ((draws[:, 0] - 300) / 80) ** 2 + 2 * draws[:, 1]
+    log_weights = log_likelihood - np.logaddexp.reduce(log_likelihood)
+    return Posterior(SPACE, draws, log_weights, log_likelihood, SPACE.log_prior(draws), -3.5)
+
+
+def test_arviz_summary_is_the_weighted_mean(tmp_path):
+    posterior = weighted_posterior()
+    path = tmp_path / "posterior.nc"
+    write(to_datatree(posterior, seed=1), path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        summary = arviz.summary(arviz.from_netcdf(path), round_to="none")
+    error = 4 * posterior.sd / np.sqrt(posterior.ess)
+    assert list(summary.index) == ["E", "nu"]
+    assert (np.abs(summary["mean"].to_numpy() - posterior.mean) < error).all()
+    np.testing.assert_allclose(summary["sd"], posterior.sd, rtol=0.1)
+    planted = np.abs(posterior.draws.mean(axis=0) - posterior.mean)
+    assert (planted > error).all(), "storing the particles as if they had equal weights must be caught"
+
+
+def test_content_is_identical_at_every_write(tmp_path):
+    digests = set()
+    for name in ("a.nc", "b.nc"):
+        write(to_datatree(weighted_posterior(500), seed=3, observed=[Observation(LINE, 5e-4)]), tmp_path / name)
+        digests.add(hashlib.sha256((tmp_path / name).read_bytes()).hexdigest())
+    write(to_datatree(weighted_posterior(500), seed=4, observed=[Observation(LINE, 5e-4)]), tmp_path / "c.nc")
+    assert len(digests) == 1
+    assert hashlib.sha256((tmp_path / "c.nc").read_bytes()).hexdigest() not in digests
+
+
+def test_tree_survives_the_file(tmp_path):
+    tree = to_datatree(
+        weighted_posterior(300), seed=3, attrs={"study": "S3"}, observed=[Observation(LINE, 5e-4, "t1")]
+    )
+    path = tmp_path / "posterior.nc"
+    write(tree, path)
+    back = read(path)
+    assert back.identical(tree)
+    assert back.attrs == {"inference_library": "strandline", "seed": 3, "study": "S3"}
+    assert back["posterior"]["E"].attrs["units"] == "Pa"
+    assert back["posterior"]["E"].dims == ("chain", "draw")
+    np.testing.assert_array_equal(back["observed_data"]["interface_t1"], LINE.points)
+    assert back["observed_data"]["interface_t1"].attrs["noise_variance"] == 5e-4
+    path.unlink()
+
+
+def test_weighted_posterior_round_trip(tmp_path):
+    posterior = weighted_posterior(300)
+    write(to_datatree(posterior, seed=3, number=50), tmp_path / "p.nc")
+    tree = read(tmp_path / "p.nc")
+    assert tree["posterior"].sizes["draw"] == 50
+    back = from_datatree(tree, SPACE)
+    np.testing.assert_array_equal(back.draws, posterior.draws)
+    np.testing.assert_array_equal(back.log_weights, posterior.log_weights)
+    assert back.log_evidence == posterior.log_evidence
+    assert tree["weighted_posterior"]["weight"].sum() == pytest.approx(1.0)
+    assert tree["weighted_posterior"].attrs["effective_sample_size"] == pytest.approx(posterior.ess)
+    with pytest.raises(InvalidInput, match="rho"):
+        from_datatree(tree, ParameterSpace((Parameter("rho", Uniform(0.0, 1.0)),)))
+
+
+def test_prior_group_holds_draws_of_the_prior():
+    prior = to_datatree(weighted_posterior(4000), seed=0)["prior"]
+    for parameter in SPACE:
+        drawn = prior[parameter.name].to_numpy().ravel()
+        uniform = np.sort(parameter.truncated_prior.cdf(drawn))
+        assert np.abs(uniform - (np.arange(4000) + 0.5) / 4000).max() < 1.63 / np.sqrt(4000)
+
+
+def test_failed_write_keeps_the_old_file_and_leaves_nothing(tmp_path):
+    path = tmp_path / "posterior.nc"
+    write(to_datatree(weighted_posterior(50), seed=3), path)
+    before = path.read_bytes()
+    broken = xr.DataTree(xr.Dataset({"x": ("n", [object()])}))
+    with pytest.raises((TypeError, ValueError)):
+        write(broken, path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]
+
+
+def test_bad_names_and_paths_are_refused(tmp_path):
+    space = ParameterSpace((Parameter("weight", Uniform(0.0, 1.0)),))
+    posterior = Posterior(space, np.ones((1, 1)), np.zeros(1), np.zeros(1), np.zeros(1), 0.0)
+    with pytest.raises(InvalidInput, match="Rename"):
+        to_datatree(posterior, seed=0)
+    with pytest.raises(InvalidInput, match="netCDF"):
+        read(tmp_path / "none.nc")
+    with pytest.raises(InvalidInput, match="conditions"):
+        to_datatree(weighted_posterior(5), seed=0, observed=[Observation(LINE, 1.0)] * 2)

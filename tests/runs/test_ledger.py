@@ -1,0 +1,337 @@
+"""The ledger: what goes in comes out, nothing is lost, and every misuse is one clear error."""
+
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strandline.errors import LedgerError
+from strandline.interface import Interface
+from strandline.runs import Counts, InProcess, Ledger, RunRecord, RunRequest, run_campaign
+from strandline.testing.executors import requests_for, same_outcome
+from strandline.testing.models import Cantilever
+
+DATA = Path(__file__).parents[1] / "data"
+LINE = Interface.polyline(np.random.default_rng(1).normal(size=(66, 2)))
+TETRAHEDRON = Interface(np.eye(4, 3), np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]))
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "ledger.sqlite"
+
+
+def put(ledger, record):
+    ledger.started(RunRequest(record.key, record.inputs))
+    ledger.finished(record)
+
+
+def records():
+    return [
+        RunRecord("line", {"E": 0.1, "nu": -1e-300}, "ok", LINE, {"iterations": 7.0, "J": float("nan")}, 0.25),
+        RunRecord("surface", {"E": 1 / 3}, "ok", TETRAHEDRON),
+        RunRecord("bad", {"E": 2.0}, "failed", None, {"load": 0.5}, 1.0, "limit_point", "no équilibre", "a\nlog"),
+        RunRecord("slow", {"E": 3.0}, "timeout", failure_kind="timeout", message="still running"),
+        RunRecord("gone", {"E": 4.0}, "killed", failure_kind="worker_died", message="SIGKILL"),
+        RunRecord("odd", {"E": 5.0}, "invalid", failure_kind="non_finite", message="NaN"),
+    ]
+
+
+def exact(record):
+    """Return all that a record says, comparable to the last bit."""
+    found = record.interface
+    arrays = None if found is None else (found.points.tobytes(), found.points.shape, found.cells.tolist())
+    figures = {name: float(value).hex() for name, value in record.diagnostics.items()}
+    rest = (record.seconds, record.failure_kind, record.message, record.log, record.origin)
+    return record.key, dict(record.inputs), record.state, arrays, figures, *rest
+
+
+def test_everything_comes_back_bit_for_bit(path):
+    with Ledger.open(path, model="m", description="a beam") as ledger:
+        for record in records():
+            put(ledger, record)
+    with Ledger.open(path, model="m") as ledger:
+        assert [exact(r) for r in ledger] == [exact(r) for r in records()]
+        found = ledger.latest([r.key for r in records()] + ["unknown"])
+        assert {k: exact(r) for k, r in found.items()} == {r.key: exact(r) for r in records()}
+        assert (ledger.model, ledger.description) == ("m", "a beam")
+        restored = found["line"].interface.points
+        assert restored.dtype == np.float64
+        assert restored.flags.writeable
+
+
+def test_more_keys_than_one_query_takes(path):
+    model = Cantilever()
+    requests = requests_for(model, np.linspace(300.0, 500.0, 1201).tolist())
+    with Ledger.open(path, model="m") as ledger, ledger._transaction():
+        for request in requests:
+            put(ledger, RunRecord(request.key, request.inputs, "failed"))
+        assert set(ledger.latest(request.key for request in requests)) == {request.key for request in requests}
+
+
+def test_started_without_an_outcome_is_open(path):
+    with Ledger.open(path, model="m") as ledger:
+        for record in records():
+            put(ledger, record)
+        ledger.started(RunRequest("lost", {"E": 9.0}))
+        assert ledger.counts() == Counts(ok=2, failed=1, timeout=1, killed=1, invalid=1, open=1)
+        assert ledger.counts().total == 7
+        assert "lost" not in ledger.latest(["lost"])
+
+
+def test_last_outcome_counts_and_attempts_are_counted(path):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, RunRecord("a", {}, "killed", failure_kind="worker_died"))
+        put(ledger, RunRecord("a", {}, "killed", failure_kind="interrupted"))
+        ledger.started(RunRequest("a", {}))
+        assert ledger.attempts("a") == 2
+        put(ledger, RunRecord("a", {}, "ok", LINE))
+        assert ledger.attempts("a") == 3
+        assert ledger.attempts("never") == 0
+        assert ledger.latest(["a"])["a"].ok
+        assert ledger.counts() == Counts(ok=1)
+        assert [record.state for record in ledger] == ["ok"]
+
+
+def test_outcome_without_a_start_is_refused(path):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, records()[0])
+        for record in records()[:2]:
+            with pytest.raises(LedgerError, match="started and has no outcome"):
+                ledger.finished(record)
+
+
+def test_each_write_is_synchronised(path):
+    with Ledger.open(path, model="m") as ledger:
+        assert ledger._connection.execute("PRAGMA synchronous").fetchone() == (2,)
+        assert ledger._connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+@pytest.mark.parametrize("verb", ["UPDATE outcomes SET state = 'ok'", "DELETE FROM starts", "DELETE FROM outcomes"])
+def test_nothing_is_ever_changed(path, verb):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, records()[2])
+        with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+            ledger._connection.execute(verb)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE outcomes SET points = zeroblob(length(points))",
+        "UPDATE outcomes SET points_shape = '[132, 1]'",
+        "UPDATE outcomes SET state = 'failed'",
+        "UPDATE outcomes SET diagnostics = '{\"iterations\": 8.0}'",
+        "UPDATE outcomes SET seconds = 0.5",
+        "UPDATE starts SET inputs = '{\"E\": 0.2}'",
+    ],
+)
+def test_damage_to_a_run_is_noticed_and_the_run_named(path, damage):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, records()[0])
+    tamper(path, "DROP TRIGGER outcomes_no_UPDATE", "DROP TRIGGER starts_no_UPDATE", damage)
+    with Ledger.open(path, model="m") as ledger, pytest.raises(LedgerError, match=r"run line in .* is damaged"):
+        ledger.latest(["line"])
+
+
+def tamper(path, *statements):
+    connection = sqlite3.connect(path, isolation_level=None)
+    for statement in statements:
+        connection.execute(statement)
+    connection.close()
+
+
+def test_ledger_of_another_model_is_refused_with_both_names(path):
+    Ledger.open(path, model="beam-1").close()
+    for read_only in (False, True):
+        with pytest.raises(LedgerError, match=r"beam-1 in the ledger, beam-2 now.*new ledger"):
+            Ledger.open(path, model="beam-2", read_only=read_only)
+    Ledger.open(path, model="beam-1").close()  # the refusal left no lock behind
+
+
+def test_newer_version_is_refused(path):
+    Ledger.open(path, model="m").close()
+    tamper(path, "UPDATE meta SET value = '2' WHERE key = 'schema_version'")
+    with pytest.raises(LedgerError, match="newer strandline"):
+        Ledger.open(path, model="m")
+
+
+def damaged_in_the_middle(path):
+    Ledger.open(path, model="m").close()
+    data = bytearray(path.read_bytes())
+    data[4096:12288] = b"\xff" * 8192
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda path: path.write_bytes(b"this is not a database" * 100),
+        lambda path: path.write_bytes(b""),
+        damaged_in_the_middle,
+        lambda path: tamper(path, "CREATE TABLE other (x)"),
+    ],
+    ids=["text", "empty", "overwritten", "foreign"],
+)
+@pytest.mark.parametrize("read_only", [False, True])
+def test_damaged_or_foreign_file_is_refused(path, spoil, read_only):
+    spoil(path)
+    with pytest.raises(LedgerError):
+        Ledger.open(path, model="m", read_only=read_only)
+
+
+def test_missing_folder_is_refused(tmp_path):
+    with pytest.raises(LedgerError, match="folder"):
+        Ledger.open(tmp_path / "nowhere" / "ledger.sqlite", model="m")
+
+
+@contextmanager
+def folder_without_the_right_to_write():
+    """Give a folder that this process cannot write, even where the tests run as root."""
+    folder = Path(tempfile.mkdtemp())
+    try:
+        Ledger.open(folder / "ledger.sqlite", model="m").close()
+        for file in folder.iterdir():
+            file.chmod(0o444)
+        folder.chmod(0o555)
+        if os.geteuid() == 0:
+            os.seteuid(65534)
+        yield folder
+    finally:
+        if os.getuid() == 0:
+            os.seteuid(0)
+        folder.chmod(0o755)
+        shutil.rmtree(folder)
+
+
+def test_folder_that_cannot_be_written_is_refused_but_can_be_read():
+    with folder_without_the_right_to_write() as folder:
+        before = sorted(folder.iterdir())
+        with pytest.raises(LedgerError, match="cannot be written"):
+            Ledger.open(folder / "other.sqlite", model="m")
+        with pytest.raises(LedgerError):
+            Ledger.open(folder / "ledger.sqlite", model="m")
+        with Ledger.open(folder / "ledger.sqlite", model="m", read_only=True) as ledger:
+            assert ledger.counts().total == 0
+        assert sorted(folder.iterdir()) == before
+
+
+def test_failure_while_creating_leaves_no_ledger(path, monkeypatch):
+    monkeypatch.setattr("strandline.runs.schema.TABLES", "CREATE TABLE broken (")
+    with pytest.raises(LedgerError):
+        Ledger.open(path, model="m")
+    assert not [file for file in path.parent.iterdir() if file.suffix != ".lock"]
+    monkeypatch.undo()
+    Ledger.open(path, model="m").close()
+
+
+def test_reading_creates_nothing(path):
+    with pytest.raises(LedgerError, match="no such file"):
+        Ledger.open(path, model="m", read_only=True)
+    assert not list(path.parent.iterdir())
+
+
+def test_reading_cannot_write(path):
+    Ledger.open(path, model="m").close()
+    with Ledger.open(path, model=None, read_only=True) as ledger:
+        with pytest.raises(LedgerError, match="read_only"):
+            ledger.started(RunRequest("a", {}))
+        with pytest.raises(LedgerError, match="read_only"):
+            ledger.copy_from(path, ["a"])
+
+
+def test_model_is_needed_for_writing(path):
+    with pytest.raises(LedgerError, match="fingerprint"):
+        Ledger.open(path, model=None)
+
+
+def test_reader_sees_what_a_driver_has_written_so_far(path):
+    with Ledger.open(path, model="m") as driver:
+        put(driver, records()[0])
+        with Ledger.open(path, model="m", read_only=True) as reader:
+            assert reader.counts() == Counts(ok=1)
+            driver.started(RunRequest("next", {"E": 7.0}))
+            assert reader.counts() == Counts(ok=1, open=1)
+            with driver._transaction():
+                put(driver, records()[1])
+                assert reader.counts() == Counts(ok=1, open=1)
+            assert reader.counts() == Counts(ok=2, open=1)
+
+
+HOLDER = """
+import sys
+from strandline.runs import Ledger
+with Ledger.open(sys.argv[1], model="m"):
+    print("open", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_second_driver_is_refused_and_told_who_the_first_is(path):
+    command = [sys.executable, "-c", HOLDER, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "open\n"
+        with pytest.raises(LedgerError, match=f"locked.*another run is using it.*process {holder.pid} "):
+            Ledger.open(path, model="m")
+        with Ledger.open(path, model="m", read_only=True) as reader:
+            assert reader.counts().total == 0
+        holder.communicate()
+    Ledger.open(path, model="m").close()
+
+
+def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
+    first, second, third = (tmp_path / name for name in ("a.sqlite", "b.sqlite", "c.sqlite"))
+    with Ledger.open(first, model="m") as ledger:
+        for record in records():
+            put(ledger, record)
+    keys = [record.key for record in records()] + ["unknown"]
+    with Ledger.open(second, model="m") as ledger:
+        put(ledger, RunRecord("line", {"E": 0.1, "nu": -1e-300}, "ok", TETRAHEDRON))
+        assert ledger.copy_from(first, keys) == 3
+        assert ledger.copy_from(first, keys) == 0
+        found = ledger.latest(keys)
+        assert set(found) == {"line", "surface", "bad", "odd"}
+        assert found["line"].interface.dim == 3  # what is here already stays
+        assert found["bad"].origin == str(first)
+        assert exact(found["surface"])[:-1] == exact(records()[1])[:-1]
+    with Ledger.open(third, model="m") as ledger:
+        assert ledger.copy_from(second, ["bad"]) == 1
+        assert ledger.latest(["bad"])["bad"].origin == str(first)
+
+
+def test_nothing_is_copied_from_another_model(tmp_path):
+    Ledger.open(tmp_path / "a.sqlite", model="other").close()
+    with Ledger.open(tmp_path / "b.sqlite", model="m") as ledger, pytest.raises(LedgerError, match="another model"):
+        ledger.copy_from(tmp_path / "a.sqlite", ["x"])
+
+
+def test_ledger_of_version_1_still_opens(tmp_path):
+    """Written by the first released format; if this fails, old studies of users cannot be opened any more."""
+    path = Path(shutil.copy(DATA / "ledger-v1.sqlite", tmp_path / "ledger.sqlite"))
+    path.chmod(0o644)
+    model = Cantilever(nodes=9)
+    with Ledger.open(path, model=model.fingerprint) as ledger:
+        assert ledger.counts() == Counts(ok=2, failed=1, killed=1, open=1)
+        assert ledger.description == "a beam, written by format version 1"
+        for record in ledger:
+            if record.ok:
+                direct = model(record.inputs, tmp_path)
+                np.testing.assert_allclose(record.interface.points, direct.interface.points, rtol=0, atol=1e-15)
+        inputs = [{"E": value, "load": 1e-5} for value in (400.0, 300.0, -1.0, 500.0, 600.0)]
+        done = run_campaign(model, inputs, ledger=ledger, executor=InProcess())
+        assert [record.state for record in done] == ["ok", "ok", "failed", "ok", "ok"]
+        assert ledger.counts() == Counts(ok=4, failed=1)
+
+
+def test_equal_outcomes_are_told_from_different_ones():
+    one, other = records()[0], records()[0]
+    assert same_outcome(RunRecord(one.key, one.inputs, "ok", LINE), RunRecord(one.key, one.inputs, "ok", LINE))
+    moved = Interface.polyline(np.nextafter(LINE.points, 1.0))
+    assert not same_outcome(one, RunRecord(other.key, other.inputs, "ok", moved, other.diagnostics))

@@ -1,0 +1,154 @@
+"""Records: the content address, and what becomes of every way in which a model can end."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.interface import Interface
+from strandline.models.protocol import Simulation
+from strandline.runs import RunRecord, RunRequest, attempt, run_key
+from strandline.runs.record import MESSAGE_CHARACTERS, with_log
+from strandline.testing.models import Cantilever
+
+LINE = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 1.0]]))
+
+
+def outcome(model) -> RunRecord:
+    return attempt(model, RunRequest("k", {"E": 1.0}), Path())
+
+
+def test_key_does_not_depend_on_order_or_sign_of_zero():
+    one = run_key("m", {"E": 400.0, "nu": 0.0})
+    assert one == run_key("m", {"nu": -0.0, "E": 400})
+    assert len(one) == 64
+
+
+@pytest.mark.parametrize(
+    ("fingerprint", "inputs"),
+    [
+        ("n", {"E": 400.0, "nu": 0.0}),
+        ("m", {"E": np.nextafter(400.0, 500.0), "nu": 0.0}),
+        ("m", {"E": 0.0, "nu": 400.0}),
+        ("m", {"E": 400.0}),
+        ("m", {"E": 400.0, "nu ": 0.0}),
+    ],
+)
+def test_key_tells_runs_apart_to_the_last_bit(fingerprint, inputs):
+    assert run_key(fingerprint, inputs) != run_key("m", {"E": 400.0, "nu": 0.0})
+
+
+def test_key_is_the_same_in_another_process():
+    code = "from strandline.runs import run_key; print(run_key('m', {'E': 0.1}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == run_key("m", {"E": 0.1})
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_key_of_a_number_that_is_none_is_refused(value):
+    with pytest.raises(InvalidInput, match="input E"):
+        run_key("m", {"E": value})
+
+
+def test_cantilever_agrees_with_the_integrated_beam_equation():
+    """Oracle: E I w'' = F (L - x), integrated twice by the trapezoidal rule on a fine grid."""
+    beam = Cantilever(length=2.0, height=0.2)
+    modulus, load = 500.0, 2e-5
+    x = np.linspace(0.0, 2.0, 4001)
+    curvature = 1000.0 * load * (2.0 - x) / (modulus * 0.2**3 / 12)
+    step = x[1] - x[0]
+    slope = np.concatenate([[0.0], np.cumsum(0.5 * step * (curvature[1:] + curvature[:-1]))])
+    sag = np.concatenate([[0.0], np.cumsum(0.5 * step * (slope[1:] + slope[:-1]))])
+    np.testing.assert_allclose(beam.deflection(x, modulus, load), sag, atol=1e-7)
+    outline = beam.outline(modulus, load)
+    tip = outline.points[beam.nodes - 1 : beam.nodes + 1]
+    np.testing.assert_allclose(tip.mean(axis=0), [2.0, sag[-1]], atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(tip[0] - tip[1]), 0.2 * np.hypot(1, slope[-1]), atol=1e-7)
+
+
+@pytest.mark.parametrize("returned", [LINE, Simulation(LINE, {"iterations": 7.0})])
+def test_bare_interface_and_simulation_are_accepted(returned):
+    record = outcome(lambda inputs, workdir: returned)
+    assert record.ok
+    assert record.interface.points.tobytes() == LINE.points.tobytes()
+    assert record.failure_kind is None
+    assert record.message is None
+    assert record.seconds >= 0
+
+
+def test_record_does_not_share_memory_with_the_model():
+    points = LINE.points.copy()
+    record = outcome(lambda inputs, workdir: Interface.polyline(points))
+    points[:] = 7.0
+    np.testing.assert_array_equal(record.interface.points, LINE.points)
+
+
+def test_model_cannot_change_the_inputs_of_its_record():
+    def greedy(inputs, workdir):
+        inputs.clear()
+        return LINE
+
+    assert dict(outcome(greedy).inputs) == {"E": 1.0}
+
+
+def test_text_among_the_diagnostics_does_not_cost_the_interface():
+    simulation = Simulation(LINE, {"iterations": 7.0})
+    simulation.diagnostics["solver"] = "umfpack"
+    record = outcome(lambda inputs, workdir: simulation)
+    assert record.ok
+    assert dict(record.diagnostics) == {"iterations": 7.0}
+
+
+def test_declared_failure_keeps_kind_and_evidence():
+    def model(inputs, workdir):
+        raise ForwardModelError("limit_point", "no equilibrium", {"load": 0.7})
+
+    record = outcome(model)
+    assert (record.state, record.failure_kind, record.message) == ("failed", "limit_point", "no equilibrium")
+    assert dict(record.diagnostics) == {"load": 0.7}
+
+
+def test_interface_that_cannot_be_built_is_invalid():
+    record = outcome(lambda inputs, workdir: Interface.polyline(np.array([[0.0, np.nan], [1.0, 0.0]])))
+    assert (record.state, record.failure_kind) == ("invalid", "invalid_interface")
+    assert "point 0" in record.message
+
+
+@pytest.mark.parametrize("error", [ValueError("x" * 10**6), KeyError("\ud800"), MemoryError(), SystemExit(3)])
+def test_any_exception_is_a_bounded_message_that_can_be_stored(error):
+    def model(inputs, workdir):
+        raise error
+
+    record = outcome(model)
+    assert (record.state, record.failure_kind) == ("failed", "exception")
+    assert type(error).__name__ in record.message
+    assert "test_record.py" in record.message
+    assert len(record.message.encode()) < 2 * MESSAGE_CHARACTERS
+
+
+def test_interruption_is_not_a_failed_run():
+    def model(inputs, workdir):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        outcome(model)
+
+
+def test_log_ends_the_message_of_a_failure_only():
+    bad = RunRecord("k", {}, "failed", failure_kind="exception", message="it broke")
+    told = with_log(bad, "\n".join(f"step {number}" for number in range(100)))
+    assert told.message.startswith("it broke\n")
+    assert told.message.endswith("step 99")
+    assert "step 0\n" not in told.message
+    assert told.log.startswith("step 0\n")
+    good = RunRecord("k", {}, "ok", LINE)
+    assert with_log(good, "chatter") is good
+
+
+def test_json_keeps_every_bit_of_an_input():
+    values = np.random.default_rng(0).normal(size=1000) * 10.0 ** np.arange(-150, 150).repeat(4)[:1000]
+    assert json.loads(json.dumps(values.tolist())) == values.tolist()

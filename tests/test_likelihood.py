@@ -1,0 +1,89 @@
+"""The likelihood adds conditions and reports the constant it leaves out."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, TrackedPoints
+from strandline.errors import InvalidInput, NumericsError
+from strandline.interface import Interface, Observation
+from strandline.likelihood import InterfaceLikelihood
+
+
+def level(y: float) -> Interface:
+    return Interface.polyline(np.array([[0.0, y], [0.5, y], [1.0, y]]))
+
+
+def test_one_condition():
+    likelihood = InterfaceLikelihood((Observation(level(0.0), 0.01),), TrackedPoints())
+    assert likelihood(level(0.2)) == pytest.approx(-0.5 * 3 * 0.2**2 / 0.01)
+    assert likelihood([level(0.2)]) == likelihood(level(0.2))
+    assert likelihood.discrepancies(level(0.2)) == pytest.approx([3 * 0.2**2])
+    assert likelihood.unit == "mm²"
+
+
+def test_conditions_add_each_with_its_own_variance():
+    observations = (Observation(level(0.0), 0.01, "slow"), Observation(level(1.0), 0.04, "fast"))
+    likelihood = InterfaceLikelihood(observations, TrackedPoints())
+    assert likelihood.discrepancies([level(0.1), level(0.8)]) == pytest.approx([0.03, 0.12])
+    assert likelihood([level(0.1), level(0.8)]) == pytest.approx(-0.5 * (0.03 / 0.01 + 0.12 / 0.04))
+
+
+def test_with_its_constant_it_is_the_gaussian_density_of_tracked_points():
+    rng = np.random.default_rng(0)
+    observed = [rng.normal(size=(5, 2)), rng.normal(size=(4, 2))]
+    simulated = [p + 0.1 * rng.normal(size=p.shape) for p in observed]
+    variances = (0.02, 0.05)
+    observations = tuple(Observation(Interface.polyline(p), v) for p, v in zip(observed, variances, strict=True))
+    likelihood = InterfaceLikelihood(observations, TrackedPoints())
+    exact = sum(
+        stats.norm.logpdf(o, s, math.sqrt(v)).sum() for o, s, v in zip(observed, simulated, variances, strict=True)
+    )
+    assert likelihood.constant is not None
+    assert likelihood([Interface.polyline(p) for p in simulated]) + likelihood.constant == pytest.approx(exact)
+
+
+def test_constant_counts_measurement_lines_and_is_none_where_there_is_no_count():
+    observation = (Observation(level(0.0), 0.01),)
+    lines = InterfaceLikelihood(observation, MeasurementLines(4))
+    assert lines.constant == pytest.approx(-0.5 * 4 * math.log(2 * math.pi * 0.01))
+    for measure in (Currents(0.1), ClosestPoint(), lambda simulated, observed: 0.0):
+        assert InterfaceLikelihood(observation, measure).constant is None
+
+
+def test_a_plain_function_is_a_discrepancy():
+    likelihood = InterfaceLikelihood((Observation(level(0.0), 2.0),), lambda simulated, observed: 8.0)
+    assert likelihood(level(1.0)) == -2.0
+    assert likelihood.unit == ""
+
+
+def test_the_simulated_interface_comes_first():
+    seen = []
+
+    def measure(simulated: Interface, observed: Interface) -> float:
+        seen.append((simulated.points[0, 1], observed.points[0, 1]))
+        return 0.0
+
+    InterfaceLikelihood((Observation(level(3.0), 1.0),), measure)(level(4.0))
+    assert seen == [(4.0, 3.0)]
+
+
+@pytest.mark.parametrize("number", [0, 1, 3])
+def test_another_number_of_interfaces_is_refused(number):
+    likelihood = InterfaceLikelihood((Observation(level(0.0), 1.0), Observation(level(1.0), 1.0)), TrackedPoints())
+    with pytest.raises(InvalidInput, match=f"got {number}; expected 2"):
+        likelihood([level(0.0)] * number)
+
+
+def test_no_observation_is_refused():
+    with pytest.raises(InvalidInput, match="observations"):
+        InterfaceLikelihood((), TrackedPoints())
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])
+def test_a_measure_that_returns_no_squared_distance_is_told(value):
+    likelihood = InterfaceLikelihood((Observation(level(0.0), 1.0, "day 3"),), lambda simulated, observed: value)
+    with pytest.raises(NumericsError, match="day 3"):
+        likelihood(level(0.0))
