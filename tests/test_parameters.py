@@ -97,6 +97,13 @@ def test_joint_prior_integrates_to_one_over_the_box():
     assert total == pytest.approx(1.0, rel=1e-4)
 
 
+def test_each_input_has_numbers_of_its_own():
+    p = np.array([[0.1, 0.9], [0.5, 0.2], [0.8, 0.6]])
+    draws = SPACE.prior_quantiles(p)
+    for i, parameter in enumerate(SPACE):
+        assert np.asarray(parameter.truncated_prior.cdf(draws[:, i])) == pytest.approx(p[:, i])
+
+
 def ks_p_values(draws) -> list[float]:
     """Return Kolmogorov–Smirnov p-values of draws against references built with scipy alone."""
     base = stats.lognorm(s=0.4, scale=math.exp(5.86))

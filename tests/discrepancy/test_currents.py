@@ -7,6 +7,7 @@ import pytest
 from scipy import integrate, special
 
 from strandline.discrepancy import Currents, kernel_integrals
+from strandline.discrepancy.memo import Snapshot
 from strandline.errors import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import Interface, oriented_like
 
@@ -46,6 +47,23 @@ def test_parallel_lines_closed_form(ratio, segments):
     exact = 2 * (line_product(length, 0.0, width) - line_product(length, gap, width))
     assert Currents(width)(upper, lower) == pytest.approx(exact, abs=1e-6 * line_product(length, 0.0, width))
     assert Currents(width, tolerance=1e-12)(upper, lower) == pytest.approx(exact, rel=1e-10)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1.0, 3.0, 8.0])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-10])
+def test_two_segments_one_after_the_other_closed_form(gap, tolerance):
+    """Second differences of the closed form for one line; also what may be left out as too far away."""
+    width, first, second = 0.1, 0.59, 1.7
+    gap *= width
+    ahead = Interface.polyline(np.array([[first + gap, 0.0], [first + gap + second, 0.0]]))
+    behind = Interface.polyline(np.array([[0.0, 0.0], [first, 0.0]]))
+    lengths = (first + gap + second, gap, first + gap, gap + second)
+    exact = 0.5 * sum(sign * line_product(x, 0.0, width) for sign, x in zip((1, 1, -1, -1), lengths, strict=True))
+    for a, b in ((ahead, behind), (behind, ahead)):
+        scale = kernel_integrals.natural_scale(a, width)
+        assert kernel_integrals.refined_product(a, b, width, tolerance=tolerance) == pytest.approx(
+            exact, abs=tolerance * scale
+        )
 
 
 def test_concentric_circles_converge_to_the_bessel_form_with_order_two():
@@ -140,6 +158,19 @@ def test_tolerance_is_relative_to_the_observed_norm_where_normals_cancel():
     assert abs(coarse(large, small) - fine(large, small)) < 1e-2 * fine.inner(small, small)
 
 
+def test_tolerance_holds_between_two_walls_that_nearly_cancel():
+    """A loop 1e-4 widths high: ⟨T,T⟩ is 1e-8 of its naive scale, and other nodes must still change nothing."""
+    width, length, height = 1.0, 5.9, 1e-4
+    corners = [[0.0, 0.0], [length, 0.0], [length, height], [0.0, height]]
+    loop = Interface.polyline(np.array(corners), closed=True)
+    cut = Interface.polyline(np.array([corners[0], [3.1, 0.0], *corners[1:]]), closed=True)
+    measure = Currents(width, tolerance=0.1)
+    exact = (line_product(length, 0.0, width) / width**2 + 2) * height**2  # long walls, and each short one with itself
+    assert measure.inner(loop, loop) == pytest.approx(exact, rel=0.01)
+    assert abs(measure.inner(cut, loop) / measure.inner(loop, loop) - 1) < 0.1
+    assert measure(cut, loop) < 0.1 * measure.inner(loop, loop)
+
+
 @pytest.mark.parametrize("ratio", [0.125, 1.0, 4.5, 6.0])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
 def test_gauss_order_keeps_its_bound_without_waste(ratio, tolerance):
@@ -182,6 +213,13 @@ def test_what_is_kept_of_an_observation_follows_its_content():
     observed.points[:] += 0.01
     assert before > 0
     assert measure(simulated, observed) == 0.0
+
+
+def test_a_copy_of_an_observation_is_recognised():
+    observed, moved = Interface.polyline(ARC), Interface.polyline(ARC + 1e-12)
+    assert Snapshot.of(observed) == Snapshot.of(Interface.polyline(ARC.copy()))
+    assert hash(Snapshot.of(observed)) == hash(Snapshot.of(Interface.polyline(ARC.copy())))
+    assert Snapshot.of(observed) != Snapshot.of(moved)
 
 
 def test_flipped_interface_is_refused_and_can_be_turned():

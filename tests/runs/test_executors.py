@@ -295,6 +295,13 @@ def test_folders_are_removed(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_in_process_stays_where_it_is():
+    before = Path.cwd()
+    model = Faulty(fault="dirty", above=0.0)
+    assert all(record.ok for record in InProcess()(model, requests_for(model)))
+    assert Path.cwd() == before
+
+
 def test_overhead_per_run_is_small(record_property):
     requests = requests_for(Cantilever(), [300.0 + 0.1 * number for number in range(600)])
     records = LocalProcesses(2)(Cantilever(), requests)

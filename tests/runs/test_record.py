@@ -24,7 +24,7 @@ def outcome(model) -> RunRecord:
 
 def test_key_does_not_depend_on_order_or_sign_of_zero():
     one = run_key("m", {"E": 400.0, "nu": 0.0})
-    assert one == run_key("m", {"nu": -0.0, "E": 400})
+    assert one == run_key("m", {"nu": -0.0, "E": np.float64(400)})
     assert len(one) == 64
 
 

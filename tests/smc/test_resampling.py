@@ -41,8 +41,8 @@ def test_the_same_test_catches_a_constant_offset():
 @pytest.mark.parametrize("dead", [0, 3, 7])
 def test_zero_weights_have_no_offspring(dead):
     log_weights = jnp.zeros(8).at[dead].set(-jnp.inf)
-    for seed in range(50):
-        assert dead not in np.asarray(systematic(jax.random.key(seed), log_weights))
+    keys = jax.random.split(jax.random.key(0), 50)
+    assert dead not in np.asarray(jax.vmap(systematic, (0, None))(keys, log_weights))
 
 
 def test_equal_weights_keep_every_particle():

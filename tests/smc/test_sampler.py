@@ -15,9 +15,7 @@ QUICK = SMCSettings(rejuvenation_steps=3, zeta=0.8)
 
 def run(seed=0, number=400, settings=QUICK, target=TARGET, **options):
     initial = target.draw_prior(np.random.default_rng(seed), number)
-    return sample(
-        jax.random.key(seed), target.log_likelihood, target.log_prior, initial, settings=settings, **options
-    )
+    return sample(jax.random.key(seed), target.log_likelihood, target.log_prior, initial, settings=settings, **options)
 
 
 def test_the_same_key_gives_the_same_bits():
@@ -29,7 +27,7 @@ def test_the_same_key_gives_the_same_bits():
 
 
 def test_another_key_gives_other_particles():
-    initial = TARGET.draw_prior(np.random.default_rng(0), 100)
+    initial = TARGET.draw_prior(np.random.default_rng(0), 400)
     ends = [
         sample(jax.random.key(k), TARGET.log_likelihood, TARGET.log_prior, initial, settings=QUICK).positions
         for k in (1, 2)
@@ -38,7 +36,7 @@ def test_another_key_gives_other_particles():
 
 
 def test_old_style_keys_serve_too():
-    initial = TARGET.draw_prior(np.random.default_rng(0), 50)
+    initial = TARGET.draw_prior(np.random.default_rng(0), 60)
     found = sample(jax.random.PRNGKey(0), TARGET.log_likelihood, TARGET.log_prior, initial, settings=QUICK)
     assert np.isfinite(found.log_evidence)
 

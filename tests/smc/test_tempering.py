@@ -18,7 +18,7 @@ def test_effective_sample_size_of_any_normalisation():
 
 
 @pytest.mark.parametrize("zeta", [0.3, 0.9, 0.995])
-@pytest.mark.parametrize("scale", [30.0, 1e7])
+@pytest.mark.parametrize("scale", [300.0, 1e7])
 @pytest.mark.parametrize("temperature", [0.0, 0.2])
 def test_the_step_keeps_the_wanted_share(zeta, scale, temperature):
     rng = np.random.default_rng(1)

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from strandline.interface import Interface
 
@@ -46,6 +46,7 @@ class ModelInput:
         return f"{left}{self.low:g}, {self.high:g}{right}"
 
 
+@runtime_checkable
 class ForwardModel(Protocol):
     """A simulator: inputs by name → the interface it predicts.
 

@@ -22,6 +22,7 @@ from strandline.plots.style import (
     figure_or_new,
     mark,
     root_scale,
+    root_ticks,
     styled,
 )
 
@@ -98,7 +99,10 @@ def plot_field(
         ax.set(xlabel=grid.x.label(), ylabel=grid.y.label(), xlim=grid.x.interval, ylim=grid.y.interval)
         if colour_bar:
             extend = "min" if float(values.min()) < float(norm.vmin or 0.0) else "neither"
-            figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind], extend=extend)
+            bar = figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind], extend=extend)
+            if isinstance(norm, FuncNorm):
+                places, labels = root_ticks(norm.inverse(0.0), norm.inverse(1.0))
+                bar.set_ticks(places, labels=labels)
         if legend:
             below(ax)
     return ax
@@ -194,4 +198,4 @@ def _draw_runs(ax: Axes, grid: FieldGrid) -> None:
             path_effects=rim,
         )
     if grid.truth is not None:
-        mark(ax, grid.truth, RED, "ground truth", marker="+")
+        mark(ax, grid.truth, RED, "ground truth", marker="o")

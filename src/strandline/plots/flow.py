@@ -1,6 +1,6 @@
 """Velocity, pressure and displacement on the deformed mesh (Fig. 3)."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,6 +14,7 @@ from strandline.plots.style import BLACK, figure_of, figure_or_new, styled
 __all__ = ["FlowFields", "plot_flow"]
 
 
+@runtime_checkable
 class FlowFields(Protocol):
     """The state of a fluid–solid interaction at the nodes of its deformed mesh."""
 

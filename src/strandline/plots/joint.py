@@ -143,7 +143,7 @@ def _pair_panel(
     else:
         plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, ax=ax)
         if truth is not None and across in truth and up in truth:
-            mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="+")
+            mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="o", size=11.0)
 
 
 def _layout(figure: Figure | SubFigure) -> tuple[Axes, Axes, Axes]:
@@ -215,12 +215,14 @@ def _draw_points(
 ) -> None:
     if mode is None and posterior.space.dim == 2:
         mode = posterior.map_estimate[_indices(posterior, names)]
+    label = "MAP"
     if mode is None:
+        label = "MAP (fullest bin)"
         bounds = [posterior.space[name].interval for name in names]
         mode = histogram_mode(posterior.columns(names), posterior.weights, bounds=bounds)
-    mark(ax, mode, GREEN, "MAP", size=10.0)
+    mark(ax, mode, GREEN, label)
     if truth is not None and all(name in truth for name in names):
-        mark(ax, [truth[name] for name in names], BLUE, "ground truth", marker="+")
+        mark(ax, [truth[name] for name in names], BLUE, "ground truth", marker="o", size=11.0)
 
 
 def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 
-from strandline.plots.style import BLACK, GREY, RED, axes_or_new, root_scale, styled
+from strandline.plots.style import BLACK, GREY, RED, axes_or_new, root_scale, root_ticks, styled
 
 __all__ = ["plot_leave_one_out"]
 
@@ -62,11 +62,21 @@ def plot_leave_one_out(
         )
         if spread_top:
             ax.set(aspect="auto", box_aspect=1.0)
-            scale = root_scale(float(limits[1]))
-            ax.set_xscale("function", functions=scale)
-            ax.set_yscale("function", functions=scale)
+            _spread_top(ax, float(both.min()), float(both.max()))
         ax.legend(loc="upper left")
     return ax
+
+
+def _spread_top(ax: Axes, low: float, top: float) -> None:
+    """Give both axes the root scale, with a margin of a twentieth above the highest value."""
+    limits = low - 0.1 * (top - low), top + 0.0025 * (top - low)
+    places, labels = root_ticks(low, top)
+    ax.set_xscale("function", functions=root_scale(top))
+    ax.set_yscale("function", functions=root_scale(top))
+    ax.set(xlim=limits, ylim=limits)
+    ax.set_xticks(places, labels)
+    ax.set_yticks(places, labels)
+    ax.minorticks_off()
 
 
 def _rms(error: Float[np.ndarray, " run"]) -> float:

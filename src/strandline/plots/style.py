@@ -90,6 +90,7 @@ def mark(
         markersize=size,
         markeredgewidth=2.0,
         linestyle="none",
+        fillstyle="none",
         label=label,
         zorder=10,
         path_effects=rim,
@@ -116,6 +117,15 @@ def root_scale(top: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
         return top + root * np.abs(root)
 
     return forward, inverse
+
+
+def root_ticks(low: float, top: float, *, number: int = 4) -> tuple[list[float], list[str]]:
+    """Return places and labels of ticks about equally spaced on the `root_scale`: `top` itself and round values."""
+    drops = (top - low) * (np.arange(1, number + 1) / number) ** 2
+    decades = 10.0 ** np.floor(np.log10(drops))
+    steps = np.where(drops < 2.5 * decades, 0.2, 1.0) * decades
+    places = [top, *(np.ceil((top - drops) / steps) * steps).tolist()]
+    return places, [f"{round(top, 2) + 0.0:g}", *(f"{place:g}" for place in places[1:])]
 
 
 def percent(fractions: Sequence[float]) -> str:

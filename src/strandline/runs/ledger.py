@@ -191,9 +191,7 @@ class Ledger:
         for first in range(0, len(wanted), KEYS_PER_QUERY):
             some = wanted[first : first + KEYS_PER_QUERY]
             marks = ",".join("?" * len(some))
-            last = (
-                f"SELECT max(attempt) FROM outcomes JOIN starts USING (attempt) WHERE key IN ({marks}) GROUP BY key"
-            )
+            last = f"SELECT max(attempt) FROM outcomes JOIN starts USING (attempt) WHERE key IN ({marks}) GROUP BY key"
             found |= {record.key: record for record in self._records(last, some)}
         return found
 
@@ -223,6 +221,7 @@ class Ledger:
         Raises:
             LedgerError: the other ledger is missing, unreadable, or of another model.
         """
+        self._writing_session()
         wanted = list(keys)
         here = {key for key, record in self.latest(wanted).items() if record.final}
         with Ledger.open(other, model=self.model, read_only=True) as source:
@@ -289,6 +288,7 @@ def _locked(path: Path) -> BaseFileLock:
     """Return the driver's lock on the ledger at `path`, taken."""
     lock = FileLock(path.with_suffix(".lock"))
     try:
+        path.parent.resolve(strict=True)  # the lock would create a missing folder
         lock.acquire(timeout=0)
     except Timeout:
         raise LedgerError(

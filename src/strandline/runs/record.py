@@ -4,9 +4,10 @@ import contextlib
 import hashlib
 import json
 import math
+import os
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -92,7 +93,9 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
     """
     begin = time.perf_counter()
     try:
-        ending = _accepted(request, model(dict(request.inputs), workdir))
+        with _working_directory_kept():
+            returned = model(dict(request.inputs), workdir)
+        ending = _accepted(request, returned)
     except ForwardModelError as error:
         ending = _ended(request, "failed", error.kind, error.message, error.evidence)
     except InvalidInterface as error:
@@ -113,14 +116,25 @@ def with_log(record: RunRecord, log: str) -> RunRecord:
     )
 
 
+@contextlib.contextmanager
+def _working_directory_kept() -> Iterator[None]:
+    """Return to the present working directory afterwards: the model may have gone to its own, which will be gone."""
+    try:
+        home = Path.cwd()
+    except FileNotFoundError:
+        home = Path.home()
+    try:
+        yield
+    finally:
+        os.chdir(home)
+
+
 def _accepted(request: RunRequest, result: object) -> RunRecord:
     """Return the record of a model that returned `result`."""
     simulation = Simulation(result) if isinstance(result, Interface) else result
     if not isinstance(simulation, Simulation) or not isinstance(simulation.interface, Interface):
         got = type(result).__name__
-        message = (
-            f"the model returned {got}; expected a Simulation or an Interface. Correct the model's return value."
-        )
+        message = f"the model returned {got}; expected a Simulation or an Interface. Correct the model's return value."
         return _ended(request, "invalid", "not_an_interface", message)
     given = simulation.interface
     points = np.array(given.points, dtype=np.float64, order="C")

@@ -44,13 +44,11 @@ def main(descriptor: int, setup: str) -> None:
 
 def _serve(connection: Connection, model: ForwardModel) -> None:
     """Answer requests until the driver hangs up."""
-    home = Path.cwd()
     while True:
         request, workdir = connection.recv()
         _empty_log()
         record = attempt(model, request, Path(workdir))
         _flush()
-        os.chdir(home)
         connection.send(record)
 
 

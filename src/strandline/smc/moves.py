@@ -43,9 +43,7 @@ def proposal_scale(acceptance: Scalar) -> Scalar:
     return (OFFSET + SLOPE * acceptance) ** 2
 
 
-def proposal_factor(
-    positions: Positions, weights: PerParticle, floor: Float[Array, " dim"]
-) -> Float[Array, "dim dim"]:
+def proposal_factor(positions: Positions, weights: PerParticle, floor: Float[Array, " dim"]) -> Float[Array, "dim dim"]:
     """Return a lower factor F of the weighted covariance, F Fᵀ = Σ w (x - m)(x - m)ᵀ.
 
     Args:

@@ -69,13 +69,13 @@ def sample(
         InvalidInput: double precision is off, fewer than two particles, or an initial particle outside the prior.
         NumericsError: a log-likelihood of NaN or +inf inside the prior, none above -inf, or no end to the tempering.
     """
-    state = _start(log_likelihood, log_prior, initial)
-    functions = _hashable(log_likelihood), _hashable(log_prior)
+    target = _hashable(log_likelihood), _hashable(log_prior)
+    state = _start(*target, initial)
     steps: list[StepInfo] = []
     while state.temperature < 1.0:
         _require_steps_left(len(steps), settings, state)
         before = float(state.temperature)
-        state, info = _step(jax.random.fold_in(key, len(steps)), state, target=functions, settings=settings)
+        state, info = _step(jax.random.fold_in(key, len(steps)), state, target=target, settings=settings)
         _check(info, before, state)
         steps.append(_report(state, info))
         if on_step is not None:

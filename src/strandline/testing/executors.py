@@ -73,9 +73,8 @@ def check_returns_the_models_result(executor: Executor, *, workers: int) -> None
     for record in executor(model, requests_for(model)):
         direct = model(record.inputs, Path())
         expected = RunRecord(record.key, record.inputs, "ok", direct.interface, direct.diagnostics)
-        _require(
-            same_outcome(record, expected), f"the record of {dict(record.inputs)} is not what the model returned"
-        )
+        told = f"{record.state} {record.message or ''}, {dict(record.diagnostics)}"
+        _require(same_outcome(record, expected), f"{dict(record.inputs)}: not what the model returned: {told}")
         _require(math.isfinite(record.seconds) and record.seconds >= 0, f"seconds = {record.seconds}")
 
 

@@ -7,7 +7,7 @@ than Δx. That test is invariant under scaling of the equations; the norm of the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -19,12 +19,14 @@ __all__ = ["NewtonSettings", "NewtonSolution", "solve"]
 Vector = Float[np.ndarray, " unknown"]
 
 
+@runtime_checkable
 class LinearSolver(Protocol):
     """A factorised Jacobian."""
 
     def solve(self, right: Vector) -> Vector: ...
 
 
+@runtime_checkable
 class System(Protocol):
     """A nonlinear system r(x) = 0; both methods may raise ForwardModelError."""
 

@@ -1,0 +1,46 @@
+# Everything a fresh machine needs is set up by the targets themselves; only Python 3.11 or later is assumed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: env demo test test-all check bench docs clean
+
+env: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=24"
+	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	touch $@
+
+$(VENV)/.installed-check: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable ".[test,check]"
+	touch $@
+
+# The main job: 1000 fluid-structure runs, surrogate, posterior, figures, report.
+demo: env
+	$(BIN)/strandline run studies/biofilm-uniform
+
+# Without the statistical tests marked long.
+test: env
+	$(BIN)/python -m pytest -n auto -m "not long"
+
+test-all: env
+	$(BIN)/python -m pytest -n auto
+
+check: $(VENV)/.installed-check
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+
+docs: $(VENV)/.installed-check
+	$(BIN)/python -m sphinx -W -b html docs docs/_build/html
+
+bench: env
+	$(BIN)/python -m benchmarks
+
+clean:
+	rm -rf docs/_build .pytest_cache .mypy_cache .ruff_cache
