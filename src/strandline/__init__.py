@@ -1,3 +1,106 @@
-"""strandline: Bayesian calibration of computational-mechanics models from the shape of a measured interface."""
+"""strandline: Bayesian calibration of computational-mechanics models from the shape of a measured interface.
+
+The names below stand in the order of the pipeline. The function that runs it shares its name with its module:
+``from strandline.calibrate import calibrate``.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from strandline.calibrate import Calibration, Observer, Problem, Settings
+    from strandline.design import sobol
+    from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, TrackedPoints
+    from strandline.errors import ForwardModelError, InvalidInput, NumericsError, StrandlineError
+    from strandline.interface import Interface, Observation
+    from strandline.likelihood import InterfaceLikelihood
+    from strandline.models.biofilm.model import Biofilm
+    from strandline.models.protocol import ForwardModel, ModelInput, Simulation
+    from strandline.models.python import PythonModel
+    from strandline.parameters import Parameter, ParameterSpace
+    from strandline.posterior import Posterior
+    from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
+    from strandline.quadrature import integrate
+    from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, run_campaign
+    from strandline.smc import SMCSettings, sample
+    from strandline.studies import Outcome, Study, load_study, run_study
+    from strandline.surrogate import fit_log_likelihood
 
 __version__ = "0.1.0"
+
+__all__ = [  # noqa: RUF022
+    "Uniform",
+    "Normal",
+    "LogNormal",
+    "ScaledBeta",
+    "Parameter",
+    "ParameterSpace",
+    "Interface",
+    "Observation",
+    "sobol",
+    "ForwardModel",
+    "ModelInput",
+    "Simulation",
+    "Biofilm",
+    "PythonModel",
+    "RunRecord",
+    "Ledger",
+    "InProcess",
+    "LocalProcesses",
+    "run_campaign",
+    "Discrepancy",
+    "MeasurementLines",
+    "TrackedPoints",
+    "ClosestPoint",
+    "Currents",
+    "InterfaceLikelihood",
+    "fit_log_likelihood",
+    "SMCSettings",
+    "sample",
+    "integrate",
+    "Posterior",
+    "Problem",
+    "Settings",
+    "Observer",
+    "Calibration",
+    "Study",
+    "load_study",
+    "Outcome",
+    "run_study",
+    "StrandlineError",
+    "InvalidInput",
+    "ForwardModelError",
+    "NumericsError",
+]
+
+_NAMES_OF = {
+    "priors": "Uniform Normal LogNormal ScaledBeta",
+    "parameters": "Parameter ParameterSpace",
+    "interface": "Interface Observation",
+    "design": "sobol",
+    "models.protocol": "ForwardModel ModelInput Simulation",
+    "models.biofilm.model": "Biofilm",
+    "models.python": "PythonModel",
+    "runs": "RunRecord Ledger InProcess LocalProcesses run_campaign",
+    "discrepancy": "Discrepancy MeasurementLines TrackedPoints ClosestPoint Currents",
+    "likelihood": "InterfaceLikelihood",
+    "surrogate": "fit_log_likelihood",
+    "smc": "SMCSettings sample",
+    "quadrature": "integrate",
+    "posterior": "Posterior",
+    "calibrate": "Problem Settings Observer Calibration",
+    "studies": "Study load_study Outcome run_study",
+    "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
+}
+_HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is asked for: the command line's help takes no numerics."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

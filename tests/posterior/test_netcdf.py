@@ -17,9 +17,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import arviz
 
-SPACE = ParameterSpace(
-    (Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", ScaledBeta(3.0, 2.0, -0.8, 0.5)))
-)
+SPACE = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", ScaledBeta(3.0, 2.0, -0.8, 0.5))))
 LINE = Interface.polyline(np.array([[0.0, 0.0], [0.5, 0.4], [1.0, 0.0]]))
 
 
@@ -56,9 +54,7 @@ def test_content_is_identical_at_every_write(tmp_path):
 
 
 def test_tree_survives_the_file(tmp_path):
-    tree = to_datatree(
-        weighted_posterior(300), seed=3, attrs={"study": "S3"}, observed=[Observation(LINE, 5e-4, "t1")]
-    )
+    tree = to_datatree(weighted_posterior(300), seed=3, attrs={"study": "S3"}, observed=[Observation(LINE, 5e-4, "t1")])
     path = tmp_path / "posterior.nc"
     write(tree, path)
     back = read(path)

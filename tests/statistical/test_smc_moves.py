@@ -1,5 +1,7 @@
 """The moves leave π_γ invariant: independent draws of it stay independent draws of it."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,22 +33,21 @@ def worst_z(x, exact_mean, exact_covariance):
     return np.abs(columns.mean(axis=0) / (columns.std(axis=0) / np.sqrt(len(x)))).max()
 
 
+def boundless(x):
+    return 0 * x[:, 0]
+
+
+@partial(jax.jit, static_argnames="target")
+def move(key, x, temperature, factor, *, target):
+    likelihood, prior = target[0](x), target[1](x)
+    return metropolis(key, x, likelihood, prior, target=target, temperature=temperature, factor=factor, steps=STEPS)
+
+
 def moved(target, draw, gamma, *, used=None, log_prior=None):
     x = jnp.asarray(draw(gamma, np.random.default_rng(5)))
-    prior = log_prior or target.log_prior
-    scale = np.linalg.cholesky(target.covariance)
-    end = jax.jit(
-        lambda key, x: metropolis(
-            key,
-            x,
-            target.log_likelihood(x),
-            prior(x),
-            target=(target.log_likelihood, prior),
-            temperature=jnp.asarray(used or gamma),
-            factor=jnp.asarray(scale),
-            steps=STEPS,
-        )
-    )(jax.random.key(2), x)
+    factor = jnp.asarray(np.linalg.cholesky(target.covariance))
+    functions = target.log_likelihood, log_prior or target.log_prior
+    end = move(jax.random.key(2), x, jnp.asarray(used or gamma), factor, target=functions)
     assert float(end.acceptance) > 0.1
     assert float(jnp.mean(jnp.any(end.positions != x, axis=1))) > 0.5
     return np.asarray(end.positions)
@@ -70,10 +71,10 @@ def test_another_temperature_in_the_acceptance_fails():
 
 
 def test_moves_that_forget_the_support_fail():
-    x = moved(CORNER, draw_corner, 1.0, log_prior=lambda x: 0 * x[:, 0])
+    x = moved(CORNER, draw_corner, 1.0, log_prior=boundless)
     assert worst_z(x, CORNER.mean, CORNER.covariance) > 2 * LIMIT
 
 
 def test_moves_that_clip_to_the_support_fail():
-    x = np.clip(moved(CORNER, draw_corner, 1.0, log_prior=lambda x: 0 * x[:, 0]), 0, 1)
+    x = np.clip(moved(CORNER, draw_corner, 1.0, log_prior=boundless), 0, 1)
     assert worst_z(x, CORNER.mean, CORNER.covariance) > 2 * LIMIT

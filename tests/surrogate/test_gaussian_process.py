@@ -75,9 +75,7 @@ def test_hessian_at_a_training_point_is_the_limit_of_those_around_it():
 def test_the_jitted_mean_equals_the_plain_one(fused):
     x, _, gp = conditioned()
     points = np.concatenate([runs(300, seed=3)[0], x])
-    np.testing.assert_allclose(
-        jax.jit(batched_mean(gp, fused=fused))(points), gp.mean(points), rtol=1e-11, atol=1e-10
-    )
+    np.testing.assert_allclose(jax.jit(batched_mean(gp, fused=fused))(points), gp.mean(points), rtol=1e-11, atol=1e-10)
 
 
 def test_the_jitted_mean_is_smooth_enough_for_jax_away_from_the_runs():

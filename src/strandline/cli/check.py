@@ -1,8 +1,13 @@
 """`strandline check`: everything validated, one forward run made."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from strandline.interface import Interface
+    from strandline.studies import Study
 
 __all__ = ["command"]
 
@@ -11,31 +16,61 @@ __all__ = ["command"]
 @click.argument("study", type=click.Path(path_type=Path))
 def command(study: Path) -> None:
     """Validate STUDY (a folder) and make one forward run at the medians of the priors; nothing is written."""
-    import numpy as np
-
-    from strandline.cli.forward import attempted
-    from strandline.errors import InvalidStudy
     from strandline.studies import load_study
-    from strandline.studies.run import check_ledgers, require_writable
+    from strandline.studies.folder import require_writable
+    from strandline.studies.ledgers import check_ledgers, known_runs
 
     loaded = load_study(study)
     require_writable(loaded.folder)
     check_ledgers(loaded)
-    medians = loaded.space.prior_quantiles(np.full((1, loaded.space.dim), 0.5))[0]
-    inputs = {**loaded.fixed, **loaded.space.as_mapping(medians)}
-    click.echo(f"{loaded.name}: study.yaml is sound; {loaded.settings.runs} forward runs planned")
+    interface, told = _forward_run(loaded)
+    log_likelihoods = _measured(loaded, interface)
+    known = known_runs(loaded)
+    click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
-        cut = f", {parameter.mass_cut:.2%} cut off by the box" if parameter.mass_cut else ""
+        cut = f", {parameter.mass_cut:.2%} of its mass cut off by the box" if parameter.mass_cut else ""
         click.echo(f"  {parameter.label()}: {parameter.prior}{cut}")
-    record = attempted(loaded.model, inputs)
+    if loaded.observation_turned:
+        click.echo("  the observed points run against the model's interface and will be turned round")
+    click.echo(f"  {told}")
+    for name, value in log_likelihoods.items():
+        click.echo(f"  {name}: log-likelihood {value:.6g} there")
+    click.echo(f"  {loaded.settings.runs} forward runs planned, {known} of them known already")
+    click.echo(f"next: strandline run {study}")
+
+
+def _forward_run(study: "Study") -> tuple["Interface", str]:
+    """Return the interface at the medians of the priors, and a line about the run."""
+    import numpy as np
+
+    from strandline.cli.forward import attempted
+    from strandline.errors import InvalidStudy
+
+    medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
+    inputs = {**study.fixed, **study.space.as_mapping(medians)}
+    record = attempted(study.model, inputs)
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     if record.interface is None:
+        message = (record.message or "").partition("\n")[0]
         raise InvalidStudy(
             "the forward run at the medians of the priors failed",
-            value=f"{shown}: {record.failure_kind or record.state}: {(record.message or '').splitlines()[0]}",
+            value=f"{record.failure_kind or record.state} at {shown}: {message}",
             expected="a run that ends with an interface",
             remedy="Look at the simulator, or move the priors to where it runs.",
         )
     figures = ", ".join(f"{name} {value:.4g}" for name, value in record.diagnostics.items())
-    click.echo(f"  forward run at {shown}: ok in {record.seconds:.1f} s ({figures})")
-    click.echo(f"next: strandline run {study}")
+    return record.interface, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"
+
+
+def _measured(study: "Study", simulated: "Interface") -> dict[str, float]:
+    """Return the log-likelihood of `simulated` by measure; none where the observation is still to be made."""
+    from strandline.interface import Interface, Observation
+    from strandline.likelihood import InterfaceLikelihood
+
+    observed = study.observed if isinstance(study.observed, Interface) else simulated
+    observation = Observation(observed, study.noise_variance)
+    values = {
+        name: InterfaceLikelihood((observation,), discrepancy)(simulated)
+        for name, discrepancy in study.discrepancies.items()
+    }
+    return values if observed is study.observed else {}

@@ -1,6 +1,8 @@
 """`strandline forward`: one forward run at chosen inputs."""
 
 import json
+import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,42 +20,36 @@ __all__ = ["attempted", "command"]
 
 @click.command("forward")
 @click.argument("study", type=click.Path(path_type=Path))
-@click.option(
-    "--set", "settings", multiple=True, metavar="NAME=VALUE", help="An input or fixed quantity; repeatable."
-)
+@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="An input or fixed quantity; repeatable.")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the deformed interface, x,y in mm.")
 @click.option("--json", "as_json", is_flag=True, help="Print the outcome as one JSON object.")
 def command(study: Path, settings: tuple[str, ...], csv_path: Path | None, as_json: bool) -> None:
     """Make one forward run of STUDY's model; nothing goes into the ledger.
 
     Fixed quantities have the values of study.yaml unless set. A run that fails is an answer too: exit code 0 with
-    --json, 1 without.
+    --json, 1 without; no CSV is written then.
     """
     from strandline.studies import load_study
-    from strandline.studies.build import check_values
+    from strandline.studies.build import check_complete
 
     loaded = load_study(study)
     inputs = {**loaded.fixed, **_parsed(settings)}
-    check_values(inputs, loaded.model, "--set")
-    missing = [name for name in loaded.space.names if name not in inputs]
-    if missing:
-        raise InvalidInput(
-            "inputs of the forward run",
-            value=", ".join(settings) or None,
-            expected=f"a value for {', '.join(missing)} too",
-            remedy=f"Add --set {missing[0]}=VALUE.",
-        )
+    names = (*loaded.space.names, *loaded.fixed)
+    check_complete(inputs, names, loaded.model, "--set", add="Add --set {name}=VALUE.")
+    if csv_path is not None:
+        _require_target(csv_path)
     record = attempted(loaded.model, inputs)
     if csv_path is not None and record.interface is not None:
         _write_csv(csv_path, record)
     if as_json:
-        click.echo(json.dumps(_outcome(record, inputs)))
-        return
-    if record.interface is None:
-        click.echo(f"failed: {record.failure_kind or record.state}: {record.message}", err=True)
+        click.echo(json.dumps(_outcome(record, inputs, csv_path)))
+    elif record.interface is None:
+        message = (record.message or "").partition("\n")[0]
+        click.echo(f"failed after {record.seconds:.2f} s: {record.failure_kind or record.state}: {message}", err=True)
         raise SystemExit(1)
-    figures = ", ".join(f"{name} {value:.6g}" for name, value in record.diagnostics.items())
-    click.echo(f"ok in {record.seconds:.2f} s: {figures}")
+    else:
+        figures = ", ".join(f"{name} {value:.6g}" for name, value in record.diagnostics.items())
+        click.echo(f"ok in {record.seconds:.2f} s{': ' + figures if figures else ''}")
 
 
 def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord":
@@ -69,16 +65,32 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
 def _parsed(settings: tuple[str, ...]) -> dict[str, float]:
     values = {}
     for text in settings:
-        name, separator, number = text.partition("=")
+        name, _, number = text.partition("=")
         try:
-            if not separator:
-                raise ValueError
             values[name.strip()] = float(number)
         except ValueError:
+            values[name.strip()] = math.nan
+        if not math.isfinite(values[name.strip()]):
             raise InvalidInput(
-                "--set", value=text, expected="NAME=NUMBER, e.g. E=400", remedy="Correct the option."
-            ) from None
+                "--set",
+                value=text,
+                expected="NAME=NUMBER, e.g. E=400",
+                remedy="Correct the option.",
+            )
     return values
+
+
+def _require_target(path: Path) -> None:
+    """Refuse a place where the file cannot be made, before the run is."""
+    if path.is_dir():
+        problem = "a folder"
+    elif not path.parent.is_dir():
+        problem = "in a folder that does not exist"
+    elif not os.access(path if path.exists() else path.parent, os.W_OK):
+        problem = "without write permission"
+    else:
+        return
+    raise _unwritable(f"{path}, {problem}")
 
 
 def _write_csv(path: Path, record: "RunRecord") -> None:
@@ -87,19 +99,25 @@ def _write_csv(path: Path, record: "RunRecord") -> None:
     try:
         path.write_text("x,y\n" + rows, encoding="utf-8")
     except OSError as error:
-        raise InvalidInput(
-            "--csv", value=str(error), expected="a path that can be written", remedy="Choose another path."
-        ) from None
+        raise _unwritable(f"{path}: {error.strerror}") from None
 
 
-def _outcome(record: "RunRecord", inputs: Mapping[str, float]) -> dict[str, object]:
+def _unwritable(value: str) -> InvalidInput:
+    return InvalidInput(
+        "--csv", value=value, expected="a file name in a folder that can be written to", remedy="Choose another path."
+    )
+
+
+def _outcome(record: "RunRecord", inputs: Mapping[str, float], csv_path: Path | None) -> dict[str, object]:
     failure = None
     if record.interface is None:
         failure = {"state": record.state, "kind": record.failure_kind, "message": record.message}
+    figures = {name: value if math.isfinite(value) else None for name, value in record.diagnostics.items()}
     return {
         "inputs": dict(inputs),
         "state": record.state,
         "seconds": record.seconds,
-        **dict(record.diagnostics),
+        **figures,
+        "csv": None if csv_path is None or failure else str(csv_path),
         "failure": failure,
     }

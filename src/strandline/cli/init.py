@@ -11,7 +11,10 @@ __all__ = ["command"]
 @click.argument("folder", type=click.Path(path_type=Path))
 def command(folder: Path) -> None:
     """Write FOLDER/study.yaml, a commented study that runs as it is (a biofilm, 100 forward runs)."""
+    import shlex
+
     from strandline.studies.template import write_template
 
     path = write_template(folder)
-    click.echo(f"wrote {path}\nnext: strandline check {folder}, then strandline run {folder}")
+    name = shlex.quote(str(folder))
+    click.echo(f"wrote {path}\nnext: strandline check {name}, then strandline run {name}")

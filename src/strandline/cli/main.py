@@ -22,8 +22,18 @@ COMMANDS = {
 }
 
 
+class _Interrupted(BaseException):
+    """Ctrl-C, kept from click, which would write an empty line of its own."""
+
+
 class _LazyGroup(click.Group):
     """Knows the commands by name and imports only the one that is called."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise _Interrupted from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -63,20 +73,25 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(0) from None
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, _Interrupted):
         _end("interrupted; what is finished is kept, and `strandline run` goes on from there", 130)
 
 
 def _call(arguments: list[str] | None) -> Any:
     try:
-        return _group.main(args=arguments, standalone_mode=False)
+        return _group.main(args=arguments, prog_name="strandline", standalone_mode=False)
     except click.exceptions.Exit as ended:
         raise SystemExit(ended.exit_code) from None
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        raise SystemExit(2) from None
     except click.Abort:
         raise KeyboardInterrupt from None
+    except click.UsageError as error:
+        where = error.ctx.command_path if error.ctx else "strandline"
+        _end(f"{error.format_message()} See `{where} --help`.", 2)
     except click.ClickException as error:
-        hint = f" See `{error.ctx.command_path} --help`." if getattr(error, "ctx", None) else ""  # type: ignore[attr-defined]
-        _end(error.format_message() + hint, 2)
+        _end(error.format_message(), 2)
 
 
 def _end(message: str, code: int) -> None:

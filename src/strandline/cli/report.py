@@ -15,7 +15,7 @@ def command(study: Path, quiet: bool) -> None:
     from strandline.cli.progress import observing
     from strandline.cli.results import show
     from strandline.studies import load_study, run_study
-    from strandline.studies.run import require_finished
+    from strandline.studies.ledgers import require_finished
 
     loaded = load_study(study)
     require_finished(loaded)

@@ -16,9 +16,7 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
         f"\n{summary['study']}: {runs['ok']} forward runs ok, {runs['failed']} failed {_kinds(runs['by_kind'])}"
         f"({runs['new']} new, {runs['reused']} reused)"
     )
-    click.echo(
-        f"{'input':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'median':>10} {'5 %':>10} {'95 %':>10} {'MAP':>10}"
-    )
+    click.echo(f"{'input':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'median':>10} {'5 %':>10} {'95 %':>10} {'MAP':>10}")
     for name, item in summary["inputs"].items():
         unit = "" if item["unit"] == "1" else item["unit"]
         figures = (item[k] for k in ("mean", "sd", "median", "q05", "q95", "map"))

@@ -6,6 +6,8 @@ import click
 
 __all__ = ["command"]
 
+RESULTS = {"none": "not yet", "current": "written", "outdated": "of an earlier study.yaml"}
+
 
 @click.command("status")
 @click.argument("study", type=click.Path(path_type=Path))
@@ -16,9 +18,9 @@ def command(study: Path) -> None:
 
     state = progress_of(load_study(study))
     click.echo(f"{state.name}: {state.ok + state.failed} of {state.planned} runs of the design done")
-    click.echo(f"  ok {state.ok}, failed {state.failed}, {state.open_word} {state.open}, to do {state.to_do}")
+    click.echo(f"  ok {state.ok}, failed {state.failed}, under way (or lost) {state.open}, to do {state.to_do}")
     for kind, count in state.by_kind.items():
         click.echo(f"  {kind}: {count}; e.g. {state.examples[kind]}")
-    if state.slowest is not None:
+    if state.median_seconds is not None and state.slowest is not None:
         click.echo(f"  median {state.median_seconds:.2f} s a run, slowest {state.slowest:.2f} s")
-    click.echo(f"  results: {'written' if state.has_results else 'not yet'}")
+    click.echo(f"  results: {RESULTS[state.results]}")

@@ -1,4 +1,7 @@
 """Forward models: the built-in biofilm and adapters to other simulators."""
 
-MODELS = {"biofilm": "strandline.models.biofilm.model:Biofilm"}
+MODELS = {
+    "biofilm": "strandline.models.biofilm.model:Biofilm",
+    "python": "strandline.models.python:PythonModel",
+}
 """Names in study files → ``module:class``, imported only where it is used."""

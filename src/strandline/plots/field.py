@@ -127,7 +127,7 @@ def three_measures(
             plot_field(grid, kind=kind, floor=floor, colour_bar=not shared, legend=False, ax=ax)
             ax.set_title(f"({letter}) {title}")
             ax.label_outer()
-        _keep_last_label(figure, panels)
+        _keep_last_label(figure, list(panels))
         if shared:
             figure.colorbar(panels[0].collections[0], ax=list(panels), label=_LABELS[kind], pad=0.01)
         handles, labels = panels[0].get_legend_handles_labels()
@@ -177,7 +177,7 @@ def _norm(values: Float[np.ndarray, "x y"], kind: Kind, floor: float | None) -> 
 
 def _keep_last_label(figure: Figure | SubFigure, panels: Sequence[Axes]) -> None:
     """Leave the label to the rightmost of several colour bars."""
-    bars = [ax for ax in figure.axes if ax not in list(panels)]
+    bars = [ax for ax in figure.axes if ax not in panels]
     for bar in bars[:-1]:
         bar.set_ylabel("")
 

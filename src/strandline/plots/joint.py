@@ -29,11 +29,14 @@ from strandline.posterior import (
     LaplaceApproximation,
     Posterior,
     histogram_mode,
+    systematic_indices,
 )
 
 __all__ = ["plot_hexagons", "plot_joint", "plot_pairs"]
 
 PERCENTILES = (0.1, 0.5, 0.9)
+_GRID = 71
+"""Points across on which percentile lines are found."""
 
 
 def plot_joint(
@@ -83,9 +86,20 @@ def plot_hexagons(
     percentiles: Sequence[float] = PERCENTILES,
     bins: int = 30,
     colour_bar: bool = True,
+    particles: int = 5000,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the weighted hexagonal histogram of two inputs with percentile lines of a kernel density estimate."""
+    """Draw the weighted hexagonal histogram of two inputs with percentile lines of a kernel density estimate.
+
+    Args:
+        posterior: the weighted draws.
+        names: the inputs along x and y.
+        percentiles: probabilities that the lines enclose, as fractions.
+        bins: hexagons across.
+        colour_bar: whether to draw one.
+        particles: at most so many make the lines; more are thinned by systematic resampling. Hexagons take all.
+        ax: axes to draw in.
+    """
     x, y = (posterior.space[name] for name in names)
     values = posterior.columns(names)
     with styled():
@@ -101,7 +115,7 @@ def plot_hexagons(
             linewidths=0.1,
         )
         drawn.set_clim(vmin=0.0)
-        _draw_kde(ax, values, posterior.weights, (x.interval, y.interval), percentiles)
+        _draw_kde(ax, *_thinned(values, posterior.weights, particles), (x.interval, y.interval), percentiles)
         ax.set(xlabel=x.label(), ylabel=y.label(), xlim=x.interval, ylim=y.interval)
         if colour_bar:
             figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
@@ -141,7 +155,7 @@ def _pair_panel(
     elif row < column:
         ax.set_axis_off()
     else:
-        plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, ax=ax)
+        plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=1500, ax=ax)
         if truth is not None and across in truth and up in truth:
             mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="o", size=11.0)
 
@@ -158,6 +172,16 @@ def _layout(figure: Figure | SubFigure) -> tuple[Axes, Axes, Axes]:
     return main, top, right
 
 
+def _thinned(
+    values: Float[np.ndarray, "particle 2"], weights: Float[np.ndarray, " particle"], number: int
+) -> tuple[Float[np.ndarray, "draw 2"], Float[np.ndarray, " draw"]]:
+    """Return at most `number` draws and their weights; the same ones at every call."""
+    if len(values) <= number:
+        return values, weights
+    chosen = systematic_indices(weights, number, np.random.default_rng(0))
+    return values[chosen], np.full(number, 1.0 / number)
+
+
 def _draw_kde(
     ax: Axes,
     values: Float[np.ndarray, "particle 2"],
@@ -169,10 +193,10 @@ def _draw_kde(
         estimate = KernelDensity.fit(values, weights, bounds=bounds)
     except NumericsError:
         return  # draws on a line have no density in the plane: the hexagons say all
-    axes = [np.linspace(*bound, 81) for bound in bounds]
+    axes = [np.linspace(*bound, _GRID) for bound in bounds]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     levels = np.unique(estimate.percentile_levels(percentiles))
-    ax.contour(*axes, estimate.density(points).reshape(81, 81).T, levels=levels, colors=BLACK, linewidths=1.2)
+    ax.contour(*axes, estimate.density(points).reshape(_GRID, _GRID).T, levels=levels, colors=BLACK, linewidths=1.2)
 
 
 def _draw_gaussian(ax: Axes, posterior: Posterior, names: tuple[str, str], percentiles: Sequence[float]) -> None:

@@ -21,8 +21,8 @@ from strandline.posterior.posterior import systematic_indices
 __all__ = ["KernelDensity"]
 
 Shape = Literal["covariance", "columns"]
-_REACH = 8.0
-"""Kernel standard deviations beyond which a kernel counts as zero."""
+_REACH = 6.0
+"""Kernel standard deviations beyond which a kernel counts as zero: it is 1e-8 of its peak there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class KernelDensity:
 
     @cached_property
     def _sampled_density(self) -> Float[np.ndarray, " draw"]:
-        return self.density(self.sample(4096))
+        return self.density(self.sample(2048))
 
     def _unbounded(self, points: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the density of the kernels without mirroring, in blocks of points."""
@@ -168,7 +168,7 @@ def _optimal_bandwidth(
     return float(np.exp(found.x) * (_size(weights) / _size(mass)) ** power)
 
 
-Squares = list[tuple[Bool[np.ndarray, " centre"], Float[np.ndarray, "near centre"]]]
+Squares = list[tuple[Bool[np.ndarray, " centre"], Float[np.ndarray, "_ centre"]]]
 
 
 def _pair_squares(
@@ -218,9 +218,7 @@ def _reach(factor: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, " dim"]:
     return np.asarray(_REACH * np.linalg.norm(factor, axis=1))
 
 
-def _fold(
-    points: Float[np.ndarray, "point dim"], bounds: Float[np.ndarray, "dim 2"]
-) -> Float[np.ndarray, "point dim"]:
+def _fold(points: Float[np.ndarray, "point dim"], bounds: Float[np.ndarray, "dim 2"]) -> Float[np.ndarray, "point dim"]:
     """Mirror points outside the bounds back inside, once at either side."""
     low, high = bounds[:, 0], bounds[:, 1]
     points = np.where(points < low, 2 * low - points, points)

@@ -2,7 +2,8 @@
 
 import dataclasses
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,16 @@ from strandline.priors import PRIORS, Prior
 from strandline.studies.schema import Input, Quantity, StudyFile
 from strandline.surrogate import KERNELS
 
-__all__ = ["build_discrepancies", "build_fixed", "build_model", "build_space", "check_kernel", "check_values"]
+__all__ = [
+    "build_discrepancies",
+    "build_fixed",
+    "build_model",
+    "build_space",
+    "check_complete",
+    "check_kernel",
+    "check_runs",
+    "check_values",
+]
 
 MASS_CUT_ACCEPTED = 0.5
 
@@ -88,6 +98,39 @@ def check_values(values: Mapping[str, float], model: ForwardModel, place: str) -
         _check_range(value, declared, name, f"{place}.{name}")
 
 
+def check_complete(
+    values: Mapping[str, float], names: Iterable[str], model: ForwardModel, place: str, *, add: str = "Add {name}."
+) -> None:
+    """Refuse values that are not one for each input of the model: those it declares, else the study's own `names`.
+
+    `add` is the remedy for the one that is missing.
+    """
+    names = [item.name for item in declared_inputs(model)] or list(names)
+    for name in values:
+        _check_name(name, dict.fromkeys(names), f"{place}.{name}")
+    check_values(values, model, place)
+    missing = [name for name in names if name not in values]
+    if missing:
+        given = ", ".join(f"{name}: {value:g}" for name, value in values.items())
+        raise InvalidStudy(
+            place,
+            value=given or None,
+            expected=f"a value for {', '.join(missing)} too",
+            remedy=add.format(name=missing[0]),
+        )
+
+
+def check_runs(runs: int, dim: int) -> None:
+    """Refuse a design with fewer runs than the surrogate needs even if none fails."""
+    if runs < dim + 2:
+        raise InvalidStudy(
+            "design.sobol.runs",
+            value=runs,
+            expected=f"at least {dim + 2} runs for {dim} input(s); 100 are a start",
+            remedy="Enlarge the design.",
+        )
+
+
 def check_kernel(name: str) -> str:
     """Return `name` if a kernel is called so."""
     _entry(KERNELS, name, "surrogate.log_likelihood.kernel")
@@ -104,7 +147,12 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
             remedy=f"Add `unit: {declared.unit}` to {name} and give its prior in that unit.",
         )
     prior = _prior(name, item)
-    parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box)
+    try:
+        parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"inputs.{name}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
+        ) from None
     _check_prior_in_box(parameter)
     return parameter
 
@@ -159,13 +207,13 @@ def _fixed_value(name: str, given: float | Quantity, declared: Mapping[str, Mode
     return float(given.value)
 
 
-def _check_name(name: str, declared: Mapping[str, ModelInput], place: str) -> None:
+def _check_name(name: str, declared: Mapping[str, Any], place: str) -> None:
     if declared and name not in declared:
         raise InvalidStudy(
             f"{place}: the model has no such input",
             value=name,
             expected=f"one of {', '.join(declared)}",
-            remedy="Correct the name.",
+            remedy=_suggestion(name, declared, "Correct the name."),
         )
 
 
@@ -183,8 +231,18 @@ def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, pl
 
 def _entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
     if name not in registry:
-        raise InvalidStudy(place, value=name, expected=f"one of {', '.join(registry)}", remedy="Choose one of them.")
+        raise InvalidStudy(
+            place,
+            value=name,
+            expected=f"one of {', '.join(registry)}",
+            remedy=_suggestion(name, registry, "Choose one of them."),
+        )
     return registry[name]
+
+
+def _suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
+    close = get_close_matches(name, list(known), n=1)
+    return f"Did you mean {close[0]}?" if close else otherwise
 
 
 def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> Any:
@@ -197,7 +255,7 @@ def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> A
                 f"{place}: unknown option",
                 value=name,
                 expected=f"one of {', '.join(fields)}",
-                remedy=f"Remove or correct {name}.",
+                remedy=_suggestion(name, fields, f"Remove {name}."),
             )
     for name, field in fields.items():
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING

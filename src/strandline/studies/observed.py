@@ -7,27 +7,29 @@ import numpy as np
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
 
-__all__ = ["TO_MM", "read_points"]
+__all__ = ["TO_MM", "read_points", "require_plausible"]
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
+LARGEST_RATIO = 10.0
+"""An observed interface that differs from the undeformed one by more than this factor in size has another unit."""
 
 
 def read_points(path: Path, unit: str) -> Interface:
     """Return the open polyline through the points of a text file, in mm.
 
-    Each line holds x and y, separated by a comma or blanks; one line of column names and lines that begin with # are
-    passed over. The points stand in order along the interface.
+    Each line holds x and y, separated by a comma, a semicolon or blanks; a first line of column names and lines that
+    begin with # are passed over. The points stand in order along the interface.
 
     Raises:
         InvalidStudy: the file is missing, empty or no table of numbers, or its points form no simple polyline.
     """
-    rows = [line.strip() for line in _lines(path)]
-    rows = [row for row in rows if row and not row.startswith("#")]
-    if rows and not _is_number(rows[0].replace(",", " ").split()[0]):
+    rows = [(number, _fields(line)) for number, line in enumerate(_lines(path), 1)]
+    rows = [(number, fields) for number, fields in rows if fields and not fields[0].startswith("#")]
+    if rows and not any(_is_number(field) for field in rows[0][1]):
         rows = rows[1:]
     if not rows:
-        raise _refused(path, "holds no points", "empty", "two columns x, y with one point a line")
-    points = np.array([_point(path, number, row) for number, row in enumerate(rows, 1)]) * TO_MM[unit]
+        raise _refused(path, "holds no points", None, "two columns x, y with one point a line")
+    points = np.array([_point(path, number, fields) for number, fields in rows]) * TO_MM[unit]
     try:
         interface = Interface.polyline(points)
         interface.require_simple()
@@ -41,6 +43,22 @@ def read_points(path: Path, unit: str) -> Interface:
     return interface
 
 
+def require_plausible(path: Path, observed: Interface, undeformed: Interface, *, unit: str) -> None:
+    """Refuse an interface of quite another size than the model's: a wrong unit.
+
+    Raises:
+        InvalidStudy: with both sizes.
+    """
+    size, expected = (float(np.ptp(i.points, axis=0).max()) for i in (observed, undeformed))
+    if not 1 / LARGEST_RATIO < size / expected < LARGEST_RATIO:
+        raise InvalidStudy(
+            f"size of the observation {path.name}, read in {unit}",
+            value=f"{size:.3g} mm across",
+            expected=f"about {expected:.3g} mm, the size of the model's interface",
+            remedy="Correct observation.unit (mm, um or m) or the file.",
+        )
+
+
 def _lines(path: Path) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
@@ -50,10 +68,13 @@ def _lines(path: Path) -> list[str]:
         raise _refused(path, "cannot be read", str(error), "a readable text file") from None
 
 
-def _point(path: Path, number: int, row: str) -> tuple[float, float]:
-    fields = row.replace(",", " ").replace(";", " ").split()
+def _fields(line: str) -> list[str]:
+    return line.replace(",", " ").replace(";", " ").split()
+
+
+def _point(path: Path, number: int, fields: list[str]) -> tuple[float, float]:
     if len(fields) != 2 or not all(_is_number(field) for field in fields):
-        raise _refused(path, f"has no point in data line {number}", row, "two numbers x, y")
+        raise _refused(path, f"has no point in line {number}", " ".join(fields), "two numbers x, y")
     return float(fields[0]), float(fields[1])
 
 
@@ -65,7 +86,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _refused(path: Path, problem: str, value: str, expected: str) -> InvalidStudy:
+def _refused(path: Path, problem: str, value: str | None, expected: str) -> InvalidStudy:
     return InvalidStudy(
         f"observation {path.name} {problem}",
         value=value,

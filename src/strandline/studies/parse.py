@@ -8,11 +8,29 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from strandline.errors import InvalidStudy
+from strandline.studies.folder import STUDY
 from strandline.studies.schema import SCHEMA_VERSION, StudyFile
 
-__all__ = ["FILE_NAME", "parse_study"]
+__all__ = ["parse_study"]
 
-FILE_NAME = "study.yaml"
+WORDS = {
+    "missing": "this key",
+    "dict_type": "keys with values, e.g. {key: value}",
+    "model_type": "keys with values, e.g. {key: value}",
+    "list_type": "a list, e.g. [0, 1]",
+    "tuple_type": "a list of two numbers, [low, high]",
+    "float_parsing": "a number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_parsing": "a whole number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "a text",
+    "string_pattern_mismatch": "letters, digits and . _ - only, a letter or digit first",
+    "too_long": "exactly one entry",
+    "too_short": "at least one entry",
+}
+"""What was expected, for a person, by pydantic's name of the mistake; else pydantic's own words."""
 
 
 def parse_study(folder: Path) -> tuple[StudyFile, str]:
@@ -22,12 +40,12 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
         InvalidStudy: no folder, no file, not YAML, or content that does not fit the schema.
     """
     text = _read(folder)
-    content = _load(folder / FILE_NAME, text)
+    content = _load(folder / STUDY, text)
     version = content.get("version")
-    if version != SCHEMA_VERSION:
+    if type(version) is not int or version != SCHEMA_VERSION:
         raise InvalidStudy(
-            f"{FILE_NAME}: version",
-            value=version,
+            f"{STUDY}: version",
+            value=repr(version) if isinstance(version, str) else version,
             expected=f"version: {SCHEMA_VERSION}",
             remedy=f"Put `version: {SCHEMA_VERSION}` on its first line, or use a matching strandline.",
         )
@@ -49,19 +67,22 @@ class _Loader(yaml.SafeLoader):
 
 
 def _read(folder: Path) -> str:
-    path = folder / FILE_NAME
-    if not path.is_file():
+    path = folder / STUDY
+    try:
+        return path.read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        is_file = folder.is_file()
         raise InvalidStudy(
             "not a study folder",
             value=str(folder),
-            expected=f"a folder with a file {FILE_NAME}",
-            remedy="Make one with `strandline init FOLDER`, or correct the path.",
-        )
-    try:
-        return path.read_text(encoding="utf-8")
+            expected=f"a folder with a file {STUDY}",
+            remedy=f"Give the folder, not a file in it: {folder.parent}"
+            if is_file
+            else "Make one with `strandline init FOLDER`, or correct the path.",
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidStudy(
-            f"{FILE_NAME} cannot be read",
+            f"{STUDY} cannot be read",
             value=str(error),
             expected="a readable text file in UTF-8",
             remedy="Check its permissions and encoding.",
@@ -71,7 +92,7 @@ def _read(folder: Path) -> str:
 def _load(path: Path, text: str) -> dict[str, Any]:
     try:
         content = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         raise InvalidStudy(
@@ -82,7 +103,7 @@ def _load(path: Path, text: str) -> dict[str, Any]:
         ) from None
     if not isinstance(content, dict):
         raise InvalidStudy(
-            f"{path.name} holds no mapping",
+            f"{path.name} holds no keys",
             value=content,
             expected="keys such as version, name, model, inputs",
             remedy="See `strandline init`, which writes a commented example.",
@@ -94,25 +115,30 @@ def _first_problem(error: ValidationError) -> InvalidStudy:
     """Translate pydantic's findings: an unknown key first, since it explains missing ones."""
     findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = findings[0]
-    more = f" ({len(findings) - 1} more like it may follow.)" if len(findings) > 1 else ""
-    place = ".".join(str(part) for part in first["loc"] if not _is_internal(part))
-    if first["type"] == "extra_forbidden":
+    place = _place(first["loc"])
+    unknown = first["type"] == "extra_forbidden"
+    others = {_place(e["loc"]) for e in findings if not (unknown and e["type"] == "missing")} - {place}
+    more = f" ({len(others)} more to correct: {', '.join(sorted(others))}.)" if others else ""
+    if unknown:
         return _unknown_key(first["loc"], place, more)
-    value = None if first["type"] == "missing" else first["input"]
     return InvalidStudy(
-        f"{FILE_NAME}: {place or 'study'}",
-        value=value,
+        f"{STUDY}: {place or 'study'}",
+        value=None if first["type"] == "missing" else first["input"],
         expected=_expectation(first["type"], first["msg"]),
-        remedy=f"Correct {place or 'it'}.{more}",
+        remedy=("Add it." if first["type"] == "missing" else f"Correct {place or 'it'}.") + more,
     )
+
+
+def _place(location: tuple[int | str, ...]) -> str:
+    return ".".join(str(part) for part in location if not _is_internal(part))
 
 
 def _unknown_key(location: tuple[int | str, ...], place: str, more: str) -> InvalidStudy:
     known = _known_keys(StudyFile, location[:-1])
     close = get_close_matches(str(location[-1]), known, n=1)
     return InvalidStudy(
-        f"{FILE_NAME}: unknown key {place}",
-        value=str(location[-1]),
+        f"{STUDY}: unknown key",
+        value=place,
         expected=f"one of {', '.join(known)}" if known else "no such key",
         remedy=(f"Did you mean {close[0]}?" if close else f"Remove {place}.") + more,
     )
@@ -147,7 +173,5 @@ def _is_internal(part: int | str) -> bool:
 
 
 def _expectation(kind: str, message: str) -> str:
-    if kind == "missing":
-        return "this key"
     text = message.removeprefix("Value error, ").removeprefix("Input should be ")
-    return text[:1].lower() + text[1:]
+    return WORDS.get(kind, text[:1].lower() + text[1:])

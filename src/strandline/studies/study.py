@@ -1,5 +1,6 @@
 """A study: a folder with study.yaml, loaded and checked as far as that goes without a forward run."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +9,13 @@ from strandline.calibrate import Settings
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
 from strandline.interface import Interface
-from strandline.models.protocol import ForwardModel, declared_inputs
+from strandline.models.protocol import ForwardModel
 from strandline.parameters import ParameterSpace
 from strandline.runs import Executor, LocalProcesses
 from strandline.smc import SMCSettings
 from strandline.studies import build
-from strandline.studies.observed import read_points
+from strandline.studies.folder import LEDGER
+from strandline.studies.observed import read_points, require_plausible
 from strandline.studies.parse import parse_study
 from strandline.studies.schema import ObservationFile, StudyFile
 
@@ -57,7 +59,12 @@ class Study:
     @property
     def ledger_path(self) -> Path:
         """The ledger of this study's runs."""
-        return self.folder / "ledger.sqlite"
+        return self.folder / LEDGER
+
+    @property
+    def text_digest(self) -> str:
+        """Tells whether results belong to study.yaml as it is."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
     def truth(self) -> Mapping[str, float] | None:
@@ -73,14 +80,15 @@ def load_study(folder: Path) -> Study:
     """
     content, text = parse_study(folder)
     model = build.build_model(content.model)
-    observed, turned = _observation(folder, content.observation, model)
+    space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
+    observed, turned = _observation(folder, content.observation, model, names=(*space.names, *fixed))
     return Study(
         folder=folder,
         name=content.name,
         text=text,
         model=model,
-        space=build.build_space(content.inputs, model),
-        fixed=build.build_fixed(content, model),
+        space=space,
+        fixed=fixed,
         discrepancies=build.build_discrepancies(content.discrepancy),
         noise_variance=content.noise.variance or (content.noise.sd or 0.0) ** 2,
         observed=observed,
@@ -93,6 +101,7 @@ def load_study(folder: Path) -> Study:
 
 def _settings(content: StudyFile) -> Settings:
     smc, sobol = content.sampler.smc, content.design.sobol
+    build.check_runs(sobol.runs, len(content.inputs))
     return Settings(
         runs=sobol.runs,
         scramble=sobol.scramble,
@@ -104,24 +113,20 @@ def _settings(content: StudyFile) -> Settings:
 
 
 def _observation(
-    folder: Path, source: ObservationFile, model: ForwardModel
+    folder: Path, source: ObservationFile, model: ForwardModel, *, names: tuple[str, ...]
 ) -> tuple[Interface | Mapping[str, float], bool]:
+    """Return the observed interface or the inputs of a synthetic one, and whether it was turned round."""
     if source.synthetic is not None:
-        build.check_values(source.synthetic, model, "observation.synthetic")
-        missing = [item.name for item in declared_inputs(model) if item.name not in source.synthetic]
-        if missing:
-            raise InvalidStudy(
-                "observation.synthetic",
-                value=dict(source.synthetic),
-                expected=f"a value for {', '.join(missing)} too",
-                remedy="Name every input of the model.",
-            )
+        build.check_complete(source.synthetic, names, model, "observation.synthetic")
         return dict(source.synthetic), False
-    interface = read_points(folder / str(source.file), str(source.unit))
+    path = folder / str(source.file)
+    interface = read_points(path, str(source.unit))
     undeformed = getattr(model, "undeformed", None)
-    if undeformed is not None and interface.runs_against(undeformed()):
-        return interface.reversed(), True
-    return interface, False
+    if undeformed is None:
+        return interface, False
+    require_plausible(path, interface, undeformed(), unit=str(source.unit))
+    turned = interface.runs_against(undeformed())
+    return (interface.reversed() if turned else interface), turned
 
 
 def _reused_ledger(folder: Path, other: str) -> Path:
@@ -133,4 +138,4 @@ def _reused_ledger(folder: Path, other: str) -> Path:
             expected="the folder of another study, relative to this one",
             remedy="Correct the path or remove it.",
         )
-    return target / "ledger.sqlite"
+    return target / LEDGER

@@ -36,6 +36,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
     sampling = calibration.sampling
     return {
         "study": study.name,
+        "study_sha256": study.text_digest,
         "version": __version__,
         "versions": versions(),
         "seed": study.settings.seed,

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from strandline.errors import InvalidStudy
-from strandline.studies.parse import FILE_NAME
+from strandline.studies.folder import STUDY
 
 __all__ = ["write_template"]
 
@@ -49,7 +49,7 @@ def write_template(folder: Path) -> Path:
     Raises:
         InvalidStudy: there is one already, or the folder cannot be made.
     """
-    path = folder / FILE_NAME
+    path = folder / STUDY
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", folder.resolve().name).strip("-._") or "study"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.protocol import ModelInput, Simulation
 
-__all__ = ["FAULTS", "Cantilever", "Counted", "CrashesOnce", "Faulty", "Slow"]
+__all__ = ["FAULTS", "Cantilever", "Counted", "CrashesOnce", "Faulty", "Patient", "Slow"]
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,33 @@ class Counted:
         result = self.base(inputs, workdir)
         _append(Path(self.folder) / "ends", line)
         return result
+
+
+@dataclass(frozen=True)
+class Patient:
+    """`base`; a run with `name` above `above` first waits until `others` runs have left their mark in `folder`."""
+
+    folder: str
+    others: int
+    base: Any = Cantilever()
+    name: str = "E"
+    above: float = 500.0
+    longest: float = 60.0
+
+    @property
+    def fingerprint(self) -> str:
+        """The base's: time does not change results."""
+        return str(self.base.fingerprint)
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        """Wait or leave a mark, then return what the base returns."""
+        if inputs[self.name] <= self.above:
+            (Path(self.folder) / inputs[self.name].hex()).touch()
+        else:
+            deadline = time.monotonic() + self.longest
+            while len(list(Path(self.folder).iterdir())) < self.others and time.monotonic() < deadline:
+                time.sleep(0.005)
+        return self.base(inputs, workdir)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,103 @@
+"""A forward model of one's own: a Python function, named in the study file."""
+
+import importlib
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.errors import InvalidInput
+from strandline.interface import Interface
+from strandline.models.protocol import ModelInput, Simulation, declared_inputs, fingerprint
+
+__all__ = ["PythonModel"]
+
+
+@dataclass(frozen=True)
+class PythonModel:
+    """The simulator ``function(inputs, workdir)``, found by the name of its module.
+
+    It is called with the inputs by name and an empty folder of the run's own, and returns a `Simulation`, an
+    `Interface`, or the points (point, 2) of an open polyline in mm, in order along the interface. A run that fails
+    raises `ForwardModelError`. Any callable object at the top level of a module serves.
+
+    The function may carry two attributes: ``inputs``, a tuple of `ModelInput`, and ``fingerprint``, a text. Without
+    ``inputs`` nothing is known of units and of the values that make sense: the study's unit (optional then) is taken
+    as it stands and no range is checked. Without ``fingerprint`` runs belong to the function's own source; code that
+    it calls elsewhere can change unseen.
+
+    Args:
+        function: ``module:name``; the module must be importable (installed, or on PYTHONPATH).
+
+    Raises:
+        InvalidInput: there is no such module, or no such callable in it.
+    """
+
+    function: str
+
+    def __post_init__(self) -> None:
+        _found(self.function)
+
+    @property
+    def inputs(self) -> tuple[ModelInput, ...]:
+        """What the function declares of its inputs; empty where it declares nothing."""
+        return declared_inputs(_found(self.function))
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the function's source, or as its own ``fingerprint`` says."""
+        try:
+            return fingerprint(_found(self.function))
+        except (OSError, TypeError):
+            raise InvalidInput(
+                f"the source of {self.function} cannot be read",
+                value=self.function,
+                expected="a function written in Python, or one with an attribute `fingerprint`",
+                remedy="Give it an attribute `fingerprint`, a text that changes whenever its results do.",
+            ) from None
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
+        """Return the interface that the function predicts."""
+        result = _found(self.function)(inputs, workdir)
+        return result if isinstance(result, Simulation | Interface) else _polyline(result)
+
+
+def _polyline(points: Any) -> Interface:
+    """Return the polyline through (point, 2) numbers; anything else is returned as it is, for the run's record."""
+    try:
+        array = np.asarray(points, float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    return Interface.polyline(array) if array.ndim == 2 and array.shape[1] == 2 else points
+
+
+def _found(target: object) -> Any:
+    """Return the callable ``module:name``."""
+    module, separator, name = target.partition(":") if isinstance(target, str) else ("", "", "")
+    if not (module and separator and name):
+        raise _refused(target, "module:name, e.g. my_model:simulate")
+    try:
+        found: Any = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise _refused(target, f"a module that can be imported ({error})") from None
+        raise _refused(target, f"a module among {len(sys.path)} places; none has {error.name}") from None
+    except Exception as error:
+        raise _refused(target, f"a module that can be imported ({type(error).__name__}: {error})") from None
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if not callable(found):
+        raise _refused(target, f"a callable {name} in {module}")
+    return found
+
+
+def _refused(target: object, expected: str) -> InvalidInput:
+    return InvalidInput(
+        "function of the Python model",
+        value=target,
+        expected=expected,
+        remedy="Correct the name, install the module, or put its folder on PYTHONPATH.",
+    )
