@@ -12,15 +12,9 @@ from tempfile import TemporaryDirectory
 import jax
 import numpy as np
 
-from strandline.calibrate import Calibration, Problem, Settings, calibrate
-from strandline.discrepancy import MeasurementLines
-from strandline.errors import ForwardModelError
-from strandline.interface import Interface, Observation
+import strandline as sl
+from strandline.calibrate import Calibration, calibrate
 from strandline.models.protocol import fingerprint
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
-from strandline.runs import InProcess, Ledger
-from strandline.smc import SMCSettings
 
 LENGTH, HEIGHT = 1.0, 0.2  # mm
 PRESSURE = 0.25  # Pa
@@ -29,35 +23,35 @@ NOISE = 0.002  # mm, standard deviation
 STATIONS = 0.05 + 0.1 * np.arange(10)  # mm from the clamp
 
 
-def beam(inputs: Mapping[str, float], workdir: Path) -> Interface:
+def beam(inputs: Mapping[str, float], workdir: Path) -> sl.Interface:
     """Return the beam's bent axis, mm: w = q x² (6L² - 4Lx + x²) / 2Eh³ (Euler–Bernoulli, I = h³/12)."""
     x = np.linspace(0.0, LENGTH, 21)
     w = inputs["q"] * x**2 * (6 * LENGTH**2 - 4 * LENGTH * x + x**2) / (2 * inputs["E"] * HEIGHT**3)
     if w[-1] > LENGTH / 2:
-        raise ForwardModelError("large_deflection", f"the tip moves by {w[-1]:.2g} mm: too much for linear theory")
-    return Interface.polyline(np.stack([x, w], axis=1))
+        raise sl.ForwardModelError("large_deflection", f"the tip moves by {w[-1]:.2g} mm: too much for linear theory")
+    return sl.Interface.polyline(np.stack([x, w], axis=1))
 
 
-def measured() -> Interface:
+def measured() -> sl.Interface:
     """Return what the microscope would see of a beam of stiffness `TRUE_E`."""
     clean = beam({"E": TRUE_E, "q": PRESSURE}, Path())
     noise = NOISE * np.random.default_rng(7).standard_normal(len(clean.points))
-    return Interface.polyline(clean.points + np.stack([np.zeros_like(noise), noise], axis=1))
+    return sl.Interface.polyline(clean.points + np.stack([np.zeros_like(noise), noise], axis=1))
 
 
 def calibrated() -> Calibration:
     """Return the posterior of E."""
-    problem = Problem(
+    problem = sl.Problem(
         model=beam,
-        space=ParameterSpace((Parameter("E", Uniform(50.0, 1000.0), "Pa"),)),
+        space=sl.ParameterSpace((sl.Parameter("E", sl.Uniform(50.0, 1000.0), "Pa"),)),
         fixed={"q": PRESSURE},
-        observations=(Observation(measured(), NOISE**2),),
-        discrepancies={"lines": MeasurementLines([(x, 0.0, 0.0, 1.0) for x in STATIONS])},
+        observations=(sl.Observation(measured(), NOISE**2),),
+        discrepancies={"lines": sl.MeasurementLines([(x, 0.0, 0.0, 1.0) for x in STATIONS])},
     )
-    settings = Settings(runs=64, particles=2000, smc=SMCSettings(rejuvenation_steps=10, zeta=0.9))
-    with TemporaryDirectory() as folder, Ledger.open(f"{folder}/ledger.sqlite", model=fingerprint(beam)) as ledger:
-        # InProcess suits a formula; a real simulator wants LocalProcesses() and a ledger that stays.
-        return calibrate(problem, settings, ledger=ledger, executor=InProcess())
+    settings = sl.Settings(runs=64, particles=2000, smc=sl.SMCSettings(rejuvenation_steps=10, zeta=0.9))
+    with TemporaryDirectory() as folder, sl.Ledger.open(f"{folder}/ledger.sqlite", model=fingerprint(beam)) as ledger:
+        # InProcess suits a formula; a real simulator wants sl.LocalProcesses() and a ledger that stays.
+        return calibrate(problem, settings, ledger=ledger, executor=sl.InProcess())
 
 
 if __name__ == "__main__":  # worker processes import this file: what starts runs stands under this line

@@ -110,3 +110,14 @@ def test_bad_names_and_paths_are_refused(tmp_path):
         read(tmp_path / "none.nc")
     with pytest.raises(InvalidInput, match="conditions"):
         to_datatree(weighted_posterior(5), seed=0, observed=[Observation(LINE, 1.0)] * 2)
+
+
+def test_writing_replaces_the_file_at_once(tmp_path):
+    """A reader that holds the old file keeps the old file whole: it is replaced, not written over."""
+    path = tmp_path / "posterior.nc"
+    write(to_datatree(weighted_posterior(50), seed=3), path)
+    before = path.read_bytes()
+    with path.open("rb") as reader:
+        write(to_datatree(weighted_posterior(60), seed=3), path)
+        assert reader.read() == before
+    assert path.read_bytes() != before

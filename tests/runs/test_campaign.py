@@ -61,7 +61,12 @@ def test_results_come_in_the_order_of_the_design(path, tmp_path):
     model = Patient(str(tmp_path / "marks"), others=2)
     inputs = design(600, 400, 300)
     completed = []
-    done = campaign(path, model, inputs, LocalProcesses(2), on_record=lambda r, _: completed.append(r.inputs["E"]))
+
+    def mark(record, progress):
+        completed.append(record.inputs["E"])
+        (tmp_path / "marks" / str(progress.finished)).touch()
+
+    done = campaign(path, model, inputs, LocalProcesses(2), on_record=mark)
     assert completed == [400.0, 300.0, 600.0]
     assert [dict(record.inputs) for record in done] == inputs
     for record in done:
@@ -242,8 +247,9 @@ def test_a_driver_killed_at_random_moments_loses_and_repeats_nothing(path, tmp_p
     number, rng = 60, random.Random(20220824)
     model = Counted(str(tmp_path), Faulty(fault="exception", above=480.0))
     before, growth = {}, []
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}  # for the folders that killed drivers leave behind
     for _ in range(6):
-        with subprocess.Popen([sys.executable, "-c", DRIVER, str(tmp_path), str(number)]) as driver:
+        with subprocess.Popen([sys.executable, "-c", DRIVER, str(tmp_path), str(number)], env=environment) as driver:
             target = min(len(before) + rng.randrange(1, 9), number - 1)
             deadline = time.monotonic() + 30
             while len(snapshot(path, model.fingerprint)) < target and time.monotonic() < deadline:

@@ -70,7 +70,7 @@ def test_steps_follow_the_algorithm():
 
 
 def test_with_zeta_near_one_weights_persist_and_stay_unequal():
-    found = run(settings=SMCSettings(rejuvenation_steps=2, zeta=0.995))
+    found = run(settings=SMCSettings(rejuvenation_steps=3, zeta=0.995))
     assert not any(s.resampled for s in found.steps)
     assert found.ess == pytest.approx(found.steps[-1].ess)
     assert np.ptp(found.log_weights) > 0.1
@@ -172,7 +172,7 @@ def test_an_undefined_likelihood_of_a_proposal_is_an_error():
 
 def test_too_many_steps_is_an_error_that_says_where_it_stands():
     with pytest.raises(NumericsError, match="3 tempering steps reached only temperature"):
-        run(settings=SMCSettings(rejuvenation_steps=1, maximum_steps=3))
+        run(settings=SMCSettings(rejuvenation_steps=3, maximum_steps=3))
 
 
 def test_single_precision_is_refused_with_the_remedy():

@@ -55,11 +55,15 @@ def _prior(calibration: Calibration) -> Iterator[str]:
 
 def _surrogate(calibration: Calibration) -> Iterator[str]:
     validation = calibration.surrogate.validation
+    measure = next(iter(calibration.problem.discrepancies.values()))
+    remedy = "More runs will lower it."
+    if getattr(measure, "quadrature", None) == "centre":
+        remedy = "More runs will lower it, and so will the refined quadrature of the measure."
     if validation.loo_rms_near_mode > LOO_LIMIT:
         yield (
             f"The surrogate's leave-one-out error near the mode is {validation.loo_rms_near_mode:.2g} in "
             f"log-likelihood (over {validation.near_mode_count} runs; above {LOO_LIMIT:g} the posterior's shape is in "
-            "doubt). More runs, or a smoother measure (refined quadrature), will lower it."
+            f"doubt). {remedy}"
         )
 
 

@@ -120,7 +120,7 @@ class _Pool:
         self.setup = folder / "model.pickle"
         self.setup.write_bytes(setup)
         self.workers: list[Worker] = []
-        self.done: deque[RunRecord] = deque()
+        self.done: deque[tuple[Worker, RunRecord]] = deque()
         self.exhausted = False
         self.launched = self.started = 0
 
@@ -130,7 +130,7 @@ class _Pool:
             self._launch()
         while self.done or not self._finished():
             while self.done:
-                yield self.done.popleft()
+                yield self._handed_over()
             if not self._finished():
                 self._turn()
 
@@ -142,6 +142,13 @@ class _Pool:
         for worker in self.workers:
             worker.end(deadline)
         self.workers.clear()
+
+    def _handed_over(self) -> RunRecord:
+        """Return the next record; the worker that made it gets its next request first, and no other does."""
+        worker, record = self.done.popleft()
+        if worker in self.workers:
+            self._assign(worker)
+        return record
 
     def _finished(self) -> bool:
         return self.exhausted and not any(worker.busy for worker in self.workers)
@@ -168,26 +175,29 @@ class _Pool:
         return min([LONGEST_WAIT_SECONDS, *(max(0.0, deadline - time.monotonic()) for deadline in deadlines)])
 
     def _hear(self, worker: Worker) -> None:
-        """Take what `worker` sent and give it its next request."""
+        """Take what `worker` sent; one that has just become ready gets its first request."""
         try:
             record = worker.receive()
         except (EOFError, OSError):
             self._lose(worker, worker.vanished())
             return
-        if record is not None:
-            self.done.append(record)
-            shutil.rmtree(worker.workdir, ignore_errors=True)
-        self._assign(worker)
+        if record is None:
+            self._assign(worker)
+        else:
+            self._keep(worker, record)
 
     def _lose(self, worker: Worker, record: RunRecord | None) -> None:
         """Replace a worker that is gone; keep the record of the run that it had."""
         self.workers.remove(worker)
         worker.end()
         if record is not None:
-            self.done.append(record)
-            shutil.rmtree(worker.workdir, ignore_errors=True)
+            self._keep(worker, record)
         if not self.exhausted:
             self._launch()
+
+    def _keep(self, worker: Worker, record: RunRecord) -> None:
+        self.done.append((worker, record))
+        shutil.rmtree(worker.workdir, ignore_errors=True)
 
     def _assign(self, worker: Worker) -> None:
         """Pull the next request, which starts it, and send it to `worker`."""

@@ -13,7 +13,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
-from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey, metropolis, proposal_factor, proposal_scale
+from strandline.smc.moves import (
+    NARROWEST,
+    BatchedLogDensity,
+    RandomKey,
+    Scalar,
+    metropolis,
+    proposal_factor,
+    proposal_scale,
+)
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo, require
 from strandline.smc.resampling import systematic
 from strandline.smc.tempering import effective_sample_size, next_temperature, reweighted
@@ -54,7 +62,8 @@ def sample(
 ) -> SMCResult:
     """Draw weighted particles of the posterior ∝ L p; the same key gives the same bits.
 
-    The step is compiled once for each pair of functions and each shape: keep the function objects between calls.
+    The step is compiled once for each pair of functions, number of moves and shape: keep the function objects
+    between calls.
 
     Args:
         key: random key; not to be used again.
@@ -71,11 +80,13 @@ def sample(
     """
     target = _hashable(log_likelihood), _hashable(log_prior)
     state = _start(*target, initial)
+    shares = jnp.asarray(settings.zeta, float), jnp.asarray(settings.resample_below, float)
+    moves = settings.rejuvenation_steps
     steps: list[StepInfo] = []
     while state.temperature < 1.0:
         _require_steps_left(len(steps), settings, state)
         before = float(state.temperature)
-        state, info = _step(jax.random.fold_in(key, len(steps)), state, target=target, settings=settings)
+        state, info = _step(jax.random.fold_in(key, len(steps)), state, *shares, target=target, moves=moves)
         _check(info, before, state)
         steps.append(_report(state, info))
         if on_step is not None:
@@ -83,23 +94,25 @@ def sample(
     return _result(state, tuple(steps), settings)
 
 
-@partial(jax.jit, static_argnames=("target", "settings"))
+@partial(jax.jit, static_argnames=("target", "moves"))
 def _step(
     key: RandomKey,
     state: Particles,
+    zeta: Scalar,
+    resample_below: Scalar,
     *,
     target: tuple[BatchedLogDensity, BatchedLogDensity],
-    settings: SMCSettings,
+    moves: int,
 ) -> tuple[Particles, _Info]:
     """Temper, reweight, resample where needed, rejuvenate: one round of Algorithm 1."""
     for_resampling, for_moves = jax.random.split(key)
     number = len(state.log_weights)
-    temperature = next_temperature(state.log_weights, state.log_likelihood, state.temperature, settings.zeta)
+    temperature = next_temperature(state.log_weights, state.log_likelihood, state.temperature, zeta)
     log_weights = reweighted(state.log_weights, state.log_likelihood, temperature - state.temperature)
     increment = jax.nn.logsumexp(log_weights)
     log_weights = log_weights - increment
     ess = effective_sample_size(log_weights)
-    resample = ess < settings.resample_below * number
+    resample = ess < resample_below * number
     chosen = jnp.where(resample, systematic(for_resampling, log_weights), jnp.arange(number))
     log_weights = jnp.where(resample, -jnp.log(number), log_weights)
     positions = state.positions[chosen]
@@ -112,7 +125,7 @@ def _step(
         target=target,
         temperature=temperature,
         factor=jnp.sqrt(scale) * proposal_factor(positions, jnp.exp(log_weights), state.narrowest),
-        steps=settings.rejuvenation_steps,
+        steps=moves,
     )
     after = Particles(*moved[:1], log_weights, *moved[1:3], temperature, moved.acceptance, state.narrowest)
     return after, _Info(ess, resample, increment, scale, moved.undefined)

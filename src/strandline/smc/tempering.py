@@ -23,7 +23,9 @@ def reweighted(log_weights: PerParticle, log_likelihood: PerParticle, increment:
     return jnp.where(dead, -jnp.inf, log_weights + increment * jnp.where(dead, 0.0, log_likelihood))
 
 
-def next_temperature(log_weights: PerParticle, log_likelihood: PerParticle, temperature: Scalar, zeta: float) -> Scalar:
+def next_temperature(
+    log_weights: PerParticle, log_likelihood: PerParticle, temperature: Scalar, zeta: Scalar | float
+) -> Scalar:
     """Return γ' with ESS(γ') = ζ·ESS(γ) by bisection, or 1 where ESS(1) is at least that.
 
     Particles of zero likelihood die with the first positive increment whatever its size, so ESS(γ) counts the

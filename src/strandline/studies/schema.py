@@ -75,7 +75,7 @@ class Sobol(_Strict):
     """Consecutive points of one Sobol sequence."""
 
     runs: Count
-    scramble: Annotated[int, Field(ge=0)] | None = None
+    scramble: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
 
 
 class Design(_Strict):
@@ -139,4 +139,4 @@ class StudyFile(_Strict):
     sampler: Sampler = Sampler()
     executor: ExecutorChoice = ExecutorChoice()
     reuse: list[str] = []
-    seed: Annotated[int, BeforeValidator(_number), Field(ge=0)] = 1
+    seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] = 1

@@ -1,0 +1,122 @@
+"""The examples and the README's own one do what they say."""
+
+import ast
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+FIGURE = r"([-+.\de]+)"
+
+
+def run(script: Path, folder: Path) -> str:
+    """Run `script` in an interpreter of its own in `folder` and return what it printed."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=folder, env=environment, capture_output=True, text=True, timeout=500
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def found(text: str, name: str) -> tuple[float, float]:
+    """Return mean and sd of `name` from a line such as ``E = 404 ± 4 Pa``."""
+    match = re.search(rf"^{name} = {FIGURE} ± {FIGURE}", text, re.MULTILINE)
+    assert match, text
+    return float(match[1]), float(match[2])
+
+
+def module_of(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def exact_moments(measured: Sequence[float], unit_deflection: Sequence[float], noise: float) -> tuple[float, float]:
+    """Return mean and sd of E ~ U(94, 1000) from Gaussian deflections w/E, by a fine sum."""
+    E = np.linspace(94.0, 1000.0, 100_001)
+    misfit = (np.asarray(measured) - np.asarray(unit_deflection) / E[:, None]) / noise
+    log_likelihood = -0.5 * np.sum(misfit**2, axis=1)
+    weight = np.exp(log_likelihood - log_likelihood.max())
+    weight /= weight.sum()
+    mean = weight @ E
+    return float(mean), float(np.sqrt(weight @ (E - mean) ** 2))
+
+
+def agrees(found: tuple[float, float], exact: tuple[float, float]) -> bool:
+    """Tell whether a mean and a standard deviation are the exact ones within the noise of 2000 particles."""
+    return abs(found[0] - exact[0]) < 0.12 * exact[1] and abs(found[1] / exact[1] - 1.0) < 0.12
+
+
+def test_own_model_finds_the_exact_posterior(tmp_path: Path) -> None:
+    script = ROOT / "examples" / "own_model.py"
+    example = module_of(script)
+    points = example.measured().points
+    nodes = [int(np.argmin(np.abs(points[:, 0] - x))) for x in example.STATIONS]
+    stiff = example.beam({"E": 1.0e6, "q": example.PRESSURE}, tmp_path).points[nodes, 1] * 1.0e6
+    exact = exact_moments(points[nodes, 1], stiff, example.NOISE)
+    printed = found(run(script, tmp_path), "E")
+    assert agrees(printed, exact)
+    assert abs(printed[0] - example.TRUE_E) < 2 * printed[1]
+    planted = exact_moments(points[nodes, 1], stiff, example.NOISE * np.sqrt(2.0))  # σ² without its ½
+    assert not agrees(printed, planted)
+
+
+@pytest.mark.long
+def test_biofilm_finds_the_truth_and_repeats_no_run(tmp_path: Path) -> None:
+    script = ROOT / "examples" / "biofilm.py"
+    first = run(script, tmp_path)
+    assert_biofilm(first)
+    assert (tmp_path / "figures" / "posterior.png").stat().st_size > 10_000
+    before = (tmp_path / "ledger.sqlite").stat().st_size
+    assert run(script, tmp_path) == first
+    assert (tmp_path / "ledger.sqlite").stat().st_size - before < 50_000  # a session, and no 200 interfaces
+
+
+@pytest.mark.long
+def test_the_readme_example_runs_as_it_stands(tmp_path: Path) -> None:
+    script = tmp_path / "readme.py"
+    script.write_text(readme_example(), encoding="utf-8")
+    assert_biofilm(run(script, tmp_path))
+
+
+def test_the_readme_example_is_the_core_of_the_biofilm_example() -> None:
+    example = {ast.dump(node) for node in ast.walk(ast.parse((ROOT / "examples" / "biofilm.py").read_text("utf-8")))}
+    text = readme_example()
+    guard = next(node for node in ast.parse(text).body if isinstance(node, ast.If))
+    statements = [node for node in ast.parse(text).body if not isinstance(node, ast.If)] + guard.body
+    assert len(statements) >= 10
+    assert [ast.unparse(node) for node in statements if ast.dump(node) not in example] == []
+    assert len([line for line in text.splitlines() if line.strip()]) <= 15
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
+def test_an_example_is_short_and_guarded(path: Path) -> None:
+    text = path.read_text("utf-8")
+    assert len(text.splitlines()) <= 80
+    assert 'if __name__ == "__main__":' in text
+
+
+def readme_example() -> str:
+    """Return the README's Python block."""
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    return str(block)
+
+
+def assert_biofilm(printed: str) -> None:
+    for name, truth, widest in (("E", 400.0, 60.0), ("nu", 0.3, 0.2)):
+        mean, sd = found(printed, name)
+        assert abs(mean - truth) < 2 * sd
+        assert 0 < sd < widest
