@@ -14,7 +14,7 @@ import pytest
 from strandline.errors import InvalidInput
 from strandline.runs import InProcess, LocalProcesses, RunRecord
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, requests_for
-from strandline.testing.models import Cantilever, Counted, Faulty, Slow
+from strandline.testing.models import Cantilever, Counted, Faulty, KilledWhileLoading, Slow
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 
@@ -34,6 +34,20 @@ def test_local_processes_conform(check, workers):
 @pytest.mark.parametrize("check", CRASH_CHECKS.values(), ids=CRASH_CHECKS.keys())
 def test_local_processes_survive_crashes(check, workers):
     check(LocalProcesses(workers), workers=workers)
+
+
+def test_workers_killed_while_they_load_are_replaced(tmp_path):
+    model = KilledWhileLoading(str(tmp_path), times=3)
+    requests = requests_for(model)
+    records = list(LocalProcesses(2)(model, requests))
+    assert [record.state for record in records] == ["ok"] * len(requests)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_workers_killed_at_every_start_are_one_clear_error(tmp_path):
+    with pytest.raises(InvalidInput, match="killed before they have loaded the model.*fewer workers"):
+        model = KilledWhileLoading(str(tmp_path), times=100)
+        list(LocalProcesses(2)(model, requests_for(model)))
 
 
 @pytest.mark.parametrize("check", TIMEOUT_CHECKS.values(), ids=TIMEOUT_CHECKS.keys())

@@ -47,7 +47,7 @@ def test_everything_arrives(tmp_path: Path) -> None:
         discrepancy=[{"currents": {"width": 0.01, "quadrature": "centre"}}, {"closest_point": None}],
         noise={"variance": 0.25},
         design={"sobol": {"runs": 33, "scramble": 7}},
-        surrogate={"log_likelihood": {"kernel": "matern52"}},
+        surrogate={"log_likelihood": {"kernel": "matern32"}},
         sampler={"smc": {"particles": 50, "rejuvenation_steps": 3, "zeta": 0.9}},
         executor={"local": {"workers": 3, "timeout": 5}},
         reuse=["../other"],
@@ -64,7 +64,7 @@ def test_everything_arrives(tmp_path: Path) -> None:
     assert study.discrepancies == {"currents": Currents(0.01, quadrature="centre"), "closest_point": ClosestPoint()}
     assert list(study.discrepancies) == ["currents", "closest_point"]
     settings = study.settings
-    assert (settings.runs, settings.scramble, settings.kernel, settings.particles) == (33, 7, "matern52", 50)
+    assert (settings.runs, settings.scramble, settings.kernel, settings.particles) == (33, 7, "matern32", 50)
     assert settings.smc == SMCSettings(rejuvenation_steps=3, zeta=0.9)
     assert settings.seed == 11
     assert study.executor == LocalProcesses(workers=3, timeout=5.0)
@@ -128,11 +128,16 @@ def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
         ({"model": {"biofilm": {"mesh": "huge"}}}, ["model.biofilm: mesh", "got huge", "coarse, default, fine"]),
         ({"model": {"python": {}}}, ["model.python.function: got nothing", "Add `function: …`"]),
         ({"model": {"python": {"function": "nowhere:f"}}}, ["got nowhere:f", "PYTHONPATH"]),
-        ({"model": {"python": {"function": 3}}}, ["got 3", "module:name"]),
+        ({"model": {"python": {"function": 3}}}, ["model.python.function: got 3", "a text"]),
+        ({"model": {"python": {"function": "beam"}}}, ["got beam", "module:name"]),
+        ({"model": {"python": {"function": "strandline.testing.studies:bean"}}}, ["a callable bean"]),
         ({"discrepancy": {"curents": {}}}, ["discrepancy: got curents", "Did you mean currents?"]),
         ({"discrepancy": {"currents": {}}}, ["discrepancy.currents.width: got nothing"]),
         ({"discrepancy": {"currents": {"width": -1.0}}}, ["discrepancy.currents", "got -1", "above 0"]),
-        ({"discrepancy": {"currents": {"width": "wide"}}}, ["discrepancy.currents", "wide"]),
+        ({"discrepancy": {"currents": {"width": "wide"}}}, ["discrepancy.currents.width: got wide; expected a number"]),
+        ({"discrepancy": {"currents": {"width": True}}}, ["discrepancy.currents.width: got True"]),
+        ({"discrepancy": {"tracked_points": {"lines": 3}}}, ["unknown option: got lines; expected no options"]),
+        ({"discrepancy": {"measurement_lines": {"reach": 0}}}, ["reach of the measurement lines: got 0.0"]),
         ({"discrepancy": [{"closest_point": {}}, {"closest_point": {}}]}, ["each measure once"]),
         ({"surrogate": {"log_likelihood": {"kernel": "matern23"}}}, ["got matern23", "Did you mean matern32?"]),
         ({"design": {"sobol": {"runs": 3}}}, ["design.sobol.runs: got 3", "at least 4 runs for 2 input(s)"]),

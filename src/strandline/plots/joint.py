@@ -23,6 +23,7 @@ from strandline.plots.style import (
     percent,
     styled,
 )
+from strandline.plots.view import shown_interval
 from strandline.posterior import (
     GaussianApproximation,
     KernelDensity,
@@ -37,6 +38,8 @@ __all__ = ["plot_hexagons", "plot_joint", "plot_pairs"]
 PERCENTILES = (0.1, 0.5, 0.9)
 _GRID = 71
 """Points across on which percentile lines are found."""
+NEGLIGIBLE = 1e-3
+"""Hexagons with less than this share of the fullest one's mass are left out."""
 
 
 def plot_joint(
@@ -72,8 +75,9 @@ def plot_joint(
         _draw_gaussian(main, posterior, names, percentiles)
         note = _draw_laplace(main, posterior, names, laplace, percentiles)
         _draw_points(main, posterior, names, mode, truth)
-        draw_marginal(top, x, values[:, 0], posterior.weights, bins=bins)
-        draw_marginal(right, y, values[:, 1], posterior.weights, bins=bins, upright=True)
+        across, up = (shown_interval(posterior, name) for name in names)
+        draw_marginal(top, x, values[:, 0], posterior.weights, shown=across, bins=bins)
+        draw_marginal(right, y, values[:, 1], posterior.weights, shown=up, bins=bins, upright=True)
         figure.colorbar(main.collections[0], ax=right, label="probability of a hexagon", location="right", shrink=0.9)
         _legend(figure, main, top, percentiles, note)
     return figure
@@ -101,6 +105,7 @@ def plot_hexagons(
         ax: axes to draw in.
     """
     x, y = (posterior.space[name] for name in names)
+    across, up = (shown_interval(posterior, name) for name in names)
     values = posterior.columns(names)
     with styled():
         ax = axes_or_new(ax, (5.0, 3.8))
@@ -110,13 +115,16 @@ def plot_hexagons(
             C=posterior.weights,
             reduce_C_function=np.sum,
             gridsize=bins,
-            extent=(*x.interval, *y.interval),
+            extent=(*across, *up),
             cmap="Blues",
             linewidths=0.1,
         )
+        mass: Any = drawn.get_array()
+        drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
         drawn.set_clim(vmin=0.0)
-        _draw_kde(ax, *_thinned(values, posterior.weights, particles), (x.interval, y.interval), percentiles)
-        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=x.interval, ylim=y.interval)
+        thinned = _thinned(values, posterior.weights, particles)
+        _draw_kde(ax, *thinned, bounds=(x.interval, y.interval), shown=(across, up), percentiles=percentiles)
+        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=across, ylim=up)
         if colour_bar:
             figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
     return ax
@@ -150,8 +158,9 @@ def _pair_panel(
     row, column = posterior.space.names.index(up), posterior.space.names.index(across)
     parameter = posterior.space[across]
     if row == column:
-        draw_marginal(ax, parameter, posterior.draws[:, row], posterior.weights, bins=bins)
-        ax.set(yticks=[], xlabel=parameter.label(), xlim=parameter.interval)
+        shown = shown_interval(posterior, across)
+        draw_marginal(ax, parameter, posterior.draws[:, row], posterior.weights, shown=shown, bins=bins)
+        ax.set(yticks=[], xlabel=parameter.label(), xlim=shown)
     elif row < column:
         ax.set_axis_off()
     else:
@@ -186,14 +195,16 @@ def _draw_kde(
     ax: Axes,
     values: Float[np.ndarray, "particle 2"],
     weights: Float[np.ndarray, " particle"],
+    *,
     bounds: tuple[tuple[float, float], tuple[float, float]],
+    shown: tuple[tuple[float, float], tuple[float, float]],
     percentiles: Sequence[float],
 ) -> None:
     try:
         estimate = KernelDensity.fit(values, weights, bounds=bounds)
     except NumericsError:
         return  # draws on a line have no density in the plane: the hexagons say all
-    axes = [np.linspace(*bound, _GRID) for bound in bounds]
+    axes = [np.linspace(*limits, _GRID) for limits in shown]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     levels = np.unique(estimate.percentile_levels(percentiles))
     ax.contour(*axes, estimate.density(points).reshape(_GRID, _GRID).T, levels=levels, colors=BLACK, linewidths=1.2)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 from strandline.errors import NumericsError
 from strandline.parameters import Parameter
 from strandline.plots.style import BLACK, BLUE, PURPLE, RED, SKY, axes_or_new, figure_or_new, styled
+from strandline.plots.view import shown_interval
 from strandline.posterior import KernelDensity, Posterior, histogram
 
 __all__ = ["Curve", "plot_marginal", "plot_marginals"]
@@ -46,12 +47,13 @@ def plot_marginal(
     parameter = posterior.space[name]
     with styled():
         ax = axes_or_new(ax, (4.0, 3.0))
-        draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, bins=bins)
+        shown = shown_interval(posterior, name)
+        draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
         if overlay is not None:
             ax.plot(overlay.x, overlay.density, color=PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
         if truth is not None:
             ax.axvline(truth, color=BLUE, linestyle=":", label="ground truth")
-        ax.set(xlabel=parameter.label(), ylabel=density_label(parameter), xlim=parameter.interval)
+        ax.set(xlabel=parameter.label(), ylabel=density_label(parameter), xlim=shown)
         if legend:
             ax.legend()
     return ax
@@ -91,14 +93,16 @@ def draw_marginal(
     values: Float[np.ndarray, " particle"],
     weights: Float[np.ndarray, " particle"],
     *,
+    shown: tuple[float, float],
     bins: int = 30,
     upright: bool = False,
 ) -> None:
     """Draw histogram, kernel density estimate and prior of one input; `upright` puts the input on the y axis."""
-    bars = histogram(values, weights, bounds=parameter.interval, bins=bins)
+    inside = (values >= shown[0]) & (values <= shown[1])
+    bars = histogram(values[inside], weights[inside], bounds=shown, bins=bins)
     orientation: Literal["horizontal", "vertical"] = "horizontal" if upright else "vertical"
     ax.stairs(bars.density, bars.edges, fill=True, color=SKY, alpha=0.7, orientation=orientation, label="particles")
-    grid = np.linspace(*parameter.interval, 301)
+    grid = np.linspace(*shown, 301)
     prior = np.exp(np.asarray(parameter.truncated_prior.log_density(grid)))
     prior = np.where(np.isfinite(prior), prior, np.nan)
     try:

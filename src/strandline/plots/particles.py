@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from strandline.plots.style import axes_or_new, figure_of, styled
+from strandline.plots.view import shown_interval
 from strandline.posterior import Posterior
 
 __all__ = ["plot_particles"]
@@ -23,11 +24,12 @@ def plot_particles(
     order = np.argsort(posterior.weights)
     weights, points = posterior.weights[order], posterior.columns(names)[order]
     x, y = posterior.space[names[0]], posterior.space[names[1]]
+    across, up = (shown_interval(posterior, name) for name in names)
     with styled():
         ax = axes_or_new(ax, (5.0, 3.8))
         area = largest * weights / weights.max()
         drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
         drawn.set(edgecolors="white", linewidths=0.15)
-        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=x.interval, ylim=y.interval)
+        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=across, ylim=up)
         figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
     return ax

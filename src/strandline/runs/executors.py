@@ -28,6 +28,7 @@ from strandline.runs.workers import Worker
 __all__ = ["Executor", "InProcess", "LocalProcesses", "usable_cores"]
 
 LONGEST_WAIT_SECONDS = 0.5
+KILLED_STARTS_BORNE = 10
 """How often workers are looked at that have not said anything."""
 
 
@@ -122,7 +123,7 @@ class _Pool:
         self.workers: list[Worker] = []
         self.done: deque[tuple[Worker, RunRecord]] = deque()
         self.exhausted = False
-        self.launched = self.started = 0
+        self.launched = self.started = self.killed_starts = 0
 
     def records(self, number: int) -> Iterator[RunRecord]:
         """Start `number` workers and yield records until every request that was pulled is answered."""
@@ -190,6 +191,9 @@ class _Pool:
         """Replace a worker that is gone; keep the record of the run that it had."""
         self.workers.remove(worker)
         worker.end()
+        self.killed_starts += not worker.ready
+        if self.killed_starts > KILLED_STARTS_BORNE:
+            raise _killed_while_starting(self.killed_starts)
         if record is not None:
             self._keep(worker, record)
         if not self.exhausted:
@@ -252,6 +256,15 @@ def _require_not_loading() -> None:
             expected="runs started under `if __name__ == '__main__':`",
             remedy="Put the code that starts the runs under that line, or the model into a module of its own.",
         )
+
+
+def _killed_while_starting(times: int) -> InvalidInput:
+    return InvalidInput(
+        "worker processes are killed before they have loaded the model",
+        value=f"{times} times",
+        expected="workers that live until they are told to go",
+        remedy="Look for what kills them (memory?), or use fewer workers.",
+    )
 
 
 def _require_posix() -> None:

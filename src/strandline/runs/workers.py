@@ -96,16 +96,16 @@ class Worker:
         return self._lost("timeout", "timeout", f"still running after {timeout:g} s, and killed")
 
     def vanished(self) -> RunRecord | None:
-        """Return the record of the run that took the process down.
+        """Return the record of the run that took the process down; None where it had none.
 
         Raises:
-            InvalidInput: it went before it had loaded the model.
+            InvalidInput: it went before it had loaded the model, and nobody killed it.
         """
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(1.0)
         self._kill()
         how = _how_it_ended(self.process.returncode)
-        if not self.ready:
+        if not self.ready and self.process.returncode != -signal.SIGKILL:
             raise _unusable(f"the worker process ended with {how}\n{self._log_tail()}")
         return self._lost("killed", "worker_died", f"the worker process of this run ended with {how}")
 

@@ -1,10 +1,11 @@
 """`StudyFile` → domain objects, with every check that needs no forward run."""
 
+import contextlib
 import dataclasses
 import importlib
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -29,6 +30,7 @@ __all__ = [
 ]
 
 MASS_CUT_ACCEPTED = 0.5
+PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
 
 def build_model(choice: Mapping[str, Mapping[str, Any] | None]) -> ForwardModel:
@@ -247,32 +249,45 @@ def _suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
 
 def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> Any:
     """Call a frozen dataclass with options from the study; unknown or missing ones are told by name."""
-    options = dict(options or {})
     fields = {f.name: f for f in dataclasses.fields(factory) if f.init}
-    for name in options:
+    values = {}
+    for name, value in dict(options or {}).items():
         if name not in fields:
             raise InvalidStudy(
                 f"{place}: unknown option",
                 value=name,
-                expected=f"one of {', '.join(fields)}",
+                expected=f"one of {', '.join(fields)}" if fields else "no options",
                 remedy=_suggestion(name, fields, f"Remove {name}."),
             )
+        values[name] = _option(value, fields[name].type, f"{place}.{name}")
     for name, field in fields.items():
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        if required and name not in options:
+        if required and name not in values:
             raise InvalidStudy(
                 f"{place}.{name}", value=None, expected="this option", remedy=f"Add `{name}: …` to {place}."
             )
     try:
-        return factory(**options)
+        return factory(**values)
     except InvalidInput as error:
         raise InvalidStudy(
             f"{place}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
         ) from None
     except (TypeError, ValueError) as error:
         raise InvalidStudy(
-            place, value=options, expected=str(error), remedy=f"Correct the options of {place}."
+            place, value=options, expected=" ".join(str(error).split()), remedy=f"Correct the options of {place}."
         ) from None
+
+
+def _option(value: Any, annotation: Any, place: str) -> Any:
+    """Return an option as its plain type wants it; other types are left to the class."""
+    kinds = [kind for kind in get_args(annotation) or (annotation,) if kind is not type(None)]
+    if kinds == [float]:
+        with contextlib.suppress(TypeError, ValueError):
+            if not isinstance(value, bool):
+                return float(value)
+    elif kinds not in ([int], [str]) or (isinstance(value, kinds[0]) and not isinstance(value, bool)):
+        return value
+    raise InvalidStudy(place, value=value, expected=PLAIN_TYPES[kinds[0]], remedy=f"Correct {place}.")
 
 
 def _plain(unit: str) -> str:

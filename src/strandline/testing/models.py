@@ -20,7 +20,7 @@ from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.protocol import ModelInput, Simulation
 
-__all__ = ["FAULTS", "Cantilever", "Counted", "CrashesOnce", "Faulty", "Patient", "Slow"]
+__all__ = ["FAULTS", "Cantilever", "Counted", "CrashesOnce", "Faulty", "KilledWhileLoading", "Patient", "Slow"]
 
 
 @dataclass(frozen=True)
@@ -195,6 +195,34 @@ class CrashesOnce:
         if not mark.exists():
             mark.touch()
             os._exit(3)
+        return self.base(inputs, workdir)
+
+
+@dataclass(frozen=True)
+class KilledWhileLoading:
+    """`base`, whose process is killed while it loads the model, the first `times` times; `folder` keeps count."""
+
+    folder: str
+    times: int
+    base: Any = Cantilever()
+
+    @property
+    def fingerprint(self) -> str:
+        """The base's."""
+        return str(self.base.fingerprint)
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Load like any other model, or be killed."""
+        self.__dict__.update(state)
+        for number in range(self.times):
+            try:
+                (Path(self.folder) / str(number)).touch(exist_ok=False)
+            except FileExistsError:
+                continue
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        """Return what the base returns."""
         return self.base(inputs, workdir)
 
 

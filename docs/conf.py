@@ -1,0 +1,69 @@
+"""Sphinx configuration; neither the build nor the pages need a network."""
+
+import re
+from importlib import metadata
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.ext.napoleon import GoogleDocstring
+
+project = "strandline"
+author = "strandline contributors"
+copyright = "2026, strandline contributors"
+release = metadata.version("strandline")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"strandline {release}"
+html_copy_source = False
+html_math_renderer = "mathml"
+default_role = "code"
+
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 3
+
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+
+def inline_math(self, node):
+    self.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def block_math(self, node):
+    self.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+ATTRIBUTES = ("attribute", "data", "property")
+kept = {}
+
+
+def before_napoleon(app, what, name, obj, options, lines):
+    """Escape what RST would read as markup (|x|, a trailing _, a lone *): docstrings are prose with `code`.
+
+    Napoleon takes the first words of a property's docstring, up to a colon, for a type; so it gets none to see.
+    """
+    for number, line in enumerate(lines):
+        pieces = re.split(r"(``.*?``|`.*?`)", line)
+        pieces[::2] = [re.sub(r"([|*]|_(?=\W|$))", r"\\\1", piece) for piece in pieces[::2]]
+        lines[number] = "".join(pieces)
+    if what in ATTRIBUTES:
+        kept[name] = GoogleDocstring(list(lines), app.config, app, "method", name, obj, options).lines()
+        lines.clear()
+
+
+def after_napoleon(app, what, name, obj, options, lines):
+    if what in ATTRIBUTES:
+        lines[:] = kept.pop(name, [])
+
+
+def setup(app):
+    app.add_html_math_renderer("mathml", (inline_math, None), (block_math, None))
+    app.connect("autodoc-process-docstring", before_napoleon, priority=300)
+    app.connect("autodoc-process-docstring", after_napoleon, priority=700)
