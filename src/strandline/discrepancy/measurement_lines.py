@@ -143,9 +143,7 @@ def _nearest_crossings(interface: Interface, lines: Bases) -> Float[np.ndarray, 
     return np.asarray(place[np.arange(len(lines)), np.argmin(np.abs(place), axis=1)])
 
 
-def _foot(
-    start: Float[np.ndarray, "line cell"], end: Float[np.ndarray, "line cell"]
-) -> Float[np.ndarray, "line cell"]:
+def _foot(start: Float[np.ndarray, "line cell"], end: Float[np.ndarray, "line cell"]) -> Float[np.ndarray, "line cell"]:
     """Return where on a segment that lies *in* the line, as a share of it, the line's point is nearest."""
     span = end - start
     return np.asarray(np.clip(np.divide(-start, span, out=np.zeros_like(span), where=span != 0), 0.0, 1.0))

@@ -59,14 +59,14 @@ class PythonModel:
                 remedy="Give it an attribute `fingerprint`, a text that changes whenever its results do.",
             ) from None
 
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
-        """Return the interface that the function predicts."""
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        """Return what the function returns, points as an `Interface`; anything else makes the run invalid."""
         result = _found(self.function)(inputs, workdir)
         return result if isinstance(result, Simulation | Interface) else _polyline(result)
 
 
-def _polyline(points: Any) -> Interface:
-    """Return the polyline through (point, 2) numbers; anything else is returned as it is, for the run's record."""
+def _polyline(points: Any) -> Any:
+    """Return the polyline through (point, 2) numbers, and anything else as it is."""
     try:
         array = np.asarray(points, float)
     except (TypeError, ValueError):

@@ -50,6 +50,7 @@ class FieldGrid:
         failed: inputs of the failed runs (run, 2); None for none.
         training: inputs of the successful runs (run, 2); None leaves them out.
         truth: the ground truth (2,), where there is one.
+        detail: the same scalar on a finer grid of a small part; a likelihood too narrow to be seen is shown there.
     """
 
     x: Parameter
@@ -60,6 +61,7 @@ class FieldGrid:
     failed: Float[np.ndarray, "run 2"] | None = None
     training: Float[np.ndarray, "train 2"] | None = None
     truth: Float[np.ndarray, "2"] | None = None
+    detail: "FieldGrid | None" = None
 
 
 def plot_field(
@@ -85,7 +87,9 @@ def plot_field(
         legend: whether to explain the crosses and points under the axes.
         ax: axes to draw in.
     """
-    values = np.exp(grid.values - grid.values.max()) if kind == "likelihood" else grid.values
+    detail = grid.detail if kind == "likelihood" else None
+    top = max(float(g.values.max()) for g in (grid, detail) if g is not None)
+    values = np.exp(grid.values - top) if kind == "likelihood" else grid.values
     norm = _norm(values, kind, floor)
     with styled():
         ax = axes_or_new(ax, (5.0, 3.8))
@@ -96,6 +100,10 @@ def plot_field(
         lines: Any = {"colors": "white", "linewidths": 0.5, "linestyles": "solid", "alpha": 0.8}
         ax.contour(grid.x_values, grid.y_values, values.T, levels=np.unique(steps), **lines)
         _draw_runs(ax, grid)
+        if detail is not None:
+            _draw_detail(ax, detail, np.exp(detail.values - top), lines | {"levels": np.unique(steps)})
+        elif grid.truth is not None:
+            mark(ax, grid.truth, RED, "ground truth", marker="o")
         ax.set(xlabel=grid.x.label(), ylabel=grid.y.label(), xlim=grid.x.interval, ylim=grid.y.interval)
         if colour_bar:
             extend = "min" if float(values.min()) < float(norm.vmin or 0.0) else "neither"
@@ -197,5 +205,19 @@ def _draw_runs(ax: Axes, grid: FieldGrid) -> None:
             label="failed run",
             path_effects=rim,
         )
-    if grid.truth is not None:
-        mark(ax, grid.truth, RED, "ground truth", marker="o")
+
+
+def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], lines: Mapping[str, Any]) -> None:
+    """Draw a small part of the field enlarged in the lower right corner, with a frame about that part."""
+    inset = ax.inset_axes((0.47, 0.13, 0.5, 0.45))
+    colours: Any = {"cmap": _COLOURS["likelihood"], "norm": Normalize(0.0, 1.0), "shading": "gouraud"}
+    inset.pcolormesh(detail.x_values, detail.y_values, values.T, rasterized=True, **colours)
+    inset.contour(detail.x_values, detail.y_values, values.T, **lines)
+    if detail.truth is not None:
+        mark(inset, detail.truth, RED, "ground truth", marker="o", size=6.0)
+        mark(ax, [np.nan, np.nan], RED, "ground truth", marker="o")  # for the legend
+    inset.tick_params(colors="white", labelsize=6.5, length=2.5)
+    inset.locator_params(nbins=4)
+    for spine in inset.spines.values():
+        spine.set(visible=True, color="white")
+    ax.indicate_inset_zoom(inset, edgecolor="white", alpha=0.9)

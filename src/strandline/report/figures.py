@@ -1,11 +1,11 @@
 """Which figures a calibration has: a name and a caption each, drawn one after the other."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.figure import Figure
 
 from strandline import plots
@@ -17,7 +17,10 @@ from strandline.surrogate import LogLikelihoodSurrogate
 __all__ = ["Captioned", "draw_figures"]
 
 GRID = 121
-EXAMPLES = 3
+NARROW_SHARE = 0.02
+"""A likelihood above 5 % of its maximum on less than this share of the box is shown enlarged as well."""
+EXAMPLES = (0.1, 0.8, 1.0)
+"""Which runs are drawn as examples: quantiles of their displacement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,34 +57,30 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
             yield Captioned("flow", "data", caption, _whole(figure))
     undeformed = getattr(problem.model, "undeformed", lambda: None)()
     axes = plots.plot_interfaces(
-        problem.observations[0].interface, reference=undeformed, simulated=_examples(calibration)
+        problem.observations[0].interface, reference=undeformed, simulated=_examples(calibration, undeformed)
     )
     caption = "The observed interface, the undeformed one, and the interfaces of a few runs of the design."
     yield Captioned("interfaces", "data", caption, _whole(axes.figure))
 
 
-def _examples(calibration: Calibration) -> dict[str, Interface]:
-    """Interfaces of runs at different quantiles of displacement, labelled by their inputs."""
-    runs = [record for record in calibration.records if record.interface is not None]
-    observed = calibration.problem.observations[0].interface.points
-    same = [r for r in runs if r.interface is not None and r.interface.points.shape == observed.shape]
-    if not same:
-        return {}
-    ranked = sorted(same, key=lambda r: float(np.abs(r.interface.points - observed).max()))  # type: ignore[union-attr]
-    chosen = [ranked[round(q * (len(ranked) - 1))] for q in (0.5, 0.85, 1.0)][:EXAMPLES]
-    names = calibration.problem.space.names
-    labelled = {", ".join(f"{n} = {r.inputs[n]:.3g}" for n in names): r.interface for r in chosen}
-    return {label: interface for label, interface in labelled.items() if interface is not None}
+def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[str, Interface]:
+    """Return interfaces of runs from a small to the largest displacement, labelled by their inputs."""
+    problem = calibration.problem
+    reference = (undeformed or problem.observations[0].interface).points
+    runs = {
+        ", ".join(f"{name} = {record.inputs[name]:.3g}" for name in problem.space.names): record.interface
+        for record in calibration.records
+        if record.interface is not None and record.interface.points.shape == reference.shape
+    }
+    ranked = sorted(runs.items(), key=lambda item: float(np.abs(item[1].points - reference).max()))
+    return dict(ranked[round(q * (len(ranked) - 1))] for q in EXAMPLES) if ranked else {}
 
 
 def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     space = calibration.problem.space
     if space.dim != 2:
         return
-    means = {
-        _spoken(name): _grid(calibration, s, lambda s, x: s.process.mean(x), truth)
-        for name, s in calibration.surrogates.items()
-    }
+    means = {_spoken(name): _mean_grid(calibration, s, truth) for name, s in calibration.surrogates.items()}
     deviations = {
         _spoken(name): _grid(calibration, s, lambda s, x: np.sqrt(s.process.variance(x)), truth)
         for name, s in calibration.surrogates.items()
@@ -108,14 +107,41 @@ def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iter
     )
 
 
+def _mean_grid(
+    calibration: Calibration, surrogate: LogLikelihoodSurrogate, truth: Mapping[str, float] | None
+) -> plots.FieldGrid:
+    """Return the surrogate's mean over the box, with a detail where the likelihood is too narrow to be seen."""
+
+    def mean(s: LogLikelihoodSurrogate, x: Any) -> Any:
+        return s.process.mean(x)
+
+    grid = _grid(calibration, surrogate, mean, truth)
+    high = grid.values > grid.values.max() + np.log(0.05)
+    if high.mean() > NARROW_SHARE:
+        return grid
+    rows, columns = np.flatnonzero(high.any(axis=1)), np.flatnonzero(high.any(axis=0))
+    part = [_around(grid.x_values, rows), _around(grid.y_values, columns)]
+    return replace(grid, detail=_grid(calibration, surrogate, mean, truth, part=part))
+
+
+def _around(values: Float[np.ndarray, " x"], chosen: Int[np.ndarray, " n"]) -> tuple[float, float]:
+    """Return the interval of the chosen grid points, half as wide again and at least four cells."""
+    reach = max(4, round(0.25 * (chosen[-1] - chosen[0] + 1)))
+    return float(values[max(chosen[0] - reach, 0)]), float(values[min(chosen[-1] + reach, len(values) - 1)])
+
+
 def _grid(
     calibration: Calibration,
     surrogate: LogLikelihoodSurrogate,
     function: Callable[[LogLikelihoodSurrogate, Any], Any],
     truth: Mapping[str, float] | None,
+    *,
+    part: Sequence[tuple[float, float]] | None = None,
 ) -> plots.FieldGrid:
+    """Return a scalar of the surrogate on a grid over the box, or a part of it."""
     space = calibration.problem.space
-    x, y = (np.linspace(*parameter.interval, GRID) for parameter in space)
+    intervals = [parameter.interval for parameter in space] if part is None else part
+    x, y = (np.linspace(*interval, GRID) for interval in intervals)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     return plots.FieldGrid(
         x=space.parameters[0],

@@ -3,7 +3,8 @@
 import base64
 import io
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,17 +37,26 @@ def write_report(
         truth: the inputs of a synthetic observation.
         folder: the study's.
     """
-    partial = folder / ".figures.partial"
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir()
-    shown = [_saved(captioned, partial) for captioned in draw_figures(calibration, truth)]
-    target = folder / "figures"
-    shutil.rmtree(target, ignore_errors=True)
-    partial.rename(target)
+    with _whole_folder(folder / "figures") as partial:
+        shown = [_saved(captioned, partial) for captioned in draw_figures(calibration, truth)]
     page = _template().render(s=summary, figures=shown, study_text=study_text)
     unfinished = folder / f".{FILE_NAME}.partial"
     unfinished.write_text(page, encoding="utf-8")
     return unfinished.replace(folder / FILE_NAME)
+
+
+@contextmanager
+def _whole_folder(target: Path) -> Iterator[Path]:
+    """Give an empty folder that replaces `target` once it is filled, and vanishes if it cannot be."""
+    partial = target.with_name(f".{target.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    try:
+        yield partial
+        shutil.rmtree(target, ignore_errors=True)
+        partial.rename(target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:

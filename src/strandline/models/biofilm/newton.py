@@ -153,9 +153,7 @@ def _simplified_steps(
         length = shorter
 
 
-def _predicted_damping(
-    correction: Vector, *, norm: Callable[[Vector], float], previous: tuple[float, Vector]
-) -> float:
+def _predicted_damping(correction: Vector, *, norm: Callable[[Vector], float], previous: tuple[float, Vector]) -> float:
     """Return Deuflhard's a-priori damping factor (3.49) from the last step taken and the correction it left."""
     step, simplified = previous
     difference = norm(simplified - correction) * norm(correction)

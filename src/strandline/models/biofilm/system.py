@@ -250,4 +250,3 @@ def _motion_rows(system: CoupledSystem) -> Bool[np.ndarray, " dof"]:
         if element.mat == "solid":
             rows[[part.start + dof for dof in element.dofs if dof >= 0]] = False
     return rows
-

@@ -1,0 +1,158 @@
+"""The report: self-contained, whole, with every figure and number."""
+
+import base64
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from strandline.report import write_report
+from strandline.report.page import _template
+
+FIGURES = [
+    "interfaces",
+    "leave_one_out",
+    "likelihood",
+    "log_likelihood",
+    "log_likelihood_sd",
+    "marginals",
+    "particles",
+    "posterior",
+    "tempering",
+]
+"""Of a model of two inputs that has no fields to show."""
+SECTIONS = ["asked", "answer", "data", "runs", "surrogate", "sampler", "provenance"]
+VOID = {"meta", "br", "img", "link", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, the visible text, and whether every tag is closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.open: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def attributes(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def page(reported: Any) -> Page:
+    return Page(reported.outcome.report.read_text())
+
+
+def test_nothing_is_loaded_from_outside(page: Page) -> None:
+    names = {tag for tag, _ in page.tags}
+    assert names.isdisjoint({"script", "link", "iframe", "object", "embed", "video", "audio"})
+    for _, attributes in page.tags:
+        for name in ("src", "href", "srcset", "data", "poster", "background"):
+            assert re.match(r"#|data:image/png;base64,", attributes.get(name) or "#")
+    styles = re.search(r"<style>(.*?)</style>", page.rawdata, re.DOTALL)
+    assert styles is None
+    assert not page.open
+
+
+def test_the_style_loads_nothing(reported: Any) -> None:
+    text = reported.outcome.report.read_text()
+    style = text[text.index("<style>") : text.index("</style>")]
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+def test_every_figure_is_in_the_page_and_in_the_folder(page: Page, reported: Any) -> None:
+    images = page.attributes("img")
+    ids = [attributes["id"] for attributes in page.attributes("figure")]
+    assert sorted(str(name) for name in ids) == FIGURES
+    for name, image in zip(ids, images, strict=True):
+        data = base64.b64decode((image["src"] or "").partition(",")[2], validate=True)
+        assert data[:8] == b"\x89PNG\r\n\x1a\n"
+        assert data == (reported.folder / "figures" / f"{name}.png").read_bytes()
+        assert (reported.folder / "figures" / f"{name}.pdf").read_bytes()[:5] == b"%PDF-"
+        assert image["alt"]
+    names = [path.name for path in (reported.folder / "figures").iterdir()]
+    assert sorted(names) == sorted(f"{name}.{kind}" for name in FIGURES for kind in ("png", "pdf"))
+
+
+def test_every_link_has_its_target(page: Page) -> None:
+    targets = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert [attributes["href"] for attributes in page.attributes("a")] == [f"#{name}" for name in SECTIONS]
+    assert set(SECTIONS) <= set(targets)
+    assert len(set(targets)) == len(targets)
+
+
+def test_the_numbers_are_those_of_the_summary(page: Page, reported: Any) -> None:
+    summary = reported.outcome.summary
+    for item in summary["inputs"].values():
+        for figure in (item["mean"], item["median"], item["q05"], item["q95"], item["map"]):
+            assert f"{figure:.4g}" in page.text
+    for warning in summary["warnings"]:
+        assert warning in page.text
+    assert f"Log-evidence {summary['log_evidence']:.5g}" in page.text
+    assert "64 of 64 runs of the design succeeded" in page.text
+    assert "closest point" in page.text
+    assert "400 particles" in page.text
+    for name, version in summary["versions"].items():
+        assert f"{name} {version}" in page.text
+    assert "test:beam-1" in page.text
+
+
+def test_the_study_file_is_shown_and_escaped(page: Page, reported: Any) -> None:
+    assert (reported.folder / "study.yaml").read_text() in page.text
+
+
+def test_a_second_report_replaces_the_first_whole(reported: Any, tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "old.png").touch()
+    (tmp_path / ".figures.partial").mkdir()
+    (tmp_path / ".figures.partial" / "flow.png").touch()
+    outcome = reported.outcome
+    path = write_report(outcome.calibration, outcome.summary, study_text="", truth=None, folder=tmp_path)
+    assert path == tmp_path / "report.html"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["figures", "report.html"]
+    assert sorted(p.stem for p in (tmp_path / "figures").glob("*.png")) == FIGURES
+
+
+def test_a_figure_that_fails_leaves_the_old_report(
+    reported: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "old.png").touch()
+
+    def broken(*args: Any, **options: Any) -> Any:
+        raise RuntimeError("no ink")
+
+    monkeypatch.setattr("strandline.plots.plot_leave_one_out", broken)
+    outcome = reported.outcome
+    with pytest.raises(RuntimeError, match="no ink"):
+        write_report(outcome.calibration, outcome.summary, study_text="", truth=None, folder=tmp_path)
+    assert [p.name for p in tmp_path.rglob("*")] == ["figures", "old.png"]
+
+
+def test_without_quadrature_truth_and_failures(reported: Any) -> None:
+    """In more than three dimensions, with an observed file: the page leaves out what there is not."""
+    summary = reported.outcome.summary
+    seconds = {key: value for key, value in summary["seconds"].items() if key != "report"}
+    bare = {**summary, "quadrature_check": None, "truth": None, "warnings": [], "seconds": seconds, "fixed": {}}
+    failed = {**bare["runs"], "failed": 2, "by_kind": {"newton_stalled": 2}}
+    text = Page(_template().render(s={**bare, "runs": failed}, figures=[], study_text="")).text
+    assert "truth" not in text
+    assert "Quadrature" not in text
+    assert "No warnings" in text
+    assert "newton_stalled" in text
