@@ -1,13 +1,13 @@
 """The posterior of a 2-D biofilm study without any surrogate of the log-likelihood, against the one of the study.
 
-Forward runs on a Chebyshev–Lobatto grid; between its nodes the *interface field* is interpolated (it is smooth, unlike the
-log-likelihood), the measure is evaluated on the interpolated interface, and the posterior is integrated adaptively. The
-error of the interpolation is seen from the nested grid with half the intervals and from forward runs between the nodes.
+Forward runs on a Chebyshev–Lobatto grid; between its nodes the *interface field* is interpolated (it is smooth, unlike
+the log-likelihood), the measure is evaluated on the interpolated interface, and the posterior is integrated adaptively.
+The error of the interpolation is seen from the nested grid with half the intervals and from forward runs in between.
 
-Where no steady state exists (soft samples) there is nothing to interpolate: the grid ends at E_low(ν), a fifth above the
-fold, and the likelihood on that edge shows how much mass can lie beyond.
+Where no steady state exists (soft samples) there is nothing to interpolate: the grid ends at E_low(ν), a fifth above
+the fold, and the likelihood on that edge shows how much mass can lie beyond.
 
-Run it with:  python -m validation.direct_quadrature STUDY [STUDY …]        (study folders that `strandline run` finished)
+Run it with:  python -m validation.direct_quadrature STUDY [STUDY …]      (study folders that `strandline run` finished)
 """
 
 import json

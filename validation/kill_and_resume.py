@@ -1,8 +1,8 @@
-"""kill -9 of the driver and of workers at random moments: nothing finished is repeated or lost, and the end is the same.
+"""kill -9 of the driver and of workers at random moments: nothing finished is repeated or lost, the end is the same.
 
-A study (real biofilm model, coarse mesh) is run once undisturbed. A copy of it is run again and again: first its driver is
-killed at random moments, then single workers, until it has finished. Compared are the finished runs before and after each
-kill, and the content of posterior.nc at the end, bit by bit.
+A study (real biofilm model, coarse mesh) is run once undisturbed. A copy of it is run again and again: first its driver
+is killed at random moments, then single workers, until it has finished. Compared are the finished runs before and after
+each kill, and the content of posterior.nc at the end, bit by bit.
 
 Run it with:  python -m validation.kill_and_resume [DRIVER_KILLS WORKER_KILLS]
 """
@@ -52,8 +52,8 @@ def repeated(folder: Path) -> int:
 def prepare(folder: Path) -> None:
     """Write the study."""
     path = write_template(folder)
-    text = path.read_text(encoding="utf-8").replace("runs: 100", f"runs: {RUNS}").replace(f"name: {folder.name}", "name: s")
-    path.write_text(text, encoding="utf-8")
+    text = path.read_text(encoding="utf-8").replace("runs: 100", f"runs: {RUNS}")
+    path.write_text(text.replace(f"name: {folder.name}", "name: s"), encoding="utf-8")
 
 
 def children(pid: int) -> list[int]:

@@ -86,7 +86,8 @@ def test_jacobian_bound_is_a_bound_and_finds_an_inversion_between_the_corners():
     rule = ng.IntegrationRule(points=[tuple(p) for p in points], weights=[0.0] * len(points))
     for scale in (0.02, 0.1, 0.3):
         field.vec.FV().NumPy()[:] = rng.normal(0, scale, space.ndof)
-        sampled = np.asarray(ng.Det(ng.Id(2) + ng.Grad(field))(mesh.MapToAllElements(rule, ng.VOL))).reshape(mesh.ne, -1)
+        J = ng.Det(ng.Id(2) + ng.Grad(field))
+        sampled = np.asarray(J(mesh.MapToAllElements(rule, ng.VOL))).reshape(mesh.ne, -1)
         fluid_bound, solid_bound = jacobian_bound(mesh, field, solid)
         assert fluid_bound <= sampled[1:].min() + 1e-12
         assert solid_bound <= sampled[:1].min() + 1e-12
@@ -139,9 +140,7 @@ def test_newton_without_a_root_stalls_and_says_so():
 
 def test_newton_reports_an_exhausted_budget():
     with pytest.raises(ForwardModelError, match="newton_maxit"):
-        newton.solve(
-            _Scalar(), np.array([1.0]), norm=_length, settings=newton.NewtonSettings(maximum_jacobians=2)
-        )
+        newton.solve(_Scalar(), np.array([1.0]), norm=_length, settings=newton.NewtonSettings(maximum_jacobians=2))
 
 
 def test_nonfinite_residual_is_a_typed_failure(system):

@@ -45,9 +45,10 @@ def test_workers_killed_while_they_load_are_replaced(tmp_path):
 
 
 def test_workers_killed_at_every_start_are_one_clear_error(tmp_path):
-    with pytest.raises(InvalidInput, match="killed before they have loaded the model.*fewer workers"):
-        model = KilledWhileLoading(str(tmp_path), times=100)
-        list(LocalProcesses(2)(model, requests_for(model)))
+    model = KilledWhileLoading(str(tmp_path), times=100)
+    records = LocalProcesses(2)(model, requests_for(model))
+    with pytest.raises(InvalidInput, match=r"killed before they have loaded the model.*fewer workers"):
+        list(records)
 
 
 @pytest.mark.parametrize("check", TIMEOUT_CHECKS.values(), ids=TIMEOUT_CHECKS.keys())

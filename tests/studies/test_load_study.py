@@ -155,7 +155,7 @@ def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
         ({"inputs": one_input(prior={"normal": [400, 30]}, unit="Pa")}, ["inputs.E: design box", "Give E a box"]),
         (
             {"inputs": one_input(prior={"uniform": [300, 700]}, unit="Pa", box=[300, 560])},
-            ["the prior of E lies outside its design box", "support [300, 700], box [300, 560], 35% of its mass"],
+            ["the prior of E reaches beyond its design box", "support [300, 700], box [300, 560], 35% of its mass"],
         ),
         (
             {"inputs": one_input(prior={"uniform": [600, 700]}, unit="Pa", box=[300, 560])},
@@ -163,7 +163,7 @@ def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
         ),
         (
             {"inputs": one_input(prior={"lognormal": [8, 0.3]}, unit="Pa", box=[300, 2000])},
-            ["the prior of E lies outside its design box", "at most half"],
+            ["the prior of E reaches beyond its design box", "at most half"],
         ),
         (
             {"inputs": {**BEAM_STUDY["inputs"], "Tilt": {"prior": {"uniform": [0, 1]}}}},

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from strandline.calibrate import Observer
 from strandline.runs import Progress as Runs
@@ -43,25 +43,29 @@ def _bars(console: Console) -> Iterator[Observer]:
     columns = (
         SpinnerColumn(finished_text="✓"),
         TextColumn("{task.description:<18}"),
-        BarColumn(),
+        BarColumn(bar_width=12),
         TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=console) as progress:
-        current = [progress.add_task("starting", total=None, note="")]
+        tasks: list[TaskID] = []
+
+        def end_stage() -> None:
+            for task in tasks[-1:]:
+                progress.update(task, total=1, completed=1)
 
         def stage(name: str) -> None:
-            progress.update(current[0], total=1, completed=1)
-            current[0] = progress.add_task(STAGES.get(name, name), total=None, note="")
+            end_stage()
+            tasks.append(progress.add_task(STAGES.get(name, name), total=None, note=""))
 
         def run(record: RunRecord, state: Runs) -> None:
-            progress.update(current[0], total=state.total, completed=state.finished, note=_run_note(state))
+            progress.update(tasks[-1], total=state.total, completed=state.finished, note=_run_note(state))
 
         def step(info: StepInfo) -> None:
-            progress.update(current[0], total=1.0, completed=float(info.temperature), note=_step_note(info))
+            progress.update(tasks[-1], total=1.0, completed=float(info.temperature), note=_step_note(info))
 
         yield Observer(stage=stage, run=run, step=step)
-        progress.update(current[0], total=1, completed=1)
+        end_stage()
 
 
 def _lines(console: Console) -> Observer:
@@ -93,12 +97,12 @@ def _lines(console: Console) -> Observer:
 
 def _run_note(state: Runs) -> str:
     remaining = state.remaining_seconds
-    eta = "" if remaining is None else f", {_duration(remaining)} left"
+    eta = "" if remaining is None or state.finished == state.total else f", {_duration(remaining)} left"
     return f"{state.ok} ok, {state.failed} failed{eta}"
 
 
 def _step_note(info: StepInfo) -> str:
-    return f"γ {info.temperature:.4f}, effective samples {info.ess:.0f}, acceptance {info.acceptance:.2f}"
+    return f"γ {info.temperature:.4f}, ESS {info.ess:.0f}, accepted {info.acceptance:.0%}"
 
 
 def _duration(seconds: float) -> str:

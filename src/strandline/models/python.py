@@ -1,7 +1,6 @@
 """A forward model of one's own: a Python function, named in the study file."""
 
 import importlib
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,7 +83,7 @@ def _found(target: object) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise _refused(target, f"a module that can be imported ({error})") from None
-        raise _refused(target, f"a module among {len(sys.path)} places; none has {error.name}") from None
+        raise _refused(target, f"a module that can be imported; there is none called {error.name}") from None
     except Exception as error:
         raise _refused(target, f"a module that can be imported ({type(error).__name__}: {error})") from None
     for part in name.split("."):

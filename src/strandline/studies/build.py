@@ -146,7 +146,7 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
             f"unit of inputs.{name}",
             value=unit,
             expected=f"{declared.unit}, the unit the model takes",
-            remedy=f"Add `unit: {declared.unit}` to {name} and give its prior in that unit.",
+            remedy=f"Write `unit: {declared.unit}` at {name} and give its prior in that unit.",
         )
     prior = _prior(name, item)
     try:
@@ -188,7 +188,7 @@ def _check_prior_in_box(parameter: Parameter) -> None:
     sticks_out = np.isfinite(support).all() and (support[0] < box[0] or support[1] > box[1])
     if sticks_out or parameter.mass_cut > MASS_CUT_ACCEPTED:
         raise InvalidStudy(
-            f"the prior of {parameter.name} lies outside its design box",
+            f"the prior of {parameter.name} reaches beyond its design box",
             value=f"support [{support[0]:g}, {support[1]:g}], box [{box[0]:g}, {box[1]:g}], "
             f"{parameter.mass_cut:.0%} of its mass outside",
             expected="a bounded prior within the box, or at most half of an unbounded prior's mass outside",

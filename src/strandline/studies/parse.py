@@ -59,10 +59,17 @@ class _Loader(yaml.SafeLoader):
     """Safe YAML that refuses repeated keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.MarkedYAMLError(problem=f"the key {key!r} stands twice", problem_mark=node.start_mark)
+        seen = []
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise InvalidStudy(
+                    f"{STUDY}, line {key_node.start_mark.line + 1}: a key for the second time",
+                    value=key,
+                    expected="every key once",
+                    remedy="Remove one of them.",
+                )
+            seen.append(key)
         return super().construct_mapping(node, deep=deep)
 
 
@@ -92,14 +99,16 @@ def _read(folder: Path) -> str:
 def _load(path: Path, text: str) -> dict[str, Any]:
     try:
         content = yaml.load(text, Loader=_Loader)
+    except InvalidStudy:
+        raise
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         raise InvalidStudy(
             f"{path.name}{where} is not valid YAML",
-            value=getattr(error, "problem", None) or str(error),
-            expected="YAML with every key once",
-            remedy="Correct the line.",
+            value=f"a mistake in its syntax: {getattr(error, 'problem', None) or error}",
+            expected="YAML",
+            remedy="Correct the line, or the one before it.",
         ) from None
     if not isinstance(content, dict):
         raise InvalidStudy(

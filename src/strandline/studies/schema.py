@@ -12,7 +12,7 @@ SCHEMA_VERSION = 1
 def _number(value: Any) -> Any:
     """Refuse true/false and text where a number is wanted; accept `1e-5`, which YAML 1.1 reads as text."""
     if isinstance(value, bool):
-        raise ValueError("a truth value is not a number")
+        raise ValueError("a number, not a truth value")
     return value
 
 
@@ -52,9 +52,9 @@ class ObservationFile(_Strict):
     @model_validator(mode="after")
     def _one_source(self) -> "ObservationFile":
         if (self.file is None) == (self.synthetic is None):
-            raise ValueError("give either `file` (with `unit`) or `synthetic`")
+            raise ValueError("either `file` with its `unit`, or `synthetic`")
         if self.file is not None and self.unit is None:
-            raise ValueError("the unit of the coordinates is missing: add `unit: mm` (or um, m)")
+            raise ValueError("the unit of the coordinates too: `unit: mm` (or um, m)")
         return self
 
 
@@ -67,7 +67,7 @@ class Noise(_Strict):
     @model_validator(mode="after")
     def _one_of_both(self) -> "Noise":
         if (self.variance is None) == (self.sd is None):
-            raise ValueError("give either `variance` or `sd`")
+            raise ValueError("either `variance` or `sd`")
         return self
 
 

@@ -82,8 +82,9 @@ def quadrature_check(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that numbers depend on."""
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in PACKAGES}
+    """Return the versions of Python and of those packages that numbers depend on, as far as they are installed."""
+    installed = {d.name.lower(): d.version for d in metadata.distributions()}
+    return {"python": platform.python_version()} | {name: installed[name] for name in PACKAGES if name in installed}
 
 
 def _runs(calibration: Calibration) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def write_template(folder: Path) -> Path:
     except OSError as error:
         raise InvalidStudy(
             "the folder cannot be made",
-            value=str(error),
+            value=f"{folder}: {error.strerror}",
             expected="a place with write permission",
             remedy="Choose another folder.",
         ) from None

@@ -1,0 +1,315 @@
+"""Bad input: exit code 2, one line that says what, value, expected and remedy, and a folder left as it was."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from strandline.cli import main
+from strandline.runs import Ledger
+from strandline.testing.studies import BEAM_STUDY, write_study
+
+E: dict[str, Any] = BEAM_STUDY["inputs"]["E"]
+BIOFILM: dict[str, Any] = {
+    "model": {"biofilm": {"mesh": "coarse"}},
+    "fixed": {"V_in": 100},
+    "inputs": {
+        "E": {"prior": {"uniform": [100, 800]}, "unit": "Pa"},
+        "nu": {"prior": {"uniform": [-0.8, 0.5]}},
+    },
+    "observation": {"synthetic": {"E": 400, "nu": 0.3, "V_in": 100}},
+}
+
+
+def inputs(**item: Any) -> dict[str, Any]:
+    return {"inputs": {**BEAM_STUDY["inputs"], "E": {**E, **item}}}
+
+
+def changed(**changes: Any) -> Callable[[Path], list[str]]:
+    """Return a case: `strandline run` on a study with these changes."""
+    return lambda folder: ["run", str(write_study(folder, **changes))]
+
+
+def observed(text: str | None, unit: str | None = "mm") -> Callable[[Path], list[str]]:
+    def case(folder: Path) -> list[str]:
+        source = {"file": "observed.csv"} | ({"unit": unit} if unit else {})
+        write_study(folder, observation=source)
+        if text is not None:
+            (folder / "observed.csv").write_text(text)
+        return ["run", str(folder)]
+
+    return case
+
+
+def raw(text: str) -> Callable[[Path], list[str]]:
+    def case(folder: Path) -> list[str]:
+        folder.mkdir()
+        (folder / "study.yaml").write_text(text)
+        return ["run", str(folder)]
+
+    return case
+
+
+def forward(*options: str) -> Callable[[Path], list[str]]:
+    return lambda folder: ["forward", str(write_study(folder)), *options]
+
+
+def no_study(folder: Path) -> list[str]:
+    folder.mkdir()
+    return ["run", str(folder)]
+
+
+def study_file(folder: Path) -> list[str]:
+    return ["run", str(write_study(folder) / "study.yaml")]
+
+
+def foreign_ledger(folder: Path) -> list[str]:
+    write_study(folder)
+    Ledger.open(folder / "ledger.sqlite", model="biofilm:r1:mesh=default").close()
+    return ["run", str(folder)]
+
+
+def garbage_ledger(folder: Path) -> list[str]:
+    write_study(folder)
+    (folder / "ledger.sqlite").write_bytes(b"this is no ledger at all" * 200)
+    return ["run", str(folder)]
+
+
+def foreign_reuse(folder: Path) -> list[str]:
+    write_study(folder / "other")
+    Ledger.open(folder / "other" / "ledger.sqlite", model="biofilm:r1:mesh=default").close()
+    return ["run", str(write_study(folder, reuse=["other"]))]
+
+
+def unfinished_report(folder: Path) -> list[str]:
+    return ["report", str(write_study(folder))]
+
+
+def occupied_init(folder: Path) -> list[str]:
+    return ["init", str(write_study(folder))]
+
+
+def init_below_a_file(folder: Path) -> list[str]:
+    folder.mkdir()
+    (folder / "file").touch()
+    return ["init", str(folder / "file" / "study")]
+
+
+CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
+    "unknown key": (changed(colour="blue"), ["unknown key: got colour", "Remove colour."]),
+    "misspelt key": (changed(noise={"varience": 1e-4}), ["got noise.varience", "Did you mean variance?"]),
+    "wrong type": (changed(design={"sobol": {"runs": "many"}}), ["design.sobol.runs: got many", "a whole number"]),
+    "a truth value for a number": (changed(noise={"sd": True}), ["noise.sd: got True; expected a number"]),
+    "key twice": (raw("version: 1\nname: a\nname: b\n"), ["line 3: a key for the second time: got name"]),
+    "not YAML": (raw("version: 1\nname: [a\n"), ["line 3", "not valid YAML"]),
+    "no version": (raw("name: a\n"), ["version: got nothing", "version: 1"]),
+    "prior outside the box": (changed(**inputs(box=[300, 500])), ["prior of E", "box [300, 500]", "Widen the box"]),
+    "prior without a box": (changed(**inputs(prior={"normal": [400, 50]})), ["Give E a box"]),
+    "nu above 0.5": (
+        changed(**BIOFILM | {"inputs": BIOFILM["inputs"] | {"nu": {"prior": {"uniform": [-0.8, 0.6]}}}}),
+        ["inputs.nu", "got 0.6", "(-1, 0.5]", "Poisson's ratio"],
+    ),
+    "negative E": (
+        changed(**inputs(prior={"uniform": [-100, 560]})),
+        ["inputs.E", "got -100", "(0, inf] Pa", "Young's modulus"],
+    ),
+    "unit missing": (changed(**inputs(unit=None)), ["unit of inputs.E: got nothing", "Write `unit: Pa`"]),
+    "wrong unit": (changed(**inputs(unit="kPa")), ["unit of inputs.E: got kPa; expected Pa"]),
+    "unit of the observation missing": (observed("0,0\n1,1\n", None), ["unit of the coordinates", "`unit: mm`"]),
+    "observation missing": (observed(None), ["observation observed.csv is missing"]),
+    "observation empty": (observed(""), ["observation observed.csv holds no points"]),
+    "observation of one point": (observed("x,y\n0,0\n"), ["too few points", "got 1 point(s)"]),
+    "observation crosses itself": (observed("0,0\n1,1\n1,0\n0,1\n"), ["crosses itself", "(0.5, 0.5) mm"]),
+    "observation with NaN": (observed("0,0\nnan,1\n2,0\n"), ["point 1", "not finite"]),
+    "observation of three columns": (observed("0,0,0\n1,1,1\n"), ["line 1", "got 0 0 0"]),
+    "not a study folder": (no_study, ["not a study folder", "strandline init"]),
+    "the file instead of the folder": (study_file, ["not a study folder", "Give the folder"]),
+    "ledger of another model": (foreign_ledger, ["another model", "biofilm:r1:mesh=default in the ledger"]),
+    "ledger that is none": (garbage_ledger, ["damaged or no ledger", "Restore it"]),
+    "reused ledger of another model": (foreign_reuse, ["other/ledger.sqlite keeps the runs of another model"]),
+    "reused folder missing": (changed(reuse=["../none"]), ["reuse: got ../none"]),
+    "design smaller than the surrogate needs": (
+        changed(design={"sobol": {"runs": 3}}),
+        ["design.sobol.runs: got 3", "at least 4 runs for 2 input(s)"],
+    ),
+    "Python model missing": (changed(model={"python": {"function": "nowhere:f"}}), ["got nowhere:f", "PYTHONPATH"]),
+    "report of an unfinished study": (unfinished_report, ["0 of 65 forward runs done", "strandline run"]),
+    "init over a study": (occupied_init, ["there is a study already", "Choose another folder"]),
+    "init below a file": (init_below_a_file, ["folder cannot be made"]),
+    "--set of an unknown name": (
+        forward("--set", "E=400", "--set", "tild=0"),
+        ["--set.tild", "got tild", "Did you mean tilt?"],
+    ),
+    "--set without a number": (forward("--set", "E=stiff"), ["--set: got E=stiff", "NAME=NUMBER"]),
+    "--set of NaN": (forward("--set", "E=nan"), ["--set: got E=nan"]),
+    "--set out of range": (forward("--set", "E=-3", "--set", "tilt=0"), ["--set.E: got -3", "(0, inf] Pa"]),
+    "--set forgotten": (forward("--set", "E=400"), ["a value for tilt too", "Add --set tilt=VALUE."]),
+    "--csv in a folder that is not there": (
+        lambda folder: [*forward(*ALL_SET)(folder), "--csv", str(folder / "none" / "a.csv")],
+        ["--csv: got", "in a folder that does not exist", "Choose another path."],
+    ),
+    "--csv onto a folder": (lambda folder: [*forward(*ALL_SET)(folder), "--csv", str(folder)], ["--csv", "a folder"]),
+    "unknown command": (lambda folder: ["rum", str(write_study(folder))], ["rum", "strandline --help"]),
+    "unknown option": (lambda folder: ["run", str(write_study(folder)), "--fast"], ["--fast", "strandline run --help"]),
+    "no argument": (lambda folder: ["run"], ["STUDY", "strandline run --help"]),
+    "workers not a number": (lambda folder: [*changed()(folder), "--workers", "0"], ["--workers"]),
+}
+ALL_SET = ("--set", "E=400", "--set", "tilt=0")
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Names and bytes, but for the files that SQLite lays beside a ledger in order to read it."""
+    paths = [path for path in folder.rglob("*") if not path.name.endswith(("-wal", "-shm"))]
+    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in paths}
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Run the command line, which must end with code 2 and one line; return the line."""
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    shown = capsys.readouterr()
+    assert ended.value.code == 2
+    assert shown.out == ""
+    return one_line(shown.err)
+
+
+def one_line(text: str) -> str:
+    lines = text.splitlines()
+    assert len(lines) == 1, text
+    assert lines[0].startswith("strandline: ")
+    assert "Traceback" not in lines[0]
+    return lines[0]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    build, words = CASES[case]
+    arguments = build(tmp_path / "study")
+    before = contents(tmp_path)
+    line = refused(arguments, capsys)
+    for word in words:
+        assert word in line
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        (
+            "every run failed",
+            {"fixed": {"load": 1.0}, "design": {"sobol": {"runs": 6}}},
+            ["every forward run failed: got 0 of 6 (large_deflection: 6; e.g. the tip would move by", "at least 4"],
+        ),
+        (
+            "too few successful runs",
+            {**inputs(prior={"uniform": [1, 100]}), "design": {"sobol": {"runs": 4}}},
+            ["too few successful forward runs: got 2 of 4 (large_deflection: 2", "Enlarge the design"],
+        ),
+        (
+            "synthetic observation fails",
+            {"observation": {"synthetic": {"E": 400, "tilt": 0, "load": 1}}},
+            ["synthetic observation could not be made: got large_deflection at E = 400, tilt = 0, load = 1"],
+        ),
+    ],
+)
+def test_runs_that_fail_are_kept_and_nothing_else_is_written(
+    name: str, changes: dict[str, Any], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_study(tmp_path / "study", **changes)
+    line = refused(["run", str(folder), "--quiet"], capsys)
+    for word in words:
+        assert word in line
+    assert sorted(contents(folder)) == ["ledger.lock", "ledger.sqlite", "study.yaml"]
+
+
+def test_check_tells_of_a_failed_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_study(tmp_path / "study", fixed={"load": 1.0})
+    line = refused(["check", str(folder)], capsys)
+    assert "the forward run at the medians of the priors failed: got large_deflection at load = 1, E = 430" in line
+    assert sorted(contents(folder)) == ["study.yaml"]
+
+
+@contextmanager
+def another_driver(folder: Path) -> Iterator[int]:
+    """Keep the study's ledger open in another process; give its process id."""
+    code = (
+        "import sys, pathlib; from strandline.runs import Ledger\n"
+        f"with Ledger.open(pathlib.Path({str(folder / 'ledger.sqlite')!r}), model='test:beam-1'):\n"
+        "    print('open', flush=True); sys.stdin.read()\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"open\n"
+    try:
+        yield process.pid
+    finally:
+        process.stdin.close()
+        process.wait(10)
+        process.stdout.close()
+
+
+def test_second_driver(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_study(tmp_path / "study")
+    with another_driver(folder) as pid:
+        before = contents(folder)
+        line = refused(["run", str(folder), "--quiet"], capsys)
+        assert "ledger.sqlite is locked" in line
+        assert f"process {pid} on " in line
+        assert "Wait for the other run to end" in line
+        assert contents(folder) == before
+        main(["status", str(folder)])
+        assert "0 of 64 runs" in capsys.readouterr().out
+
+
+def denied(arguments: list[str], **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process that permissions bind, the superuser's too."""
+    command = [sys.executable, "-c", "from strandline.cli import main; main()", *arguments]
+    if os.geteuid() == 0:
+        tool = shutil.which("setpriv")
+        if tool is None:
+            pytest.skip("the superuser passes all permissions, and there is no setpriv to drop that right")
+        command = [tool, "--bounding-set=-dac_override", "--inh-caps=-dac_override", *command]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
+@pytest.mark.parametrize("subcommand", ["run", "check"])
+def test_unwritable_folder(subcommand: str, tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study")
+    before = contents(folder)
+    folder.chmod(0o555)
+    try:
+        ended = denied([subcommand, str(folder)])
+    finally:
+        folder.chmod(0o755)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    line = one_line(ended.stderr)
+    assert f"the study folder cannot be written to: got {folder}: Permission denied" in line
+    assert "copy the study elsewhere" in line
+    assert contents(folder) == before
+
+
+def test_csv_without_permission_is_found_before_the_run(tmp_path: Path) -> None:
+    """The load would fail the run, which would be told instead had it been made."""
+    folder = write_study(tmp_path / "study")
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o555)
+    csv = str(closed / "a.csv")
+    ended = denied(["forward", str(folder), *ALL_SET, "--set", "load=1", "--csv", csv])
+    assert ended.returncode == 2
+    assert "without write permission" in one_line(ended.stderr)
+
+
+def test_a_wrong_input_in_a_real_process_ends_with_code_2(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from strandline.cli import main; main()", "run", str(tmp_path)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    assert "not a study folder" in one_line(ended.stderr)

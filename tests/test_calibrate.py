@@ -1,0 +1,189 @@
+"""The whole method, on a beam whose posterior is known."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from strandline.calibrate import Calibration, Observer, Problem, Settings, _quadrature, calibrate
+from strandline.discrepancy import ClosestPoint, TrackedPoints
+from strandline.errors import ForwardModelError, TooFewRuns
+from strandline.interface import Observation
+from strandline.models.protocol import fingerprint
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import Uniform
+from strandline.runs import InProcess, Ledger, RunRecord, RunRequest
+from strandline.smc import SMCSettings
+from strandline.testing.studies import beam
+
+TRUTH = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
+NOISE = 0.003
+SETTINGS = Settings(runs=24, particles=2000, smc=SMCSettings(rejuvenation_steps=5, zeta=0.6))
+
+
+def problem(*, noise: float = NOISE, measures: Any = None) -> Problem:
+    observation = Observation(beam(TRUTH, Path()).interface, noise**2)
+    space = ParameterSpace((Parameter("E", Uniform(300.0, 560.0), "Pa"),))
+    fixed = {"tilt": 0.02, "load": 1e-5}
+    return Problem(beam, space, fixed, (observation,), measures or {"tracked": TrackedPoints()})
+
+
+def answer(asked: Problem, path: Path, settings: Settings = SETTINGS, **options: Any) -> Calibration:
+    options.setdefault("executor", InProcess())
+    with Ledger.open(path, model=fingerprint(asked.model)) as ledger:
+        return calibrate(asked, settings, ledger=ledger, **options)
+
+
+def exact(noise: float) -> tuple[float, float, float]:
+    """Return mean, standard deviation and log-evidence for E by a fine sum over the model's closed form."""
+    E = np.linspace(300.0, 560.0, 20001)
+    x = np.linspace(0.0, 1.0, 17)
+    y = 20.0 / E[:, None] * x**2 * (3 - x)
+    log_likelihood = -0.5 * np.sum((y - 0.05 * x**2 * (3 - x)) ** 2, axis=1) / noise**2
+    weights = np.exp(log_likelihood - logsumexp(log_likelihood))
+    mean = weights @ E
+    return float(mean), float(np.sqrt(weights @ (E - mean) ** 2)), float(logsumexp(log_likelihood) - np.log(len(E)))
+
+
+def differences(found: Calibration, noise: float) -> tuple[float, float, float]:
+    """Return the errors of the mean (in sd), of the sd (relative) and of the log-evidence."""
+    mean, sd, evidence = exact(noise)
+    posterior = found.posterior
+    return (
+        abs(float(posterior.mean[0]) - mean) / sd,
+        abs(float(posterior.sd[0]) / sd - 1),
+        abs(posterior.log_evidence - evidence),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("calibrate")
+
+
+@pytest.fixture(scope="module")
+def found(folder: Path) -> Calibration:
+    """Two measures; the first one makes the posterior."""
+    return answer(problem(measures={"tracked": TrackedPoints(), "closest": ClosestPoint()}), folder / "ledger.sqlite")
+
+
+def test_the_posterior_is_exact(found: Calibration) -> None:
+    mean_error, sd_error, evidence_error = differences(found, NOISE)
+    assert mean_error < 0.1
+    assert sd_error < 0.06
+    assert evidence_error < 0.1
+
+
+def test_a_planted_bug_shows(folder: Path) -> None:
+    """σ_N² taken as twice what it is."""
+    wrong = answer(problem(noise=NOISE * np.sqrt(2.0)), folder / "ledger.sqlite")
+    _, sd_error, evidence_error = differences(wrong, NOISE)
+    assert sd_error > 0.3
+    assert evidence_error > 0.25
+
+
+def test_the_quadrature_agrees_with_the_sampler(found: Calibration) -> None:
+    assert found.quadrature is not None
+    assert found.quadrature.converged
+    assert abs(found.posterior.mean[0] - found.quadrature.mean[0]) < 0.1 * found.quadrature.sd[0]
+    assert found.posterior.sd[0] == pytest.approx(found.quadrature.sd[0], rel=0.06)
+
+
+def test_each_measure_has_its_surrogate_and_the_first_makes_the_posterior(found: Calibration) -> None:
+    assert list(found.surrogates) == ["tracked", "closest"]
+    assert found.surrogate is found.surrogates["tracked"]
+    at = found.posterior.draws[:50]
+    np.testing.assert_allclose(
+        np.asarray(found.surrogates["tracked"].process.mean(at)),
+        found.posterior.log_likelihood[:50],
+        rtol=1e-6,
+        atol=1e-6,
+    )
+    assert not np.array_equal(found.log_likelihoods["tracked"], found.log_likelihoods["closest"])
+
+
+def test_log_likelihoods_are_those_of_the_runs(found: Calibration) -> None:
+    E, values = found.training[:, 0], found.log_likelihoods["tracked"]
+    x = np.linspace(0.0, 1.0, 17)
+    expected = [-0.5 * np.sum(((20 / e - 0.05) * x**2 * (3 - x)) ** 2) / NOISE**2 for e in E]
+    np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-12)
+
+
+class Backwards:
+    """Makes all runs and hands their records over in reverse."""
+
+    def __call__(self, model: Any, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
+        yield from reversed(list(InProcess()(model, requests)))
+
+
+def test_same_bits_whatever_the_order_of_the_runs(found: Calibration, tmp_path: Path) -> None:
+    other = answer(found.problem, tmp_path / "ledger.sqlite", executor=Backwards())
+    np.testing.assert_array_equal(other.posterior.draws, found.posterior.draws)
+    np.testing.assert_array_equal(other.posterior.log_weights, found.posterior.log_weights)
+    assert other.posterior.log_evidence == found.posterior.log_evidence
+
+
+def test_another_seed_gives_other_particles_of_the_same_runs(found: Calibration, folder: Path) -> None:
+    runs: list[RunRecord] = []
+    stages: list[str] = []
+    temperatures: list[float] = []
+    observer = Observer(
+        stage=stages.append,
+        run=lambda record, progress: runs.append(record),
+        step=lambda info: temperatures.append(float(info.temperature)),
+    )
+    settings = replace(SETTINGS, seed=2)
+    other = answer(found.problem, folder / "ledger.sqlite", settings, observer=observer)
+    assert runs == []
+    assert stages == ["forward", "surrogate", "sampling", "check"] == list(other.seconds)
+    assert temperatures == sorted(temperatures)
+    assert temperatures[-1] == 1.0
+    assert not np.array_equal(other.posterior.draws, found.posterior.draws)
+    assert abs(other.posterior.mean[0] - found.posterior.mean[0]) < 0.15 * found.posterior.sd[0]
+
+
+class HalfBeam:
+    """The beam, failing above 430 Pa."""
+
+    fingerprint = "test:half-beam"
+
+    def __call__(self, inputs: Any, workdir: Path) -> Any:
+        if inputs["E"] > 430:
+            raise ForwardModelError("stalled", "above 430 Pa")
+        return beam(inputs, workdir)
+
+
+def test_failed_runs_are_kept_and_left_out_of_the_training(tmp_path: Path) -> None:
+    asked = replace(problem(), model=HalfBeam())
+    found = answer(asked, tmp_path / "ledger.sqlite", replace(SETTINGS, runs=16, particles=50))
+    failed = [record for record in found.records if not record.ok]
+    assert len(found.records) == 16
+    assert 0 < len(failed) < 16
+    assert all(record.inputs["E"] > 430 for record in failed)
+    kept = [record.inputs["E"] for record in found.records if record.ok]
+    np.testing.assert_array_equal(found.training[:, 0], kept)
+
+
+@pytest.mark.parametrize(("runs", "message"), [(1, "too few"), (2, "too few")])
+def test_too_few_runs(tmp_path: Path, runs: int, message: str) -> None:
+    with pytest.raises(TooFewRuns, match=f"{message} successful forward runs: got {runs} of {runs}") as caught:
+        answer(problem(), tmp_path / "ledger.sqlite", replace(SETTINGS, runs=runs))
+    assert "at least 3" in caught.value.expected
+
+
+def test_all_runs_failed(tmp_path: Path) -> None:
+    asked = replace(problem(), fixed={"tilt": 0.02, "load": 1.0})
+    with pytest.raises(TooFewRuns, match=r"every forward run failed: got 0 of 4 \(large_deflection: 4; e\.g\. the tip"):
+        answer(asked, tmp_path / "ledger.sqlite", replace(SETTINGS, runs=4))
+
+
+def test_above_three_inputs_there_is_no_quadrature() -> None:
+    def never(x: Any) -> Any:
+        raise AssertionError("evaluated")
+
+    space = ParameterSpace(tuple(Parameter(name, Uniform(0.0, 1.0)) for name in "abcd"))
+    assert _quadrature(space, never) is None

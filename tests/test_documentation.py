@@ -1,0 +1,242 @@
+"""What the documentation says of keys, options, defaults and numbers is what the code says."""
+
+import dataclasses
+import importlib
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+import yaml
+from pydantic import BaseModel
+
+import strandline as sl
+from strandline.cli.main import COMMANDS
+from strandline.discrepancy import DISCREPANCIES
+from strandline.models import MODELS
+from strandline.models.biofilm.outline import outline
+from strandline.priors import PRIORS
+from strandline.studies.schema import StudyFile
+from strandline.surrogate import KERNELS
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+def text_of(page: str) -> str:
+    return (DOCS / page).read_text("utf-8")
+
+
+def rows(page: str, heading: str) -> list[list[str]]:
+    """Return the cells of the table whose first column is called `heading`."""
+    found, inside = [], False
+    for line in text_of(page).splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("|") and cells[0] == heading:
+            inside = True
+        elif not line.startswith("|"):
+            inside = False
+        elif inside and not cells[0].startswith("---"):
+            found.append(cells)
+    return found
+
+
+def code(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text_of(page), re.DOTALL)
+
+
+def keys_of(model: type[BaseModel], place: str = "") -> Iterator[tuple[str, str]]:
+    """Yield each key of study.yaml that takes a value, with its default as the page writes it."""
+    for name, field in model.model_fields.items():
+        key, nested = f"{place}{name}", [m for m in models_in(field.annotation) if m is not None]
+        is_mapping = "dict" in str(field.annotation) and bool(nested)
+        prefix = f"{key}.NAME." if is_mapping else f"{key}."
+        if not nested or "float" in str(field.annotation):
+            default = "required" if field.is_required() else written(field.get_default())
+            yield (prefix.rstrip(".") if is_mapping else key), default
+        for inner in nested:
+            yield from keys_of(inner, prefix)
+
+
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    arguments = getattr(annotation, "__args__", ())
+    return [model for argument in arguments for model in models_in(argument)]
+
+
+def written(default: Any) -> str:
+    return default if isinstance(default, str) else json.dumps(default)
+
+
+def test_every_key_of_a_study_is_described_with_its_default() -> None:
+    described = {code(row[0])[0]: (code(row[1]) or [row[1]])[0] for row in rows("reference/study.md", "key")}
+    assert described == dict(keys_of(StudyFile))
+
+
+def test_every_option_of_models_and_measures_is_described_with_its_default() -> None:
+    classes = {name: getattr(*located(target)) for name, target in MODELS.items()} | DISCREPANCIES
+    known = {(name, f.name): default_of(f) for name, c in classes.items() for f in dataclasses.fields(c) if f.init}
+    tables = [*rows("reference/study.md", "model"), *rows("reference/study.md", "measure")]
+    described = {(code(r[0])[0], code(r[1])[0]): (code(r[2]) or [r[2]])[0] for r in tables if r[1]}
+    assert described == known
+    assert {code(row[0])[0] for row in tables} == set(classes)
+
+
+def test_every_prior_and_kernel_is_described() -> None:
+    described = {code(row[0])[0]: row[1] for row in rows("reference/study.md", "prior")}
+    assert described == {name: prior.fields for name, prior in PRIORS.items()}
+    assert all(f"`{name}`" in text_of("reference/study.md") for name in KERNELS)
+
+
+def located(target: str) -> tuple[Any, str]:
+    module, _, name = target.partition(":")
+    return importlib.import_module(module), name
+
+
+def default_of(field: Any) -> str:
+    return "required" if field.default is dataclasses.MISSING else written(field.default)
+
+
+def test_every_command_is_described_with_its_options() -> None:
+    described = {
+        code(row[0])[0]: {option.split()[0] for option in code(row[1])}
+        for row in rows("reference/command-line.md", "command")
+    }
+    known = {}
+    for name in COMMANDS:
+        command = importlib.import_module(f"strandline.cli.{name}").command
+        argument = next(p for p in command.params if isinstance(p, click.Argument))
+        options = {p.opts[0] for p in command.params if isinstance(p, click.Option)}
+        known[f"strandline {name} {argument.make_metavar(click.Context(command))}"] = options
+    assert described == known
+
+
+def test_every_public_name_has_its_module_on_the_page_of_the_api() -> None:
+    shown = set(re.findall(r"automodule:: (\S+)", text_of("reference/python.md")))
+    for module in shown:
+        importlib.import_module(module)
+    homes = {name: getattr(sl, name).__module__ for name in sl.__all__}
+    ancestors = {name: {home, home.rpartition(".")[0]} for name, home in homes.items()}
+    assert [name for name, modules in ancestors.items() if not modules & shown] == []
+
+
+def test_the_readme_shows_a_study_that_is_shipped() -> None:
+    readme = (ROOT / "README.md").read_text("utf-8")
+    (shown,) = re.findall(r"```yaml\n(.*?)```", readme, re.DOTALL)
+    assert shown == (ROOT / "studies" / "biofilm-uniform" / "study.yaml").read_text("utf-8")
+
+
+def test_the_numbers_on_quadratures_are_those_of_the_outline() -> None:
+    reference, table = outline(), rows("explanation/quadratures.md", "nodes of the second polyline")
+    assert len(table) == 3
+    for nodes, *figures in table:
+        other = reference.resampled(int(nodes))
+        for quadrature, figure in zip(("centre", "refined"), figures, strict=True):
+            value = sl.Currents(0.005, quadrature=quadrature)(other, reference)
+            assert f"{value:.2g}" == f"{float(figure):.2g}"
+
+
+def test_the_beam_of_the_guide_is_that_of_the_example() -> None:
+    (block,) = blocks("how-to/own-simulator.md", "python")
+    shown: dict[str, Any] = {"np": np, "sl": sl}
+    exec(block, shown)
+    inputs = {"E": 310.0, "q": 0.25}
+    np.testing.assert_allclose(
+        shown["beam"](inputs, Path()).points, example("own_model").beam(inputs, Path()).points, rtol=1e-14
+    )
+
+
+def example(name: str) -> Any:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The study of the guide on simulators, finished with fewer particles, in a folder as the guides name it."""
+    home: Path = tmp_path_factory.mktemp("home")
+    folder = home / "studies" / "biofilm-uniform"
+    folder.mkdir(parents=True)
+    (study,) = blocks("how-to/own-simulator.md", "yaml")
+    smaller = "sampler: {smc: {particles: 400, rejuvenation_steps: 3, zeta: 0.8}}\n"
+    (folder / "study.yaml").write_text(study + smaller, encoding="utf-8")
+    example("own_model")
+    sl.run_study(sl.load_study(folder), executor=sl.InProcess())
+    return home
+
+
+def test_every_key_of_the_summary_is_described(finished: Path) -> None:
+    summary = json.loads((finished / "studies/biofilm-uniform/summary.json").read_text("utf-8"))
+    described = {key for row in rows("reference/summary.md", "key") for key in code(row[0])}
+    described -= {"quadrature_check"}
+    known = set(generic(summary))
+    known = {key for key in known if not key.startswith(("measures.", "surrogate.optimiser."))}
+    assert described == known | {"measures.MEASURE", "surrogate.optimiser"}
+    assert summary["measures"].keys() == {"measurement_lines"}
+    assert generic(summary["measures"]["measurement_lines"]) == generic(summary["surrogate"])
+
+
+PLACEHOLDERS = {
+    "versions": "PACKAGE",
+    "runs.by_kind": "KIND",
+    "fixed": "NAME",
+    "inputs": "NAME",
+    "measures": "MEASURE",
+    "seconds": "STAGE",
+}
+
+
+def generic(tree: Mapping[str, Any], place: str = "") -> list[str]:
+    """Return the dotted keys of a summary with placeholders for the names that a study brings."""
+    found: dict[str, None] = {}
+    for name, value in tree.items():
+        is_input = place == "quadrature_check" and isinstance(value, dict)
+        shown = "NAME" if is_input else PLACEHOLDERS.get(place, name)
+        key = f"{place}.{shown}" if place else shown
+        branches = isinstance(value, dict) and value and key != "truth"
+        found |= dict.fromkeys(generic(value, key) if branches else [key])
+    return list(found)
+
+
+def test_the_programs_that_read_results_run(finished: Path) -> None:
+    pieces = blocks("how-to/read-results.md", "python")
+    assert len(pieces) == 4
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", "\n".join(pieces)],
+        cwd=finished,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((finished / "studies/biofilm-uniform/summary.json").read_text("utf-8"))
+    first, second = done.stdout.splitlines()[:2]
+    assert float(first.split()[0]) == summary["inputs"]["E"]["mean"]
+    assert float(second.split()[0]) == pytest.approx(summary["inputs"]["E"]["mean"], rel=1e-12)
+    assert done.stdout.count(" ok ") == summary["runs"]["ok"] + 1  # and the observation
+
+
+@pytest.mark.parametrize("page", ["how-to/change-without-runs.md", "how-to/own-observation.md"])
+def test_the_pieces_of_studies_are_valid(page: str) -> None:
+    whole = yaml.safe_load((ROOT / "studies" / "biofilm-uniform" / "study.yaml").read_text("utf-8"))
+    pieces = blocks(page, "yaml")
+    assert pieces
+    for piece in pieces:
+        StudyFile.model_validate(whole | yaml.safe_load(piece.replace("…\n", "")))

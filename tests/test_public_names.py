@@ -1,0 +1,74 @@
+"""Public is what `__all__` says: it exists, and the package's own list is one and the same in its three places."""
+
+import ast
+import importlib
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import strandline
+
+MODULES = [name for _, name, _ in pkgutil.walk_packages(strandline.__path__, "strandline.")]
+HEAVY = {"numpy", "scipy", "jax", "matplotlib", "ngsolve", "pydantic", "yaml", "rich"}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_public_name_exists(name: str) -> None:
+    module = importlib.import_module(name)
+    public = getattr(module, "__all__", None)
+    if name != "strandline.errors":  # all of its classes are public
+        assert public is not None or not has_public_names(Path(str(module.__file__)))
+    for item in public or ():
+        assert getattr(module, item) is not None
+    assert len(set(public or ())) == len(public or ())
+
+
+def has_public_names(path: Path) -> bool:
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    return any(isinstance(n, ast.FunctionDef | ast.ClassDef) and not n.name.startswith("_") for n in body)
+
+
+def test_the_packages_names_exist_where_they_are_said_to_be() -> None:
+    for name in strandline.__all__:
+        assert getattr(strandline, name) is not None
+        assert name in dir(strandline)
+    assert set(strandline.__all__) == set(strandline._HOME)
+
+
+def test_the_checkers_see_the_same_names() -> None:
+    tree = ast.parse(Path(str(strandline.__file__)).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    typed = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert typed == {name: f"strandline.{module}" for name, module in strandline._HOME.items()}
+
+
+def test_the_order_is_that_of_the_pipeline() -> None:
+    order = [
+        "Uniform",
+        "Parameter",
+        "sobol",
+        "Ledger",
+        "Currents",
+        "fit_log_likelihood",
+        "sample",
+        "Posterior",
+        "Study",
+    ]
+    places = [strandline.__all__.index(name) for name in order]
+    assert places == sorted(places)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
+        _ = strandline.calibrat
+    with pytest.raises(ImportError):
+        exec("from strandline.studies import nothing")
+
+
+def test_importing_the_package_loads_no_numerics() -> None:
+    code = "import sys, strandline; print(*{name.partition('.')[0] for name in sys.modules})"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert HEAVY.isdisjoint(ended.stdout.split())
