@@ -86,18 +86,14 @@ def connect(path: Path) -> sqlite3.Connection:
 def connect_read_only(path: Path) -> sqlite3.Connection:
     """Return a connection that cannot write.
 
-    In a folder that cannot be written SQLite has no place for the write-ahead log's index; the file is then taken as
-    it is, which is right because nobody can be writing it.
+    Where no write-ahead log lies beside the file nobody is writing it, and it is taken as it is: SQLite would otherwise
+    make a log's index that a reader cannot remove, or fail in a folder that cannot be written.
     """
-    address = path.resolve().as_uri()
-    connection = sqlite3.connect(f"{address}?mode=ro", uri=True, isolation_level=None, timeout=30.0)
+    being_written = path.with_name(path.name + "-wal").exists()
+    address = path.resolve().as_uri() + ("?mode=ro" if being_written else "?mode=ro&immutable=1")
+    connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=30.0)
     try:
         connection.execute("SELECT count(*) FROM sqlite_schema")
-    except sqlite3.OperationalError:
-        connection.close()
-        if path.with_name(path.name + "-wal").exists():
-            raise
-        connection = sqlite3.connect(f"{address}?mode=ro&immutable=1", uri=True, isolation_level=None)
     except BaseException:
         connection.close()
         raise

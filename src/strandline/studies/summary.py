@@ -3,7 +3,7 @@
 import platform
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from importlib import metadata
 from typing import Any
 
@@ -108,7 +108,7 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
             "q05": float(quantiles[0, i]),
             "q95": float(quantiles[2, i]),
             "map": float(posterior.map_estimate[i]),
-            "prior": repr(parameter.prior),
+            "prior": _described(parameter.prior),
             "box": list(parameter.interval),
             "prior_mass_cut": parameter.mass_cut,
         }
@@ -122,7 +122,7 @@ def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
     observations = calibration.problem.observations
     return {
         "discrepancy": name,
-        "options": repr(discrepancy),
+        "options": _described(discrepancy),
         "unit": unit_of(discrepancy),
         "noise_variance": study.noise_variance,
         "independent_terms": independent_terms(discrepancy, observations[0].interface),
@@ -154,6 +154,15 @@ def _laplace(calibration: Calibration) -> dict[str, Any]:
         "eigenvalues": approximation.eigenvalues.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
     }
+
+
+def _described(chosen: Any) -> str:
+    """Return a record of options in words: ``Uniform: low 100, high 800``."""
+    if not is_dataclass(chosen):
+        return repr(chosen)
+    options = ((field.name, getattr(chosen, field.name)) for field in fields(chosen))
+    shown = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in options)
+    return f"{type(chosen).__name__}: {shown}" if shown else type(chosen).__name__
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
