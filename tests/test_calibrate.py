@@ -11,13 +11,14 @@ from scipy.special import logsumexp
 
 from strandline.calibrate import Calibration, Observer, Problem, Settings, _quadrature, calibrate
 from strandline.discrepancy import ClosestPoint, TrackedPoints
-from strandline.errors import ForwardModelError, TooFewRuns
+from strandline.errors import ForwardModelError, InvalidInput, TooFewRuns
 from strandline.interface import Observation
 from strandline.models.protocol import fingerprint
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import InProcess, Ledger, RunRecord, RunRequest
 from strandline.smc import SMCSettings
+from strandline.testing.models import TwoLoads
 from strandline.testing.studies import beam
 
 TRUTH = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
@@ -179,6 +180,85 @@ def test_all_runs_failed(tmp_path: Path) -> None:
     asked = replace(problem(), fixed={"tilt": 0.02, "load": 1.0})
     with pytest.raises(TooFewRuns, match=r"every forward run failed: got 0 of 4 \(large_deflection: 4; e\.g\. the tip"):
         answer(asked, tmp_path / "ledger.sqlite", replace(SETTINGS, runs=4))
+
+
+VARIANCES = {"light": 0.01**2, "heavy": 0.02**2}
+
+
+def two_loads(*conditions: str) -> Problem:
+    """Two experiments of one beam; the heavy load says more, its noise is larger."""
+    seen = TwoLoads()({"E": 400.0, "load": 1e-5}, Path()).interfaces
+    observations = tuple(Observation(seen[name], VARIANCES[name], name) for name in conditions)
+    space = ParameterSpace((Parameter("E", Uniform(300.0, 560.0), "Pa"),))
+    return Problem(TwoLoads(), space, {"load": 1e-5}, observations, {"tracked": TrackedPoints()})
+
+
+def exact_two_loads(*conditions: str) -> tuple[float, float, float]:
+    """Return mean, standard deviation and log-evidence for E: the displacement is that at 400 Pa times 400/E."""
+    E = np.linspace(300.0, 560.0, 20001)
+    model = TwoLoads()
+    rest = model({"E": 400.0, "load": 0.0}, Path()).interfaces
+    seen = model({"E": 400.0, "load": 1e-5}, Path()).interfaces
+    squares = {name: np.sum((seen[name].points - rest[name].points) ** 2) for name in conditions}
+    log_likelihood = sum(-0.5 * (400.0 / E - 1.0) ** 2 * squares[name] / VARIANCES[name] for name in conditions)
+    weights = np.exp(log_likelihood - logsumexp(log_likelihood))
+    mean = float(weights @ E)
+    return mean, float(np.sqrt(weights @ (E - mean) ** 2)), float(logsumexp(log_likelihood) - np.log(len(E)))
+
+
+def errors_of_two_loads(found: Calibration) -> tuple[float, float, float]:
+    mean, sd, evidence = exact_two_loads("light", "heavy")
+    posterior = found.posterior
+    return (
+        abs(float(posterior.mean[0]) - mean) / sd,
+        abs(float(posterior.sd[0]) / sd - 1),
+        abs(posterior.log_evidence - evidence),
+    )
+
+
+def test_two_conditions_give_the_product_of_their_likelihoods(folder: Path) -> None:
+    ledger = folder / "two-loads.sqlite"
+    both = answer(two_loads("light", "heavy"), ledger)
+    mean_error, sd_error, evidence_error = errors_of_two_loads(both)
+    assert mean_error < 0.1
+    assert sd_error < 0.06
+    assert evidence_error < 0.1
+    alone = {name: answer(two_loads(name), ledger) for name in VARIANCES}
+    for name, found in alone.items():
+        assert float(found.posterior.sd[0]) == pytest.approx(exact_two_loads(name)[1], rel=0.06)
+        assert float(both.posterior.sd[0]) < 0.85 * float(found.posterior.sd[0])
+    total = sum(found.log_likelihoods["tracked"] for found in alone.values())
+    np.testing.assert_allclose(both.log_likelihoods["tracked"], total, rtol=1e-12)
+
+
+def test_a_condition_that_is_ignored_shows(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted bugs: the second condition is left out; or the first one's interface stands in for both."""
+    from strandline.likelihood import InterfaceLikelihood
+
+    ledger, whole, matched = (
+        folder / "two-loads.sqlite",
+        InterfaceLikelihood.discrepancies,
+        InterfaceLikelihood._matched,
+    )
+    with monkeypatch.context() as planted:
+        planted.setattr(InterfaceLikelihood, "discrepancies", lambda self, i: whole(self, i) * np.array([1.0, 0.0]))
+        _, sd_error, evidence_error = errors_of_two_loads(answer(two_loads("light", "heavy"), ledger))
+        assert sd_error > 0.2
+        assert evidence_error > 0.2
+    monkeypatch.setattr(
+        InterfaceLikelihood, "_matched", lambda self, i: dict.fromkeys(matched(self, i), next(iter(i.values())))
+    )
+    mean_error, _, _ = errors_of_two_loads(answer(two_loads("light", "heavy"), ledger))
+    assert mean_error > 1.0
+
+
+def test_an_observed_condition_that_the_model_lacks_is_refused_before_any_run(tmp_path: Path) -> None:
+    asked = two_loads("light")
+    wrong = replace(asked, observations=(replace(asked.observations[0], condition="lite"),))
+    with pytest.raises(InvalidInput, match="got lite; expected one of light, heavy"):
+        answer(wrong, tmp_path / "ledger.sqlite")
+    with Ledger.open(tmp_path / "ledger.sqlite", model=None, read_only=True) as ledger:
+        assert ledger.counts().total == 0
 
 
 def test_above_three_inputs_there_is_no_quadrature() -> None:

@@ -23,6 +23,7 @@ from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
 from strandline.models.biofilm.outline import outline
 from strandline.priors import PRIORS
+from strandline.runs import RunRequest, attempt
 from strandline.studies.schema import StudyFile
 from strandline.surrogate import KERNELS
 
@@ -88,6 +89,7 @@ def test_every_key_of_a_study_is_described_with_its_default() -> None:
 def test_every_option_of_models_and_measures_is_described_with_its_default() -> None:
     classes = {name: getattr(*located(target)) for name, target in MODELS.items()} | DISCREPANCIES
     known = {(name, f.name): default_of(f) for name, c in classes.items() for f in dataclasses.fields(c) if f.init}
+    known = {place: default for place, default in known.items() if place[1] != "sensitivities"}  # the study's own key
     tables = [*rows("reference/study.md", "model"), *rows("reference/study.md", "measure")]
     described = {(code(r[0])[0], code(r[1])[0]): (code(r[2]) or [r[2]])[0] for r in tables if r[1]}
     assert described == known
@@ -156,6 +158,21 @@ def test_the_beam_of_the_guide_is_that_of_the_example() -> None:
     np.testing.assert_allclose(
         shown["beam"](inputs, Path()).points, example("own_model").beam(inputs, Path()).points, rtol=1e-14
     )
+
+
+def test_the_beam_of_the_guide_on_conditions_runs() -> None:
+    beam, problem = blocks("how-to/several-experiments.md", "python")
+    shown: dict[str, Any] = {"np": np, "sl": sl}
+    exec(beam, shown)
+    inputs = {"E": 400.0}
+    record = attempt(shown["beam"], RunRequest("key", inputs), Path())
+    single = example("own_model").beam({"E": 400.0, "q": 0.25}, Path())
+    assert list(record.interfaces) == ["light", "heavy"]
+    np.testing.assert_allclose(record.interfaces["heavy"].points, single.points, rtol=1e-14)
+    shown |= record.interfaces | {"space": sl.ParameterSpace((sl.Parameter("E", sl.Uniform(1.0, 2.0)),))}
+    exec(problem, shown)
+    likelihood = sl.InterfaceLikelihood(shown["observed"], sl.MeasurementLines(10))
+    assert likelihood(record.interfaces) == pytest.approx(0.0)
 
 
 def example(name: str) -> Any:
@@ -233,7 +250,9 @@ def test_the_programs_that_read_results_run(finished: Path) -> None:
     assert done.stdout.count(" ok ") == summary["runs"]["ok"] + 1  # and the observation
 
 
-@pytest.mark.parametrize("page", ["how-to/change-without-runs.md", "how-to/own-observation.md"])
+@pytest.mark.parametrize(
+    "page", ["how-to/change-without-runs.md", "how-to/own-observation.md", "how-to/several-experiments.md"]
+)
 def test_the_pieces_of_studies_are_valid(page: str) -> None:
     whole = yaml.safe_load((ROOT / "studies" / "biofilm-uniform" / "study.yaml").read_text("utf-8"))
     pieces = blocks(page, "yaml")

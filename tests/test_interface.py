@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from strandline.errors import InvalidInput, InvalidInterface
-from strandline.interface import Interface, Observation, oriented_like
+from strandline.interface import Interface, Observation, is_condition, oriented_like
 
 ZIGZAG = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -24,6 +24,11 @@ def test_geometry_of_an_open_polyline():
     assert zigzag.lengths.tolist() == [5.0, 1.0]
     assert zigzag.centres.tolist() == [[1.5, 2.0], [3.0, 4.5]]
     assert zigzag.normals.tolist() == [[-4.0, 3.0], [-1.0, 0.0]]
+
+
+def test_names_of_conditions():
+    assert all(is_condition(name) for name in ("", "slow", "day 3", "100 mm²_s", "v=0.5", "x" * 64))
+    assert not any(is_condition(name) for name in (None, 3, "a/b", "a\\b", " slow", "slow\n", "a\0b", "x" * 65))
 
 
 def test_geometry_of_a_closed_polyline():

@@ -19,7 +19,7 @@ def level(y: float) -> Interface:
 def test_one_condition():
     likelihood = InterfaceLikelihood((Observation(level(0.0), 0.01),), TrackedPoints())
     assert likelihood(level(0.2)) == pytest.approx(-0.5 * 3 * 0.2**2 / 0.01)
-    assert likelihood([level(0.2)]) == likelihood(level(0.2))
+    assert likelihood({"": level(0.2)}) == likelihood(level(0.2))
     assert likelihood.discrepancies(level(0.2)) == pytest.approx([3 * 0.2**2])
     assert likelihood.unit == "mm²"
 
@@ -27,8 +27,25 @@ def test_one_condition():
 def test_conditions_add_each_with_its_own_variance():
     observations = (Observation(level(0.0), 0.01, "slow"), Observation(level(1.0), 0.04, "fast"))
     likelihood = InterfaceLikelihood(observations, TrackedPoints())
-    assert likelihood.discrepancies([level(0.1), level(0.8)]) == pytest.approx([0.03, 0.12])
-    assert likelihood([level(0.1), level(0.8)]) == pytest.approx(-0.5 * (0.03 / 0.01 + 0.12 / 0.04))
+    for simulated in (
+        {"slow": level(0.1), "fast": level(0.8)},
+        {"fast": level(0.8), "unobserved": level(9.0), "slow": level(0.1)},
+    ):
+        assert likelihood.discrepancies(simulated) == pytest.approx([0.03, 0.12])
+        assert likelihood(simulated) == pytest.approx(-0.5 * (0.03 / 0.01 + 0.12 / 0.04))
+    assert likelihood.conditions == ("slow", "fast")
+    assert likelihood.independent_terms == 12  # two coordinates of three points, twice
+
+
+def test_it_is_the_product_of_the_likelihoods_of_the_conditions():
+    rng = np.random.default_rng(3)
+    names = ("slow", "fast", "still")
+    variances = {"slow": 0.1, "fast": 0.2, "still": 0.4}
+    observations = tuple(Observation(level(rng.normal()), variances[name], name) for name in names)
+    simulated = {name: level(y) for name, y in zip(names, rng.normal(size=3), strict=True)}
+    for measure in (TrackedPoints(), ClosestPoint(), Currents(0.1), MeasurementLines(4, reach=9.0)):
+        alone = [InterfaceLikelihood((o,), measure)(simulated) for o in observations]
+        assert InterfaceLikelihood(observations, measure)(simulated) == pytest.approx(sum(alone))
 
 
 def test_with_its_constant_it_is_the_gaussian_density_of_tracked_points():
@@ -36,13 +53,16 @@ def test_with_its_constant_it_is_the_gaussian_density_of_tracked_points():
     observed = [rng.normal(size=(5, 2)), rng.normal(size=(4, 2))]
     simulated = [p + 0.1 * rng.normal(size=p.shape) for p in observed]
     variances = (0.02, 0.05)
-    observations = tuple(Observation(Interface.polyline(p), v) for p, v in zip(observed, variances, strict=True))
+    observations = tuple(
+        Observation(Interface.polyline(p), v, name) for p, v, name in zip(observed, variances, "ab", strict=True)
+    )
     likelihood = InterfaceLikelihood(observations, TrackedPoints())
     exact = sum(
         stats.norm.logpdf(o, s, math.sqrt(v)).sum() for o, s, v in zip(observed, simulated, variances, strict=True)
     )
     assert likelihood.constant is not None
-    assert likelihood([Interface.polyline(p) for p in simulated]) + likelihood.constant == pytest.approx(exact)
+    interfaces = {name: Interface.polyline(p) for name, p in zip("ab", simulated, strict=True)}
+    assert likelihood(interfaces) + likelihood.constant == pytest.approx(exact)
 
 
 def test_constant_counts_measurement_lines_and_is_none_where_there_is_no_count():
@@ -51,6 +71,7 @@ def test_constant_counts_measurement_lines_and_is_none_where_there_is_no_count()
     assert lines.constant == pytest.approx(-0.5 * 4 * math.log(2 * math.pi * 0.01))
     for measure in (Currents(0.1), ClosestPoint(), lambda simulated, observed: 0.0):
         assert InterfaceLikelihood(observation, measure).constant is None
+        assert InterfaceLikelihood(observation, measure).independent_terms is None
 
 
 def test_a_plain_function_is_a_discrepancy():
@@ -70,11 +91,20 @@ def test_the_simulated_interface_comes_first():
     assert seen == [(4.0, 3.0)]
 
 
-@pytest.mark.parametrize("number", [0, 1, 3])
-def test_another_number_of_interfaces_is_refused(number):
-    likelihood = InterfaceLikelihood((Observation(level(0.0), 1.0), Observation(level(1.0), 1.0)), TrackedPoints())
-    with pytest.raises(InvalidInput, match=f"got {number}; expected 2"):
-        likelihood([level(0.0)] * number)
+def test_an_observed_condition_that_was_not_simulated_is_refused_by_name():
+    both = (Observation(level(0.0), 1.0, "slow"), Observation(level(1.0), 1.0, "fast"))
+    likelihood = InterfaceLikelihood(both, TrackedPoints())
+    with pytest.raises(InvalidInput, match=r"lack condition 'fast'.*got condition 'slow'; expected at least"):
+        likelihood({"slow": level(0.0)})
+    with pytest.raises(InvalidInput, match="lack condition 'slow', condition 'fast'"):
+        likelihood(level(0.0))
+    with pytest.raises(InvalidInput, match="lack a condition without a name"):
+        InterfaceLikelihood((Observation(level(0.0), 1.0),), TrackedPoints())({"slow": level(0.0)})
+
+
+def test_two_observations_of_one_condition_are_refused():
+    with pytest.raises(InvalidInput, match="2 observations of a condition without a name"):
+        InterfaceLikelihood((Observation(level(0.0), 1.0), Observation(level(1.0), 1.0)), TrackedPoints())
 
 
 def test_no_observation_is_refused():

@@ -19,7 +19,7 @@ from strandline.discrepancy import Discrepancy
 from strandline.errors import TooFewRuns
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import ForwardModel
+from strandline.models.protocol import ForwardModel, require_conditions
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
     GaussianApproximation,
@@ -44,7 +44,7 @@ class Problem:
         model: the simulator.
         space: its unknown inputs with their priors.
         fixed: its known inputs by name.
-        observations: the observed interface(s) and the noise.
+        observations: the observed interface of each observed condition, and the noise.
         discrepancies: measures by name. The first one makes the posterior; the others get a surrogate to compare with.
     """
 
@@ -122,8 +122,10 @@ def calibrate(
     runs ended in.
 
     Raises:
+        InvalidInput: an observed condition that the model does not have; raised before any run.
         TooFewRuns: fewer successful runs than the Gaussian process needs.
     """
+    require_conditions((o.condition for o in problem.observations), problem.model)
     watch, tell = _Stopwatch(), observer or Observer()
     space = problem.space
     with watch("forward", tell):
@@ -177,12 +179,12 @@ def _training_set(
 ) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
     """Return the inputs of the successful runs and their log-likelihood under each measure."""
     succeeded = [i for i, record in enumerate(records) if record.ok]
-    interfaces = [record.interface for record in records if record.interface is not None]
+    interfaces = [records[i].interfaces for i in succeeded]
     _require_enough(len(succeeded), records, problem.space.dim)
     values = {}
     for name, discrepancy in problem.discrepancies.items():
         likelihood = InterfaceLikelihood(problem.observations, discrepancy)
-        values[name] = np.array([likelihood(interface) for interface in interfaces])
+        values[name] = np.array([likelihood(simulated) for simulated in interfaces])
     return design[succeeded], values
 
 

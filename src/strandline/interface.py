@@ -9,7 +9,9 @@ from jaxtyping import Bool, Float, Int
 
 from strandline.errors import InvalidInput, InvalidInterface
 
-__all__ = ["Interface", "Observation", "Oriented", "oriented_like"]
+__all__ = ["Interface", "Observation", "Oriented", "is_condition", "oriented_like"]
+
+_LONGEST_CONDITION = 64
 
 _ROUNDING = 8 * float(np.finfo(float).eps)
 """Share of an interface's extent below which two of its points count as touching."""
@@ -209,7 +211,7 @@ class Observation:
     Args:
         interface: the observed interface, mm.
         noise_variance: σ_N², in the unit of the discrepancy d².
-        condition: the experimental condition or time it belongs to.
+        condition: the experimental condition or time it belongs to; "" where the model has but one, without a name.
 
     Raises:
         InvalidInput: a variance that is not a finite number above 0.
@@ -227,6 +229,17 @@ class Observation:
                 expected="a finite number above 0, in the unit of the discrepancy d²",
                 remedy="Estimate it from the resolution of the measurement.",
             )
+
+
+def is_condition(name: object) -> bool:
+    """Tell whether `name` can be a condition's: "" for the only one, else a short text that file names can hold."""
+    return (
+        isinstance(name, str)
+        and len(name) <= _LONGEST_CONDITION
+        and name == name.strip()
+        and name.isprintable()
+        and not set(name) & set("/\\")
+    )
 
 
 class Oriented(NamedTuple):

@@ -1,7 +1,8 @@
 """From discrepancies to a log-likelihood; several conditions add."""
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +20,11 @@ class InterfaceLikelihood:
     """log L = Σ over conditions c of -½ d_c²/σ_N,c²; Eq. (4) of the study without its constant.
 
     Args:
-        observations: one for each condition or time, in the order of the simulated interfaces.
+        observations: one for each condition or time that was observed; simulated ones beyond these are passed over.
         discrepancy: the measure d².
 
     Raises:
-        InvalidInput: no observation.
+        InvalidInput: no observation, or two of one condition.
     """
 
     observations: tuple[Observation, ...]
@@ -37,24 +38,44 @@ class InterfaceLikelihood:
                 expected="at least one observed interface",
                 remedy="Supply an observation.",
             )
+        name, number = Counter(self.conditions).most_common(1)[0]
+        if number > 1:
+            raise InvalidInput(
+                "conditions of the observations",
+                value=f"{number} observations of {_spoken(name)}",
+                expected="a different condition for each",
+                remedy="Name the conditions as the model does.",
+            )
 
-    def __call__(self, interfaces: Interface | Sequence[Interface]) -> float:
-        """Return log L, without `constant`, of the simulated interfaces, one a condition in the same order."""
+    def __call__(self, interfaces: Interface | Mapping[str, Interface]) -> float:
+        """Return log L, without `constant`, of the simulated interfaces by condition."""
         variances = np.array([o.noise_variance for o in self.observations], float)
         return float(-0.5 * np.sum(self.discrepancies(interfaces) / variances))
 
-    def discrepancies(self, interfaces: Interface | Sequence[Interface]) -> Float[np.ndarray, " condition"]:
-        """Return d² of each condition, in `unit`.
+    def discrepancies(self, interfaces: Interface | Mapping[str, Interface]) -> Float[np.ndarray, " condition"]:
+        """Return d² of each observation, in `unit`.
 
         Args:
-            interfaces: one a condition, in the order of the observations; a bare interface serves for one.
+            interfaces: the simulated ones by condition; a bare interface serves where there is one observation.
 
         Raises:
-            InvalidInput: another number of interfaces than of observations.
+            InvalidInput: an observed condition is not among the simulated ones.
             NumericsError: the measure returned a number that is negative or not finite.
         """
-        pairs = zip(self._in_order(interfaces), self.observations, strict=True)
-        return np.array([self._discrepancy(simulated, observation) for simulated, observation in pairs])
+        simulated = self._matched(interfaces)
+        return np.array([self._discrepancy(simulated[o.condition], o) for o in self.observations])
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """The observed conditions, in the order of the observations."""
+        return tuple(o.condition for o in self.observations)
+
+    @property
+    def independent_terms(self) -> int | None:
+        """Number of independent residuals that d² sums over all observations; None where it is no such sum."""
+        counts = [independent_terms(self.discrepancy, o.interface) for o in self.observations]
+        known = [count for count in counts if count is not None]
+        return sum(known) if len(known) == len(counts) else None
 
     @property
     def unit(self) -> str:
@@ -74,16 +95,19 @@ class InterfaceLikelihood:
         logs = [math.log(2 * math.pi * o.noise_variance) for o in self.observations]
         return -0.5 * sum((n or 0) * log for n, log in zip(counts, logs, strict=True))
 
-    def _in_order(self, interfaces: Interface | Sequence[Interface]) -> Sequence[Interface]:
-        given = [interfaces] if isinstance(interfaces, Interface) else interfaces
-        if len(given) != len(self.observations):
+    def _matched(self, interfaces: Interface | Mapping[str, Interface]) -> Mapping[str, Interface]:
+        """Return the simulated interfaces by condition, all observed ones among them."""
+        if isinstance(interfaces, Interface):
+            interfaces = {self.conditions[0] if len(self.conditions) == 1 else "": interfaces}
+        missing = [name for name in self.conditions if name not in interfaces]
+        if missing:
             raise InvalidInput(
-                "simulated interfaces of the likelihood",
-                value=f"{len(given)}",
-                expected=f"{len(self.observations)}, one for each observation",
-                remedy="Supply one interface for each condition, in the order of the observations.",
+                f"the simulated interfaces lack {', '.join(map(_spoken, missing))}, which was observed",
+                value=", ".join(map(_spoken, interfaces)) or None,
+                expected=f"at least {', '.join(map(_spoken, self.conditions))}",
+                remedy="Give each observation the name that its condition has in the model.",
             )
-        return given
+        return interfaces
 
     def _discrepancy(self, simulated: Interface, observation: Observation) -> float:
         d2 = float(self.discrepancy(simulated, observation.interface))
@@ -93,3 +117,7 @@ class InterfaceLikelihood:
                 "a squared distance is finite and not negative: mend the measure"
             )
         return d2
+
+
+def _spoken(condition: str) -> str:
+    return f"condition {condition!r}" if condition else "a condition without a name"

@@ -14,6 +14,7 @@ from strandline.interface import Interface
 from strandline.parameters import Parameter
 from strandline.plots import (
     FieldGrid,
+    plot_conditions,
     plot_field,
     plot_flow,
     plot_interfaces,
@@ -59,6 +60,21 @@ def test_interfaces_in_millimetres_at_equal_scales():
     np.testing.assert_array_equal(drawn["observed"].get_xydata(), LINE.points)
     styles = [(line.get_color(), line.get_linestyle()) for line in drawn.values()]
     assert len(set(styles)) == 4
+
+
+def test_conditions_have_a_panel_each_and_one_legend():
+    seen = {"slow": LINE, "fast": Interface.polyline(LINE.points * [1.0, 2.0])}
+    simulated = {name: {"E = 200 Pa": line, "E = 800 Pa": line} for name, line in seen.items()}
+    figure = plot_conditions(seen, reference=LINE, simulated=simulated)
+    render(figure)
+    assert [ax.get_title() for ax in figure.axes] == ["slow", "fast"]
+    assert [ax.get_legend() is not None for ax in figure.axes] == [False, True]
+    for ax, line in zip(figure.axes, seen.values(), strict=True):
+        drawn = {artist.get_label(): artist.get_xydata() for artist in ax.lines}
+        assert list(drawn) == ["undeformed", "observed", "E = 200 Pa", "E = 800 Pa"]
+        np.testing.assert_array_equal(drawn["observed"], line.points)
+        np.testing.assert_array_equal(drawn["E = 800 Pa"], line.points)
+        assert ax.get_aspect() == 1.0
 
 
 def test_closed_interface_returns_to_its_start():

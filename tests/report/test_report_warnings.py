@@ -34,7 +34,7 @@ def with_validation(calibration: Calibration, **changes: Any) -> Calibration:
 
 
 def with_failures(calibration: Calibration, number: int) -> Calibration:
-    records = [replace(record, state="failed", interface=None) for record in calibration.records[:number]]
+    records = [replace(record, state="failed", interfaces={}) for record in calibration.records[:number]]
     return replace(calibration, records=(*records, *calibration.records[number:]))
 
 
@@ -119,7 +119,8 @@ def test_none_just_below_a_limit(good: Calibration, change: Callable[[Calibratio
 
 
 def test_an_observation_that_was_turned(good: Calibration) -> None:
-    (warning,) = find_warnings(good, observation_turned=True)
+    assert [w.partition(" ran")[0] for w in find_warnings(good, turned=("slow",))] == ["The observed points of slow"]
+    (warning,) = find_warnings(good, turned=("",))
     assert "turned round" in warning
 
 

@@ -27,7 +27,7 @@ from strandline.runs import (
     run_key,
 )
 from strandline.testing.executors import same_outcome
-from strandline.testing.models import Cantilever, Counted, CrashesOnce, Faulty, Patient, Slow
+from strandline.testing.models import Cantilever, Counted, CrashesOnce, Faulty, Patient, Slow, TwoLoads
 
 
 @pytest.fixture
@@ -86,6 +86,86 @@ def test_a_second_campaign_runs_only_what_is_missing(path, tmp_path):
     ((stiffness, progress),) = seen
     assert stiffness == 500.0
     assert progress == Progress(3, 3, 3, 0, 2, progress.elapsed)
+
+
+class Noted:
+    """An executor in this process that notes what it runs."""
+
+    def __init__(self):
+        self.made = []
+
+    def __call__(self, model, requests):
+        for record in InProcess()(model, requests):
+            self.made.append(record.inputs["E"])
+            yield record
+
+
+def test_runs_without_sensitivities_are_made_again_where_they_are_asked_for(path):
+    plain, asked, inputs = TwoLoads(), TwoLoads(sensitivities=True), design(300, 400, -1)
+    first = campaign(path, plain, inputs)
+    executor = Noted()
+    second = campaign(path, asked, [*inputs, *design(500)], executor)
+    assert executor.made == [300.0, 400.0, 500.0]
+    assert [list(record.sensitivities) for record in second] == [["light", "heavy"]] * 2 + [[]] + [["light", "heavy"]]
+    for one, other in zip(first, second, strict=False):
+        for condition, interface in one.interfaces.items():
+            assert other.interfaces[condition].points.tobytes() == interface.points.tobytes()
+    idle = Noted()
+    assert all(
+        same_outcome(*pair) for pair in zip(second, campaign(path, asked, [*inputs, *design(500)], idle), strict=True)
+    )
+    third = campaign(path, plain, inputs, idle)
+    assert idle.made == []
+    assert all(same_outcome(*pair) for pair in zip(third, second, strict=False)), "the newer outcome counts"
+    assert outcomes_per_run(path) == [
+        (run_key(plain.fingerprint, entry), n) for entry, n in sorted_by_key(plain, inputs)
+    ]
+
+
+def sorted_by_key(model, inputs):
+    """Return each run with the number of its outcomes in the test above."""
+    numbers = zip([*inputs, *design(500)], (2, 2, 1, 1), strict=True)
+    return sorted(numbers, key=lambda item: run_key(model.fingerprint, item[0]))
+
+
+class Dies:
+    """An executor whose worker dies on each run."""
+
+    def __call__(self, model, requests):
+        for request in requests:
+            yield RunRecord(request.key, request.inputs, "killed", failure_kind="worker_died", message="gone")
+
+
+def test_a_run_that_dies_only_with_its_sensitivities_is_given_up(path):
+    campaign(path, TwoLoads(), design(300))
+    (record,) = campaign(path, TwoLoads(sensitivities=True), design(300), Dies())
+    assert (record.state, record.failure_kind) == ("killed", "worker_died")
+    with Ledger.open(path, model=None, read_only=True) as ledger:
+        assert ledger.attempts(record.key) == 4
+        assert ledger.open_attempts(record.key) == 3
+
+
+def test_a_run_that_is_lost_only_with_its_sensitivities_keeps_its_interface(path):
+    (before,) = campaign(path, TwoLoads(), design(300))
+    with Ledger.open(path, model=fingerprint(TwoLoads())) as ledger:
+        for _ in range(3):
+            ledger.started(RunRequest(before.key, before.inputs))
+    (record,) = campaign(path, TwoLoads(sensitivities=True), design(300), Noted())
+    assert same_outcome(record, before)
+
+
+def test_only_runs_with_sensitivities_are_copied_where_they_are_asked_for(path, tmp_path):
+    inputs, other = design(300, 400, -1), tmp_path / "other.sqlite"
+    (steep,) = campaign(other, TwoLoads(sensitivities=True), inputs[:1])
+    campaign(other, TwoLoads(), inputs)
+    keys = [run_key(fingerprint(TwoLoads()), entry) for entry in inputs]
+    campaign(path, TwoLoads(), inputs[:1])
+    with Ledger.open(path, model=fingerprint(TwoLoads())) as ledger:
+        assert ledger.copy_from(other, keys, sensitivities=True) == 2
+        found = ledger.latest(keys)
+        assert [key in found for key in keys] == [True, False, True]
+        assert same_outcome(found[keys[0]], steep)
+        assert ledger.copy_from(other, keys) == 1
 
 
 def test_equal_inputs_run_once(path, tmp_path):

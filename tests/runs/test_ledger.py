@@ -6,7 +6,8 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ import pytest
 
 from strandline.errors import LedgerError
 from strandline.interface import Interface
-from strandline.runs import Counts, InProcess, Ledger, RunRecord, RunRequest, run_campaign
+from strandline.models.protocol import fingerprint
+from strandline.runs import Counts, InProcess, Ledger, RunRecord, RunRequest, run_campaign, run_key, schema
 from strandline.testing.executors import requests_for, same_outcome
-from strandline.testing.models import Cantilever
+from strandline.testing.models import Cantilever, TwoLoads
 
 DATA = Path(__file__).parents[1] / "data"
 LINE = Interface.polyline(np.random.default_rng(1).normal(size=(66, 2)))
@@ -33,11 +35,16 @@ def put(ledger, record):
     ledger.finished(record)
 
 
+SLOPES = {"slow": {"E": np.random.default_rng(2).normal(size=(66, 2)), "nu": np.full((66, 2), -1e-300)}}
+
+
 def records():
     return [
-        RunRecord("line", {"E": 0.1, "nu": -1e-300}, "ok", LINE, {"iterations": 7.0, "J": float("nan")}, 0.25),
-        RunRecord("surface", {"E": 1 / 3}, "ok", TETRAHEDRON),
-        RunRecord("bad", {"E": 2.0}, "failed", None, {"load": 0.5}, 1.0, "limit_point", "no équilibre", "a\nlog"),
+        RunRecord("two", {"E": 7.0}, "ok", {"slow": LINE, "a b": TETRAHEDRON}, sensitivities=SLOPES),
+        RunRecord("steep", {"E": 8.0}, "ok", {"": LINE}, sensitivities={"": SLOPES["slow"]}),
+        RunRecord("line", {"E": 0.1, "nu": -1e-300}, "ok", {"": LINE}, {"iterations": 7.0, "J": float("nan")}, 0.25),
+        RunRecord("surface", {"E": 1 / 3}, "ok", {"": TETRAHEDRON}),
+        RunRecord("bad", {"E": 2.0}, "failed", {}, {"load": 0.5}, 1.0, "limit_point", "no équilibre", "a\nlog"),
         RunRecord("slow", {"E": 3.0}, "timeout", failure_kind="timeout", message="still running"),
         RunRecord("gone", {"E": 4.0}, "killed", failure_kind="worker_died", message="SIGKILL"),
         RunRecord("odd", {"E": 5.0}, "invalid", failure_kind="non_finite", message="NaN"),
@@ -46,8 +53,10 @@ def records():
 
 def exact(record):
     """Return all that a record says, comparable to the last bit."""
-    found = record.interface
-    arrays = None if found is None else (found.points.tobytes(), found.points.shape, found.cells.tolist())
+    arrays = [(c, i.points.tobytes(), i.points.shape, i.cells.tolist()) for c, i in record.interfaces.items()]
+    arrays += [
+        (c, n, a.tobytes(), a.shape) for c, by_input in record.sensitivities.items() for n, a in by_input.items()
+    ]
     figures = {name: float(value).hex() for name, value in record.diagnostics.items()}
     rest = (record.seconds, record.failure_kind, record.message, record.log, record.origin)
     return record.key, dict(record.inputs), record.state, arrays, figures, *rest
@@ -81,8 +90,8 @@ def test_started_without_an_outcome_is_open(path):
         for record in records():
             put(ledger, record)
         ledger.started(RunRequest("lost", {"E": 9.0}))
-        assert ledger.counts() == Counts(ok=2, failed=1, timeout=1, killed=1, invalid=1, open=1)
-        assert ledger.counts().total == 7
+        assert ledger.counts() == Counts(ok=4, failed=1, timeout=1, killed=1, invalid=1, open=1)
+        assert ledger.counts().total == 9
         assert "lost" not in ledger.latest(["lost"])
 
 
@@ -92,7 +101,7 @@ def test_last_outcome_counts_and_attempts_are_counted(path):
         put(ledger, RunRecord("a", {}, "killed", failure_kind="interrupted"))
         ledger.started(RunRequest("a", {}))
         assert ledger.attempts("a") == 2
-        put(ledger, RunRecord("a", {}, "ok", LINE))
+        put(ledger, RunRecord("a", {}, "ok", {"": LINE}))
         assert ledger.attempts("a") == 3
         assert ledger.attempts("never") == 0
         assert ledger.latest(["a"])["a"].ok
@@ -102,8 +111,8 @@ def test_last_outcome_counts_and_attempts_are_counted(path):
 
 def test_outcome_without_a_start_is_refused(path):
     with Ledger.open(path, model="m") as ledger:
-        put(ledger, records()[0])
-        for record in records()[:2]:
+        put(ledger, records()[2])
+        for record in records()[2:4]:
             with pytest.raises(LedgerError, match="started and has no outcome"):
                 ledger.finished(record)
 
@@ -114,10 +123,12 @@ def test_each_write_is_synchronised(path):
         assert ledger._connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
-@pytest.mark.parametrize("verb", ["UPDATE outcomes SET state = 'ok'", "DELETE FROM starts", "DELETE FROM outcomes"])
+@pytest.mark.parametrize(
+    "verb", ["UPDATE outcomes SET state = 'ok'", "DELETE FROM starts", "DELETE FROM outcomes", "DELETE FROM arrays"]
+)
 def test_nothing_is_ever_changed(path, verb):
     with Ledger.open(path, model="m") as ledger:
-        put(ledger, records()[2])
+        put(ledger, records()[0])
         with pytest.raises(sqlite3.IntegrityError, match="append-only"):
             ledger._connection.execute(verb)
 
@@ -135,10 +146,57 @@ def test_nothing_is_ever_changed(path, verb):
 )
 def test_damage_to_a_run_is_noticed_and_the_run_named(path, damage):
     with Ledger.open(path, model="m") as ledger:
-        put(ledger, records()[0])
+        put(ledger, records()[2])
     tamper(path, "DROP TRIGGER outcomes_no_UPDATE", "DROP TRIGGER starts_no_UPDATE", damage)
     with Ledger.open(path, model="m") as ledger, pytest.raises(LedgerError, match=r"run line in .* is damaged"):
         ledger.latest(["line"])
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE arrays SET data = zeroblob(length(data)) WHERE role = 'sensitivity'",
+        "UPDATE arrays SET shape = '[132, 1]' WHERE role = 'points' AND condition = 'slow'",
+        "UPDATE arrays SET condition = 'fast' WHERE condition = 'slow'",
+        "UPDATE arrays SET input = 'E2' WHERE input = 'E'",
+        "DELETE FROM arrays WHERE role = 'sensitivity' AND input = 'nu'",
+        "DELETE FROM arrays",
+        "INSERT INTO arrays SELECT attempt, role, condition, 'extra', shape, data FROM arrays WHERE input = 'nu'",
+    ],
+)
+def test_damage_to_the_arrays_of_a_run_is_noticed(path, damage):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, records()[0])
+        assert exact(ledger.latest(["two"])["two"]) == exact(records()[0])
+    tamper(path, "DROP TRIGGER arrays_no_UPDATE", "DROP TRIGGER arrays_no_DELETE", damage)
+    with Ledger.open(path, model="m") as ledger, pytest.raises(LedgerError, match=r"run two in .* is damaged"):
+        ledger.latest(["two"])
+
+
+def test_an_outcome_is_written_with_all_its_arrays_or_not_at_all(path):
+    with Ledger.open(path, model="m") as ledger:
+        ledger.started(RunRequest("two", {"E": 7.0}))
+        ledger._connection.execute(
+            "CREATE TEMP TRIGGER full BEFORE INSERT ON arrays WHEN NEW.input = 'nu' "
+            "BEGIN SELECT RAISE(ABORT, 'full'); END"
+        )
+        with pytest.raises(LedgerError, match="full"):
+            ledger.finished(records()[0])
+        assert ledger._rows("SELECT count(*) FROM arrays") == [(0,)]
+        assert ledger.counts() == Counts(open=1)
+        ledger._connection.execute("DROP TRIGGER full")
+        ledger.finished(records()[0])
+        assert exact(ledger.latest(["two"])["two"]) == exact(records()[0])
+
+
+def test_attempts_since_the_last_end_for_good(path):
+    with Ledger.open(path, model="m") as ledger:
+        for state in ("killed", "killed", "ok", "killed"):
+            put(ledger, RunRecord("a", {}, state, {"": LINE} if state == "ok" else {}))
+        ledger.started(RunRequest("a", {}))
+        put(ledger, RunRecord("b", {}, "killed"))
+        assert (ledger.attempts("a"), ledger.open_attempts("a")) == (5, 2)
+        assert (ledger.open_attempts("b"), ledger.open_attempts("never")) == (1, 0)
 
 
 def tamper(path, *statements):
@@ -158,7 +216,7 @@ def test_ledger_of_another_model_is_refused_with_both_names(path):
 
 def test_newer_version_is_refused(path):
     Ledger.open(path, model="m").close()
-    tamper(path, "UPDATE meta SET value = '2' WHERE key = 'schema_version'")
+    tamper(path, f"UPDATE meta SET value = '{schema.VERSION + 1}' WHERE key = 'schema_version'")
     with pytest.raises(LedgerError, match="newer strandline"):
         Ledger.open(path, model="m")
 
@@ -257,6 +315,7 @@ def test_reader_sees_what_a_driver_has_written_so_far(path):
         put(driver, records()[0])
         with Ledger.open(path, model="m", read_only=True) as reader:
             assert reader.counts() == Counts(ok=1)
+            assert exact(reader.latest(["two"])["two"]) == exact(records()[0])
             driver.started(RunRequest("next", {"E": 7.0}))
             assert reader.counts() == Counts(ok=1, open=1)
             with driver._transaction():
@@ -293,14 +352,15 @@ def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
             put(ledger, record)
     keys = [record.key for record in records()] + ["unknown"]
     with Ledger.open(second, model="m") as ledger:
-        put(ledger, RunRecord("line", {"E": 0.1, "nu": -1e-300}, "ok", TETRAHEDRON))
-        assert ledger.copy_from(first, keys) == 3
+        put(ledger, RunRecord("line", {"E": 0.1, "nu": -1e-300}, "ok", {"": TETRAHEDRON}))
+        assert ledger.copy_from(first, keys) == 5
         assert ledger.copy_from(first, keys) == 0
         found = ledger.latest(keys)
-        assert set(found) == {"line", "surface", "bad", "odd"}
+        assert set(found) == {"two", "steep", "line", "surface", "bad", "odd"}
+        assert exact(found["two"])[:-1] == exact(records()[0])[:-1]
         assert found["line"].interface.dim == 3  # what is here already stays
         assert found["bad"].origin == str(first)
-        assert exact(found["surface"])[:-1] == exact(records()[1])[:-1]
+        assert exact(found["surface"])[:-1] == exact(records()[3])[:-1]
     with Ledger.open(third, model="m") as ledger:
         assert ledger.copy_from(second, ["bad"]) == 1
         assert ledger.latest(["bad"])["bad"].origin == str(first)
@@ -330,8 +390,105 @@ def test_ledger_of_version_1_still_opens(tmp_path):
         assert ledger.counts() == Counts(ok=4, failed=1)
 
 
+def old_ledger(folder):
+    path = Path(shutil.copy(DATA / "ledger-v1.sqlite", folder / "ledger.sqlite"))
+    path.chmod(0o644)
+    return path
+
+
+def content(path):
+    """Return version, tables, and all rows of the tables of version 1 but for the sessions."""
+    with closing(sqlite3.connect(path)) as connection:
+        (version,) = connection.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchone()
+        tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+        rows = [connection.execute(f"SELECT * FROM {table}").fetchall() for table in ("starts", "outcomes")]
+    return version, tables, rows
+
+
+def test_reading_version_1_gives_an_unnamed_condition_and_changes_nothing(tmp_path):
+    path = old_ledger(tmp_path)
+    before = path.read_bytes()
+    with Ledger.open(path, model=None, read_only=True) as ledger:
+        good = [record for record in ledger if record.ok]
+        assert [list(record.interfaces) for record in good] == [[""], [""]]
+        assert all(record.sensitivities == {} for record in good)
+        with Ledger.open(tmp_path / "new.sqlite", model=ledger.model) as new:
+            assert new.copy_from(path, [record.key for record in ledger]) == 3
+    assert path.read_bytes() == before
+
+
+def test_a_driver_upgrades_version_1_and_touches_no_row(tmp_path):
+    path = old_ledger(tmp_path)
+    version, tables, rows = content(path)
+    assert (version, "arrays" in tables) == ("1", False)
+    model = Cantilever(nodes=9).fingerprint
+    with pytest.raises(LedgerError, match="another model"):
+        Ledger.open(path, model="m")
+    assert content(path)[0] == "1"
+    Ledger.open(path, model=model).close()
+    assert content(path) == ("2", tables | {"arrays"}, rows)
+    with Ledger.open(path, model=model) as ledger:
+        put(ledger, records()[0])
+        assert exact(ledger.latest(["two"])["two"]) == exact(records()[0])
+    fresh = tmp_path / "fresh.sqlite"
+    Ledger.open(fresh, model=model).close()
+    assert definitions(path) == definitions(fresh)
+
+
+def definitions(path):
+    with closing(sqlite3.connect(path)) as connection:
+        return sorted(connection.execute("SELECT name, sql FROM sqlite_schema").fetchall())
+
+
+def test_an_upgrade_that_fails_leaves_version_1(tmp_path, monkeypatch):
+    path = old_ledger(tmp_path)
+    before = content(path)
+    monkeypatch.setattr(schema, "ARRAYS", schema.ARRAYS + "CREATE TABLE broken (")
+    with pytest.raises(LedgerError):
+        Ledger.open(path, model=Cantilever(nodes=9).fingerprint)
+    assert content(path) == before
+    monkeypatch.undo()
+    Ledger.open(path, model=Cantilever(nodes=9).fingerprint).close()
+    assert content(path)[0] == "2"
+
+
+def test_a_reader_of_version_1_sees_what_an_upgrading_driver_writes(tmp_path):
+    path = old_ledger(tmp_path)
+    model = Cantilever(nodes=9).fingerprint
+    with closing(schema.connect(path)), Ledger.open(path, model=None, read_only=True) as reader:
+        assert len(list(reader)) == 4
+        with Ledger.open(path, model=model) as driver:
+            put(driver, records()[0])
+            assert exact(reader.latest(["two"])["two"]) == exact(records()[0])
+
+
+def test_ledger_of_version_2_still_opens(tmp_path):
+    """Two conditions with sensitivities; if this fails, studies of users cannot be opened any more."""
+    path = Path(shutil.copy(DATA / "ledger-v2.sqlite", tmp_path / "ledger.sqlite"))
+    path.chmod(0o644)
+    model = TwoLoads(Cantilever(nodes=5), sensitivities=True)
+    with Ledger.open(path, model=fingerprint(model)) as ledger:
+        assert ledger.counts() == Counts(ok=2, failed=1)
+        for record in ledger:
+            if record.ok:
+                direct = model(record.inputs, tmp_path)
+                assert list(record.interfaces) == ["light", "heavy"]
+                for name, interface in record.interfaces.items():
+                    np.testing.assert_allclose(interface.points, direct.interfaces[name].points, rtol=0, atol=1e-15)
+        steep = ledger.latest([run_key(fingerprint(model), {"E": 500.0, "load": 1e-5})]).popitem()[1]
+        for name in model.conditions:
+            slope = model(steep.inputs, tmp_path).sensitivities[name]["load"]
+            np.testing.assert_allclose(steep.sensitivities[name]["load"], slope, rtol=1e-12)
+
+
 def test_equal_outcomes_are_told_from_different_ones():
-    one, other = records()[0], records()[0]
-    assert same_outcome(RunRecord(one.key, one.inputs, "ok", LINE), RunRecord(one.key, one.inputs, "ok", LINE))
+    one, other = records()[2], records()[2]
+    two, less = records()[0], {"slow": {"E": SLOPES["slow"]["E"]}}
+    assert same_outcome(two, records()[0])
+    assert not same_outcome(two, replace(two, sensitivities=less))
+    assert not same_outcome(two, replace(two, interfaces={"slow": LINE}))
+    assert same_outcome(
+        RunRecord(one.key, one.inputs, "ok", {"": LINE}), RunRecord(one.key, one.inputs, "ok", {"": LINE})
+    )
     moved = Interface.polyline(np.nextafter(LINE.points, 1.0))
-    assert not same_outcome(one, RunRecord(other.key, other.inputs, "ok", moved, other.diagnostics))
+    assert not same_outcome(one, RunRecord(other.key, other.inputs, "ok", {"": moved}, other.diagnostics))

@@ -3,7 +3,9 @@
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -70,7 +72,7 @@ def test_cantilever_agrees_with_the_integrated_beam_equation():
     np.testing.assert_allclose(np.linalg.norm(tip[0] - tip[1]), 0.2 * np.hypot(1, slope[-1]), atol=1e-7)
 
 
-@pytest.mark.parametrize("returned", [LINE, Simulation(LINE, {"iterations": 7.0})])
+@pytest.mark.parametrize("returned", [LINE, Simulation.of(LINE, {"iterations": 7.0})])
 def test_bare_interface_and_simulation_are_accepted(returned):
     record = outcome(lambda inputs, workdir: returned)
     assert record.ok
@@ -78,6 +80,103 @@ def test_bare_interface_and_simulation_are_accepted(returned):
     assert record.failure_kind is None
     assert record.message is None
     assert record.seconds >= 0
+
+
+@dataclass(frozen=True)
+class Returning:
+    """A model of two conditions that returns `result`."""
+
+    result: Any
+    sensitivities: bool = False
+    conditions: ClassVar[tuple[str, ...]] = ("slow", "fast")
+
+    def __call__(self, inputs, workdir):
+        return self.result
+
+
+BOTH = {"slow": LINE, "fast": Interface.polyline(LINE.points[:2] + 1.0)}
+SLOPES = {"slow": {"E": np.ones((3, 2))}, "fast": {"E": np.zeros((2, 2))}}
+
+
+def test_all_conditions_and_sensitivities_are_kept():
+    record = outcome(Returning(Simulation(BOTH, {"steps": 2.0}, SLOPES), sensitivities=True))
+    assert record.ok
+    assert list(record.interfaces) == ["slow", "fast"]
+    assert record.interface is record.interfaces["slow"]
+    np.testing.assert_array_equal(record.interfaces["fast"].points, BOTH["fast"].points)
+    np.testing.assert_array_equal(record.sensitivities["slow"]["E"], np.ones((3, 2)))
+    assert record.sensitivities["slow"]["E"] is not SLOPES["slow"]["E"]
+    assert outcome(Returning(Simulation(BOTH))).sensitivities == {}
+
+
+def changed(**changes):
+    """Return a simulation with contents that its annotations do not admit."""
+    simulation = Simulation(dict(BOTH), {}, {name: dict(by_input) for name, by_input in SLOPES.items()})
+    for name, value in changes.items():
+        object.__setattr__(simulation, name, value)
+    return simulation
+
+
+@pytest.mark.parametrize(
+    ("result", "kind", "words"),
+    [
+        (LINE, "conditions", "one unnamed condition; expected slow, fast"),
+        (Simulation({"slow": LINE}), "conditions", "interfaces of slow; expected slow, fast"),
+        (Simulation({**BOTH, "rapid": LINE}), "conditions", "rapid"),
+        (Simulation({"slow": LINE, "a/b": LINE}), "conditions", "'a/b'; expected a short name without slashes"),
+        (Simulation({}), "not_an_interface", "Simulation without interfaces"),
+        (changed(interfaces=LINE), "not_an_interface", "Simulation"),
+        (changed(interfaces={**BOTH, "fast": None}), "not_an_interface", "Simulation"),
+        (changed(sensitivities={}), "sensitivities", "returned none for at least one condition"),
+        (changed(sensitivities={"slow": SLOPES["slow"]}), "sensitivities", "none for at least one condition"),
+        (changed(sensitivities=None), "sensitivities", "none for at least one condition"),
+        (changed(sensitivities=SLOPES | {"fast": {"E": np.ones((3, 2))}}), "sensitivities", "(3, 2); expected (2, 2)"),
+        (
+            changed(sensitivities=SLOPES | {"fast": {"E": np.full((2, 2), np.nan)}}),
+            "sensitivities",
+            "4 numbers of d/dE of",
+        ),
+        (changed(sensitivities=SLOPES | {"fast": {"E": "steep"}}), "sensitivities", "d/dE of fast is no array"),
+        (changed(sensitivities=SLOPES | {"fast": {"F": np.ones((2, 2))}}), "sensitivities", "called 'F'"),
+        (changed(sensitivities=SLOPES | {"rapid": SLOPES["slow"]}), "sensitivities", "called 'rapid'"),
+    ],
+)
+def test_what_is_not_promised_is_invalid(result, kind, words):
+    record = outcome(Returning(result, sensitivities=True))
+    assert (record.state, record.failure_kind) == ("invalid", kind)
+    assert words in record.message
+    assert record.interfaces == {}
+    assert record.sensitivities == {}
+
+
+def test_the_condition_that_is_not_finite_is_named():
+    bad = Interface.polyline(LINE.points.copy())
+    bad.points[1] = np.nan
+    record = outcome(Returning(Simulation({"slow": LINE, "fast": bad})))
+    assert (record.failure_kind, record.message) == (
+        "non_finite",
+        "2 of 6 coordinates of the interface of fast are not finite",
+    )
+
+
+def test_sensitivities_that_nobody_asked_for_are_checked_and_kept():
+    assert list(outcome(Returning(Simulation(BOTH, {}, SLOPES))).sensitivities) == ["slow", "fast"]
+    assert outcome(Returning(changed(sensitivities={"slow": {"E": np.ones(3)}}))).failure_kind == "sensitivities"
+
+
+@pytest.mark.parametrize(
+    ("state", "slopes", "plain", "asked"),
+    [
+        ("ok", SLOPES, True, True),
+        ("ok", {}, True, False),
+        ("failed", {}, True, True),
+        ("killed", {}, False, False),
+    ],
+)
+def test_a_run_settles_with_or_without_sensitivities(state, slopes, plain, asked):
+    record = RunRecord("k", {}, state, BOTH if state == "ok" else {}, sensitivities=slopes)
+    assert record.settles(sensitivities=False) is plain
+    assert record.settles(sensitivities=True) is asked
 
 
 def test_record_does_not_share_memory_with_the_model():
@@ -96,7 +195,7 @@ def test_model_cannot_change_the_inputs_of_its_record():
 
 
 def test_text_among_the_diagnostics_does_not_cost_the_interface():
-    simulation = Simulation(LINE, {"iterations": 7.0})
+    simulation = Simulation.of(LINE, {"iterations": 7.0})
     simulation.diagnostics["solver"] = "umfpack"
     record = outcome(lambda inputs, workdir: simulation)
     assert record.ok
@@ -145,7 +244,7 @@ def test_log_ends_the_message_of_a_failure_only():
     assert told.message.endswith("step 99")
     assert "step 0\n" not in told.message
     assert told.log.startswith("step 0\n")
-    good = RunRecord("k", {}, "ok", LINE)
+    good = RunRecord("k", {}, "ok", {"": LINE})
     assert with_log(good, "chatter") is good
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, TrackedPoints
 from strandline.errors import InvalidStudy
-from strandline.interface import Interface
 from strandline.models.python import PythonModel
 from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
 from strandline.runs import LocalProcesses
@@ -104,12 +103,12 @@ def test_an_observed_file_is_read_in_its_unit_and_turned_round(tmp_path: Path) -
     points = outline().points[::-1] * 1000
     np.savetxt(tmp_path / "o.csv", points, delimiter=",")
     study = load_study(write_study(tmp_path, **BIOFILM | {"observation": {"file": "o.csv", "unit": "um"}}))
-    assert isinstance(study.observed, Interface)
-    np.testing.assert_allclose(study.observed.points, outline().points, atol=1e-12)
-    assert study.observation_turned
+    assert list(study.observed) == [""]
+    np.testing.assert_allclose(study.observed[""].points, outline().points, atol=1e-12)
+    assert study.turned == ("",)
     assert study.truth is None
     np.savetxt(tmp_path / "o.csv", points[::-1], delimiter=",")
-    assert not load_study(tmp_path).observation_turned
+    assert load_study(tmp_path).turned == ()
 
 
 def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:

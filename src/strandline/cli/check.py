@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from strandline.interface import Interface
+    from strandline.runs import RunRecord
     from strandline.studies import Study
 
 __all__ = ["command"]
@@ -23,15 +23,19 @@ def command(study: Path) -> None:
     loaded = load_study(study)
     require_writable(loaded.folder)
     check_ledgers(loaded)
-    interface, told = _forward_run(loaded)
-    log_likelihoods = _measured(loaded, interface)
+    record, told = _forward_run(loaded)
+    log_likelihoods = _measured(loaded, record)
     known = known_runs(loaded)
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
         cut = f", {parameter.mass_cut:.2%} of its mass cut off by the box" if parameter.mass_cut else ""
         click.echo(f"  {parameter.label()}: {parameter.prior}{cut}")
-    if loaded.observation_turned:
-        click.echo("  the observed points run against the model's interface and will be turned round")
+    conditions = tuple(loaded.observed or record.interfaces)
+    if any(conditions):
+        click.echo(f"  observed conditions: {', '.join(conditions)}")
+    for condition in loaded.turned:
+        of = f" of {condition}" if condition else ""
+        click.echo(f"  the observed points{of} run against the model's interface and will be turned round")
     click.echo(f"  {told}")
     for name, value in log_likelihoods.items():
         click.echo(f"  {name}: log-likelihood {value:.6g} there")
@@ -39,8 +43,8 @@ def command(study: Path) -> None:
     click.echo(f"next: strandline run {study}")
 
 
-def _forward_run(study: "Study") -> tuple["Interface", str]:
-    """Return the interface at the medians of the priors, and a line about the run."""
+def _forward_run(study: "Study") -> tuple["RunRecord", str]:
+    """Return the run at the medians of the priors, and a line about it."""
     import numpy as np
 
     from strandline.cli.forward import attempted
@@ -50,7 +54,7 @@ def _forward_run(study: "Study") -> tuple["Interface", str]:
     inputs = {**study.fixed, **study.space.as_mapping(medians)}
     record = attempted(study.model, inputs)
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
-    if record.interface is None:
+    if not record.ok:
         message = (record.message or "").partition("\n")[0]
         raise InvalidStudy(
             "the forward run at the medians of the priors failed",
@@ -59,18 +63,18 @@ def _forward_run(study: "Study") -> tuple["Interface", str]:
             remedy="Look at the simulator, or move the priors to where it runs.",
         )
     figures = ", ".join(f"{name} {value:.4g}" for name, value in record.diagnostics.items())
-    return record.interface, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"
+    return record, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"
 
 
-def _measured(study: "Study", simulated: "Interface") -> dict[str, float]:
-    """Return the log-likelihood of `simulated` by measure; none where the observation is still to be made."""
-    from strandline.interface import Interface, Observation
+def _measured(study: "Study", record: "RunRecord") -> dict[str, float]:
+    """Return the log-likelihood of the run by measure; none where the observation is still to be made."""
+    from strandline.interface import Observation
     from strandline.likelihood import InterfaceLikelihood
 
-    observed = study.observed if isinstance(study.observed, Interface) else simulated
-    observation = Observation(observed, study.noise_variance)
+    observed = (study.observed or record.interfaces).items()
+    observations = tuple(Observation(interface, study.noise_variance, name) for name, interface in observed)
     values = {
-        name: InterfaceLikelihood((observation,), discrepancy)(simulated)
+        name: InterfaceLikelihood(observations, discrepancy)(record.interfaces)
         for name, discrepancy in study.discrepancies.items()
     }
-    return values if observed is study.observed else {}
+    return values if study.observed else {}

@@ -3,15 +3,17 @@
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from strandline.errors import InvalidInput
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from strandline.models.protocol import ForwardModel
     from strandline.runs import RunRecord
 
@@ -23,12 +25,15 @@ __all__ = ["attempted", "command"]
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="An input or fixed quantity; repeatable.")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the deformed interface, x,y in mm.")
 @click.option("--json", "as_json", is_flag=True, help="Print the outcome as one JSON object.")
-def command(study: Path, settings: tuple[str, ...], csv_path: Path | None, as_json: bool) -> None:
+@click.option("--sensitivities", is_flag=True, help="Add d(interface)/d(input) to the CSV and the JSON object.")
+def command(study: Path, settings: tuple[str, ...], csv_path: Path | None, as_json: bool, sensitivities: bool) -> None:
     """Make one forward run of STUDY's model; nothing goes into the ledger.
 
     Fixed quantities have the values of study.yaml unless set. A run that fails is an answer too: exit code 0 with
-    --json, 1 without; no CSV is written then.
+    --json, 1 without; no CSV is written then. A model of several conditions writes a file for each of them: with
+    --csv shape.csv, shape-CONDITION.csv.
     """
+    from strandline.models.protocol import declared_conditions, with_sensitivities
     from strandline.studies import load_study
     from strandline.studies.build import check_complete
 
@@ -36,20 +41,26 @@ def command(study: Path, settings: tuple[str, ...], csv_path: Path | None, as_js
     inputs = {**loaded.fixed, **_parsed(settings)}
     names = (*loaded.space.names, *loaded.fixed)
     check_complete(inputs, names, loaded.model, "--set", add="Add --set {name}=VALUE.")
-    if csv_path is not None:
-        _require_target(csv_path)
-    record = attempted(loaded.model, inputs)
-    if csv_path is not None and record.interface is not None:
-        _write_csv(csv_path, record)
+    model = with_sensitivities(loaded.model) if sensitivities else loaded.model
+    targets = {} if csv_path is None else _targets(csv_path, declared_conditions(model))
+    for path in targets.values():
+        _require_target(path)
+    record = attempted(model, inputs)
+    if record.ok:
+        for condition, path in targets.items():
+            _write_csv(path, record, condition, sensitivities=sensitivities)
     if as_json:
-        click.echo(json.dumps(_outcome(record, inputs, csv_path)))
-    elif record.interface is None:
+        slopes = _slopes(record) if sensitivities else {}
+        click.echo(json.dumps(_outcome(record, inputs, targets) | slopes))
+    elif not record.ok:
         message = (record.message or "").partition("\n")[0]
         click.echo(f"failed after {record.seconds:.2f} s: {record.failure_kind or record.state}: {message}", err=True)
         raise SystemExit(1)
     else:
         figures = ", ".join(f"{name} {value:.6g}" for name, value in record.diagnostics.items())
         click.echo(f"ok in {record.seconds:.2f} s{': ' + figures if figures else ''}")
+        for line in _told(record, sensitivities=sensitivities):
+            click.echo(f"  {line}")
 
 
 def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord":
@@ -93,11 +104,40 @@ def _require_target(path: Path) -> None:
     raise _unwritable(f"{path}, {problem}")
 
 
-def _write_csv(path: Path, record: "RunRecord") -> None:
-    assert record.interface is not None
-    rows = "".join(f"{x!r},{y!r}\n" for x, y in record.interface.points.tolist())
+def _targets(path: Path, conditions: tuple[str, ...]) -> dict[str, Path]:
+    """Return the file of each condition: `path` itself for one without a name."""
+    return {c: path.with_name(f"{path.stem}-{c}{path.suffix}") if c else path for c in conditions}
+
+
+def _told(record: "RunRecord", *, sensitivities: bool) -> Iterator[str]:
+    """Yield a line for each named condition, and for each sensitivity with its largest value."""
+    import numpy as np
+
+    for condition, interface in record.interfaces.items():
+        if condition:
+            yield f"{condition}: {len(interface.points)} points"
+        for name, slope in record.sensitivities.get(condition, {}).items() if sensitivities else ():
+            largest = float(np.linalg.norm(slope, axis=1).max())
+            yield f"{condition + ': ' if condition else ''}d/d{name} up to {largest:.6g} mm per unit of {name}"
+
+
+def _slopes(record: "RunRecord") -> dict[str, object]:
+    return {
+        "sensitivities": {
+            condition: {name: slope.tolist() for name, slope in by_input.items()}
+            for condition, by_input in record.sensitivities.items()
+        }
+    }
+
+
+def _write_csv(path: Path, record: "RunRecord", condition: str, *, sensitivities: bool) -> None:
+    columns: dict[str, np.ndarray[Any, Any]] = {"x,y": record.interfaces[condition].points}
+    if sensitivities:
+        columns |= {f"dx_d{name},dy_d{name}": d for name, d in record.sensitivities[condition].items()}
+    blocks = [block.tolist() for block in columns.values()]
+    lines = [",".join(columns)] + [",".join(repr(v) for pair in row for v in pair) for row in zip(*blocks, strict=True)]
     try:
-        path.write_text("x,y\n" + rows, encoding="utf-8")
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise _unwritable(f"{path}: {error.strerror}") from None
 
@@ -108,16 +148,17 @@ def _unwritable(value: str) -> InvalidInput:
     )
 
 
-def _outcome(record: "RunRecord", inputs: Mapping[str, float], csv_path: Path | None) -> dict[str, object]:
+def _outcome(record: "RunRecord", inputs: Mapping[str, float], targets: Mapping[str, Path]) -> dict[str, object]:
     failure = None
-    if record.interface is None:
+    if not record.ok:
         failure = {"state": record.state, "kind": record.failure_kind, "message": record.message}
     figures = {name: value if math.isfinite(value) else None for name, value in record.diagnostics.items()}
+    written = {condition: str(path) for condition, path in targets.items()} if record.ok else {}
     return {
         "inputs": dict(inputs),
         "state": record.state,
         "seconds": record.seconds,
         **figures,
-        "csv": None if csv_path is None or failure else str(csv_path),
+        "csv": written.get("", written) or None,
         "failure": failure,
     }

@@ -4,22 +4,67 @@ import dataclasses
 import hashlib
 import inspect
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
-__all__ = ["ForwardModel", "ModelInput", "Simulation", "declared_inputs", "fingerprint"]
+__all__ = [
+    "ForwardModel",
+    "ModelInput",
+    "Sensitivities",
+    "Simulation",
+    "asks_sensitivities",
+    "declared_conditions",
+    "declared_inputs",
+    "fingerprint",
+    "require_conditions",
+    "the_only_interface",
+    "with_sensitivities",
+]
+
+Sensitivities = Mapping[str, Mapping[str, Float[np.ndarray, "point xyz"]]]
+"""Condition → name of an input → d(points of its interface)/d(input), in mm per unit of the input."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Simulation:
-    """The outcome of one successful forward run: the interface and figures about the run."""
+    """The outcome of one successful forward run; `Simulation.of` serves a model of one unnamed condition.
 
-    interface: Interface
+    Args:
+        interfaces: by condition, all of the same specimen; "" is the name of an only condition that has none.
+        diagnostics: figures about the run.
+        sensitivities: by condition and by input, the derivative of the interface's points, mm per unit of the input.
+    """
+
+    interfaces: Mapping[str, Interface]
     diagnostics: Mapping[str, float] = field(default_factory=dict)
+    sensitivities: Sensitivities = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        interface: Interface,
+        diagnostics: Mapping[str, float] | None = None,
+        sensitivities: Mapping[str, Float[np.ndarray, "point xyz"]] | None = None,
+    ) -> "Simulation":
+        """Return the outcome of a run with one unnamed condition; `sensitivities` by input."""
+        return cls({"": interface}, diagnostics or {}, {"": sensitivities} if sensitivities else {})
+
+    @property
+    def interface(self) -> Interface:
+        """The only interface.
+
+        Raises:
+            InvalidInput: there are several.
+        """
+        return the_only_interface(self.interfaces)
 
 
 @dataclass(frozen=True)
@@ -50,9 +95,11 @@ class ModelInput:
 class ForwardModel(Protocol):
     """A simulator: inputs by name → the interface it predicts.
 
-    A plain function of the same signature serves, and may return a bare `Interface`. A model may declare `inputs`
-    (a tuple of `ModelInput`) and `fingerprint` (a string that changes whenever its results do). It is pickled once
-    per worker process.
+    A plain function of the same signature serves, and may return a bare `Interface`, which is one unnamed condition.
+    A model may declare `inputs` (a tuple of `ModelInput`), `fingerprint` (a string that changes whenever its results
+    do) and, where a run yields several interfaces or one with a name, their `conditions` (a tuple of names). A model
+    that can compute sensitivities is a dataclass with a field `sensitivities`, which says whether it does; they come
+    on top and change no interface, so they are no part of its fingerprint. It is pickled once per worker process.
 
     Raises:
         ForwardModelError: the run failed, with its kind.
@@ -68,10 +115,75 @@ def declared_inputs(model: ForwardModel) -> tuple[ModelInput, ...]:
     return tuple(getattr(model, "inputs", ()))
 
 
+def declared_conditions(model: ForwardModel) -> tuple[str, ...]:
+    """Return the conditions of which each run of `model` yields an interface; a single unnamed one by default."""
+    return tuple(getattr(model, "conditions", ("",)))
+
+
+def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:
+    """Refuse an observed condition that `model` does not have.
+
+    Raises:
+        InvalidInput: with the conditions of the model.
+    """
+    known = declared_conditions(model)
+    for name in observed:
+        if name not in known:
+            raise InvalidInput(
+                "condition of an observation",
+                value=name or "no name",
+                expected=f"one of {', '.join(known)}" if any(known) else "no name, for the model has one condition",
+                remedy="Name the conditions of the observations as the model does.",
+            )
+
+
+def asks_sensitivities(model: ForwardModel) -> bool:
+    """Tell whether the runs of `model` are to yield sensitivities too."""
+    return getattr(model, "sensitivities", False) is True
+
+
+def with_sensitivities(model: Any) -> Any:
+    """Return `model` with its field `sensitivities` set.
+
+    Raises:
+        InvalidInput: it has no such field, or refuses to have it set.
+    """
+    if _has_field(model, "sensitivities"):
+        return dataclasses.replace(model, sensitivities=True)
+    raise InvalidInput(
+        "sensitivities of the model",
+        value="this model offers none",
+        expected="a dataclass with a field `sensitivities: bool`",
+        remedy="Leave sensitivities out, or give the model that field.",
+    )
+
+
+def the_only_interface(interfaces: Mapping[str, Interface]) -> Interface:
+    """Return the single interface in a mapping by condition.
+
+    Raises:
+        InvalidInput: there are several, or none.
+    """
+    if len(interfaces) != 1:
+        raise InvalidInput(
+            "the interface of a run",
+            value=f"the conditions {', '.join(interfaces)}" if interfaces else "no condition",
+            expected="one condition",
+            remedy="Choose one of `interfaces` by its name.",
+        )
+    return next(iter(interfaces.values()))
+
+
+def _has_field(model: Any, name: str) -> bool:
+    is_record = dataclasses.is_dataclass(model) and not isinstance(model, type)
+    return is_record and any(f.name == name and f.init for f in dataclasses.fields(model))
+
+
 def fingerprint(model: ForwardModel) -> str:
     """Return what identifies `model` in a ledger.
 
-    Its own `fingerprint` where it has one; otherwise a hash of its class or function source and of its fields.
+    Its own `fingerprint` where it has one; otherwise a hash of its class or function source and of its fields, but for
+    `sensitivities`, which change no interface.
     """
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
@@ -80,5 +192,6 @@ def fingerprint(model: ForwardModel) -> str:
     subject = instance if inspect.isfunction(instance) else type(instance)
     is_record = dataclasses.is_dataclass(instance) and not isinstance(instance, type)
     fields = dataclasses.asdict(instance) if is_record else {}
+    fields.pop("sensitivities", None)
     text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
     return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -10,7 +10,14 @@ import numpy as np
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.models.protocol import ModelInput, Simulation, declared_inputs, fingerprint
+from strandline.models.protocol import (
+    ModelInput,
+    Simulation,
+    declared_conditions,
+    declared_inputs,
+    fingerprint,
+    with_sensitivities,
+)
 
 __all__ = ["PythonModel"]
 
@@ -23,27 +30,35 @@ class PythonModel:
     `Interface`, or the points (point, 2) of an open polyline in mm, in order along the interface. A run that fails
     raises `ForwardModelError`. Any callable object at the top level of a module serves.
 
-    The function may carry two attributes: ``inputs``, a tuple of `ModelInput`, and ``fingerprint``, a text. Without
+    The function may carry three attributes: ``inputs``, a tuple of `ModelInput`, ``fingerprint``, a text, and
+    ``conditions``, the names under which a `Simulation` of several interfaces holds them. Without
     ``inputs`` nothing is known of units and of the values that make sense: the study's unit (optional then) is taken
     as it stands and no range is checked. Without ``fingerprint`` runs belong to the function's own source; code that
     it calls elsewhere can change unseen.
 
     Args:
         function: ``module:name``; the module must be importable (installed, or on PYTHONPATH).
+        sensitivities: have the callable, a dataclass with a field of that name, compute them too.
 
     Raises:
-        InvalidInput: there is no such module, or no such callable in it.
+        InvalidInput: there is no such module, or no such callable in it, or it offers no sensitivities.
     """
 
     function: str
+    sensitivities: bool = False
 
     def __post_init__(self) -> None:
-        _found(self.function)
+        self._target()
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
         """What the function declares of its inputs; empty where it declares nothing."""
         return declared_inputs(_found(self.function))
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """The conditions that the function declares; a single unnamed one where it declares none."""
+        return declared_conditions(_found(self.function))
 
     @property
     def fingerprint(self) -> str:
@@ -60,8 +75,12 @@ class PythonModel:
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Return what the function returns, points as an `Interface`; anything else makes the run invalid."""
-        result = _found(self.function)(inputs, workdir)
+        result = self._target()(inputs, workdir)
         return result if isinstance(result, Simulation | Interface) else _polyline(result)
+
+    def _target(self) -> Any:
+        found = _found(self.function)
+        return with_sensitivities(found) if self.sensitivities else found
 
 
 def _polyline(points: Any) -> Any:

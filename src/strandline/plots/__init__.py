@@ -2,7 +2,7 @@
 
 from strandline.plots.field import FieldGrid, plot_field, plot_profile, three_measures
 from strandline.plots.flow import FlowFields, plot_flow
-from strandline.plots.interfaces import plot_interfaces
+from strandline.plots.interfaces import plot_conditions, plot_interfaces
 from strandline.plots.joint import plot_hexagons, plot_joint, plot_pairs
 from strandline.plots.leave_one_out import plot_leave_one_out
 from strandline.plots.marginals import Curve, plot_marginal, plot_marginals
@@ -13,6 +13,7 @@ __all__ = [
     "Curve",
     "FieldGrid",
     "FlowFields",
+    "plot_conditions",
     "plot_field",
     "plot_flow",
     "plot_hexagons",

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.plots.style import BLACK, CYCLE, DASHES, GREEN, GREY, axes_or_new, below, styled
+from strandline.plots.style import BLACK, CYCLE, DASHES, GREEN, GREY, axes_or_new, below, figure_or_new, styled
 
-__all__ = ["plot_interfaces"]
+__all__ = ["plot_conditions", "plot_interfaces"]
 
 
 def plot_interfaces(
@@ -38,6 +39,35 @@ def plot_interfaces(
         ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
         below(ax, columns=2, handlelength=3.2)
     return ax
+
+
+def plot_conditions(
+    observed: Mapping[str, Interface],
+    *,
+    reference: Interface | None = None,
+    simulated: Mapping[str, Mapping[str, Interface]] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the interfaces of several conditions, a panel each, as `plot_interfaces` does for one.
+
+    Args:
+        observed: by condition.
+        reference: the undeformed interface of the specimen.
+        simulated: by condition and label; the same labels in each, for one legend under the last panel explains all.
+        figure: to draw in.
+    """
+    with styled():
+        figure = figure_or_new(figure, (6.2, 1.2 + 2.4 * len(observed)))
+        panels = figure.subplots(len(observed), 1, sharex=True, squeeze=False)[:, 0]
+        for ax, (condition, interface) in zip(panels, observed.items(), strict=True):
+            plot_interfaces(interface, reference=reference, simulated=(simulated or {}).get(condition), ax=ax)
+            ax.set_title(condition)
+            if ax is not panels[-1]:
+                ax.set_xlabel("")
+                legend = ax.get_legend()
+                if legend is not None:
+                    legend.remove()
+    return figure
 
 
 def _draw(

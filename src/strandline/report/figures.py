@@ -56,24 +56,35 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
             caption = f"Fluid velocity, fluid pressure and displacement of the solid on the deformed mesh at {where}."
             yield Captioned("flow", "data", caption, _whole(figure))
     undeformed = getattr(problem.model, "undeformed", lambda: None)()
-    axes = plots.plot_interfaces(
-        problem.observations[0].interface, reference=undeformed, simulated=_examples(calibration, undeformed)
-    )
-    caption = "The observed interface, the undeformed one, and the interfaces of a few runs of the design."
-    yield Captioned("interfaces", "data", caption, _whole(axes.figure))
+    observed = {o.condition: o.interface for o in problem.observations}
+    examples = _examples(calibration, undeformed)
+    caption = "The observed interface, the undeformed one, and the interfaces of a few runs of the design"
+    if len(observed) == 1:
+        ((condition, interface),) = observed.items()
+        axes = plots.plot_interfaces(interface, reference=undeformed, simulated=examples[condition])
+        yield Captioned("interfaces", "data", f"{caption}.", _whole(axes.figure))
+    else:
+        figure = plots.plot_conditions(observed, reference=undeformed, simulated=examples)
+        yield Captioned("interfaces", "data", f"{caption}, by condition.", _whole(figure))
 
 
-def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[str, Interface]:
-    """Return interfaces of runs from a small to the largest displacement, labelled by their inputs."""
+def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[str, dict[str, Interface]]:
+    """Return interfaces, by observed condition and inputs, of runs from a small to the largest displacement.
+
+    Runs are ranked, and kept out where they have other nodes, by the first condition.
+    """
     problem = calibration.problem
-    reference = (undeformed or problem.observations[0].interface).points
+    first = problem.observations[0]
+    reference = (undeformed or first.interface).points
     runs = {
-        ", ".join(f"{name} = {record.inputs[name]:.3g}" for name in problem.space.names): record.interface
+        ", ".join(f"{name} = {record.inputs[name]:.3g}" for name in problem.space.names): record.interfaces
         for record in calibration.records
-        if record.interface is not None and record.interface.points.shape == reference.shape
+        if record.ok and record.interfaces[first.condition].points.shape == reference.shape
     }
-    ranked = sorted(runs.items(), key=lambda item: float(np.abs(item[1].points - reference).max()))
-    return dict(ranked[round(q * (len(ranked) - 1))] for q in EXAMPLES) if ranked else {}
+    moved = {label: np.abs(i[first.condition].points - reference).max() for label, i in runs.items()}
+    ranked = sorted(runs, key=lambda label: float(moved[label]))
+    chosen = dict.fromkeys(ranked[round(q * (len(ranked) - 1))] for q in EXAMPLES) if ranked else {}
+    return {o.condition: {label: runs[label][o.condition] for label in chosen} for o in problem.observations}
 
 
 def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:

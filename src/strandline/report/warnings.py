@@ -1,6 +1,6 @@
 """What a user must be told in words about a finished calibration."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -18,10 +18,11 @@ QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
 
 
-def find_warnings(calibration: Calibration, *, observation_turned: bool = False) -> Iterator[str]:
-    """Yield one sentence per doubt; none where all is well."""
-    if observation_turned:
-        yield "The observed points ran against the model's interface and were turned round."
+def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
+    """Yield one sentence per doubt; none where all is well. `turned`: conditions observed from the other end."""
+    for condition in turned:
+        where = f" of {condition}" if condition else ""
+        yield f"The observed points{where} ran against the model's interface and were turned round."
     yield from _runs(calibration)
     yield from _prior(calibration)
     yield from _surrogate(calibration)

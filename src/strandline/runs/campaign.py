@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strandline.errors import InvalidInput, LedgerError, NumericsError
-from strandline.models.protocol import ForwardModel, fingerprint
+from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.ledger import INTERRUPTED, Ledger
 from strandline.runs.record import RunRecord, RunRequest, run_key
@@ -55,6 +55,8 @@ def run_campaign(
 
     A run whose process vanished, or that was lost with its driver, is tried again up to `maximum_attempts` times in
     all; every other end is final. Equal inputs are run once. A run that does not end ``ok`` is data: look at `state`.
+    Where the model is asked for sensitivities, a run that the ledger holds without them is run again, and its new
+    outcome replaces the old one.
 
     Args:
         model: the simulator.
@@ -92,7 +94,8 @@ class _Campaign:
         self.order = [run_key(identity, entry) for entry in inputs]
         self.requests = {key: RunRequest(key, dict(entry)) for key, entry in zip(self.order, inputs, strict=True)}
         known = ledger.latest(self.requests)
-        self.settled = {key: record for key, record in known.items() if record.final}
+        asked = asks_sensitivities(model)
+        self.settled = {key: record for key, record in known.items() if record.settles(sensitivities=asked)}
         self.reused = len(self.settled)
         self.pending: list[RunRequest] = []
         self._plan(list(self.requests.values()))
@@ -142,12 +145,14 @@ class _Campaign:
         self.pending = pending
 
     def _attempts_spent(self, key: str) -> bool:
-        return self.ledger.attempts(key) >= self.maximum_attempts
+        return self.ledger.open_attempts(key) >= self.maximum_attempts
 
     def _given_up(self, request: RunRequest) -> RunRecord:
         """Return the record of a run that was killed or lost too often, in this campaign or before."""
         known = self.ledger.latest([request.key]).get(request.key)
-        times = f"{self.ledger.attempts(request.key)} attempts"
+        if known is not None and known.ok:  # it lacks its sensitivities only
+            return known
+        times = f"{self.ledger.open_attempts(request.key)} attempts"
         advice = "Look for what stops the process (memory?), or raise maximum_attempts."
         if known is not None and known.failure_kind != INTERRUPTED:
             return replace(known, message=f"{known.message}\ngiven up after {times}. {advice}")

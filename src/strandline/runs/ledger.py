@@ -3,8 +3,9 @@
 A run is STARTED before it is handed out and gets an outcome when it ends; STARTED without an outcome means running
 while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each write is
 on the disk when the call returns (write-ahead log, full synchronisation). Arrays are stored as raw little-endian
-numbers and each outcome carries a checksum; nothing is pickled. The file must lie on a disk of the driving machine or
-on a file system with working locks.
+numbers and each outcome carries a checksum; nothing is pickled. A ledger of version 1 is read as it is and becomes one
+of version 2, in one transaction that touches none of its rows, when a driver opens it. The file must lie on a disk of
+the driving machine or on a file system with working locks.
 """
 
 import contextlib
@@ -109,6 +110,7 @@ class Ledger:
         ledger = cls(path, connection, lock)
         ledger._checked(model)
         with ledger._closed_on_error(), _translated(path):
+            schema.upgrade(connection)
             columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
             row = connection.execute(
                 f"INSERT INTO sessions {columns}", (os.getpid(), socket.gethostname(), time.time())
@@ -204,16 +206,24 @@ class Ledger:
         sql = "SELECT count(*) FROM starts LEFT JOIN outcomes USING (attempt) WHERE key = ? AND kind IS NOT ?"
         return int(self._rows(sql, (key, INTERRUPTED))[0][0])
 
+    def open_attempts(self, key: str) -> int:
+        """Return how often the run was tried since it last ended for good; see `attempts`."""
+        sql = """SELECT count(*) FROM starts LEFT JOIN outcomes USING (attempt) WHERE key = ?1 AND kind IS NOT ?2
+            AND attempt > (SELECT ifnull(max(attempt), 0) FROM starts JOIN outcomes USING (attempt)
+                WHERE key = ?1 AND state <> 'killed')"""
+        return int(self._rows(sql, (key, INTERRUPTED))[0][0])
+
     def counts(self) -> Counts:
         """Return the number of distinct runs by what came of their last start."""
         sql = """SELECT ifnull(state, 'open'), count(*) FROM starts LEFT JOIN outcomes USING (attempt)
             WHERE attempt IN (SELECT max(attempt) FROM starts GROUP BY key) GROUP BY 1"""
         return Counts(**dict(self._rows(sql)))
 
-    def copy_from(self, other: Path | str, keys: Iterable[str]) -> int:
+    def copy_from(self, other: Path | str, keys: Iterable[str], *, sensitivities: bool = False) -> int:
         """Copy from another ledger of the same model those of the runs `keys` that are missing here.
 
-        Copied is what the model itself decided (ok, failed, invalid), with the place it came from as `origin`.
+        Copied is what the model itself decided (ok, failed, invalid), with the place it came from as `origin`. Where
+        `sensitivities` are asked for, a successful run without them counts as missing, here and there.
 
         Returns:
             How many runs were copied.
@@ -223,10 +233,11 @@ class Ledger:
         """
         self._writing_session()
         wanted = list(keys)
-        here = {key for key, record in self.latest(wanted).items() if record.final}
+        known = self.latest(wanted).items()
+        here = {key for key, record in known if record.settles(sensitivities=sensitivities)}
         with Ledger.open(other, model=self.model, read_only=True) as source:
             found = source.latest(key for key in wanted if key not in here).values()
-        taken = [record for record in found if record.state in COPIED_STATES]
+        taken = [r for r in found if r.state in COPIED_STATES and r.settles(sensitivities=sensitivities)]
         with self._transaction():
             for record in taken:
                 number = self._start(RunRequest(record.key, record.inputs), time.time())
@@ -244,10 +255,14 @@ class Ledger:
 
     def _finish(self, number: int, record: RunRecord, *, origin: str | None = None) -> None:
         self._writing_session()
-        row = (number, *schema.row_of(record, origin or record.origin), time.time())
-        with _translated(self.path):
+        outcome, arrays = schema.rows_of(record, origin or record.origin)
+        row = (number, *outcome, time.time())
+        alone = not arrays or self._connection.in_transaction
+        with contextlib.nullcontext() if alone else self._transaction(), _translated(self.path):
             sql = f"INSERT INTO outcomes (attempt, {schema.OUTCOME_COLUMNS}, finished_at) VALUES ({schema.MARKS})"
             self._connection.execute(sql, row)
+            sql = f"INSERT INTO arrays (attempt, {schema.ARRAY_COLUMNS}) VALUES ({schema.ARRAY_MARKS})"
+            self._connection.executemany(sql, [(number, *array) for array in arrays])
 
     def _writing_session(self) -> int:
         if self._session is None:
@@ -273,11 +288,17 @@ class Ledger:
             self._connection.execute("COMMIT")
 
     def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
-        sql = f"""SELECT key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)
+        sql = f"""SELECT attempt, key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)
             WHERE attempt IN ({attempts}) ORDER BY attempt"""
         with _translated(self.path):
-            for row in self._connection.execute(sql, values):
-                yield schema.record_of(self.path, row)
+            extended = False
+            for number, *row in self._connection.execute(sql, values):
+                extended = extended or schema.has_arrays(self._connection)
+                yield schema.record_of(self.path, tuple(row), self._arrays(number) if extended else [])
+
+    def _arrays(self, number: int) -> list[Any]:
+        sql = f"SELECT {schema.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
+        return self._connection.execute(sql, (number,)).fetchall()
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:
         with _translated(self.path):

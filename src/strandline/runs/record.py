@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface
-from strandline.models.protocol import ForwardModel, Simulation
+from strandline.models.protocol import ForwardModel, Sensitivities, asks_sensitivities, declared_conditions
+from strandline.runs.result import InvalidResult, checked
 
 __all__ = ["STATES", "RunRecord", "RunRequest", "State", "attempt", "run_key", "with_log"]
 
@@ -45,35 +44,46 @@ class RunRecord:
         key: content address of the run, see `run_key`.
         inputs: inputs by name.
         state: one of `STATES`.
-        interface: the predicted interface where `state` is ``ok``, else None.
+        interfaces: the predicted interfaces by condition where `state` is ``ok``, else empty.
         diagnostics: figures about the run; the evidence of the failure where it failed.
         seconds: wall-clock time of the run.
         failure_kind: short machine-readable reason where the run did not end ``ok``.
         message: the reason for a person, with the last lines of the log.
         log: tail of what the run wrote to its standard output and error, kept where it did not end ``ok``.
         origin: the ledger it was copied from; None for a run made here.
+        sensitivities: by condition and input, d(points)/d(input), mm per unit of the input; empty if not asked for.
     """
 
     key: str
     inputs: Mapping[str, float]
     state: State
-    interface: Interface | None = None
+    interfaces: Mapping[str, Interface] = field(default_factory=dict)
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     failure_kind: str | None = None
     message: str | None = None
     log: str = ""
     origin: str | None = None
+    sensitivities: Sensitivities = field(default_factory=dict)
+
+    @property
+    def interface(self) -> Interface | None:
+        """The only interface, or that of the first condition; None where the run did not end ``ok``."""
+        return next(iter(self.interfaces.values()), None)
 
     @property
     def ok(self) -> bool:
-        """Whether the run yielded an interface."""
+        """Whether the run yielded what the model promises."""
         return self.state == "ok"
 
     @property
     def final(self) -> bool:
         """Whether a repetition would be pointless; only a run whose process vanished deserves another try."""
         return self.state != "killed"
+
+    def settles(self, *, sensitivities: bool) -> bool:
+        """Tell whether the run need not be made again, where `sensitivities` are (or are not) asked for."""
+        return self.final and (not sensitivities or not self.ok or bool(self.sensitivities))
 
 
 def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:
@@ -95,9 +105,11 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
     try:
         with _working_directory_kept():
             returned = model(dict(request.inputs), workdir)
-        ending = _accepted(request, returned)
+        ending = _accepted(request, returned, model)
     except ForwardModelError as error:
         ending = _ended(request, "failed", error.kind, error.message, error.evidence)
+    except InvalidResult as error:
+        ending = _ended(request, "invalid", error.kind, str(error))
     except InvalidInterface as error:
         ending = _ended(request, "invalid", "invalid_interface", str(error))
     except (Exception, SystemExit) as error:
@@ -129,22 +141,18 @@ def _working_directory_kept() -> Iterator[None]:
         os.chdir(home)
 
 
-def _accepted(request: RunRequest, result: object) -> RunRecord:
-    """Return the record of a model that returned `result`."""
-    simulation = Simulation(result) if isinstance(result, Interface) else result
-    if not isinstance(simulation, Simulation) or not isinstance(simulation.interface, Interface):
-        got = type(result).__name__
-        message = f"the model returned {got}; expected a Simulation or an Interface. Correct the model's return value."
-        return _ended(request, "invalid", "not_an_interface", message)
-    given = simulation.interface
-    points = np.array(given.points, dtype=np.float64, order="C")
-    if not np.isfinite(points).all():
-        message = (
-            f"{np.count_nonzero(~np.isfinite(points))} of {points.size} coordinates of the interface are not finite"
-        )
-        return _ended(request, "invalid", "non_finite", message)
-    interface = Interface(points, np.array(given.cells, dtype=np.int64, order="C"))
-    return RunRecord(request.key, request.inputs, "ok", interface, _figures(simulation.diagnostics))
+def _accepted(request: RunRequest, result: object, model: ForwardModel) -> RunRecord:
+    """Return the record of a `model` that returned `result`."""
+    asked = asks_sensitivities(model)
+    good = checked(result, conditions=declared_conditions(model), inputs=request.inputs, sensitivities=asked)
+    return RunRecord(
+        request.key,
+        request.inputs,
+        "ok",
+        good.interfaces,
+        _figures(good.diagnostics),
+        sensitivities=good.sensitivities,
+    )
 
 
 def _ended(
@@ -152,7 +160,7 @@ def _ended(
 ) -> RunRecord:
     """Return the record of a run without an interface."""
     figures, message = _figures(evidence or {}), _short(_clean(message))
-    return RunRecord(request.key, request.inputs, state, None, figures, failure_kind=_clean(kind), message=message)
+    return RunRecord(request.key, request.inputs, state, {}, figures, failure_kind=_clean(kind), message=message)
 
 
 def _figures(given: Mapping[str, object]) -> dict[str, float]:

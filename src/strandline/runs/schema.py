@@ -6,7 +6,8 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,23 @@ from strandline.errors import LedgerError
 from strandline.interface import Interface
 from strandline.runs.record import RunRecord
 
-__all__ = ["MARKS", "OUTCOME_COLUMNS", "VERSION", "connect", "connect_read_only", "create", "record_of", "row_of"]
+__all__ = [
+    "ARRAY_COLUMNS",
+    "ARRAY_MARKS",
+    "MARKS",
+    "OUTCOME_COLUMNS",
+    "VERSION",
+    "connect",
+    "connect_read_only",
+    "create",
+    "has_arrays",
+    "record_of",
+    "rows_of",
+    "upgrade",
+]
 
-VERSION = 1
+VERSION = 2
+"""1: one unnamed interface per outcome. 2: a table of further arrays: named conditions, sensitivities."""
 APPEND_ONLY = ("sessions", "starts", "outcomes")
 TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -49,10 +64,24 @@ CREATE TABLE outcomes (
     finished_at REAL NOT NULL
 );
 """
+ARRAYS = """
+CREATE TABLE arrays (
+    attempt INTEGER NOT NULL REFERENCES outcomes,
+    role TEXT NOT NULL CHECK (role IN ('points', 'cells', 'sensitivity')),
+    condition TEXT NOT NULL,
+    input TEXT NOT NULL,
+    shape TEXT NOT NULL,
+    data BLOB NOT NULL
+);
+CREATE UNIQUE INDEX arrays_by_attempt ON arrays (attempt, role, condition, input);
+"""
+"""What version 2 adds; a run of one unnamed condition without sensitivities is stored as in version 1."""
 OUTCOME_COLUMNS = (
     "state, points, points_shape, cells, cells_shape, diagnostics, seconds, kind, message, log, origin, checksum"
 )
 MARKS = ",".join("?" * (OUTCOME_COLUMNS.count(",") + 3))
+ARRAY_COLUMNS = "role, condition, input, shape, data"
+ARRAY_MARKS = ",".join("?" * (ARRAY_COLUMNS.count(",") + 2))
 
 
 def create(path: Path, *, model: str, description: str) -> None:
@@ -118,10 +147,10 @@ def inputs_text(inputs: Mapping[str, float]) -> str:
     return json.dumps({name: float(value) for name, value in inputs.items()})
 
 
-def row_of(record: RunRecord, origin: str | None) -> tuple[Any, ...]:
-    """Return the values of `OUTCOME_COLUMNS`, the checksum last."""
-    given = record.interface
-    points, cells = (None, None) if given is None else (given.points.astype("<f8"), given.cells.astype("<i8"))
+def rows_of(record: RunRecord, origin: str | None) -> tuple[tuple[Any, ...], list[tuple[Any, ...]]]:
+    """Return the values of `OUTCOME_COLUMNS`, the checksum last, and the rows (`ARRAY_COLUMNS`) that go with them."""
+    plain = record.interface if set(record.interfaces) == {""} else None
+    points, cells = (None, None) if plain is None else (plain.points.astype("<f8"), plain.cells.astype("<i8"))
     values = (
         record.state,
         *_packed(points),
@@ -133,17 +162,18 @@ def row_of(record: RunRecord, origin: str | None) -> tuple[Any, ...]:
         record.log,
         origin,
     )
-    return *values, _checksum(record.key, inputs_text(record.inputs), values)
+    arrays = list(_arrays(record))
+    return (*values, _checksum(record.key, inputs_text(record.inputs), values, arrays)), arrays
 
 
-def record_of(path: Path, row: tuple[Any, ...]) -> RunRecord:
-    """Return the record of a row (key, inputs, *`OUTCOME_COLUMNS`).
+def record_of(path: Path, row: tuple[Any, ...], arrays: Sequence[tuple[Any, ...]]) -> RunRecord:
+    """Return the record of a row (key, inputs, *`OUTCOME_COLUMNS`) and its `arrays`, rows of `ARRAY_COLUMNS`.
 
     Raises:
-        LedgerError: the row does not match its checksum.
+        LedgerError: the rows do not match their checksum.
     """
     key, inputs, *values, checksum = row
-    if checksum != _checksum(key, inputs, tuple(values)):
+    if checksum != _checksum(key, inputs, tuple(values), arrays):
         raise LedgerError(
             f"run {key[:12]} in {path} is damaged",
             value=f"inputs {inputs}",
@@ -151,22 +181,75 @@ def record_of(path: Path, row: tuple[Any, ...]) -> RunRecord:
             remedy="Restore the ledger from a backup, or move it away and run again.",
         )
     state, points, points_shape, cells, cells_shape, diagnostics, seconds, kind, message, log, origin = values
-    interface = None
-    if points is not None:
-        interface = Interface(_unpacked(points, points_shape, "<f8"), _unpacked(cells, cells_shape, "<i8"))
+    plain = {} if points is None else {"": _interface(points, points_shape, cells, cells_shape)}
     figures = json.loads(diagnostics)
-    return RunRecord(key, json.loads(inputs), state, interface, figures, seconds, kind, message, log, origin)
+    record = RunRecord(key, json.loads(inputs), state, plain, figures, seconds, kind, message, log, origin)
+    return _with_arrays(record, arrays) if arrays else record
+
+
+def has_arrays(connection: sqlite3.Connection) -> bool:
+    """Tell whether the ledger has the table of version 2; a writer may upgrade it while it is being read."""
+    sql = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = 'arrays'"
+    return bool(connection.execute(sql).fetchone()[0])
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Make a ledger of version 1 one of this version, in one transaction; no row that it holds is touched."""
+    if has_arrays(connection):
+        return
+    try:
+        connection.executescript(
+            f"BEGIN IMMEDIATE;\n{ARRAYS}{_guards(['arrays'])}"
+            f"UPDATE meta SET value = '{VERSION}' WHERE key = 'schema_version';\nCOMMIT;"
+        )
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
+
+
+def _arrays(record: RunRecord) -> Iterator[tuple[str, str, str, str, bytes]]:
+    """Yield the rows of all that the columns of an outcome do not hold: named conditions, sensitivities."""
+    if set(record.interfaces) != {""}:
+        for condition, interface in record.interfaces.items():
+            yield "points", condition, "", *_row(interface.points.astype("<f8"))
+            yield "cells", condition, "", *_row(interface.cells.astype("<i8"))
+    for condition, by_input in record.sensitivities.items():
+        for name, derivative in by_input.items():
+            yield "sensitivity", condition, name, *_row(derivative.astype("<f8"))
+
+
+def _with_arrays(record: RunRecord, rows: Sequence[tuple[Any, ...]]) -> RunRecord:
+    """Return `record` with its named conditions and sensitivities, in the order in which they were stored."""
+    cells = {row[1]: row for row in rows if row[0] == "cells"}
+    interfaces = dict(record.interfaces)
+    sensitivities: dict[str, dict[str, Any]] = {}
+    for role, condition, name, shape, data in rows:
+        if role == "points":
+            interfaces[condition] = _interface(data, shape, cells[condition][4], cells[condition][3])
+        elif role == "sensitivity":
+            sensitivities.setdefault(condition, {})[name] = _unpacked(data, shape, "<f8")
+    return replace(record, interfaces=interfaces, sensitivities=sensitivities)
+
+
+def _interface(points: bytes, points_shape: str, cells: bytes, cells_shape: str) -> Interface:
+    return Interface(_unpacked(points, points_shape, "<f8"), _unpacked(cells, cells_shape, "<i8"))
+
+
+def _guards(tables: Sequence[str]) -> str:
+    """Return the triggers that keep rows of these tables as they are."""
+    return "".join(
+        f"CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table} "
+        f"BEGIN SELECT RAISE(ABORT, 'the ledger is append-only'); END;\n"
+        for table in tables
+        for verb in ("UPDATE", "DELETE")
+    )
 
 
 def _fill(connection: sqlite3.Connection, model: str, description: str) -> None:
     """Create tables and guards in one transaction and switch to the write-ahead log."""
-    guards = "".join(
-        f"CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table} "
-        f"BEGIN SELECT RAISE(ABORT, 'the ledger is append-only'); END;\n"
-        for table in APPEND_ONLY
-        for verb in ("UPDATE", "DELETE")
-    )
-    connection.executescript(f"BEGIN;\n{TABLES}{guards}COMMIT;")
+    tables = f"{TABLES}{ARRAYS}{_guards([*APPEND_ONLY, 'arrays'])}"
+    connection.executescript(f"BEGIN;\n{tables}COMMIT;")
     facts = {"schema_version": VERSION, "model": model, "description": description, "created_at": time.time()}
     connection.executemany("INSERT INTO meta VALUES (?, ?)", [(key, str(value)) for key, value in facts.items()])
     connection.execute("PRAGMA journal_mode = WAL")
@@ -186,15 +269,19 @@ def _packed(array: Shaped[np.ndarray, "..."] | None) -> tuple[bytes | None, str 
     return (None, None) if array is None else (array.tobytes(), json.dumps(array.shape))
 
 
+def _row(array: Shaped[np.ndarray, "..."]) -> tuple[str, bytes]:
+    return json.dumps(array.shape), array.tobytes()
+
+
 def _unpacked(data: bytes, shape: str, kind: str) -> Shaped[np.ndarray, "..."]:
     native = np.dtype(kind).newbyteorder("=")
     return np.frombuffer(data, dtype=kind).reshape(json.loads(shape)).astype(native)
 
 
-def _checksum(key: str, inputs: str, values: tuple[Any, ...]) -> str:
-    """Return sha256 over everything a row says, each value with its length so that none can flow into the next."""
+def _checksum(key: str, inputs: str, values: tuple[Any, ...], arrays: Sequence[tuple[Any, ...]]) -> str:
+    """Return sha256 over everything the rows say, each value with its length so that none can flow into the next."""
     digest = hashlib.sha256()
-    for value in (key, inputs, *values):
+    for value in (key, inputs, *values, *(value for row in arrays for value in row)):
         part = value if isinstance(value, bytes) else repr(value).encode()
         digest.update(f"{len(part)}:".encode() + part)
     return digest.hexdigest()

@@ -12,7 +12,7 @@ import numpy as np
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models import MODELS
-from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs
+from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs, with_sensitivities
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.studies.schema import Input, Quantity, StudyFile
@@ -33,13 +33,20 @@ MASS_CUT_ACCEPTED = 0.5
 PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
 
-def build_model(choice: Mapping[str, Mapping[str, Any] | None]) -> ForwardModel:
-    """Return the forward model that the study names."""
+def build_model(choice: Mapping[str, Mapping[str, Any] | None], *, sensitivities: bool = False) -> ForwardModel:
+    """Return the forward model that the study names, asked for `sensitivities` where the study wants them."""
     (name, options) = next(iter(choice.items()))
+    if "sensitivities" in (options or {}):
+        raise InvalidStudy(
+            f"model.{name}: sensitivities is no option of the model",
+            value=(options or {})["sensitivities"],
+            expected="`sensitivities: true` as a key of the study",
+            remedy="Move the key to the top level of study.yaml.",
+        )
     target = _entry(MODELS, name, "model")
     module, _, attribute = target.partition(":")
     model: ForwardModel = _construct(getattr(importlib.import_module(module), attribute), options, f"model.{name}")
-    return model
+    return _sensitive(model) if sensitivities else model
 
 
 def build_discrepancies(
@@ -137,6 +144,16 @@ def check_kernel(name: str) -> str:
     """Return `name` if a kernel is called so."""
     _entry(KERNELS, name, "surrogate.log_likelihood.kernel")
     return name
+
+
+def _sensitive(model: ForwardModel) -> ForwardModel:
+    try:
+        asked: ForwardModel = with_sensitivities(model)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            "sensitivities", value="true, but this model offers none", expected=error.expected, remedy=error.remedy
+        ) from None
+    return asked
 
 
 def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter:

@@ -27,10 +27,13 @@ def needed_keys(study: Study) -> list[str]:
     return list(dict.fromkeys([*synthetic, *design_keys(study)]))
 
 
-def settled(ledger: Ledger, keys: Iterable[str]) -> list[RunRecord]:
-    """Return the records of the runs `keys` that will not be tried again."""
-    records = ledger.latest(keys).values()
-    return [record for record in records if record.final or ledger.attempts(record.key) >= ATTEMPTS]
+def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False) -> list[RunRecord]:
+    """Return the records of the runs `keys` that will not be tried again, given whether `sensitivities` are wanted."""
+    return [
+        record
+        for record in ledger.latest(keys).values()
+        if record.settles(sensitivities=sensitivities) or ledger.open_attempts(record.key) >= ATTEMPTS
+    ]
 
 
 def known_runs(study: Study) -> int:
@@ -40,7 +43,7 @@ def known_runs(study: Study) -> int:
     for path in (study.ledger_path, *study.reuse):
         if path.is_file():
             with Ledger.open(path, model=fingerprint(study.model), read_only=True) as ledger:
-                known.update(record.key for record in settled(ledger, keys))
+                known.update(record.key for record in settled(ledger, keys, sensitivities=study.sensitivities))
     return len(known)
 
 
@@ -65,7 +68,7 @@ def require_finished(study: Study) -> None:
     keys, done = needed_keys(study), 0
     if study.ledger_path.is_file():
         with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-            done = len(settled(ledger, keys))
+            done = len(settled(ledger, keys, sensitivities=study.sensitivities))
     if done < len(keys):
         raise InvalidStudy(
             "the study is not finished",
@@ -80,6 +83,10 @@ def take_over(study: Study, ledger: Ledger) -> None:
     keys = needed_keys(study)
     for other in study.reuse:
         known = ledger.latest(keys)
-        missing = [key for key in keys if key not in known]
+        missing = [key for key in keys if key not in known or _lacks_sensitivities(known[key], study)]
         if missing and other.is_file():
-            ledger.copy_from(other, missing)
+            ledger.copy_from(other, missing, sensitivities=study.sensitivities)
+
+
+def _lacks_sensitivities(record: RunRecord, study: Study) -> bool:
+    return record.final and not record.settles(sensitivities=study.sensitivities)

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
-from strandline.studies.schema import SCHEMA_VERSION, StudyFile
+from strandline.studies.schema import SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
 
 __all__ = ["parse_study"]
 
@@ -25,6 +25,7 @@ WORDS = {
     "int_parsing": "a whole number",
     "int_type": "a whole number",
     "int_from_float": "a whole number",
+    "bool_type": "true or false",
     "string_type": "a text",
     "string_pattern_mismatch": "letters, digits and . _ - only, a letter or digit first",
     "too_long": "exactly one entry",
@@ -157,6 +158,9 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
     """Return the keys allowed at `location`, following nested models by name."""
     current: Any = model
     for part in location:
+        if part == SEVERAL:
+            current = ConditionFile
+            continue
         if not (isinstance(current, type) and issubclass(current, BaseModel)):
             return []
         if part not in current.model_fields:

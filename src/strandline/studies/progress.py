@@ -59,7 +59,7 @@ def progress_of(study: Study) -> StudyProgress:
     if not study.ledger_path.is_file():
         return StudyProgress(study.name, len(keys), results=results)
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-        records = settled(ledger, keys)
+        records = settled(ledger, keys, sensitivities=study.sensitivities)
         open_runs = ledger.counts().open
     failed = [record for record in records if not record.ok]
     seconds = [record.seconds for record in records]

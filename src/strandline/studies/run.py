@@ -53,8 +53,9 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
         take_over(study, ledger)
-        observation = Observation(_observe(study, ledger, executor, observer), study.noise_variance)
-        problem = Problem(study.model, study.space, study.fixed, (observation,), study.discrepancies)
+        observed = _observe(study, ledger, executor, observer)
+        observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+        problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
         _try_measures(problem)
         calibration = calibrate(
             problem, study.settings, ledger=ledger, executor=executor, observer=made.listening(observer)
@@ -62,28 +63,28 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     return _write_results(study, calibration, made.number, observer)
 
 
-def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Interface:
-    """Return the observed interface; a synthetic one is a run of the model like any other."""
-    if isinstance(study.observed, Interface):
+def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:
+    """Return the observed interfaces by condition; synthetic ones are a run of the model like any other."""
+    if study.truth is None:
         return study.observed
     observer.stage("observation")
-    (record,) = run_campaign(study.model, [study.observed], ledger=ledger, executor=executor)
-    if record.interface is None:
+    (record,) = run_campaign(study.model, [study.truth], ledger=ledger, executor=executor)
+    if not record.ok:
         raise InvalidStudy(
             "the synthetic observation could not be made",
             value=f"{record.failure_kind or record.state} at "
-            + ", ".join(f"{name} = {value:g}" for name, value in study.observed.items()),
+            + ", ".join(f"{name} = {value:g}" for name, value in study.truth.items()),
             expected="inputs at which the model runs",
             remedy="Choose other values under observation.synthetic, or try them with `strandline forward`.",
         )
-    return record.interface
+    return record.interfaces
 
 
 def _try_measures(problem: Problem) -> None:
-    """Evaluate each measure once, on the observed interface itself: what it refuses, it refuses before the runs."""
-    observed = problem.observations[0].interface
+    """Evaluate each measure once, on each observed interface itself: what it refuses, it refuses before the runs."""
     for discrepancy in problem.discrepancies.values():
-        discrepancy(observed, observed)
+        for observation in problem.observations:
+            discrepancy(observation.interface, observation.interface)
 
 
 def _write_results(study: Study, calibration: Calibration, new_runs: int, observer: Observer) -> Outcome:

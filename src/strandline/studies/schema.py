@@ -2,11 +2,24 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
 
-__all__ = ["SCHEMA_VERSION", "StudyFile"]
+from strandline.interface import is_condition
+
+__all__ = ["SCHEMA_VERSION", "SEVERAL", "StudyFile"]
 
 SCHEMA_VERSION = 1
+ONE, SEVERAL = "[one]", "[several]"
+"""Branches of `observation`, as pydantic names them in the place of a mistake."""
 
 
 def _number(value: Any) -> Any:
@@ -56,6 +69,44 @@ class ObservationFile(_Strict):
         if self.file is not None and self.unit is None:
             raise ValueError("the unit of the coordinates too: `unit: mm` (or um, m)")
         return self
+
+
+def _condition(name: str) -> str:
+    """Refuse a name that no condition can have."""
+    if not name or not is_condition(name):
+        raise ValueError("a short name without slashes")
+    return name
+
+
+class ConditionFile(ObservationFile):
+    """The observed interface of one of several conditions."""
+
+    condition: Annotated[str, AfterValidator(_condition)]
+
+    @model_validator(mode="after")
+    def _no_synthetic(self) -> "ConditionFile":
+        if self.synthetic is not None:
+            raise ValueError("a `file` for each condition; `observation: {synthetic: …}` observes all of them")
+        return self
+
+
+def _conditions(value: list[ConditionFile]) -> list[ConditionFile]:
+    """Refuse a condition that is observed twice."""
+    names = [item.condition for item in value]
+    if len(set(names)) < len(names):
+        raise ValueError("each condition once")
+    return value
+
+
+def _branch(value: Any) -> str:
+    return SEVERAL if isinstance(value, list) else ONE
+
+
+Observed = Annotated[
+    Annotated[ObservationFile, Tag(ONE)]
+    | Annotated[list[ConditionFile], Field(min_length=1), AfterValidator(_conditions), Tag(SEVERAL)],
+    Discriminator(_branch),
+]
 
 
 class Noise(_Strict):
@@ -131,12 +182,13 @@ class StudyFile(_Strict):
     model: Choice
     fixed: dict[str, Number | Quantity] = {}
     inputs: Annotated[dict[str, Input], Field(min_length=1)]
-    observation: ObservationFile
+    observation: Observed
     discrepancy: Choice | Annotated[list[Choice], Field(min_length=1)]
     noise: Noise
     design: Design
     surrogate: Surrogate = Surrogate()
     sampler: Sampler = Sampler()
     executor: ExecutorChoice = ExecutorChoice()
+    sensitivities: Annotated[bool, Field(strict=True)] = False
     reuse: list[str] = []
     seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] = 1

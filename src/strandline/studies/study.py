@@ -3,13 +3,14 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 from strandline.calibrate import Settings
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
 from strandline.interface import Interface
-from strandline.models.protocol import ForwardModel
+from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
 from strandline.runs import Executor, LocalProcesses
 from strandline.smc import SMCSettings
@@ -17,7 +18,7 @@ from strandline.studies import build
 from strandline.studies.folder import LEDGER
 from strandline.studies.observed import read_points, require_plausible
 from strandline.studies.parse import parse_study
-from strandline.studies.schema import ObservationFile, StudyFile
+from strandline.studies.schema import ConditionFile, ObservationFile, StudyFile
 
 __all__ = ["Study", "load_study"]
 
@@ -30,13 +31,14 @@ class Study:
         folder: where the study lies and its results go.
         name: of the study.
         text: of study.yaml, kept for provenance.
-        model: the simulator.
+        model: the simulator, asked for sensitivities where the study wants them.
         space: the unknown inputs.
         fixed: the known inputs.
         discrepancies: measures by name; the first one makes the posterior.
-        noise_variance: σ_N², in the unit of d².
-        observed: the observed interface, mm; or the inputs at which the model makes a synthetic one.
-        observation_turned: whether the observed points ran the other way round and were turned.
+        noise_variance: σ_N², in the unit of d²; of every condition.
+        observed: the observed interfaces by condition, mm; empty where the model makes synthetic ones.
+        truth: the inputs at which the model makes a synthetic observation of each of its conditions, or None.
+        turned: the conditions whose observed points ran the other way round and were turned.
         settings: how the posterior is computed.
         executor: where forward runs are made.
         reuse: ledgers of other studies whose runs are taken over where they fit.
@@ -50,8 +52,9 @@ class Study:
     fixed: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
     noise_variance: float
-    observed: Interface | Mapping[str, float]
-    observation_turned: bool
+    observed: Mapping[str, Interface]
+    truth: Mapping[str, float] | None
+    turned: tuple[str, ...]
     settings: Settings
     executor: Executor
     reuse: tuple[Path, ...]
@@ -67,9 +70,9 @@ class Study:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
-    def truth(self) -> Mapping[str, float] | None:
-        """The inputs of a synthetic observation."""
-        return None if isinstance(self.observed, Interface) else self.observed
+    def sensitivities(self) -> bool:
+        """Whether the runs are to yield sensitivities too."""
+        return asks_sensitivities(self.model)
 
 
 def load_study(folder: Path) -> Study:
@@ -79,9 +82,10 @@ def load_study(folder: Path) -> Study:
         InvalidStudy: see `parse_study`, or any value in it that cannot be used.
     """
     content, text = parse_study(folder)
-    model = build.build_model(content.model)
+    model = build.build_model(content.model, sensitivities=content.sensitivities)
     space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
-    observed, turned = _observation(folder, content.observation, model, names=(*space.names, *fixed))
+    truth = _truth(content.observation, model, names=(*space.names, *fixed))
+    observed, turned = ({}, ()) if truth is not None else _observed(folder, content.observation, model)
     return Study(
         folder=folder,
         name=content.name,
@@ -92,7 +96,8 @@ def load_study(folder: Path) -> Study:
         discrepancies=build.build_discrepancies(content.discrepancy),
         noise_variance=content.noise.variance or (content.noise.sd or 0.0) ** 2,
         observed=observed,
-        observation_turned=turned,
+        truth=truth,
+        turned=turned,
         settings=_settings(content),
         executor=LocalProcesses(workers=content.executor.local.workers, timeout=content.executor.local.timeout),
         reuse=tuple(_reused_ledger(folder, other) for other in content.reuse),
@@ -112,13 +117,49 @@ def _settings(content: StudyFile) -> Settings:
     )
 
 
-def _observation(
-    folder: Path, source: ObservationFile, model: ForwardModel, *, names: tuple[str, ...]
-) -> tuple[Interface | Mapping[str, float], bool]:
-    """Return the observed interface or the inputs of a synthetic one, and whether it was turned round."""
-    if source.synthetic is not None:
-        build.check_complete(source.synthetic, names, model, "observation.synthetic")
-        return dict(source.synthetic), False
+def _truth(
+    source: ObservationFile | list[ConditionFile], model: ForwardModel, *, names: tuple[str, ...]
+) -> dict[str, float] | None:
+    """Return the inputs of a synthetic observation."""
+    if isinstance(source, list) or source.synthetic is None:
+        return None
+    build.check_complete(source.synthetic, names, model, "observation.synthetic")
+    return dict(source.synthetic)
+
+
+def _observed(
+    folder: Path, source: ObservationFile | list[ConditionFile], model: ForwardModel
+) -> tuple[dict[str, Interface], tuple[str, ...]]:
+    """Return the observed interfaces by condition, and the conditions whose points were turned round."""
+    files = {item.condition: item for item in source} if isinstance(source, list) else {"": source}
+    known = declared_conditions(model)
+    for condition in files:
+        if condition not in known:
+            raise _unknown_condition(condition, known)
+    read = {condition: _read(folder, item, model) for condition, item in files.items()}
+    turned = tuple(condition for condition, (_, was_turned) in read.items() if was_turned)
+    return {condition: interface for condition, (interface, _) in read.items()}, turned
+
+
+def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
+    if not any(known):
+        return InvalidStudy(
+            "observation: the model has a single condition without a name",
+            value=condition,
+            expected="one mapping, observation: {file: …, unit: …}",
+            remedy="Remove the list and `condition`, or let the model declare its `conditions`.",
+        )
+    close = get_close_matches(condition, known, n=1)
+    return InvalidStudy(
+        "observation: the model has no such condition" if condition else "observation: the condition is not named",
+        value=condition or "no name",
+        expected=f"some of {', '.join(known)}",
+        remedy=f"Did you mean {close[0]}?" if close else "Give a list, - {condition: NAME, file: …, unit: …}.",
+    )
+
+
+def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> tuple[Interface, bool]:
+    """Return an observed interface, run through as the model's is, and whether it was turned for that."""
     path = folder / str(source.file)
     interface = read_points(path, str(source.unit))
     undeformed = getattr(model, "undeformed", None)

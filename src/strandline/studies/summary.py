@@ -11,7 +11,7 @@ import numpy as np
 
 from strandline import __version__
 from strandline.calibrate import Calibration
-from strandline.discrepancy.protocol import independent_terms, unit_of
+from strandline.discrepancy.protocol import unit_of
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
 from strandline.report.warnings import find_warnings
@@ -60,7 +60,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
         "laplace": _laplace(calibration),
         "quadrature_check": quadrature_check(calibration),
-        "warnings": list(find_warnings(calibration, observation_turned=study.observation_turned)),
+        "warnings": list(find_warnings(calibration, turned=study.turned)),
         "seconds": dict(calibration.seconds),
     }
 
@@ -117,16 +117,21 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
 
 
 def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
-    """Measure, noise and the Gaussian constant that the log-likelihood leaves out."""
+    """Measure, noise, conditions, and the Gaussian constant that the log-likelihood leaves out."""
     name, discrepancy = next(iter(calibration.problem.discrepancies.items()))
     observations = calibration.problem.observations
+    likelihood = InterfaceLikelihood(observations, discrepancy)
     return {
         "discrepancy": name,
         "options": _described(discrepancy),
         "unit": unit_of(discrepancy),
         "noise_variance": study.noise_variance,
-        "independent_terms": independent_terms(discrepancy, observations[0].interface),
-        "gaussian_constant": InterfaceLikelihood(observations, discrepancy).constant,
+        "conditions": [
+            {"condition": o.condition, "noise_variance": o.noise_variance, "points": len(o.interface.points)}
+            for o in observations
+        ],
+        "independent_terms": likelihood.independent_terms,
+        "gaussian_constant": likelihood.constant,
     }
 
 

@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -27,7 +28,7 @@ from strandline.interface import Interface
 from strandline.models.protocol import fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.record import RunRecord, RunRequest, run_key
-from strandline.testing.models import Cantilever, Faulty, Patient, Slow
+from strandline.testing.models import Cantilever, Faulty, Patient, Slow, TwoLoads
 
 __all__ = ["CHECKS", "CRASH_CHECKS", "TIMEOUT_CHECKS", "requests_for", "same_outcome"]
 
@@ -70,10 +71,19 @@ def check_accepts_no_requests(executor: Executor, *, workers: int) -> None:
 
 def check_returns_the_models_result(executor: Executor, *, workers: int) -> None:
     """Interfaces and diagnostics come through bit for bit."""
-    model = Cantilever()
+    _require_the_models_result(executor, Cantilever())
+
+
+def check_returns_all_conditions_and_sensitivities(executor: Executor, *, workers: int) -> None:
+    """Several interfaces of a run, and their derivatives, come through bit for bit."""
+    _require_the_models_result(executor, TwoLoads(sensitivities=True))
+
+
+def _require_the_models_result(executor: Executor, model: Any) -> None:
     for record in executor(model, requests_for(model)):
         direct = model(record.inputs, Path())
-        expected = RunRecord(record.key, record.inputs, "ok", direct.interface, direct.diagnostics)
+        expected = RunRecord(record.key, record.inputs, "ok", direct.interfaces, direct.diagnostics)
+        expected = replace(expected, sensitivities=direct.sensitivities)
         told = f"{record.state} {record.message or ''}, {dict(record.diagnostics)}"
         _require(same_outcome(record, expected), f"{dict(record.inputs)}: not what the model returned: {told}")
         _require(math.isfinite(record.seconds) and record.seconds >= 0, f"seconds = {record.seconds}")
@@ -139,7 +149,7 @@ def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Chec
             ending = (record.state, record.failure_kind)
             _require(ending == (state, kind), f"'{fault}' ended {ending}, expected {(state, kind)}")
             _require(told in (record.message or ""), f"the message lacks '{told}': {record.message}")
-            _require(record.interface is None, "a run that failed has an interface")
+            _require(not record.interfaces, "a run that failed has an interface")
 
     check.__doc__ = f"The fault '{fault}' ends '{state}' ({kind}) and harms no other run."
     return check
@@ -149,6 +159,7 @@ CHECKS: dict[str, Check] = {
     "answers_each_request_once": check_answers_each_request_once,
     "accepts_no_requests": check_accepts_no_requests,
     "returns_the_models_result": check_returns_the_models_result,
+    "returns_all_conditions_and_sensitivities": check_returns_all_conditions_and_sensitivities,
     "yields_in_order_of_completion": check_yields_in_order_of_completion,
     "pulls_when_a_worker_is_free": check_pulls_when_a_worker_is_free,
     "stops_when_closed": check_stops_when_closed,
@@ -191,9 +202,14 @@ def _noted(requests: Sequence[RunRequest], pulled: list[RunRequest]) -> Iterator
 
 
 def _facts(record: RunRecord) -> tuple[object, ...]:
-    found = record.interface
-    shape = None if found is None else _bits(found)
-    return record.key, dict(record.inputs), record.state, shape, dict(record.diagnostics), record.failure_kind
+    shapes = [(name, *_bits(interface)) for name, interface in record.interfaces.items()]
+    slopes = [
+        (condition, name, derivative.shape, derivative.tobytes())
+        for condition, by_input in record.sensitivities.items()
+        for name, derivative in by_input.items()
+    ]
+    figures = dict(record.diagnostics)
+    return record.key, dict(record.inputs), record.state, shapes, slopes, figures, record.failure_kind
 
 
 def _bits(interface: Interface) -> tuple[object, ...]:

@@ -20,7 +20,17 @@ from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.protocol import ModelInput, Simulation
 
-__all__ = ["FAULTS", "Cantilever", "Counted", "CrashesOnce", "Faulty", "KilledWhileLoading", "Patient", "Slow"]
+__all__ = [
+    "FAULTS",
+    "Cantilever",
+    "Counted",
+    "CrashesOnce",
+    "Faulty",
+    "KilledWhileLoading",
+    "Patient",
+    "Slow",
+    "TwoLoads",
+]
 
 
 @dataclass(frozen=True)
@@ -67,7 +77,7 @@ class Cantilever:
         if abs(tip) > self.length:
             text = f"the tip would move by {tip:.3g} mm, the beam is {self.length:g} mm long"
             raise ForwardModelError("large_deflection", text, {"tip": tip})
-        return Simulation(self.outline(modulus, load), {"tip": tip})
+        return Simulation.of(self.outline(modulus, load), {"tip": tip})
 
     def deflection(self, x: Float[np.ndarray, " point"], modulus: float, load: float) -> Float[np.ndarray, " point"]:
         """Return w at the distances `x` from the clamp, both in mm."""
@@ -85,6 +95,51 @@ class Cantilever:
     def _flexibility(self, modulus: float, load: float) -> float:
         """Return F / (6 E I) in mm⁻²; N/m over Pa is m, hence the factor 1000."""
         return 1000.0 * load / modulus * 2.0 / self.height**3
+
+
+@dataclass(frozen=True)
+class TwoLoads:
+    """A `Cantilever` in two experiments: ``light`` under the force `load`, ``heavy`` under `ratio` times that force.
+
+    The displacement u is proportional to F/E, so ∂u/∂E = -u/E and ∂u/∂F = u/F.
+
+    Args:
+        beam: the specimen.
+        ratio: of the two forces.
+        sensitivities: whether runs yield d(points)/dE, mm/Pa, and d(points)/d(load), mm per N/m, too.
+    """
+
+    beam: Cantilever = Cantilever()
+    ratio: float = 2.5
+    sensitivities: bool = False
+
+    inputs: ClassVar[tuple[ModelInput, ...]] = Cantilever.inputs
+    conditions: ClassVar[tuple[str, ...]] = ("light", "heavy")
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the beam and the ratio; sensitivities change no interface."""
+        return f"test:two-loads-1/{self.beam.fingerprint}/{self.ratio!r}"
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+        """Return both outlines, mm, and the tip's deflection under each force.
+
+        Raises:
+            ForwardModelError: where the beam does under either force.
+        """
+        loads = dict(zip(self.conditions, (inputs["load"], self.ratio * inputs["load"]), strict=True))
+        runs = {name: self.beam({"E": inputs["E"], "load": load}, workdir) for name, load in loads.items()}
+        return Simulation(
+            {name: run.interface for name, run in runs.items()},
+            {f"tip_{name}": run.diagnostics["tip"] for name, run in runs.items()},
+            self._sensitivities(inputs["E"], loads) if self.sensitivities else {},
+        )
+
+    def _sensitivities(self, modulus: float, loads: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+        """Return the derivatives from the displacement under a unit force, so that none is a quotient of zeros."""
+        unit = self.beam.outline(modulus, 1.0).points - self.beam.outline(modulus, 0.0).points
+        factors = dict(zip(self.conditions, (1.0, self.ratio), strict=True))
+        return {name: {"E": -loads[name] / modulus * unit, "load": factors[name] * unit} for name in self.conditions}
 
 
 Model = Callable[[Mapping[str, float], Path], Any]
@@ -275,7 +330,7 @@ def _child(good: Simulation, workdir: Path) -> Simulation:
 
 
 def _nan(good: Simulation, workdir: Path) -> Simulation:
-    good.interface.points[0] = np.nan
+    next(iter(good.interfaces.values())).points[0] = np.nan
     return good
 
 

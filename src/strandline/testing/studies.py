@@ -13,9 +13,9 @@ import numpy as np
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.protocol import ModelInput, Simulation
-from strandline.testing.models import Cantilever
+from strandline.testing.models import Cantilever, TwoLoads
 
-__all__ = ["BEAM_STUDY", "beam", "undeclared_beam", "write_study"]
+__all__ = ["BEAM_STUDY", "TWO_LOADS_STUDY", "beam", "two_loads", "undeclared_beam", "write_study"]
 
 NODES = 17
 
@@ -35,7 +35,7 @@ def undeclared_beam(inputs: Mapping[str, float], workdir: Path) -> Simulation:
     tip = float(y[-1])
     if abs(tip) > shape.length:
         raise ForwardModelError("large_deflection", f"the tip would move by {tip:.3g} mm", {"tip": tip})
-    return Simulation(Interface.polyline(np.stack([x, y], axis=1)), {"tip": tip})
+    return Simulation.of(Interface.polyline(np.stack([x, y], axis=1)), {"tip": tip})
 
 
 class _Beam:
@@ -73,6 +73,20 @@ BEAM_STUDY: Mapping[str, Any] = {
     "seed": 1,
 }
 """The content of its study.yaml."""
+
+two_loads = TwoLoads()
+"""The forward model of `TWO_LOADS_STUDY`."""
+
+TWO_LOADS_STUDY: Mapping[str, Any] = {
+    "name": "two-loads",
+    "model": {"python": {"function": "strandline.testing.studies:two_loads"}},
+    "fixed": {"load": 1e-5},
+    "inputs": {"E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"}},
+    "observation": {"synthetic": {"E": 400, "load": 1e-5}},
+    "noise": {"sd": 0.01},
+    "design": {"sobol": {"runs": 24}},
+}
+"""What a study of two conditions changes in `BEAM_STUDY`."""
 
 
 def write_study(folder: Path, **changes: Any) -> Path:

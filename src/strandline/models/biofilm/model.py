@@ -144,7 +144,7 @@ class _FlowCell:
                 {"min_J_fluid": fluid_bound, "min_J_solid": solid_bound},
             )
         displacement = self._interface_displacement()
-        return Simulation(
+        return Simulation.of(
             Interface.polyline(self.reference.points + displacement),
             {
                 "max_displacement": float(np.linalg.norm(displacement, axis=1).max()),
