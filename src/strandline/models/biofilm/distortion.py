@@ -6,7 +6,7 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from strandline.models.biofilm.forms import deformation_gradient
+from strandline.models.biofilm.materials import deformation_gradient
 
 __all__ = ["NODES_P2", "jacobian_bound", "on_elements", "quadratic_nodes"]
 

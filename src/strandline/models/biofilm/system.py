@@ -6,6 +6,7 @@ rows of displacement unknowns *inside* the fluid are exchanged for those of the 
 conservative, and no penalty pollutes the interface.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,7 @@ from ngsolve import la
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
+from strandline.models.biofilm.materials import Law, saint_venant_kirchhoff
 
 __all__ = ["BoundaryNames", "CoupledSystem", "Factorisation"]
 
@@ -34,7 +36,7 @@ class BoundaryNames:
 
 
 class CoupledSystem:
-    """Residual and Jacobian of the coupled problem on a mesh with regions ``fluid`` and ``solid``.
+    """Residual and Jacobian of the coupled problem on a mesh with a region ``fluid`` and one or more solid ones.
 
     Args:
         mesh: NGSolve mesh; the boundary between the regions is called ``interface``.
@@ -42,16 +44,30 @@ class CoupledSystem:
         viscosity: scaled dynamic viscosity.
         density: scaled density of the fluid.
         order: polynomial order of velocity and displacement; pressures have one less.
+        law: of the solid, from `materials`.
+        solids: names of the solid's regions; each has its own Young's modulus and Poisson's ratio.
+        body_force: scaled force per volume of the undeformed solid.
     """
 
     def __init__(
-        self, mesh: Any, boundaries: BoundaryNames, *, viscosity: float, density: float, order: int = 2
+        self,
+        mesh: Any,
+        boundaries: BoundaryNames,
+        *,
+        viscosity: float,
+        density: float,
+        order: int = 2,
+        law: Law = saint_venant_kirchhoff,
+        solids: tuple[str, ...] = ("solid",),
+        body_force: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        self.mesh, self.young, self.poisson = mesh, ng.Parameter(1.0), ng.Parameter(0.25)
-        self.space = _spaces(mesh, boundaries, order)
+        self.mesh, self.solids = mesh, solids
+        self.young = tuple(ng.Parameter(1.0) for _ in solids)
+        self.poisson = tuple(ng.Parameter(0.25) for _ in solids)
+        self.space = _spaces(mesh, boundaries, order, solids)
         self.state = ng.GridFunction(self.space)
         self._residual = self.state.vec.CreateVector()
-        self._balance = _balance_form(self, viscosity, density)
+        self._balance = _balance_form(self, law, viscosity=viscosity, density=density, body_force=body_force)
         self._motion = _motion_form(self.space)
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
@@ -63,9 +79,14 @@ class CoupledSystem:
         return values
 
     def block(self, component: int) -> Bool[np.ndarray, " unknown"]:
-        """Tell which unknowns belong to component 0 v, 1 p, 2 d, 3 pₛ."""
+        """Tell which unknowns belong to component 0 v, 1 p, 2 d, 3 and on: pₛ, one a solid region."""
         part = self.space.Range(component)
         return np.asarray((self.free >= part.start) & (self.free < part.stop))
+
+    def set_material(self, young: Sequence[float], poisson: Sequence[float]) -> None:
+        """Set scaled Young's modulus and Poisson's ratio of each solid region."""
+        for parameter, value in zip(self.young + self.poisson, (*young, *poisson), strict=True):
+            parameter.Set(value)
 
     def set_unknowns(self, x: Vector) -> None:
         """Write the unknowns into the state."""
@@ -106,12 +127,13 @@ class CoupledSystem:
     @cached_property
     def _pattern(self) -> "_Pattern":
         """Structural nonzeros of the reduced Jacobian, found at a random state."""
-        kept, young, poisson = np.array(self.values), self.young.Get(), self.poisson.Get()
+        kept = np.array(self.values)
+        young, poisson = ([p.Get() for p in group] for group in (self.young, self.poisson))
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
-        self.young.Set(1.0), self.poisson.Set(0.23)
+        self.set_material([1.0] * len(young), [0.23] * len(poisson))
         pattern = _Pattern.find(self._assemble(), self._balance.mat, self._motion.mat, self._is_motion, self.free)
         self.values[:] = kept
-        self.young.Set(young), self.poisson.Set(poisson)
+        self.set_material(young, poisson)
         return pattern
 
 
@@ -194,30 +216,33 @@ def _reduced_entries(
     return number[rows[chosen]], number[columns[chosen]], chosen, np.array(values[chosen])
 
 
-def _spaces(mesh: Any, names: BoundaryNames, order: int) -> Any:
+def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]) -> Any:
+    """Return v × p × d × pₛ: the solid's pressure jumps between regions of different stiffness, so each has its own."""
     stuck = "|".join([names.no_slip, names.inlet, "interface"])
     velocity = ng.VectorH1(
         mesh, order=order, definedon="fluid", dirichlet=stuck, dirichlety=names.vertical_velocity_zero
     )
     displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed)
-    pressure, solid_pressure = (ng.H1(mesh, order=order - 1, definedon=region) for region in ("fluid", "solid"))
-    return velocity * pressure * displacement * solid_pressure
+    pressure, *solid_pressures = (ng.H1(mesh, order=order - 1, definedon=region) for region in ("fluid", *solids))
+    return ng.FESpace([velocity, pressure, displacement, *solid_pressures])
 
 
-def _balance_form(system: CoupledSystem, viscosity: float, density: float) -> Any:
+def _balance_form(
+    system: CoupledSystem, law: Law, *, viscosity: float, density: float, body_force: tuple[float, float]
+) -> Any:
     """Momentum of fluid and solid, continuity and the constitutive constraint."""
-    (v, p, d, ps), (w, q, phi, qs) = system.space.TnT()
-    E, nu = system.young, system.poisson
+    (v, p, d, *solid_pressures), (w, q, phi, *solid_tests) = system.space.TnT()
     fluid = forms.momentum(v, p, d, w, viscosity=viscosity, density=density) + forms.continuity(v, d, q)
     traction = forms.momentum(v, p, d, phi, viscosity=viscosity, density=density)
-    stress = forms.saint_venant_kirchhoff(d, ps, E, nu)
-    solid = forms.solid_stress_power(d, stress, phi) + forms.constitutive_constraint(d, ps, qs, E, nu)
     form = ng.BilinearForm(system.space)
     form += fluid.Compile() * ng.dx("fluid", bonus_intorder=2)
     form += traction.Compile() * ng.dx(
         "fluid", definedonelements=_fluid_beside_interface(system.mesh), bonus_intorder=2
     )
-    form += solid.Compile() * ng.dx("solid", bonus_intorder=2)
+    for k, region in enumerate(system.solids):
+        mixed = law(d, solid_pressures[k], system.young[k], system.poisson[k])
+        solid = forms.solid_stress_power(d, mixed.second_piola, phi) + solid_tests[k] * mixed.constraint
+        form += (solid - ng.InnerProduct(ng.CF(body_force), phi)).Compile() * ng.dx(region, bonus_intorder=2)
     return form
 
 
@@ -247,6 +272,6 @@ def _motion_rows(system: CoupledSystem) -> Bool[np.ndarray, " dof"]:
     rows[part.start : part.stop] = True
     displacement = system.space.components[2]
     for element in displacement.Elements(ng.VOL):
-        if element.mat == "solid":
+        if element.mat in system.solids:
             rows[[part.start + dof for dof in element.dofs if dof >= 0]] = False
     return rows
