@@ -1,4 +1,4 @@
-"""The flow cell: a channel with a biofilm on its floor, meshed so that the interface polygon consists of mesh edges."""
+"""The mesh of a flow cell: a channel with a solid on its floor; the interface polygon consists of mesh edges."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,10 +7,12 @@ from netgen.geom2d import SplineGeometry
 from ngsolve import Mesh
 
 from strandline.interface import Interface
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.subdivision import Edge, Partition, Point, Subdivision
 
-__all__ = ["MESHES", "MeshSize", "mesh_flow_cell"]
+__all__ = ["MESHES", "MeshSize", "mesh_flow_cell", "subdivide"]
 
-FLUID, SOLID = 1, 2
+FLUID = "fluid"
 
 
 @dataclass(frozen=True)
@@ -31,32 +33,88 @@ MESHES = {
 """Element sizes by the name used in study files."""
 
 
-def mesh_flow_cell(interface: Interface, size: MeshSize, *, length: float = 2.0, height: float = 1.0) -> Any:
-    """Return the NGSolve mesh of a channel [0, length] × [0, height] mm with the biofilm below `interface`.
+def subdivide(interface: Interface, channel: Channel, partition: Partition) -> tuple[Subdivision, list[str]]:
+    """Return fluid and solid as polygons, and the names of the solid's parts: ``solid``, or ``solid1``, ``solid2``, …
 
-    Regions: ``fluid``, ``solid``; boundaries: ``inlet``, ``outlet``, ``top``, ``floor``, ``base``, ``interface``.
-    Deterministic: the same arguments give the same mesh to the bit.
+    The first vertices are those of `interface`, in its order.
     """
+    outline: list[Point] = [(float(x), float(y)) for x, y in interface.points]
+    corners = [(0.0, 0.0), (channel.length, 0.0), (channel.length, channel.height), (0.0, channel.height)]
+    count = len(outline)
+    origin, right, top_right, top_left = range(count, count + 4)
+    along = list(range(count))
+    if outline[0][1] > 0:  # a layer: the lower corners belong to the solid
+        fluid, solid = [*along, top_right, top_left], [origin, right, *reversed(along)]
+    else:
+        fluid, solid = [origin, *along, right, top_right, top_left], list(reversed(along))
+    figure = Subdivision([*outline, *corners], {FLUID: fluid, "solid": solid})
+    parts = ["solid"]
+    for line in partition.lines:
+        parts = figure.cut(parts, line)
+    return figure, figure.rename(parts, partition.markers, "solid") if partition.lines else parts
+
+
+def mesh_flow_cell(
+    interface: Interface,
+    size: MeshSize,
+    channel: Channel = Channel(),
+    partition: Partition = Partition(),
+) -> Any:
+    """Return the NGSolve mesh of a channel with a solid below `interface`.
+
+    Regions: ``fluid`` and the parts of the solid; boundaries: ``inlet``, ``outlet``, ``top``, ``floor``, ``base``,
+    ``side`` (a layer's ends), ``interface``, ``inner`` (between parts). Deterministic: the same arguments give the same
+    mesh to the bit.
+    """
+    figure, parts = subdivide(interface, channel, partition)
+    number = {FLUID: 1} | {name: k for k, name in enumerate(parts, 2)}
     geometry = SplineGeometry()
-    add = geometry.AppendPoint
-    nodes = [add(float(x), float(y)) for x, y in interface.points]
-    first, last = nodes[0], nodes[-1]
-    origin, right = add(0.0, 0.0), add(length, 0.0)
-    top_right, top_left = add(length, height), add(0.0, height)
-
-    def line(start: int, end: int, left: int, right: int, name: str, maxh: float) -> None:
-        geometry.Append(["line", start, end], leftdomain=left, rightdomain=right, bc=name, maxh=maxh)
-
-    line(origin, first, FLUID, 0, "floor", size.far)
-    line(first, last, SOLID, 0, "base", size.interface * 2)
-    line(last, right, FLUID, 0, "floor", size.far)
-    line(right, top_right, FLUID, 0, "outlet", size.far)
-    line(top_right, top_left, FLUID, 0, "top", size.far)
-    line(top_left, origin, FLUID, 0, "inlet", size.far)
-    segments = len(nodes) - 1
-    for k in range(segments):
-        maxh = size.foot if k in (0, segments - 1) else size.interface
-        line(nodes[k], nodes[k + 1], FLUID, SOLID, "interface", maxh)
-    geometry.SetMaterial(FLUID, "fluid")
-    geometry.SetMaterial(SOLID, "solid")
+    ids = [geometry.AppendPoint(x, y) for x, y in figure.vertices]
+    for edge in sorted(figure.edges(), key=lambda e: _place(e, figure, channel)):
+        name = _name(edge, figure, channel)
+        geometry.Append(
+            ["line", ids[edge.start], ids[edge.end]],
+            leftdomain=number[edge.left],
+            rightdomain=number[edge.right] if edge.right else 0,
+            bc=name,
+            maxh=_size(edge, name, size, len(interface.points)),
+        )
+    for name, k in number.items():
+        geometry.SetMaterial(k, name)
     return Mesh(geometry.GenerateMesh(maxh=size.far, grading=size.grading))
+
+
+def _place(edge: Edge, figure: Subdivision, channel: Channel) -> tuple[int, float]:
+    """Order: the outer boundary counter-clockwise from the origin, then the interface along itself, then inner edges."""
+    if edge.right is None:
+        (x0, y0), (x1, y1) = figure.vertices[edge.start], figure.vertices[edge.end]
+        x, y, length, height = 0.5 * (x0 + x1), 0.5 * (y0 + y1), channel.length, channel.height
+        if y == 0:
+            return 0, x
+        if x == length:
+            return 0, length + y
+        return (0, 2 * length + height - x) if y == height else (0, 2 * (length + height) - y)
+    return (1, 0.5 * (edge.start + edge.end)) if FLUID in (edge.left, edge.right) else (2, 0.0)
+
+
+def _name(edge: Edge, figure: Subdivision, channel: Channel) -> str:
+    if edge.right is not None:
+        return "interface" if FLUID in (edge.left, edge.right) else "inner"
+    (x0, y0), (x1, y1) = figure.vertices[edge.start], figure.vertices[edge.end]
+    if y0 == y1 == 0:
+        return "floor" if edge.left == FLUID else "base"
+    if y0 == y1 == channel.height:
+        return "top"
+    if edge.left != FLUID:
+        return "side"
+    at_left = x0 == x1 == 0
+    return "inlet" if at_left == (channel.inlet == "left") else "outlet"
+
+
+def _size(edge: Edge, name: str, size: MeshSize, count: int) -> float:
+    """Return the largest element edge: fine along the interface and finest at its feet."""
+    if name == "interface":
+        return size.foot if {edge.start, edge.end} & {0, count - 1} else size.interface
+    return 2 * size.interface if name in ("base", "inner") else size.far
+
+

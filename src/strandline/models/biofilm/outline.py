@@ -1,12 +1,15 @@
 """The outline of a biofilm: from a few control points to the polygon that the mesh follows."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
+from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
-__all__ = ["CONTROL_POINTS", "NODES", "outline"]
+__all__ = ["CONTROL_POINTS", "NODES", "Outline"]
 
 CONTROL_POINTS = (
     (0.540, 0.000),
@@ -29,19 +32,55 @@ NODES = 66
 """Interface nodes of the study (its n_in)."""
 
 
-def outline(control_points: tuple[tuple[float, float], ...] = CONTROL_POINTS, *, nodes: int = NODES) -> Interface:
-    """Return the undeformed interface, mm: `nodes` points at equal arclength on a spline through `control_points`.
+@dataclass(frozen=True)
+class Outline:
+    """The undeformed interface.
 
-    The cubic spline is parametrised by chord length. The first and last point lie on the channel's floor (y = 0).
+    Args:
+        points: (x, y), mm, from left to right, on the floor or on the channel's ends first and last.
+        spline: whether `points` are control points of a cubic spline (parametrised by chord length), or the outline.
+        nodes: number of interface nodes, equally spaced by arclength; None keeps `points` as they are.
+
+    Raises:
+        InvalidInput: too few points or nodes, points that are no pairs of numbers, or nodes None with a spline.
     """
-    points = np.array(control_points, float)
-    curve = CubicSpline(_chord_length(points), points, axis=0)
-    fine = curve(np.linspace(0.0, curve.x[-1], 4001))
-    result = Interface.polyline(fine).resampled(nodes).points
-    result[[0, -1]] = points[[0, -1]]
-    return Interface.polyline(result)
+
+    points: tuple[tuple[float, float], ...] = CONTROL_POINTS
+    spline: bool = True
+    nodes: int | None = NODES
+
+    def __post_init__(self) -> None:
+        shape = np.shape(np.array(self.points, dtype=object))
+        if len(shape) != 2 or shape[1] != 2 or shape[0] < 3:
+            _refuse("points of the outline", self.points, "at least three pairs (x, y) in mm", "Correct the points.")
+        if self.nodes is None and self.spline:
+            _refuse("nodes of the outline", self.nodes, "a number of nodes for a spline", "Give nodes, e.g. 66.")
+        if self.nodes is not None and self.nodes < 4:
+            _refuse("nodes of the outline", self.nodes, "at least 4", "Raise the number of nodes.")
+
+    @classmethod
+    def of(cls, interface: Interface, *, nodes: int | None = NODES) -> "Outline":
+        """Return the outline that follows an interface, e.g. one that was read from a file or an image."""
+        return cls(tuple((float(x), float(y)) for x, y in interface.points), spline=False, nodes=nodes)
+
+    def interface(self) -> Interface:
+        """Return the undeformed interface, mm."""
+        points = np.array(self.points, float)
+        curve = Interface.polyline(points)
+        if self.spline:
+            spline = CubicSpline(_chord_length(points), points, axis=0)
+            curve = Interface.polyline(spline(np.linspace(0.0, spline.x[-1], 4001)))
+        if self.nodes is None:
+            return curve
+        result = curve.resampled(self.nodes).points
+        result[[0, -1]] = points[[0, -1]]
+        return Interface.polyline(result)
 
 
 def _chord_length(points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, " point"]:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _refuse(what: str, value: object, expected: str, remedy: str) -> None:
+    raise InvalidInput(what, value=value, expected=expected, remedy=remedy)

@@ -67,7 +67,10 @@ class CoupledSystem:
         self.space = _spaces(mesh, boundaries, order, solids)
         self.state = ng.GridFunction(self.space)
         self._residual = self.state.vec.CreateVector()
-        self._balance = _balance_form(self, law, viscosity=viscosity, density=density, body_force=body_force)
+        self.law, self.body_force = law, body_force
+        self._derivatives: dict[Any, Any] = {}
+        self._balance = _solid_form(self)
+        _add_fluid(self._balance, self, viscosity=viscosity, density=density)
         self._motion = _motion_form(self.space)
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
@@ -119,6 +122,25 @@ class CoupledSystem:
         """
         self.set_unknowns(x)
         return Factorisation(self._pattern.fill(self._assemble()), len(self.free))
+
+    def by_parameter(self, parameter: Any) -> Vector:
+        """Return the derivative of the residual by one of `young` or `poisson` at the present state."""
+        if parameter not in self._derivatives:
+            self._derivatives[parameter] = _solid_form(self, derivative_by=parameter)
+        self._derivatives[parameter].Apply(self.state.vec, self._residual)
+        result = np.array(self._residual.FV().NumPy())
+        result[self._is_motion] = 0.0
+        return np.asarray(result[self.free])
+
+    def by_prescribed(self, direction: Float[np.ndarray, " dof"]) -> Vector:
+        """Return the derivative of the residual when prescribed values change along `direction`; as last assembled."""
+        moved = self.state.vec.CreateVector()
+        moved.FV().NumPy()[:] = direction
+        self._balance.mat.Mult(moved, self._residual)
+        result = np.array(self._residual.FV().NumPy())
+        self._motion.mat.Mult(moved, self._residual)
+        result[self._is_motion] = self._residual.FV().NumPy()[self._is_motion]
+        return np.asarray(result[self.free])
 
     def _assemble(self) -> Float[np.ndarray, " entry"]:
         self._balance.AssembleLinearization(self.state.vec)
@@ -227,23 +249,32 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
     return ng.FESpace([velocity, pressure, displacement, *solid_pressures])
 
 
-def _balance_form(
-    system: CoupledSystem, law: Law, *, viscosity: float, density: float, body_force: tuple[float, float]
-) -> Any:
-    """Momentum of fluid and solid, continuity and the constitutive constraint."""
-    (v, p, d, *solid_pressures), (w, q, phi, *solid_tests) = system.space.TnT()
+def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
+    """Return momentum and constitutive constraint of the solid, or their derivative by a material parameter."""
+    (_, _, d, *solid_pressures), (_, _, phi, *solid_tests) = system.space.TnT()
+    form = ng.BilinearForm(system.space)
+    for k, region in enumerate(system.solids):
+        mixed = system.law(d, solid_pressures[k], system.young[k], system.poisson[k])
+        solid = forms.solid_stress_power(d, mixed.second_piola, phi) + solid_tests[k] * mixed.constraint
+        if derivative_by is None:
+            solid = solid - ng.InnerProduct(ng.CF(system.body_force), phi)
+        elif derivative_by in (system.young[k], system.poisson[k]):
+            solid = solid.Diff(derivative_by)
+        else:
+            continue
+        form += solid.Compile() * ng.dx(region, bonus_intorder=2)
+    return form
+
+
+def _add_fluid(form: Any, system: CoupledSystem, *, viscosity: float, density: float) -> None:
+    """Add momentum and continuity of the fluid, the former tested with w + φ on the interface."""
+    (v, p, d, *_), (w, q, phi, *_) = system.space.TnT()
     fluid = forms.momentum(v, p, d, w, viscosity=viscosity, density=density) + forms.continuity(v, d, q)
     traction = forms.momentum(v, p, d, phi, viscosity=viscosity, density=density)
-    form = ng.BilinearForm(system.space)
     form += fluid.Compile() * ng.dx("fluid", bonus_intorder=2)
     form += traction.Compile() * ng.dx(
         "fluid", definedonelements=_fluid_beside_interface(system.mesh), bonus_intorder=2
     )
-    for k, region in enumerate(system.solids):
-        mixed = law(d, solid_pressures[k], system.young[k], system.poisson[k])
-        solid = forms.solid_stress_power(d, mixed.second_piola, phi) + solid_tests[k] * mixed.constraint
-        form += (solid - ng.InnerProduct(ng.CF(body_force), phi)).Compile() * ng.dx(region, bonus_intorder=2)
-    return form
 
 
 def _motion_form(space: Any) -> Any:

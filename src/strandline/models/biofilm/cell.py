@@ -1,0 +1,227 @@
+"""A flow cell with its specimen, discretised: solve it, read the interface, differentiate it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import ngsolve as ng
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from strandline.errors import ForwardModelError
+from strandline.interface import Interface
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.distortion import jacobian_bound, on_elements, quadratic_nodes
+from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
+from strandline.models.biofilm.materials import Law
+from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
+
+__all__ = ["FlowCell", "FlowFields", "Solution"]
+
+VELOCITY_SCALE = 100.0
+"""U in mm/s; with lengths in mm and ρ = 1e3 kg/m³ the stress scale ρU² is 10 Pa and the scaled viscosity 0.01."""
+STRESS_SCALE = 10.0
+VISCOSITY = 0.01
+NORM_WEIGHTS = (1.0, 0.1, 10.0, 0.1)
+"""Newton corrections of v, p, d, pₛ are weighted so that all count alike."""
+SETTINGS = newton.NewtonSettings(maximum_jacobians=12)
+
+Vector = Float[np.ndarray, " unknown"]
+Points = Float[np.ndarray, "point 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class FlowFields:
+    """The solved state for pictures: corners and edge midpoints of the mesh, four flat triangles per element.
+
+    Args:
+        points: deformed node positions, mm.
+        triangles: node numbers.
+        cell_is_solid: per triangle.
+        velocity: mm/s, zero in the solid.
+        pressure: fluid pressure, Pa, zero in the solid.
+        displacement: mm; in the fluid that of the mesh.
+    """
+
+    points: Points
+    triangles: Int[np.ndarray, "cell 3"]
+    cell_is_solid: Bool[np.ndarray, " cell"]
+    velocity: Points
+    pressure: Float[np.ndarray, " point"]
+    displacement: Points
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A steady state.
+
+    Args:
+        unknowns: of the coupled system.
+        displacement: of the interface's nodes, mm.
+        min_J_fluid: lower bound of det F of the mesh motion.
+        min_J_solid: lower bound of det F of the solid.
+        jacobians: assembled and factorised.
+        simplified_steps: steps with a kept Jacobian.
+    """
+
+    unknowns: Vector
+    displacement: Points
+    min_J_fluid: float
+    min_J_solid: float
+    jacobians: int
+    simplified_steps: int
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return the figures that go into a run's record."""
+        return {
+            "max_displacement": float(np.linalg.norm(self.displacement, axis=1).max()),
+            "min_J_fluid": self.min_J_fluid,
+            "min_J_solid": self.min_J_solid,
+            "newton_jacobians": float(self.jacobians),
+            "newton_simplified_steps": float(self.simplified_steps),
+        }
+
+
+class FlowCell:
+    """Mesh, spaces and forms of one geometry and material law; everything scaled inside, physical outside."""
+
+    def __init__(
+        self, outline: Interface, size: MeshSize, *, channel: Channel, partition: Partition, law: Law
+    ) -> None:
+        _, self.parts = subdivide(outline, channel, partition)
+        self.outline, self.channel = outline, channel
+        self.mesh = mesh_flow_cell(outline, size, channel, partition)
+        self.is_solid = np.array([element.mat != "fluid" for element in self.mesh.Elements(ng.VOL)])
+        self.system = CoupledSystem(
+            self.mesh, _boundaries(channel), viscosity=VISCOSITY, density=1.0, law=law, solids=tuple(self.parts)
+        )
+        self.vertices = _vertices_at(self.mesh, outline)
+        self.weights = np.empty(len(self.system.free))
+        for component in range(3 + len(self.parts)):
+            self.weights[self.system.block(component)] = NORM_WEIGHTS[min(component, 3)]
+        self._prescribe_inflow()
+        self.inflow = np.array(self.system.values)
+        self.rigid_flow = self._flow_past_rigid_body()
+
+    def solve(self, young: Sequence[float], poisson: Sequence[float], rate: float) -> Solution:
+        """Return the steady state at Young's moduli [Pa] and Poisson's ratios of the parts, and inflow [mm²/s].
+
+        Raises:
+            ForwardModelError: there is none that Newton's method finds, or its elements are inverted.
+        """
+        load = rate / VELOCITY_SCALE
+        self._prescribe(young, poisson, load)
+        found = newton.solve(self.system, load * self.rigid_flow, norm=self.norm, settings=SETTINGS)
+        self.system.set_unknowns(found.x)
+        fluid_bound, solid_bound = self.distortion()
+        if min(fluid_bound, solid_bound) <= 0:
+            raise ForwardModelError(
+                "inverted_elements",
+                f"elements are inverted: J is bounded by {fluid_bound:.3g} (fluid), {solid_bound:.3g} (solid)",
+                {"min_J_fluid": fluid_bound, "min_J_solid": solid_bound},
+            )
+        moved = self._interface_values(np.array(self.system.values))
+        return Solution(found.x, moved, fluid_bound, solid_bound, found.jacobians, found.simplified_steps)
+
+    def sensitivities(self, solution: Solution) -> list[Points]:
+        """Return d(interface)/dE of each part [mm/Pa], d/dν of each part [mm], d/dV_in [mm per mm²/s].
+
+        One back-substitution each with a fresh Jacobian at the solution that `solve` has just returned.
+        """
+        system = self.system
+        jacobian = system.factorise(solution.unknowns)
+        by_inflow = system.by_prescribed(self.inflow / VELOCITY_SCALE)
+        by_material = [system.by_parameter(p) for p in system.young + system.poisson]
+        scales = [1.0 / STRESS_SCALE] * len(self.parts) + [1.0] * len(self.parts)
+        derivatives = [scale * jacobian.solve(-r) for scale, r in zip(scales, by_material, strict=True)]
+        derivatives.append(jacobian.solve(-by_inflow))
+        return [self._interface_values(self._with_unknowns(d)) for d in derivatives]
+
+    def distortion(self) -> tuple[float, float]:
+        """Return lower bounds of J over fluid and solid at the present state."""
+        return jacobian_bound(self.mesh, self.system.state.components[2], self.is_solid)
+
+    def norm(self, correction: Vector) -> float:
+        """Return the weighted root mean square of a correction."""
+        return float(np.linalg.norm(self.weights * correction) / np.sqrt(len(correction)))
+
+    def fields(self) -> FlowFields:
+        """Return velocity, pressure and displacement of the present state."""
+        velocity, pressure, displacement, *_ = self.system.state.components
+        nodes, count = quadratic_nodes(self.mesh)
+        fluid, everywhere = ~self.is_solid, np.ones(self.mesh.ne, bool)
+
+        def nodal(function: Any, cells: Bool[np.ndarray, " element"]) -> Float[np.ndarray, "point component"]:
+            values = on_elements(self.mesh, function)[cells]
+            result = np.zeros((count, values.shape[2]))
+            result[nodes[cells].ravel()] = values.reshape(-1, values.shape[2])
+            return result
+
+        d = nodal(displacement, everywhere)
+        rest = nodal(ng.CF((ng.x, ng.y)), everywhere)
+        split = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+        return FlowFields(
+            points=rest + d,
+            triangles=nodes[:, split].reshape(-1, 3),
+            cell_is_solid=np.repeat(self.is_solid, 4),
+            velocity=nodal(velocity, fluid) * VELOCITY_SCALE,
+            pressure=nodal(pressure, fluid)[:, 0] * STRESS_SCALE,
+            displacement=d,
+        )
+
+    def _prescribe_inflow(self) -> None:
+        """Write the parabola of volume rate 1 over the free height of the inlet into the velocity."""
+        at_left = self.channel.inlet == "left"
+        foot = self.outline.points[0 if at_left else -1]
+        bottom = float(foot[1]) if foot[0] in (0.0, self.channel.length) else 0.0
+        free = self.channel.height - bottom
+        s = (ng.y - bottom) / free
+        profile = (1.0 if at_left else -1.0) * 6 * s * (1 - s) / free
+        inlet = self.mesh.Boundaries("inlet")
+        self.system.state.components[0].Set(ng.CF((profile, 0)), definedon=inlet)
+
+    def _prescribe(self, young: Sequence[float], poisson: Sequence[float], load: float) -> None:
+        self.system.set_material([E / STRESS_SCALE for E in young], poisson)
+        self.system.values[:] = load * self.inflow
+
+    def _flow_past_rigid_body(self) -> Vector:
+        """Velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
+        parts = len(self.parts)
+        self._prescribe([1e8] * parts, [0.3] * parts, 1.0)
+        start = np.array(self.system.values[self.system.free])
+        settings = newton.NewtonSettings(tolerance=1e-6, maximum_jacobians=30)
+        x = newton.solve(self.system, start, norm=self.norm, settings=settings).x
+        x[~(self.system.block(0) | self.system.block(1))] = 0.0
+        return x
+
+    def _with_unknowns(self, x: Vector) -> Float[np.ndarray, " dof"]:
+        values = np.zeros(len(self.system.values))
+        values[self.system.free] = x
+        return values
+
+    def _interface_values(self, values: Float[np.ndarray, " dof"]) -> Points:
+        """Return the displacement part of `values` at the outline's nodes."""
+        part = self.system.space.Range(2)
+        d = values[part.start : part.stop]
+        half = len(d) // 2
+        return np.stack([d[self.vertices], d[half + self.vertices]], axis=1)
+
+
+def _boundaries(channel: Channel) -> BoundaryNames:
+    return BoundaryNames(
+        no_slip="floor|top",
+        inlet="inlet",
+        fixed="inlet|outlet|floor|top|base|side",
+        vertical_velocity_zero="outlet" if channel.outlet == "horizontal" else "",
+    )
+
+
+def _vertices_at(mesh: Any, interface: Interface) -> Int[np.ndarray, " point"]:
+    """Return the mesh vertex at each node of the outline; each must exist exactly once."""
+    vertices = np.array([v.point for v in mesh.vertices])
+    distance = np.linalg.norm(vertices[None, :, :] - interface.points[:, None, :], axis=2)
+    if not (np.sum(distance < 1e-9, axis=1) == 1).all():
+        raise ForwardModelError("mesh", "the mesh does not carry each node of the outline exactly once")
+    return np.asarray(distance.argmin(axis=1))

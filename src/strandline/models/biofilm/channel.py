@@ -1,0 +1,79 @@
+"""The channel around the biofilm, and which outlines fit into it."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from strandline.errors import InvalidInput
+from strandline.interface import Interface
+
+__all__ = ["Channel", "check_outline"]
+
+Side = Literal["left", "right"]
+Outlet = Literal["horizontal", "traction_free"]
+ON_WALL = 1e-9
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel [0, length] × [0, height], mm.
+
+    Args:
+        length: mm.
+        height: mm.
+        inlet: the side where the fluid enters with a parabolic profile; it leaves on the other one.
+        outlet: ``horizontal``: no vertical velocity, as in the study; ``traction_free``: open.
+    """
+
+    length: float = 2.0
+    height: float = 1.0
+    inlet: Side = "left"
+    outlet: Outlet = "horizontal"
+
+    def __post_init__(self) -> None:
+        for name in ("length", "height"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                _refuse(f"{name} of the channel", value, "a length in mm above 0", "Correct it.")
+        for name, choices in (("inlet", get_args(Side)), ("outlet", get_args(Outlet))):
+            if getattr(self, name) not in choices:
+                _refuse(f"{name} of the channel", getattr(self, name), f"one of {', '.join(choices)}", "Choose one.")
+
+
+def check_outline(outline: Interface, channel: Channel) -> None:
+    """Refuse an outline that does not bound a solid on the channel's floor.
+
+    It starts and ends on the floor (a bump), or on the left and right end of the channel (a layer), runs from left to
+    right, stays inside the channel elsewhere and does not cross itself.
+
+    Raises:
+        InvalidInput: with the place, mm.
+    """
+    outline.require_simple()
+    first, last = outline.points[0], outline.points[-1]
+    if first[0] > last[0]:
+        _refuse("direction of the outline", _place(first), "points from left to right", "Reverse their order.")
+    for point, wall in ((first, 0.0), (last, channel.length)):
+        on_floor = abs(point[1]) < ON_WALL and 0 < point[0] < channel.length
+        on_end = abs(point[0] - wall) < ON_WALL and 0 < point[1] < channel.height
+        if not (on_floor or on_end):
+            _refuse(
+                "end of the outline", _place(point), f"a point on the floor y = 0 or on the channel's end x = {wall:g}",
+                "Move or add the end point.",
+            )  # fmt: skip
+    inner = outline.points[1:-1]
+    inside = (inner[:, 0] > 0) & (inner[:, 0] < channel.length) & (inner[:, 1] > 0) & (inner[:, 1] < channel.height)
+    if not inside.all():
+        _refuse(
+            "outline outside the channel", _place(inner[np.argmin(inside)]),
+            f"points inside [0, {channel.length:g}] × [0, {channel.height:g}] mm", "Correct the point or the channel.",
+        )  # fmt: skip
+
+
+def _place(point: np.ndarray) -> str:
+    return f"({point[0]:.6g}, {point[1]:.6g}) mm"
+
+
+def _refuse(what: str, value: object, expected: str, remedy: str) -> None:
+    raise InvalidInput(what, value=value, expected=expected, remedy=remedy)
