@@ -21,7 +21,7 @@ import strandline as sl
 from strandline.cli.main import COMMANDS
 from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
-from strandline.models.biofilm.outline import outline
+from strandline.models.biofilm.outline import Outline
 from strandline.priors import PRIORS
 from strandline.runs import RunRequest, attempt
 from strandline.studies.schema import StudyFile
@@ -108,7 +108,10 @@ def located(target: str) -> tuple[Any, str]:
 
 
 def default_of(field: Any) -> str:
-    return "required" if field.default is dataclasses.MISSING else written(field.default)
+    if field.default is dataclasses.MISSING:
+        return "required"
+    nested = dataclasses.is_dataclass(field.default) or field.default == ()
+    return "the study's" if nested else written(field.default)
 
 
 def test_every_command_is_described_with_its_options() -> None:
@@ -141,7 +144,7 @@ def test_the_readme_shows_a_study_that_is_shipped() -> None:
 
 
 def test_the_numbers_on_quadratures_are_those_of_the_outline() -> None:
-    reference, table = outline(), rows("explanation/quadratures.md", "nodes of the second polyline")
+    reference, table = Outline().interface(), rows("explanation/quadratures.md", "nodes of the second polyline")
     assert len(table) == 3
     for nodes, *figures in table:
         other = reference.resampled(int(nodes))

@@ -3,11 +3,12 @@
 Run it with:  python -m validation.extremes
 """
 
+from validation.biofilm_mesh import flow_cell
+from validation.tables import Table
+
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.materials import LAWS
-from validation.biofilm_mesh import flow_cell
-from validation.tables import Table
 
 __all__ = ["CASES", "tables"]
 

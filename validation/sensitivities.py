@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from validation.biofilm_mesh import flow_cell
+from validation.tables import Table
 
 from strandline.models.biofilm.cell import FlowCell
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.subdivision import Partition
-from validation.biofilm_mesh import flow_cell
-from validation.tables import Table
 
 __all__ = ["POINTS", "Inputs", "relative_differences", "tables"]
 

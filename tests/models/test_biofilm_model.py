@@ -8,8 +8,9 @@ import pytest
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import CONTROL_POINTS, NODES, outline
+from strandline.models.biofilm.outline import CONTROL_POINTS, NODES, Outline
 
+REFERENCE = Outline().interface()
 TRUTH = {"E": 400.0, "nu": 0.3, "V_in": 100.0}
 
 
@@ -19,7 +20,7 @@ def model() -> Biofilm:
 
 
 def test_outline_has_the_figures_of_the_study():
-    reference = outline()
+    reference = REFERENCE
     assert len(reference.points) == NODES == 66
     np.testing.assert_allclose(reference.lengths.sum(), 1.447, atol=5e-4)
     np.testing.assert_allclose((reference.lengths**2).mean(), 0.0005, rtol=0.02)
@@ -30,7 +31,7 @@ def test_outline_has_the_figures_of_the_study():
 
 def test_it_bends_downstream_by_the_displacement_of_the_study():
     result = Biofilm()(TRUTH)
-    moved = result.interface.points - outline().points
+    moved = result.interface.points - REFERENCE.points
     largest = np.linalg.norm(moved, axis=1).max()
     np.testing.assert_allclose(largest, 0.0495, rtol=0.01)
     np.testing.assert_allclose(result.diagnostics["max_displacement"], largest)
@@ -66,12 +67,12 @@ def test_same_inputs_same_bits_in_another_process(model):
 
 def test_no_flow_no_displacement(model):
     still = model({**TRUTH, "V_in": 0.0})
-    np.testing.assert_array_equal(still.interface.points, outline().points)
+    np.testing.assert_array_equal(still.interface.points, REFERENCE.points)
 
 
 def test_stiff_limit_is_linear_in_compliance(model):
     """For small deformation the displacement is proportional to 1/E."""
-    shapes = [model({**TRUTH, "E": E}).interface.points - outline().points for E in (1e6, 2e6)]
+    shapes = [model({**TRUTH, "E": E}).interface.points - REFERENCE.points for E in (1e6, 2e6)]
     np.testing.assert_allclose(shapes[0], 2 * shapes[1], rtol=2e-3, atol=1e-9)
 
 
@@ -90,7 +91,7 @@ def test_incompressible_limit_is_continuous(model):
 def test_too_soft_a_sample_is_a_typed_failure_at_bounded_cost(model):
     with pytest.raises(ForwardModelError) as caught:
         model({"E": 100.0, "nu": 0.3, "V_in": 100.0})
-    assert caught.value.kind in {"newton_stalled", "newton_maxit", "inverted_elements"}
+    assert caught.value.kind in {"limit_point", "newton_stalled", "newton_maxit", "inverted_elements"}
 
 
 def test_fields_for_pictures_are_consistent_with_the_interface(model):

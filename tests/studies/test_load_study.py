@@ -98,13 +98,13 @@ def test_spellings_of_a_unit(tmp_path: Path, unit: str) -> None:
 
 
 def test_an_observed_file_is_read_in_its_unit_and_turned_round(tmp_path: Path) -> None:
-    from strandline.models.biofilm.outline import outline
+    from strandline.models.biofilm.outline import Outline
 
-    points = outline().points[::-1] * 1000
+    points = Outline().interface().points[::-1] * 1000
     np.savetxt(tmp_path / "o.csv", points, delimiter=",")
     study = load_study(write_study(tmp_path, **BIOFILM | {"observation": {"file": "o.csv", "unit": "um"}}))
     assert list(study.observed) == [""]
-    np.testing.assert_allclose(study.observed[""].points, outline().points, atol=1e-12)
+    np.testing.assert_allclose(study.observed[""].points, Outline().interface().points, atol=1e-12)
     assert study.turned == ("",)
     assert study.truth is None
     np.savetxt(tmp_path / "o.csv", points[::-1], delimiter=",")
@@ -112,9 +112,9 @@ def test_an_observed_file_is_read_in_its_unit_and_turned_round(tmp_path: Path) -
 
 
 def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
-    from strandline.models.biofilm.outline import outline
+    from strandline.models.biofilm.outline import Outline
 
-    np.savetxt(tmp_path / "o.csv", outline().points * 1000, delimiter=",")
+    np.savetxt(tmp_path / "o.csv", Outline().interface().points * 1000, delimiter=",")
     with pytest.raises(InvalidStudy, match=r"read in mm: got .* mm across; expected about"):
         load_study(write_study(tmp_path, **BIOFILM | {"observation": {"file": "o.csv", "unit": "mm"}}))
 

@@ -1,12 +1,27 @@
-"""FSI1 of Turek and Hron on a mesh of 3184 elements; the whole family is in `validation/turek_hron.py`."""
+"""Turek and Hron's benchmarks on small meshes; the whole family is in `validation/turek_hron.py`."""
 
-from validation.turek_hron import REFERENCE, fsi1
+import pytest
+from validation.turek_hron import BENCHMARKS, family, solve
 
 
-def test_fsi1():
-    result = fsi1(0.04, 0.006)
-    assert 3000 < result.elements < 3400
-    assert abs(result.ux / REFERENCE["ux"] - 1) < 0.005
-    assert abs(result.uy / REFERENCE["uy"] - 1) < 0.01
-    assert abs(result.drag / REFERENCE["drag"] - 1) < 0.0005
-    assert abs(result.lift / REFERENCE["lift"] - 1) < 0.005
+@pytest.mark.parametrize(
+    ("name", "level", "order", "allowed"),
+    [
+        ("CFD1", 0, 3, {"drag": 5e-4, "lift": 5e-3}),
+        ("CSM1", 1, 2, {"ux": 3e-3, "uy": 3e-3}),
+        ("CSM2", 1, 2, {"ux": 3e-3, "uy": 3e-3}),
+        ("FSI1", 0, 3, {"ux": 5e-3, "uy": 1e-2, "drag": 5e-4, "lift": 5e-3}),
+    ],
+)
+def test_published_values(name, level, order, allowed):
+    benchmark = BENCHMARKS[name]
+    values = solve(benchmark, level, order=order).values
+    assert set(values) == set(allowed) == set(benchmark.reference)
+    off = {key: abs(values[key] / reference - 1) for key, reference in benchmark.reference.items()}
+    assert all(off[key] < allowed[key] for key in allowed), off
+
+
+def test_beam_converges_at_the_order_its_corners_admit():
+    values = [outcome.values["uy"] for outcome in family(BENCHMARKS["CSM2"], order=2, levels=3)]
+    ratio = (values[1] - values[0]) / (values[2] - values[1])
+    assert 2**2.0 < ratio < 2**3.2

@@ -26,7 +26,19 @@ __all__ = ["attempted", "command"]
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the deformed interface, x,y in mm.")
 @click.option("--json", "as_json", is_flag=True, help="Print the outcome as one JSON object.")
 @click.option("--sensitivities", is_flag=True, help="Add d(interface)/d(input) to the CSV and the JSON object.")
-def command(study: Path, settings: tuple[str, ...], csv_path: Path | None, as_json: bool, sensitivities: bool) -> None:
+@click.option(
+    "--vtu", type=click.Path(path_type=Path), metavar="FOLDER", help="Write flow and deformation for ParaView."
+)
+@click.option("--plot", is_flag=True, help="Draw forward.png: flow and deformation; in the folder of --vtu, or here.")
+def command(
+    study: Path,
+    settings: tuple[str, ...],
+    csv_path: Path | None,
+    as_json: bool,
+    sensitivities: bool,
+    vtu: Path | None,
+    plot: bool,
+) -> None:
     """Make one forward run of STUDY's model; nothing goes into the ledger.
 
     Fixed quantities have the values of study.yaml unless set. A run that fails is an answer too: exit code 0 with
@@ -45,7 +57,11 @@ def command(study: Path, settings: tuple[str, ...], csv_path: Path | None, as_js
     targets = {} if csv_path is None else _targets(csv_path, declared_conditions(model))
     for path in targets.values():
         _require_target(path)
+    if vtu is not None or plot:
+        _require_fields(model)
     record = attempted(model, inputs)
+    if record.ok and (vtu is not None or plot):
+        _write_fields(model, inputs, vtu, plot=plot)
     if record.ok:
         for condition, path in targets.items():
             _write_csv(path, record, condition, sensitivities=sensitivities)
@@ -69,8 +85,36 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
 
     from strandline.runs import RunRequest, attempt
 
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small for threads to pay
+
     with tempfile.TemporaryDirectory(prefix="strandline-") as folder:
         return attempt(model, RunRequest("", dict(inputs)), Path(folder))
+
+
+def _require_fields(model: Any) -> None:
+    """Refuse pictures of a model that has no fields to show."""
+    if not hasattr(model, "fields"):
+        raise InvalidInput(
+            "--vtu and --plot",
+            value=type(model).__name__,
+            expected="a model that offers its fields, such as biofilm",
+            remedy="Leave the options out, or give the model a method `fields`.",
+        )
+
+
+def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, *, plot: bool) -> None:
+    """Write the solved state for ParaView and as a picture."""
+    from strandline.models.biofilm.paraview import write_vtu
+    from strandline.plots import plot_flow
+
+    fields = model.fields(inputs)
+    if folder is not None:
+        write_vtu(fields, folder)
+    if plot:
+        target = (folder or Path()) / "forward.png"
+        _require_target(target)
+        figure: Any = plot_flow(fields)
+        figure.savefig(target, dpi=160)
 
 
 def _parsed(settings: tuple[str, ...]) -> dict[str, float]:

@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -15,6 +16,7 @@ from strandline.models import MODELS
 from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs, with_sensitivities
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
+from strandline.studies.observed import TO_MM, read_points
 from strandline.studies.schema import Input, Quantity, StudyFile
 from strandline.surrogate import KERNELS
 
@@ -33,8 +35,13 @@ MASS_CUT_ACCEPTED = 0.5
 PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
 
-def build_model(choice: Mapping[str, Mapping[str, Any] | None], *, sensitivities: bool = False) -> ForwardModel:
-    """Return the forward model that the study names, asked for `sensitivities` where the study wants them."""
+def build_model(
+    choice: Mapping[str, Mapping[str, Any] | None], folder: Path = Path(), *, sensitivities: bool = False
+) -> ForwardModel:
+    """Return the forward model that the study names, asked for `sensitivities` where the study wants them.
+
+    An option `{file: …, unit: …}` is replaced by the points of that file in `folder`, as an outline in mm.
+    """
     (name, options) = next(iter(choice.items()))
     if "sensitivities" in (options or {}):
         raise InvalidStudy(
@@ -45,8 +52,26 @@ def build_model(choice: Mapping[str, Mapping[str, Any] | None], *, sensitivities
         )
     target = _entry(MODELS, name, "model")
     module, _, attribute = target.partition(":")
+    options = {key: _with_points(value, folder) for key, value in (options or {}).items()}
     model: ForwardModel = _construct(getattr(importlib.import_module(module), attribute), options, f"model.{name}")
     return _sensitive(model) if sensitivities else model
+
+
+def _with_points(value: Any, folder: Path) -> Any:
+    """Return an option, its file of points read."""
+    if not isinstance(value, Mapping) or "file" not in value:
+        return value
+    unit = value.get("unit")
+    if unit not in TO_MM:
+        raise InvalidStudy(
+            f"unit of the points in {value['file']}",
+            value=unit,
+            expected=f"one of {', '.join(TO_MM)}",
+            remedy="Add `unit: mm` beside `file`.",
+        )
+    points = read_points(folder / str(value["file"]), unit).points.tolist()
+    rest = {key: item for key, item in value.items() if key not in ("file", "unit")}
+    return {"points": points, "spline": False, **rest}
 
 
 def build_discrepancies(
@@ -265,7 +290,7 @@ def _suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
 
 
 def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> Any:
-    """Call a frozen dataclass with options from the study; unknown or missing ones are told by name."""
+    """Call a frozen dataclass, or its `from_options`, with options from the study; wrong names are told."""
     fields = {f.name: f for f in dataclasses.fields(factory) if f.init}
     values = {}
     for name, value in dict(options or {}).items():
@@ -284,7 +309,7 @@ def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> A
                 f"{place}.{name}", value=None, expected="this option", remedy=f"Add `{name}: …` to {place}."
             )
     try:
-        return factory(**values)
+        return getattr(factory, "from_options", factory)(**values)
     except InvalidInput as error:
         raise InvalidStudy(
             f"{place}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy

@@ -82,7 +82,7 @@ def load_study(folder: Path) -> Study:
         InvalidStudy: see `parse_study`, or any value in it that cannot be used.
     """
     content, text = parse_study(folder)
-    model = build.build_model(content.model, sensitivities=content.sensitivities)
+    model = build.build_model(content.model, folder, sensitivities=content.sensitivities)
     space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
     observed, turned = ({}, ()) if truth is not None else _observed(folder, content.observation, model)

@@ -87,9 +87,7 @@ class Solution:
 class FlowCell:
     """Mesh, spaces and forms of one geometry and material law; everything scaled inside, physical outside."""
 
-    def __init__(
-        self, outline: Interface, size: MeshSize, *, channel: Channel, partition: Partition, law: Law
-    ) -> None:
+    def __init__(self, outline: Interface, size: MeshSize, *, channel: Channel, partition: Partition, law: Law) -> None:
         _, self.parts = subdivide(outline, channel, partition)
         self.outline, self.channel = outline, channel
         self.mesh = mesh_flow_cell(outline, size, channel, partition)

@@ -1,7 +1,6 @@
 """The channel around the biofilm, and which outlines fit into it."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -10,8 +9,8 @@ from strandline.interface import Interface
 
 __all__ = ["Channel", "check_outline"]
 
-Side = Literal["left", "right"]
-Outlet = Literal["horizontal", "traction_free"]
+SIDES = ("left", "right")
+OUTLETS = ("horizontal", "traction_free")
 ON_WALL = 1e-9
 
 
@@ -28,15 +27,15 @@ class Channel:
 
     length: float = 2.0
     height: float = 1.0
-    inlet: Side = "left"
-    outlet: Outlet = "horizontal"
+    inlet: str = "left"
+    outlet: str = "horizontal"
 
     def __post_init__(self) -> None:
         for name in ("length", "height"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 _refuse(f"{name} of the channel", value, "a length in mm above 0", "Correct it.")
-        for name, choices in (("inlet", get_args(Side)), ("outlet", get_args(Outlet))):
+        for name, choices in (("inlet", SIDES), ("outlet", OUTLETS)):
             if getattr(self, name) not in choices:
                 _refuse(f"{name} of the channel", getattr(self, name), f"one of {', '.join(choices)}", "Choose one.")
 

@@ -85,7 +85,7 @@ def mesh_flow_cell(
 
 
 def _place(edge: Edge, figure: Subdivision, channel: Channel) -> tuple[int, float]:
-    """Order: the outer boundary counter-clockwise from the origin, then the interface along itself, then inner edges."""
+    """Order: the outer boundary counter-clockwise from the origin, the interface along itself, then inner edges."""
     if edge.right is None:
         (x0, y0), (x1, y1) = figure.vertices[edge.start], figure.vertices[edge.end]
         x, y, length, height = 0.5 * (x0 + x1), 0.5 * (y0 + y1), channel.length, channel.height
@@ -116,5 +116,3 @@ def _size(edge: Edge, name: str, size: MeshSize, count: int) -> float:
     if name == "interface":
         return size.foot if {edge.start, edge.end} & {0, count - 1} else size.interface
     return 2 * size.interface if name in ("base", "inner") else size.far
-
-

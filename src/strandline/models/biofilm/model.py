@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from strandline.errors import InvalidInput
-from strandline.interface import Interface
+from strandline.interface import Interface, is_condition
 from strandline.models.biofilm.cell import FlowCell, FlowFields
 from strandline.models.biofilm.channel import Channel, check_outline
 from strandline.models.biofilm.geometry import MESHES, subdivide
@@ -31,16 +31,17 @@ class Biofilm:
     """Quasi-steady fluid–structure interaction of a soft solid on the floor of a channel, plane strain.
 
     Water enters with a parabolic profile of volume rate V_in and leaves on the other side. The output is the deformed
-    interface, mm, at the nodes of the outline from left to right. Deterministic to the bit. Everything but `mesh` may
-    be given as a plain mapping or list, as in a study file.
+    interface, mm, at the nodes of the outline from left to right. Deterministic to the bit. `from_options` takes plain
+    mappings and lists, as in a study file.
 
     Args:
         mesh: ``coarse``, ``default`` (1194 elements with the study's outline) or ``fine`` (3454).
         material: ``saint_venant_kirchhoff`` or ``neo_hookean``.
         channel: a `Channel`; 2 mm × 1 mm, inlet left, horizontal outflow where it is left out.
         outline: an `Outline`; the study's where it is left out.
-        partition: a `Partition` of the solid into parts of their own E and ν, or ``three_parts``, the study's.
-        conditions: inflow rates [mm²/s] by name: one interface each, and V_in is no input any more.
+        partition: a `Partition` of the solid into parts of their own E and ν.
+        inflow_rates: of several experiments with the same specimen, mm²/s by the name of the condition: one interface
+            each, and V_in is no input any more.
         sensitivities: whether runs return d(interface)/d(input) as well.
 
     Raises:
@@ -55,26 +56,43 @@ class Biofilm:
     channel: Channel = Channel()
     outline: Outline = Outline()
     partition: Partition = Partition()
-    conditions: tuple[tuple[str, float], ...] = ()
+    inflow_rates: tuple[tuple[str, float], ...] = ()
     sensitivities: bool = False
 
     def __post_init__(self) -> None:
         _one_of("mesh", self.mesh, MESHES)
         _one_of("material", self.material, LAWS)
-        for name, kind in (("channel", Channel), ("outline", Outline), ("partition", Partition)):
-            object.__setattr__(self, name, _converted(name, getattr(self, name), kind))
-        object.__setattr__(self, "conditions", _conditions(self.conditions))
+        for name, rate in self.inflow_rates:
+            _check_rate(name, rate)
         reference = self.outline.interface()
         check_outline(reference, self.channel)
         subdivide(reference, self.channel, self.partition)
 
+    @classmethod
+    def from_options(cls, **options: Any) -> "Biofilm":
+        """Return the model of plain options: mappings for channel, outline, partition; inflow rates by name.
+
+        `partition` may also be ``three_parts``, the heterogeneous specimen of the study.
+        """
+        for name, kind in (("channel", Channel), ("outline", Outline), ("partition", Partition)):
+            if name in options:
+                options[name] = _converted(name, options[name], kind)
+        if "inflow_rates" in options:
+            options["inflow_rates"] = _pairs(options["inflow_rates"])
+        return cls(**options)
+
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """E and nu, or E1, nu1, E2, … of the parts, and V_in where there are no conditions."""
+        """E and nu, or E1, nu1, E2, … of the parts, and V_in where no inflow rates are given."""
         count = max(1, len(self.partition.markers))
         numbers = [""] if count == 1 else [str(k) for k in range(1, count + 1)]
         solids = [item for number in numbers for item in _solid_inputs(number)]
-        return tuple(solids) if self.conditions else (*solids, _INFLOW)
+        return tuple(solids) if self.inflow_rates else (*solids, _INFLOW)
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Names of the experiments, one interface each; a single unnamed one where no inflow rates are given."""
+        return tuple(name for name, _ in self.inflow_rates) or ("",)
 
     @property
     def fingerprint(self) -> str:
@@ -88,11 +106,12 @@ class Biofilm:
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
-        """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; under each condition, if there are some."""
+        """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; at each of several inflow rates."""
         cell = _flow_cell(self._geometry)
         young, poisson = self._material_values(inputs)
-        interfaces, sensitivities, figures = {}, {}, {}
-        for name, rate in self.conditions or (("", float(inputs["V_in"])),):
+        interfaces, sensitivities = {}, {}
+        figures: dict[str, float] = {}
+        for name, rate in self.inflow_rates or (("", float(inputs["V_in"])),):
             solution = cell.solve(young, poisson, rate)
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
             figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
@@ -106,16 +125,16 @@ class Biofilm:
         return self.outline.interface()
 
     def fields(self, inputs: Mapping[str, float]) -> FlowFields:
-        """Return velocity, pressure and displacement of the solved state; the last condition's if there are some."""
+        """Return velocity, pressure and displacement of the solved state; at the last of several inflow rates."""
         cell = _flow_cell(self._geometry)
-        rate = self.conditions[-1][1] if self.conditions else float(inputs["V_in"])
+        rate = self.inflow_rates[-1][1] if self.inflow_rates else float(inputs["V_in"])
         cell.solve(*self._material_values(inputs), rate)
         return cell.fields()
 
     @property
     def _geometry(self) -> "Biofilm":
         """The model without what does not touch mesh and forms."""
-        return dataclasses.replace(self, conditions=(), sensitivities=False)
+        return dataclasses.replace(self, inflow_rates=(), sensitivities=False)
 
     def _material_values(self, inputs: Mapping[str, float]) -> tuple[list[float], list[float]]:
         """Return Young's moduli and Poisson's ratios of the parts."""
@@ -156,7 +175,7 @@ def _one_of(what: str, value: object, choices: Mapping[str, Any]) -> None:
 
 
 def _converted(name: str, value: object, kind: Any) -> Any:
-    """Return `value` as the record `kind`, made from a plain mapping, or a named preset, if need be."""
+    """Return `value` as the record `kind`, made from a plain mapping or a named preset."""
     if isinstance(value, kind):
         return value
     if isinstance(value, str) and value in getattr(kind, "PRESETS", {}):
@@ -170,30 +189,45 @@ def _converted(name: str, value: object, kind: Any) -> Any:
             expected=f"a mapping with keys among {', '.join(sorted(known))}",
             remedy="Correct it.",
         )
-    return kind(**{key: _as_tuples(item) for key, item in value.items()})
+    wanted = {field.name: field.type for field in dataclasses.fields(kind)}
+    plain = {key: float(v) if wanted[key] is float and _is_number(v) else _as_tuples(v) for key, v in value.items()}
+    return kind(**plain)
 
 
 def _as_tuples(value: Any) -> Any:
-    """Return nested lists as nested tuples, which can be compared and hashed."""
-    return tuple(_as_tuples(item) for item in value) if isinstance(value, list | tuple) else value
+    """Return nested lists as nested tuples of numbers, which can be compared and hashed."""
+    if not isinstance(value, list | tuple):
+        return value
+    return tuple(float(item) if _is_number(item) else _as_tuples(item) for item in value)
 
 
-def _conditions(value: Any) -> tuple[tuple[str, float], ...]:
-    """Return conditions as (name, inflow rate) pairs; accepts a mapping name → {V_in: rate} or name → rate."""
-    pairs = value.items() if isinstance(value, Mapping) else value
-    result = []
-    for name, rate in pairs:
-        if isinstance(rate, Mapping):
-            rate = rate.get("V_in") if set(rate) == {"V_in"} else None
-        if not isinstance(rate, int | float) or isinstance(rate, bool) or not _INFLOW.admits(float(rate)) or not name:
-            raise InvalidInput(
-                f"condition {name!r} of the biofilm model",
-                value=rate,
-                expected="a name with its inflow rate, e.g. slow: {V_in: 50}, in mm^2/s",
-                remedy="Correct the condition.",
-            )
-        result.append((str(name), float(rate)))
-    return tuple(result)
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _pairs(rates: Any) -> tuple[tuple[str, float], ...]:
+    """Return a mapping name → rate as pairs."""
+    if not isinstance(rates, Mapping):
+        raise InvalidInput(
+            "inflow_rates of the biofilm model",
+            value=rates,
+            expected="rates in mm^2/s by the name of the condition, e.g. {slow: 50, fast: 100}",
+            remedy="Correct them.",
+        )
+    for name, rate in rates.items():
+        _check_rate(name, rate)
+    return tuple((name, float(rate)) for name, rate in rates.items())
+
+
+def _check_rate(name: object, rate: object) -> None:
+    admitted = isinstance(rate, int | float) and _is_number(rate) and _INFLOW.admits(float(rate))
+    if not admitted or not is_condition(name) or not name:
+        raise InvalidInput(
+            f"inflow rate {name!r} of the biofilm model",
+            value=rate,
+            expected="the name of a condition with its rate in mm^2/s, e.g. slow: 50",
+            remedy="Correct the inflow rate.",
+        )
 
 
 @lru_cache(maxsize=2)
