@@ -110,7 +110,7 @@ class _Moments:
 
     @property
     def sd(self) -> Float[np.ndarray, " dim"]:
-        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)))  # rounding may leave -1e-20
 
 
 @dataclass(frozen=True, eq=False)

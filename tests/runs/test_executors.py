@@ -300,7 +300,7 @@ def test_closing_early_kills_busy_workers_and_children(tmp_path):
     assert wait_until(lambda: len(worker_pids(tmp_path)) == 2, 10)
     assert wait_until(lambda: len(processes_of_group(worker_pids(tmp_path)[1])) == 2, 10)
     records.close()
-    assert not any(processes_of_group(pid) for pid in worker_pids(tmp_path))
+    assert wait_until(lambda: not any(processes_of_group(pid) for pid in worker_pids(tmp_path)), 5)
 
 
 def test_folders_are_removed(tmp_path, monkeypatch):

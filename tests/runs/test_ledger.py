@@ -209,7 +209,7 @@ def tamper(path, *statements):
 def test_ledger_of_another_model_is_refused_with_both_names(path):
     Ledger.open(path, model="beam-1").close()
     for read_only in (False, True):
-        with pytest.raises(LedgerError, match=r"beam-1 in the ledger, beam-2 now.*new ledger"):
+        with pytest.raises(LedgerError, match=r"beam-1 in the ledger, beam-2 now.*new study folder"):
             Ledger.open(path, model="beam-2", read_only=read_only)
     Ledger.open(path, model="beam-1").close()  # the refusal left no lock behind
 

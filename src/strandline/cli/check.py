@@ -1,5 +1,6 @@
 """`strandline check`: everything validated, one forward run made."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,9 @@ if TYPE_CHECKING:
     from strandline.studies import Study
 
 __all__ = ["command"]
+
+FAR_APART = 0.05
+"""Share of the interface's length."""
 
 
 @click.command("check")
@@ -37,10 +41,29 @@ def command(study: Path) -> None:
         of = f" of {condition}" if condition else ""
         click.echo(f"  the observed points{of} run against the model's interface and will be turned round")
     click.echo(f"  {told}")
+    for line in _shapes(loaded, record):
+        click.echo(f"  {line}")
     for name, value in log_likelihoods.items():
         click.echo(f"  {name}: log-likelihood {value:.6g} there")
     click.echo(f"  {loaded.settings.runs} forward runs planned, {known} of them known already")
     click.echo(f"next: strandline run {study}")
+
+
+def _shapes(study: "Study", record: "RunRecord") -> Iterator[str]:
+    """Yield where observed interfaces and those of the run lie, and a warning where their ends are far apart."""
+    import numpy as np
+
+    for condition, observed in study.observed.items():
+        run, of = record.interfaces[condition], f" ({condition})" if condition else ""
+        for name, interface in (("observed", observed), ("this run", run)):
+            first, last = (np.round(interface.points[k], 4).tolist() for k in (0, -1))
+            yield f"{name}{of}: from {first} to {last}, length {interface.lengths.sum():.4g} mm"
+        apart = max(float(np.linalg.norm(observed.points[k] - run.points[k])) for k in (0, -1))
+        if apart > FAR_APART * run.lengths.sum():
+            yield (
+                f"warning{of}: their ends lie {apart:.3g} mm apart. Are the columns x, y, is y upwards, and are "
+                "origin, unit and extent those of the model?"
+            )
 
 
 def _forward_run(study: "Study") -> tuple["RunRecord", str]:

@@ -133,7 +133,7 @@ def three_measures(
         panels = figure.subplots(1, len(fields), sharey=True, squeeze=False)[0]
         for letter, ax, (title, grid) in zip("abcdefgh", panels, fields.items(), strict=False):
             plot_field(grid, kind=kind, floor=floor, colour_bar=not shared, legend=False, ax=ax)
-            ax.set_title(f"({letter}) {title}")
+            ax.set_title(f"({letter}) {title}" if len(fields) > 1 else title)
             ax.label_outer()
         _keep_last_label(figure, list(panels))
         if shared:

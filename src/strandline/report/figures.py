@@ -17,6 +17,7 @@ from strandline.surrogate import LogLikelihoodSurrogate
 __all__ = ["Captioned", "draw_figures"]
 
 GRID = 121
+BEST = "best run"
 NARROW_SHARE = 0.02
 """A likelihood above 5 % of its maximum on less than this share of the box is shown enlarged as well."""
 EXAMPLES = (0.1, 0.8, 1.0)
@@ -84,7 +85,18 @@ def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[st
     moved = {label: np.abs(i[first.condition].points - reference).max() for label, i in runs.items()}
     ranked = sorted(runs, key=lambda label: float(moved[label]))
     chosen = dict.fromkeys(ranked[round(q * (len(ranked) - 1))] for q in EXAMPLES) if ranked else {}
+    best = _best_run(calibration)
+    if best in runs:
+        chosen = {f"{BEST}: {best}": None} | {label: None for label in chosen if label != best}
+        runs[f"{BEST}: {best}"] = runs[best]
     return {o.condition: {label: runs[label][o.condition] for label in chosen} for o in problem.observations}
+
+
+def _best_run(calibration: Calibration) -> str:
+    """Return the inputs of the run of highest log-likelihood, as the legend has them."""
+    values = next(iter(calibration.log_likelihoods.values()))
+    best = calibration.training[int(np.argmax(values))]
+    return ", ".join(f"{name} = {x:.3g}" for name, x in zip(calibration.problem.space.names, best, strict=True))
 
 
 def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from strandline.calibrate import Calibration
+from strandline.parameters import Parameter
 
 __all__ = ["find_warnings"]
 
@@ -13,6 +14,8 @@ BOUND_SHARE = 0.02
 BOUND_MASS = 0.01
 LOO_LIMIT = 0.5
 """Leave-one-out error near the mode, in units of log-likelihood, above which the posterior's shape is in doubt."""
+ABOVE_ZERO = 1.0
+"""A surrogate whose log-likelihood exceeds its bound 0 by more than this is wrong where it matters."""
 ESS_SHARE = 0.1
 QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
@@ -23,15 +26,25 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     for condition in turned:
         where = f" of {condition}" if condition else ""
         yield f"The observed points{where} ran against the model's interface and were turned round."
+    yield from _impossible(calibration)
+    yield from _surrogate(calibration)
     yield from _runs(calibration)
     yield from _prior(calibration)
-    yield from _surrogate(calibration)
     yield from _sampler(calibration)
     yield from _bounds(calibration)
     if not calibration.laplace.definite:
         yield (
             "The Hessian of the log-posterior at the MAP is not negative definite, so there is no Laplace "
             "approximation: the surrogate is rough there, or the MAP lies on a bound."
+        )
+
+
+def _impossible(calibration: Calibration) -> Iterator[str]:
+    highest = float(calibration.posterior.log_likelihood.max())
+    if highest > ABOVE_ZERO:
+        yield (
+            f"THIS POSTERIOR IS NOT TO BE BELIEVED: the surrogate predicts log-likelihoods up to {highest:.3g}, and "
+            "none above 0 is possible. The noise is small for so few runs: make many more, or state a larger noise."
         )
 
 
@@ -49,7 +62,7 @@ def _prior(calibration: Calibration) -> Iterator[str]:
         if parameter.mass_cut > 1e-6:
             low, high = parameter.interval
             yield (
-                f"The prior of {parameter.name} was truncated to the design box [{low:g}, {high:g}] {parameter.unit}: "
+                f"The prior of {parameter.name} was truncated to the design box [{low:g}, {high:g}]{_of(parameter)}: "
                 f"{parameter.mass_cut:.2%} of its mass was cut off."
             )
 
@@ -96,7 +109,12 @@ def _bounds(calibration: Calibration) -> Iterator[str]:
             if mass > BOUND_MASS:
                 bound = parameter.interval[0 if side == "lower" else 1]
                 yield (
-                    f"The posterior of {parameter.name} reaches the {side} end of its box, {bound:g} "
-                    f"{'' if parameter.unit == '1' else parameter.unit}: {mass:.1%} of its mass lies within 2 % of it. "
+                    f"The posterior of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
+                    f"{mass:.1%} of its mass lies within 2% of it. "
                     "What lies beyond was excluded by the prior, not by the data."
-                ).replace(" :", ":")
+                )
+
+
+def _of(parameter: Parameter) -> str:
+    """Return the unit behind a number, with its blank; nothing for a pure number."""
+    return "" if parameter.unit in ("", "1") else f" {parameter.unit}"

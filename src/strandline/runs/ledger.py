@@ -126,7 +126,7 @@ class Ledger:
                     f"{self.path} keeps the runs of another model",
                     value=f"{self.model} in the ledger, {model} now",
                     expected="one and the same model",
-                    remedy="Start a new ledger for the changed model, or take the model that made this one.",
+                    remedy="Move ledger.sqlite away or use a new study folder for the changed model.",
                 )
 
     @contextlib.contextmanager

@@ -72,7 +72,7 @@ def require_finished(study: Study) -> None:
     if done < len(keys):
         raise InvalidStudy(
             "the study is not finished",
-            value=f"{done} of {len(keys)} forward runs done",
+            value=f"{done} of {len(keys)} forward runs done{', the synthetic one included' if study.truth else ''}",
             expected="all runs done, for results to be made of them",
             remedy=f"Run it first: strandline run {study.folder}",
         )
