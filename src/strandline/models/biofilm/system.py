@@ -193,6 +193,7 @@ class _Pattern:
     balance_entries: Int[np.ndarray, " slot"]
 
     def fill(self, balance: Float[np.ndarray, " entry"]) -> Any:
+        """Write the entries of the momentum rows beside the constant ones of the mesh motion; return the matrix."""
         values = self.matrix.AsVector().FV().NumPy()
         values[:] = self.base
         values[self.balance_slots] = balance[self.balance_entries]
@@ -207,6 +208,7 @@ class _Pattern:
         is_motion: Bool[np.ndarray, " dof"],
         free: Int[np.ndarray, " unknown"],
     ) -> "_Pattern":
+        """Return the pattern of all entries that are not zero in the matrices given, rows chosen by `is_motion`."""
         number = np.full(len(is_motion), -1)
         number[free] = np.arange(len(free))
         first = _reduced_entries(balance, balance_values, ~is_motion, number)
