@@ -125,12 +125,8 @@ class _Scalar:
         return type("LU", (), {"solve": staticmethod(lambda right: right / slope)})()
 
 
-def _length(x) -> float:
-    return float(np.linalg.norm(x))
-
-
 def test_newton_is_damped_where_plain_newton_diverges():
-    solution = newton.solve(_Scalar(), np.array([1.0]), norm=_length, settings=newton.NewtonSettings())
+    solution = newton.solve(_Scalar(), np.array([1.0]), weights=np.ones(1), settings=newton.NewtonSettings())
     np.testing.assert_allclose(solution.x, 0.0, atol=1e-9)
 
 
@@ -143,13 +139,15 @@ def test_newton_without_a_root_stalls_and_says_so():
             return type("LU", (), {"solve": staticmethod(lambda right: right / (2 * x))})()
 
     with pytest.raises(ForwardModelError) as caught:
-        newton.solve(NoRoot(), np.array([2.0]), norm=_length, settings=newton.NewtonSettings())
+        newton.solve(NoRoot(), np.array([2.0]), weights=np.ones(1), settings=newton.NewtonSettings())
     assert caught.value.kind in {"newton_stalled", "newton_maxit"}
 
 
 def test_newton_reports_an_exhausted_budget():
     with pytest.raises(ForwardModelError, match="newton_maxit"):
-        newton.solve(_Scalar(), np.array([1.0]), norm=_length, settings=newton.NewtonSettings(maximum_jacobians=2))
+        newton.solve(
+            _Scalar(), np.array([1.0]), weights=np.ones(1), settings=newton.NewtonSettings(maximum_jacobians=2)
+        )
 
 
 def test_nonfinite_residual_is_a_typed_failure(system):

@@ -1,6 +1,6 @@
 """A flow cell with its specimen, discretised: solve it, read the interface, differentiate it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,8 @@ from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.distortion import jacobian_bound, on_elements, quadratic_nodes
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
 from strandline.models.biofilm.materials import Law
+from strandline.models.biofilm.steady import steady_state
+from strandline.models.biofilm.strain import Strain, StrainProbe
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
 
@@ -26,7 +28,8 @@ STRESS_SCALE = 10.0
 VISCOSITY = 0.01
 NORM_WEIGHTS = (1.0, 0.1, 10.0, 0.1)
 """Newton corrections of v, p, d, pₛ are weighted so that all count alike."""
-SETTINGS = newton.NewtonSettings(maximum_jacobians=12)
+BALANCE = 1e-6
+"""Largest residual of a solution, as a share of the largest reaction."""
 
 Vector = Float[np.ndarray, " unknown"]
 Points = Float[np.ndarray, "point 2"]
@@ -62,8 +65,7 @@ class Solution:
         displacement: of the interface's nodes, mm.
         min_J_fluid: lower bound of det F of the mesh motion.
         min_J_solid: lower bound of det F of the solid.
-        jacobians: assembled and factorised.
-        simplified_steps: steps with a kept Jacobian.
+        jacobians: assembled and factorised, on the load path too.
     """
 
     unknowns: Vector
@@ -71,7 +73,6 @@ class Solution:
     min_J_fluid: float
     min_J_solid: float
     jacobians: int
-    simplified_steps: int
 
     def diagnostics(self) -> dict[str, float]:
         """Return the figures that go into a run's record."""
@@ -80,7 +81,6 @@ class Solution:
             "min_J_fluid": self.min_J_fluid,
             "min_J_solid": self.min_J_solid,
             "newton_jacobians": float(self.jacobians),
-            "newton_simplified_steps": float(self.simplified_steps),
         }
 
 
@@ -101,27 +101,84 @@ class FlowCell:
             self.weights[self.system.block(component)] = NORM_WEIGHTS[min(component, 3)]
         self._prescribe_inflow()
         self.inflow = np.array(self.system.values)
+        self._strains = StrainProbe(self.system)
         self.rigid_flow = self._flow_past_rigid_body()
 
-    def solve(self, young: Sequence[float], poisson: Sequence[float], rate: float) -> Solution:
+    def solve(
+        self,
+        young: Sequence[float],
+        poisson: Sequence[float],
+        rate: float,
+        *,
+        budget: int = 0,
+    ) -> Solution:
         """Return the steady state at Young's moduli [Pa] and Poisson's ratios of the parts, and inflow [mm²/s].
 
+        Args:
+            young: of each part.
+            poisson: of each part.
+            rate: V_in.
+            budget: Jacobians after which the search is given up; 0 for none.
+
         Raises:
-            ForwardModelError: there is none that Newton's method finds, or its elements are inverted.
+            ForwardModelError: ``limit_point``, ``continuation_stalled``, ``newton_maxit``, ``newton_stalled``,
+                ``inverted_elements``, ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``; loads in the evidence
+                are inflow rates in mm²/s.
         """
+        self.system.set_material([E / STRESS_SCALE for E in young], poisson)
         load = rate / VELOCITY_SCALE
-        self._prescribe(young, poisson, load)
-        found = newton.solve(self.system, load * self.rigid_flow, norm=self.norm, settings=SETTINGS)
-        self.system.set_unknowns(found.x)
-        fluid_bound, solid_bound = self.distortion()
-        if min(fluid_bound, solid_bound) <= 0:
-            raise ForwardModelError(
-                "inverted_elements",
-                f"elements are inverted: J is bounded by {fluid_bound:.3g} (fluid), {solid_bound:.3g} (solid)",
-                {"min_J_fluid": fluid_bound, "min_J_solid": solid_bound},
-            )
+        try:
+            found = steady_state(self, load, budget=budget)
+            bounds = self.check(found.x)
+            self._check_balance(found.x, load)
+        except ForwardModelError as error:
+            raise _in_physical_units(error) from error
         moved = self._interface_values(np.array(self.system.values))
-        return Solution(found.x, moved, fluid_bound, solid_bound, found.jacobians, found.simplified_steps)
+        return Solution(found.x, moved, bounds["min_J_fluid"], bounds["min_J_solid"], found.jacobians)
+
+    def undeformed(self, load: float) -> Vector:
+        """Return the flow past a rigid body, scaled: the first guess."""
+        return np.asarray(load * self.rigid_flow)
+
+    def residual(self, x: Vector, load: float) -> Vector:
+        """Return the residual at an inflow of `load`."""
+        self.system.values[:] = load * self.inflow
+        return self.system.residual(x)
+
+    def factorise(self, x: Vector, load: float) -> newton.LinearSolver:
+        """Return the factorised Jacobian at an inflow of `load`."""
+        self.system.values[:] = load * self.inflow
+        return self.system.factorise(x)
+
+    def by_load(self) -> Vector:
+        """Return the derivative of the residual by the load, at the state factorised last."""
+        return self.system.by_prescribed(self.inflow)
+
+    def largest_compression(self, x: Vector) -> float:
+        """Return the largest compressive principal strain of the solid, to first order in the displacement."""
+        return self._strains.largest_compression(x)
+
+    def largest_strain(self, x: Vector) -> Strain:
+        """Return the strain of the most compressed element."""
+        return self._strains.largest(x)
+
+    def critical_strain(self, x: Vector, tangent: Vector) -> Strain:
+        """Return the strain of the element that gives way fastest along the tangent."""
+        return self._strains.critical(x, tangent)
+
+    def check(self, x: Vector) -> Mapping[str, float]:
+        """Return lower bounds of J in fluid and solid.
+
+        Raises:
+            ForwardModelError: ``inverted_elements``.
+        """
+        self.system.set_unknowns(x)
+        fluid_bound, solid_bound = self.distortion()
+        bounds = {"min_J_fluid": fluid_bound, "min_J_solid": solid_bound}
+        if min(fluid_bound, solid_bound) <= 0:
+            message = f"elements are inverted: J is bounded by {fluid_bound:.3g} (fluid), {solid_bound:.3g} (solid)"
+            raise ForwardModelError("inverted_elements", message, bounds)
+        return bounds
 
     def sensitivities(self, solution: Solution) -> list[Points]:
         """Return d(interface)/dE of each part [mm/Pa], d/dν of each part [mm], d/dV_in [mm per mm²/s].
@@ -137,13 +194,21 @@ class FlowCell:
         derivatives.append(jacobian.solve(-by_inflow))
         return [self._interface_values(self._with_unknowns(d)) for d in derivatives]
 
+    def _check_balance(self, x: Vector, load: float) -> None:
+        """Refuse a state whose residual, computed anew, is not small beside the reactions at the boundaries."""
+        self.residual(x, load)
+        rows = np.abs(self.system.full_residual())
+        left, reaction = rows[self.system.free].max(), rows.max()
+        if left > BALANCE * reaction:
+            raise ForwardModelError(
+                "unbalanced",
+                f"forces do not balance: residual {left:.2g} beside reactions of {reaction:.2g}",
+                {"residual": float(left), "reaction": float(reaction)},
+            )
+
     def distortion(self) -> tuple[float, float]:
         """Return lower bounds of J over fluid and solid at the present state."""
         return jacobian_bound(self.mesh, self.system.state.components[2], self.is_solid)
-
-    def norm(self, correction: Vector) -> float:
-        """Return the weighted root mean square of a correction."""
-        return float(np.linalg.norm(self.weights * correction) / np.sqrt(len(correction)))
 
     def fields(self) -> FlowFields:
         """Return velocity, pressure and displacement of the present state."""
@@ -180,17 +245,14 @@ class FlowCell:
         inlet = self.mesh.Boundaries("inlet")
         self.system.state.components[0].Set(ng.CF((profile, 0)), definedon=inlet)
 
-    def _prescribe(self, young: Sequence[float], poisson: Sequence[float], load: float) -> None:
-        self.system.set_material([E / STRESS_SCALE for E in young], poisson)
-        self.system.values[:] = load * self.inflow
-
     def _flow_past_rigid_body(self) -> Vector:
         """Velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
         parts = len(self.parts)
-        self._prescribe([1e8] * parts, [0.3] * parts, 1.0)
+        self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts)
+        self.system.values[:] = self.inflow
         start = np.array(self.system.values[self.system.free])
         settings = newton.NewtonSettings(tolerance=1e-6, maximum_jacobians=30)
-        x = newton.solve(self.system, start, norm=self.norm, settings=settings).x
+        x = newton.solve(self.system, start, weights=self.weights, settings=settings).x
         x[~(self.system.block(0) | self.system.block(1))] = 0.0
         return x
 
@@ -214,6 +276,23 @@ def _boundaries(channel: Channel) -> BoundaryNames:
         fixed="inlet|outlet|floor|top|base|side",
         vertical_velocity_zero="outlet" if channel.outlet == "horizontal" else "",
     )
+
+
+def _in_physical_units(error: ForwardModelError) -> ForwardModelError:
+    """Return the failure with loads as inflow rates, and with a message that says where and when."""
+    evidence = dict(error.evidence)
+    for key in ("load_reached", "limit_load", "load_slope"):
+        if key in evidence:
+            evidence[key] *= VELOCITY_SCALE
+    message = error.message
+    if error.kind == "limit_point":
+        message = (
+            f"no steady state beyond V_in = {evidence['limit_load']:.4g} mm²/s: the load path turns back at a strain of"
+            f" {evidence['critical_strain']:.2f} at ({evidence['critical_x']:.3f}, {evidence['critical_y']:.3f}) mm"
+        )
+    elif "load_reached" in evidence:
+        message = f"{message}; reached V_in = {evidence['load_reached']:.4g} mm²/s"
+    return ForwardModelError(error.kind, message, evidence)
 
 
 def _vertices_at(mesh: Any, interface: Interface) -> Int[np.ndarray, " point"]:

@@ -10,26 +10,30 @@ for the ALE form. The solid's laws are in `materials`.
 
 from typing import Any
 
-from ngsolve import Cof, Grad, Id, InnerProduct, Inv, Trace, specialcf
+from ngsolve import Cof, Grad, InnerProduct, Inv, Trace, specialcf
 
 from strandline.models.biofilm.materials import deformation_gradient
 
-__all__ = ["continuity", "mesh_motion", "momentum", "solid_stress_power"]
+__all__ = ["continuity", "convection", "mesh_motion", "pressure", "solid_stress_power", "viscous"]
 
 Form = Any  # an NGSolve coefficient function
 
 
-def cauchy_stress(v: Form, p: Form, d: Form, viscosity: float) -> Form:
-    """Return σ = -p I + μ (∇v F⁻¹ + F⁻ᵀ ∇vᵀ) of a Newtonian fluid."""
-    gradient = Grad(v) * Inv(deformation_gradient(d))
-    return -p * Id(2) + viscosity * (gradient + gradient.trans)
+def viscous(v: Form, d: Form, test: Form, viscosity: float) -> Form:
+    """Return μ (∇v F⁻¹ + F⁻ᵀ ∇vᵀ) C : ∇test, the friction of a Newtonian fluid."""
+    F = deformation_gradient(d)
+    gradient = Grad(v) * Inv(F)
+    return viscosity * InnerProduct((gradient + gradient.trans) * Cof(F), Grad(test))
 
 
-def momentum(v: Form, p: Form, d: Form, test: Form, *, viscosity: float, density: float) -> Form:
-    """Return σC : ∇test + ρ (∇v Cᵀ v) · test, the steady Navier–Stokes momentum balance in the fluid."""
-    C = Cof(deformation_gradient(d))
-    stress = InnerProduct(cauchy_stress(v, p, d, viscosity) * C, Grad(test))
-    return stress + density * InnerProduct(Grad(v) * (C.trans * v), test)
+def pressure(p: Form, d: Form, test: Form) -> Form:
+    """Return -p C : ∇test."""
+    return -p * InnerProduct(Cof(deformation_gradient(d)), Grad(test))
+
+
+def convection(v: Form, d: Form, test: Form, density: float) -> Form:
+    """Return ρ (∇v Cᵀ v) · test."""
+    return density * InnerProduct(Grad(v) * (Cof(deformation_gradient(d)).trans * v), test)
 
 
 def continuity(v: Form, d: Form, q: Form) -> Form:

@@ -43,12 +43,14 @@ class Biofilm:
         inflow_rates: of several experiments with the same specimen, mm²/s by the name of the condition: one interface
             each, and V_in is no input any more.
         sensitivities: whether runs return d(interface)/d(input) as well.
+        failure_budget: Jacobians after which a run gives up its search for a steady state, so that a failure costs
+            about three median runs; 0: no limit, every failed run is followed around its limit point (about five).
 
     Raises:
         InvalidInput: an option that cannot be used; a degenerate outline, with the place.
 
-    A run raises ForwardModelError with kind ``limit_point``, ``newton_stalled``, ``newton_maxit``,
-    ``inverted_elements``, ``nonfinite_residual`` or ``linear_solve``.
+    A run raises ForwardModelError with kind ``limit_point``, ``continuation_stalled``, ``inverted_elements``,
+    ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence.
     """
 
     mesh: str = "default"
@@ -58,10 +60,12 @@ class Biofilm:
     partition: Partition = Partition()
     inflow_rates: tuple[tuple[str, float], ...] = ()
     sensitivities: bool = False
+    failure_budget: int = 5
 
     def __post_init__(self) -> None:
         _one_of("mesh", self.mesh, MESHES)
         _one_of("material", self.material, LAWS)
+        _check_budget(self.failure_budget)
         for name, rate in self.inflow_rates:
             _check_rate(name, rate)
         reference = self.outline.interface()
@@ -112,7 +116,7 @@ class Biofilm:
         interfaces, sensitivities = {}, {}
         figures: dict[str, float] = {}
         for name, rate in self.inflow_rates or (("", float(inputs["V_in"])),):
-            solution = cell.solve(young, poisson, rate)
+            solution = cell.solve(young, poisson, rate, budget=self.failure_budget)
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
             figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
             if self.sensitivities:
@@ -134,13 +138,15 @@ class Biofilm:
     @property
     def _geometry(self) -> "Biofilm":
         """The model without what does not touch mesh and forms."""
-        return dataclasses.replace(self, inflow_rates=(), sensitivities=False)
+        return dataclasses.replace(self, inflow_rates=(), sensitivities=False, failure_budget=0)
 
     def _material_values(self, inputs: Mapping[str, float]) -> tuple[list[float], list[float]]:
         """Return Young's moduli and Poisson's ratios of the parts."""
         solids = [item.name for item in self.inputs if item.name != _INFLOW.name]
         return [float(inputs[n]) for n in solids[::2]], [float(inputs[n]) for n in solids[1::2]]
 
+
+_SMALLEST_BUDGET = 3
 
 _INFLOW = ModelInput("V_in", "mm^2/s", 0.0, np.inf, high_included=False, meaning="inflow volume rate per depth")
 
@@ -217,6 +223,16 @@ def _pairs(rates: Any) -> tuple[tuple[str, float], ...]:
     for name, rate in rates.items():
         _check_rate(name, rate)
     return tuple((name, float(rate)) for name, rate in rates.items())
+
+
+def _check_budget(budget: object) -> None:
+    if isinstance(budget, bool) or not isinstance(budget, int) or (budget != 0 and budget < _SMALLEST_BUDGET):
+        raise InvalidInput(
+            "failure_budget of the biofilm model",
+            value=budget,
+            expected=f"a whole number of Jacobians, at least {_SMALLEST_BUDGET}, or 0 for no limit",
+            remedy="Correct it.",
+        )
 
 
 def _check_rate(name: object, rate: object) -> None:

@@ -1,11 +1,12 @@
-"""Newton's method with the natural monotonicity test and simplified (frozen-Jacobian) steps.
+"""Newton's method with the natural monotonicity test and quasi-Newton steps between Jacobians.
 
-Source: Deuflhard, Newton Methods for Nonlinear Problems (2004), section 3.3 (error-oriented damping, NLEQ-ERR) and 2.1
-(simplified Newton). A step λΔx is accepted where the *simplified* correction it leaves, -J(x)⁻¹ r(x + λΔx), is shorter
-than Δx. That test is invariant under scaling of the equations; the norm of the residual is not, and stalls on bending.
+Source: Deuflhard, Newton Methods for Nonlinear Problems (2004), section 3.3 (error-oriented damping, NLEQ-ERR) and
+section 2.1.4 (error-oriented quasi-Newton updates, QNERR). A step λΔx is accepted where the *simplified* correction it
+leaves, -J(x)⁻¹ r(x + λΔx), is shorter than Δx. That test is invariant under scaling of the equations; the norm of the
+residual is not, and stalls on bending. After a full step that contracts well, Broyden's good update stands in for new
+Jacobians: a Jacobian, assembled and factorised, costs as much as ten such steps.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -14,7 +15,7 @@ from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 
-__all__ = ["NewtonSettings", "NewtonSolution", "solve"]
+__all__ = ["LinearSolver", "NewtonSettings", "NewtonSolution", "NewtonStep", "System", "length", "solve", "step"]
 
 Vector = Float[np.ndarray, " unknown"]
 
@@ -40,123 +41,186 @@ class NewtonSettings:
     """When to stop.
 
     Args:
-        tolerance: length of the last correction, in the norm of the caller.
-        maximum_jacobians: bound on the cost: a Jacobian costs as much as ten or more simplified steps.
-        smallest_damping: below it the iteration has stalled.
-        frozen_contraction: the Jacobian is kept while a simplified step shrinks the correction by this factor.
+        tolerance: length of the last correction, see `length`.
+        maximum_jacobians: bound on the cost.
+        smallest_damping: below it the iteration has stalled; 1 admits full steps only.
+        contraction: quasi-Newton steps go on with a Jacobian while each is shorter than the last by this factor.
     """
 
     tolerance: float = 1e-9
     maximum_jacobians: int = 16
     smallest_damping: float = 0.02
-    frozen_contraction: float = 0.1
+    contraction: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonSolution:
-    """The root, the number of Jacobians and of simplified steps it took, and the length of the last correction."""
+    """The root and how it was found.
+
+    Args:
+        x: the root.
+        jacobians: how many were factorised for it.
+        simplified_steps: steps taken with a Jacobian from elsewhere.
+        last_correction: length of the last correction.
+        jacobian: the last one, factorised near the root, not at it.
+    """
 
     x: Vector
     jacobians: int
     simplified_steps: int
     last_correction: float
+    jacobian: LinearSolver
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonStep:
+    """A factorised Jacobian and the undamped correction that it gives."""
+
+    jacobian: LinearSolver
+    correction: Vector
+
+
+def step(system: System, x: Vector) -> NewtonStep:
+    """Return Newton's step at `x`; raises what `system` raises."""
+    jacobian = system.factorise(x)
+    return NewtonStep(jacobian, -jacobian.solve(system.residual(x)))
+
+
+def length(correction: Vector, weights: Vector) -> float:
+    """Return the weighted root mean square of a correction."""
+    return float(np.linalg.norm(weights * correction) / np.sqrt(len(correction)))
 
 
 def solve(
     system: System,
     x: Vector,
     *,
-    norm: Callable[[Vector], float],
+    weights: Vector,
     settings: NewtonSettings,
+    first: NewtonStep | None = None,
 ) -> NewtonSolution:
     """Return the root of `system` that Newton's method reaches from `x`.
 
+    Args:
+        system: what is to vanish.
+        x: first guess.
+        weights: of the unknowns in the norm that measures corrections.
+        settings: when to stop.
+        first: the step at `x`, where it has been taken before; its Jacobian is not counted.
+
     Raises:
-        ForwardModelError: ``newton_stalled`` (damping below its bound), ``newton_maxit``, or what `system` raises.
+        ForwardModelError: ``newton_stalled`` (damping below its bound), ``newton_maxit``, or what `system` raises. Its
+            evidence holds the number of `jacobians` and of `simplified_steps`.
     """
-    damping, steps, previous = 1.0, 0, None
-    for jacobians in range(1, settings.maximum_jacobians + 1):
-        jacobian = system.factorise(x)
-        correction = -jacobian.solve(system.residual(x))
-        length = norm(correction)
-        if length <= settings.tolerance:
-            return NewtonSolution(x + correction, jacobians, steps, length)
-        if previous is not None:
-            damping = _predicted_damping(correction, norm=norm, previous=previous)
-        damping, simplified = _damped_step(
-            system, jacobian, x, correction, damping=damping, norm=norm, settings=settings
+    search = _Search(system, weights, settings)
+    try:
+        return search.run(x, first)
+    except ForwardModelError as error:
+        spent = {"jacobians": float(search.jacobians), "simplified_steps": float(search.steps)}
+        raise ForwardModelError(error.kind, error.message, error.evidence | spent) from error
+
+
+class _Search:
+    """One run of the method; counts what it spends."""
+
+    def __init__(self, system: System, weights: Vector, settings: NewtonSettings) -> None:
+        self.system, self.weights, self.settings = system, weights, settings
+        self.jacobians, self.steps = 0, 0
+
+    def run(self, x: Vector, first: NewtonStep | None) -> NewtonSolution:
+        damping, previous, taken = 1.0, None, first
+        while True:
+            taken = taken or self._step(x)
+            jacobian, correction = taken.jacobian, taken.correction
+            size = self._length(correction)
+            if size <= self.settings.tolerance:
+                return self._found(x + correction, size, jacobian)
+            if previous is not None:
+                damping = self._predicted_damping(correction, previous)
+            damping, simplified = self._damped_step(jacobian, x, correction, damping)
+            previous = (size * damping, simplified)
+            x = x + damping * correction
+            if damping == 1.0 and self._length(simplified) <= self.settings.contraction * size:
+                x, last = self._quasi_newton(jacobian, x, (correction, simplified))
+                if last <= self.settings.tolerance:
+                    return self._found(x, last, jacobian)
+                previous = None
+            taken = None
+            if self.jacobians >= self.settings.maximum_jacobians:
+                raise ForwardModelError(
+                    "newton_maxit",
+                    f"no convergence within {self.settings.maximum_jacobians} Jacobians (last correction {size:.2g})",
+                    {"last_correction": size},
+                )
+
+    def _found(self, x: Vector, last: float, jacobian: LinearSolver) -> NewtonSolution:
+        return NewtonSolution(x, self.jacobians, self.steps, last, jacobian)
+
+    def _step(self, x: Vector) -> NewtonStep:
+        self.jacobians += 1
+        return step(self.system, x)
+
+    def _length(self, correction: Vector) -> float:
+        return length(correction, self.weights)
+
+    def _inner(self, a: Vector, b: Vector) -> float:
+        return float((self.weights * a) @ (self.weights * b))
+
+    def _damped_step(
+        self, jacobian: LinearSolver, x: Vector, correction: Vector, damping: float
+    ) -> tuple[float, Vector]:
+        """Return the accepted damping factor and the simplified correction it leaves."""
+        size = self._length(correction)
+        while damping >= self.settings.smallest_damping:
+            try:
+                simplified = -jacobian.solve(self.system.residual(x + damping * correction))
+            except ForwardModelError:
+                damping *= 0.5
+                continue
+            self.steps += 1
+            if self._length(simplified) <= (1.0 - 0.25 * damping) * size:
+                return damping, simplified
+            curvature = self._length(simplified - (1.0 - damping) * correction)
+            damping = min(0.5 * damping, 0.5 * size * damping**2 / curvature)
+        raise ForwardModelError(
+            "newton_stalled",
+            f"Newton's steps became shorter than {self.settings.smallest_damping:g} of the correction ({size:.2g})",
+            {"last_correction": size},
         )
-        previous = (length * damping, simplified)
-        x = x + damping * correction
-        if damping == 1.0 and norm(simplified) <= settings.frozen_contraction * length:
-            x, taken, last = _simplified_steps(system, jacobian, x, simplified, norm=norm, settings=settings)
-            steps += taken
-            if last <= settings.tolerance:
-                return NewtonSolution(x, jacobians, steps, last)
-            previous = None
-    raise ForwardModelError(
-        "newton_maxit",
-        f"no convergence within {settings.maximum_jacobians} Jacobians (last correction {length:.2g})",
-        {"last_correction": length},
-    )
 
+    def _quasi_newton(
+        self, jacobian: LinearSolver, x: Vector, corrections: tuple[Vector, Vector]
+    ) -> tuple[Vector, float]:
+        """Go on with Broyden updates of a Jacobian while they contract; return the point and the last correction.
 
-def _damped_step(
-    system: System,
-    jacobian: LinearSolver,
-    x: Vector,
-    correction: Vector,
-    *,
-    damping: float,
-    norm: Callable[[Vector], float],
-    settings: NewtonSettings,
-) -> tuple[float, Vector]:
-    """Return the accepted damping factor and the simplified correction it leaves."""
-    length = norm(correction)
-    while damping >= settings.smallest_damping:
-        try:
-            simplified = -jacobian.solve(system.residual(x + damping * correction))
-        except ForwardModelError:
-            damping *= 0.5
-            continue
-        if norm(simplified) <= (1.0 - 0.25 * damping) * length:
-            return damping, simplified
-        curvature = norm(simplified - (1.0 - damping) * correction)
-        damping = min(0.5 * damping, 0.5 * length * damping**2 / curvature)
-    raise ForwardModelError(
-        "newton_stalled",
-        f"Newton's steps became shorter than {settings.smallest_damping:g} of the correction ({length:.2g})",
-        {"last_correction": length},
-    )
+        Args:
+            jacobian: the one that is updated.
+            x: where the first correction, the Newton step, has led.
+            corrections: the Newton step and the simplified one that it leaves.
+        """
+        directions = [corrections[0]]
+        squares = [self._inner(corrections[0], corrections[0])]
+        left = corrections[1]
+        while True:
+            for k in range(1, len(directions)):
+                left = left + (self._inner(left, directions[k - 1]) / squares[k - 1]) * directions[k]
+            along = self._inner(left, directions[-1]) / squares[-1]
+            contraction = np.sqrt(self._inner(left, left) / squares[-1])
+            if contraction > self.settings.contraction or not np.isfinite(contraction):
+                return x, max(self._length(left), 2 * self.settings.tolerance)
+            directions.append(left / (1.0 - along))
+            squares.append(self._inner(directions[-1], directions[-1]))
+            x = x + directions[-1]
+            last = self._length(directions[-1])
+            if last <= self.settings.tolerance:
+                return x, last
+            self.steps += 1
+            left = -jacobian.solve(self.system.residual(x))
 
-
-def _simplified_steps(
-    system: System,
-    jacobian: LinearSolver,
-    x: Vector,
-    correction: Vector,
-    *,
-    norm: Callable[[Vector], float],
-    settings: NewtonSettings,
-) -> tuple[Vector, int, float]:
-    """Go on with the same Jacobian while it contracts well; return the point, steps taken and last correction."""
-    taken, length = 0, norm(correction)
-    while True:
-        x = x + correction
-        taken += 1
-        if length <= settings.tolerance:
-            return x, taken, length
-        correction = -jacobian.solve(system.residual(x))
-        shorter = norm(correction)
-        if shorter > settings.frozen_contraction * length:
-            return x, taken, shorter if shorter > settings.tolerance else length
-        length = shorter
-
-
-def _predicted_damping(correction: Vector, *, norm: Callable[[Vector], float], previous: tuple[float, Vector]) -> float:
-    """Return Deuflhard's a-priori damping factor (3.49) from the last step taken and the correction it left."""
-    step, simplified = previous
-    difference = norm(simplified - correction) * norm(correction)
-    if difference == 0.0:
-        return 1.0
-    return float(min(1.0, max(0.1, step * norm(simplified) / difference)))
+    def _predicted_damping(self, correction: Vector, previous: tuple[float, Vector]) -> float:
+        """Return Deuflhard's a-priori damping factor (3.49) from the last step taken and the correction it left."""
+        step, simplified = previous
+        difference = self._length(simplified - correction) * self._length(correction)
+        if difference == 0.0:
+            return 1.0
+        return float(min(1.0, max(0.1, step * self._length(simplified) / difference)))

@@ -1,0 +1,328 @@
+"""Following the steady states from rest as the load grows, to the load wanted or around the fold before it.
+
+The path (x, load) is continued by pseudo-arclength: a step prescribes how far a functional of the unknowns advances and
+leaves the load free, so that nothing is singular where the load has a maximum. The functional is the strain of the one
+element that gives way fastest, chosen anew at each step: the fold of a Saint-Venant–Kirchhoff solid is local, and an
+arclength over all unknowns does not see it before it is passed. Source: Keller, Lectures on Numerical Methods in
+Bifurcation Problems (1987), chapters 4 and 5; Rheinboldt and Burkardt, ACM Trans. Math. Softw. 9 (1983) 215, for the
+local parametrisation.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import ForwardModelError
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
+from strandline.models.biofilm.strain import Strain
+
+__all__ = ["ContinuationSettings", "LoadedSystem", "PathPoint", "Traced", "trace"]
+
+Vector = Float[np.ndarray, " unknown"]
+
+
+@runtime_checkable
+class LoadedSystem(Protocol):
+    """r(x, load) = 0; its methods may raise ForwardModelError."""
+
+    @property
+    def weights(self) -> Vector: ...
+
+    def residual(self, x: Vector, load: float) -> Vector: ...
+
+    def factorise(self, x: Vector, load: float) -> LinearSolver: ...
+
+    def by_load(self) -> Vector:
+        """Return the derivative of the residual by the load, at the state factorised last."""
+        ...
+
+    def critical_strain(self, x: Vector, tangent: Vector) -> Strain: ...
+
+    def check(self, x: Vector) -> Mapping[str, float]:
+        """Return figures that tell how far a solution is from being none; raise ForwardModelError where it is none."""
+        ...
+
+
+CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, contraction=0.8)
+"""For points on the way."""
+POLISH = NewtonSettings(1e-8, maximum_jacobians=2, smallest_damping=1.0)
+"""For a point that seems to lie beyond a fold."""
+ARRIVAL = NewtonSettings(maximum_jacobians=3, smallest_damping=1.0)
+"""For the state at the load wanted."""
+
+
+@dataclass(frozen=True)
+class ContinuationSettings:
+    """Steps and budget.
+
+    Args:
+        first_step: of strain, along the tangent.
+        smallest_step: of strain; shorter ones stall.
+        largest_step: of strain, along the parabola through the last two points.
+        maximum_jacobians: budget of the whole path; 0 for none.
+    """
+
+    first_step: float = 0.2
+    smallest_step: float = 0.01
+    largest_step: float = 0.11
+    maximum_jacobians: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoint:
+    """A steady state and the tangent dx/d(load) there."""
+
+    x: Vector
+    load: float
+    tangent: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """The steady state at the load wanted, and what the path to it cost."""
+
+    x: Vector
+    jacobians: int
+
+
+def trace(
+    system: LoadedSystem, *, linear: Vector, load: float, first_load: float, settings: ContinuationSettings
+) -> Traced:
+    """Return the path of steady states from rest, where it reaches `load`.
+
+    Args:
+        system: the equations.
+        linear: first-order solution at `load`.
+        load: the load wanted, above zero.
+        first_load: of the first point, below `load`.
+        settings: steps and budget.
+
+    Raises:
+        ForwardModelError: ``limit_point``: the load has a maximum below the one wanted, shown by the sign of the
+            tangent beyond it; ``continuation_stalled``: neither within the budget; or what `check` raises. The evidence
+            holds `load_reached`, the largest load with a steady state that was found, and with a limit point
+            `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is negative.
+    """
+    return _Path(system, load, settings).follow(linear, first_load)
+
+
+class _Path:
+    """One path; counts Jacobians against the budget and remembers the largest load reached."""
+
+    def __init__(self, system: LoadedSystem, load: float, settings: ContinuationSettings) -> None:
+        self.system, self.load, self.settings = system, load, settings
+        self.jacobians, self.reached = 0, 0.0
+        self.figures: Mapping[str, float] = {}
+
+    def follow(self, linear: Vector, first_load: float) -> Traced:
+        last = PathPoint(np.zeros_like(linear), 0.0, linear / self.load)
+        point = self._first_point(linear, first_load)
+        step = self.settings.first_step
+        while True:
+            strain = self.system.critical_strain(point.x, point.tangent)
+            if last.load > 0.0:
+                step = self._next_step(last, point, strain)
+            following = self._advance(last, point, strain, step)
+            if following.load < self.load:
+                last, point = point, following
+                continue
+            arrived = self._arrival(point, following, strain)
+            if arrived is not None:
+                return Traced(arrived, self.jacobians)
+            last, point = point, self._advance(last, point, strain, 0.5 * step)
+
+    def _arrival(self, below: PathPoint, above: PathPoint, strain: Strain) -> Vector | None:
+        """Return the steady state at the load between two points; None where Newton's method does not find it."""
+        cubic = _Cubic.through(below, above, strain)
+        shares = np.linspace(0.0, 1.0, 201)
+        guess = cubic.at(float(shares[np.argmax(cubic.loads(shares) >= self.load)]))[:-1]
+        try:
+            found = newton.solve(_AtLoad(self, self.load), guess, weights=self.system.weights, settings=ARRIVAL)
+        except ForwardModelError as error:
+            if error.kind in _SHORTER_STEPS:
+                return None
+            raise
+        return found.x
+
+    def residual(self, x: Vector, load: float) -> Vector:
+        return self.system.residual(x, load)
+
+    def factorise(self, x: Vector, load: float) -> LinearSolver:
+        """Factorise within the budget."""
+        if 0 < self.settings.maximum_jacobians <= self.jacobians:
+            raise self._failure(
+                "continuation_stalled", "neither the load nor a limit point was reached within the budget of Jacobians"
+            )
+        self.jacobians += 1
+        return self.system.factorise(x, load)
+
+    def _first_point(self, linear: Vector, load: float) -> PathPoint:
+        """Return the steady state at a low load, by Newton's method; at a lower one where that fails."""
+        system = _AtLoad(self, load)
+        try:
+            found = newton.solve(system, load / self.load * linear, weights=self.system.weights, settings=CORRECTOR)
+        except ForwardModelError as error:
+            if error.kind == "continuation_stalled":
+                raise
+            return self._first_point(linear, 0.5 * load)
+        return self._accepted(found.x, load, system.tangent)
+
+    def _accepted(self, x: Vector, load: float, tangent: Vector) -> PathPoint:
+        try:
+            figures = self.system.check(x)
+        except ForwardModelError as error:
+            raise self._failure(error.kind, error.message, error.evidence) from error
+        if load > self.reached:
+            self.reached, self.figures = load, figures
+        return PathPoint(x, load, tangent)
+
+    def _next_step(self, last: PathPoint, point: PathPoint, strain: Strain) -> float:
+        """Return a step of strain that leads a little beyond where the slope d(load)/d(strain) would be zero."""
+        slopes = [1.0 / (strain.functional @ p.tangent) for p in (last, point)]
+        advanced = strain.functional @ (point.x - last.x)
+        fall = (slopes[0] - slopes[1]) / advanced if advanced > 0 else 0.0
+        wanted = 1.15 * slopes[1] / fall if fall > 0 else np.inf
+        return float(np.clip(wanted, 0.5 * self.settings.largest_step, self.settings.largest_step))
+
+    def _advance(self, last: PathPoint, point: PathPoint, strain: Strain, step: float) -> PathPoint:
+        """Return the point whose strain is larger by `step`, or by a half, a quarter, … of it.
+
+        A tangent that seems to fall is judged with a new Jacobian, at the point solved to the end.
+        """
+        while step >= self.settings.smallest_step:
+            system = _AtStrain(self, strain.functional, strain.functional @ point.x + step)
+            weights = np.append(self.system.weights, np.sqrt(len(point.x)))
+            start = _predicted(last, point, strain, step)
+            try:
+                found = newton.solve(system, start, weights=weights, settings=CORRECTOR)
+                if strain.functional @ system.tangent < 0.0:
+                    found = newton.solve(system, found.x, weights=weights, settings=POLISH)
+                following = self._accepted(found.x[:-1], float(found.x[-1]), system.tangent)
+                break
+            except ForwardModelError as error:
+                if error.kind not in _SHORTER_STEPS:
+                    raise
+            step *= 0.5
+        else:
+            raise self._failure("continuation_stalled", "the steps along the load path became too short")
+        if strain.functional @ following.tangent < 0.0:
+            raise self._fold(point, following, strain)
+        return following
+
+    def _fold(self, before: PathPoint, point: PathPoint, strain: Strain) -> ForwardModelError:
+        """Return the failure that two points on either side of a fold show."""
+        loads = _Cubic.through(before, point, strain).loads(np.linspace(0.0, 1.0, 201))
+        return self._failure(
+            "limit_point",
+            "the load path turns back: there is no steady state beyond",
+            {
+                "limit_load": float(loads.max()),
+                "load_slope": 1.0 / float(strain.functional @ point.tangent),
+                "critical_strain": float(strain.functional @ point.x),
+                "critical_x": strain.place[0],
+                "critical_y": strain.place[1],
+            },
+        )
+
+    def _failure(self, kind: str, message: str, evidence: dict[str, float] | None = None) -> ForwardModelError:
+        spent = {"load_reached": self.reached, "jacobians": float(self.jacobians)}
+        return ForwardModelError(kind, message, {**self.figures, **spent, **(evidence or {})})
+
+
+_SHORTER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
+
+
+class _AtLoad:
+    """The equations at a given load; keeps the tangent that belongs to the last Jacobian."""
+
+    tangent: Vector
+
+    def __init__(self, path: _Path, load: float) -> None:
+        self._path, self._load = path, load
+
+    def residual(self, x: Vector) -> Vector:
+        return self._path.residual(x, self._load)
+
+    def factorise(self, x: Vector) -> LinearSolver:
+        jacobian = self._path.factorise(x, self._load)
+        self.tangent = -jacobian.solve(self._path.system.by_load())
+        return jacobian
+
+
+class _AtStrain:
+    """The equations with the load as one more unknown and a given value of a functional as one more equation."""
+
+    tangent: Vector
+
+    def __init__(self, path: _Path, functional: Vector, value: float) -> None:
+        self._path, self._functional, self._value = path, functional, value
+
+    def residual(self, z: Vector) -> Vector:
+        x, load = z[:-1], float(z[-1])
+        return np.append(self._path.residual(x, load), self._functional @ x - self._value)
+
+    def factorise(self, z: Vector) -> LinearSolver:
+        jacobian = self._path.factorise(z[:-1], float(z[-1]))
+        self.tangent = -jacobian.solve(self._path.system.by_load())
+        return _Bordered(jacobian, self.tangent, self._functional)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bordered:
+    """The Jacobian [[J, ∂r/∂load], [functional, 0]] by block elimination; regular where J is, and the tangent rises."""
+
+    jacobian: LinearSolver
+    tangent: Vector
+    functional: Vector
+
+    def solve(self, right: Vector) -> Vector:
+        x = self.jacobian.solve(right[:-1])
+        load = (right[-1] - self.functional @ x) / (self.functional @ self.tangent)
+        return np.append(x + load * self.tangent, load)
+
+
+def _predicted(last: PathPoint, point: PathPoint, strain: Strain, step: float) -> Vector:
+    """Return unknowns and load after `step`: along the tangent from the first point, later along the parabola."""
+    c = strain.functional
+    here = np.append(point.x, point.load)
+    slope = np.append(point.tangent, 1.0) / (c @ point.tangent)
+    if last.load == 0.0:
+        return np.asarray(here + step * slope)
+    back = c @ (last.x - point.x)
+    bend = (np.append(last.x, last.load) - here - back * slope) / back**2
+    return np.asarray(here + step * slope + step**2 * bend)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cubic:
+    """Unknowns and load between two points of the path, by Hermite's cubic in a strain that grows from 0 to 1."""
+
+    values: tuple[Vector, Vector]
+    slopes: tuple[Vector, Vector]
+
+    @classmethod
+    def through(cls, first: PathPoint, second: PathPoint, strain: Strain) -> "_Cubic":
+        c = strain.functional
+        width = c @ (second.x - first.x)
+        values = [np.append(p.x, p.load) for p in (first, second)]
+        slopes = [width * np.append(p.tangent, 1.0) / (c @ p.tangent) for p in (first, second)]
+        return cls((values[0], values[1]), (slopes[0], slopes[1]))
+
+    def at(self, share: float) -> Vector:
+        """Return unknowns and load."""
+        parts = (*self.values, *self.slopes)
+        return np.asarray(sum(h * part for h, part in zip(_hermite(np.array(share)), parts, strict=True)))
+
+    def loads(self, shares: Float[np.ndarray, " share"]) -> Float[np.ndarray, " share"]:
+        """Return the load alone."""
+        parts = (*self.values, *self.slopes)
+        return np.asarray(sum(h * part[-1] for h, part in zip(_hermite(shares), parts, strict=True)))
+
+
+def _hermite(u: Float[np.ndarray, "*share"]) -> tuple[Float[np.ndarray, "*share"], ...]:
+    """Return the weights of first value, second value, first slope, second slope."""
+    return (1 + 2 * u) * (1 - u) ** 2, u**2 * (3 - 2 * u), u * (1 - u) ** 2, u**2 * (u - 1)
