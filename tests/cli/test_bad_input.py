@@ -71,7 +71,7 @@ def study_file(folder: Path) -> list[str]:
 
 def foreign_ledger(folder: Path) -> list[str]:
     write_study(folder)
-    Ledger.open(folder / "ledger.sqlite", model="biofilm:r1:mesh=default").close()
+    Ledger.open(folder / "ledger.sqlite", model="biofilm:r2:mesh=default").close()
     return ["run", str(folder)]
 
 
@@ -83,7 +83,7 @@ def garbage_ledger(folder: Path) -> list[str]:
 
 def foreign_reuse(folder: Path) -> list[str]:
     write_study(folder / "other")
-    Ledger.open(folder / "other" / "ledger.sqlite", model="biofilm:r1:mesh=default").close()
+    Ledger.open(folder / "other" / "ledger.sqlite", model="biofilm:r2:mesh=default").close()
     return ["run", str(write_study(folder, reuse=["other"]))]
 
 
@@ -130,7 +130,7 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
     "observation of three columns": (observed("0,0,0\n1,1,1\n"), ["line 1", "got 0 0 0"]),
     "not a study folder": (no_study, ["not a study folder", "strandline init"]),
     "the file instead of the folder": (study_file, ["not a study folder", "Give the folder"]),
-    "ledger of another model": (foreign_ledger, ["another model", "biofilm:r1:mesh=default in the ledger"]),
+    "ledger of another model": (foreign_ledger, ["another model", "biofilm:r2:mesh=default in the ledger"]),
     "ledger that is none": (garbage_ledger, ["damaged or no ledger", "Restore it"]),
     "reused ledger of another model": (foreign_reuse, ["other/ledger.sqlite keeps the runs of another model"]),
     "reused folder missing": (changed(reuse=["../none"]), ["reuse: got ../none"]),

@@ -21,7 +21,7 @@ def moved(model: Biofilm, inputs: dict[str, float]) -> np.ndarray:
 
 
 def test_defaults_keep_their_fingerprint():
-    assert Biofilm().fingerprint == "biofilm:r1:mesh=default"
+    assert Biofilm().fingerprint == "biofilm:r2:mesh=default"
     assert Biofilm(sensitivities=True).fingerprint == Biofilm().fingerprint
     others = [
         Biofilm(material="neo_hookean"),
@@ -35,7 +35,7 @@ def test_parts_of_equal_material_are_one_body():
     parts = Biofilm.from_options(mesh="coarse", partition="three_parts")
     equal = {f"{name}{k}": ONE[name] for k in (1, 2, 3) for name in ("E", "nu")} | {"V_in": 100.0}
     difference = moved(parts, equal) - moved(Biofilm(mesh="coarse"), ONE)
-    assert np.abs(difference).max() < 1e-3  # two meshes: the coarse one's own error, 1 µm
+    assert np.abs(difference).max() < 3e-4  # two coarse meshes, each 0.15 µm from the truth
 
 
 def test_heterogeneous_specimen_of_the_study():

@@ -22,7 +22,7 @@ from strandline.models.protocol import ModelInput, Simulation
 
 __all__ = ["Biofilm", "FlowFields"]
 
-REVISION = 1
+REVISION = 2
 """Raised whenever the results of the model change."""
 
 
@@ -35,7 +35,7 @@ class Biofilm:
     mappings and lists, as in a study file.
 
     Args:
-        mesh: ``coarse``, ``default`` (1194 elements with the study's outline) or ``fine`` (3454).
+        mesh: ``coarse`` (488 elements with the study's outline), ``default`` (1194) or ``fine`` (3454).
         material: ``saint_venant_kirchhoff`` or ``neo_hookean``.
         channel: a `Channel`; 2 mm × 1 mm, inlet left, horizontal outflow where it is left out.
         outline: an `Outline`; the study's where it is left out.
