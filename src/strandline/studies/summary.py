@@ -20,7 +20,7 @@ from strandline.surrogate import LogLikelihoodSurrogate
 
 __all__ = ["summarise", "versions"]
 
-PACKAGES = ("numpy", "scipy", "jax", "ngsolve", "xarray")
+PACKAGES = ("numpy", "scipy", "jax", "ngsolve", "mkl", "xarray")
 QUANTILES = (0.05, 0.5, 0.95)
 
 

@@ -15,6 +15,7 @@ from strandline.interface import Interface, is_condition
 from strandline.models.biofilm.cell import FlowCell, FlowFields
 from strandline.models.biofilm.channel import Channel, check_outline
 from strandline.models.biofilm.geometry import MESHES, subdivide
+from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.subdivision import Partition
@@ -47,7 +48,8 @@ class Biofilm:
             about three median runs; 0: no limit, every failed run is followed around its limit point (about five).
 
     Raises:
-        InvalidInput: an option that cannot be used; a degenerate outline, with the place.
+        InvalidInput: an option that cannot be used; a degenerate outline, with the place; a linear solver that the
+            environment asks for and that is not there.
 
     A run raises ForwardModelError with kind ``limit_point``, ``continuation_stalled``, ``inverted_elements``,
     ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence.
@@ -71,6 +73,7 @@ class Biofilm:
         reference = self.outline.interface()
         check_outline(reference, self.channel)
         subdivide(reference, self.channel, self.partition)
+        linear_solver()
 
     @classmethod
     def from_options(cls, **options: Any) -> "Biofilm":

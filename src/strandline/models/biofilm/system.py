@@ -18,9 +18,10 @@ from ngsolve import la
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
+from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, saint_venant_kirchhoff
 
-__all__ = ["BoundaryNames", "CoupledSystem", "Factorisation"]
+__all__ = ["BoundaryNames", "CoupledSystem"]
 
 Vector = Float[np.ndarray, " unknown"]
 
@@ -114,7 +115,7 @@ class CoupledSystem:
             raise ForwardModelError("nonfinite_residual", "the residual of the coupled system is not finite")
         return result
 
-    def factorise(self, x: Vector) -> "Factorisation":
+    def factorise(self, x: Vector) -> Factorisation:
         """Return the factorised Jacobian at `x`.
 
         Raises:
@@ -157,30 +158,6 @@ class CoupledSystem:
         self.values[:] = kept
         self.set_material(young, poisson)
         return pattern
-
-
-class Factorisation:
-    """A sparse LU (UMFPACK) of the reduced Jacobian."""
-
-    def __init__(self, matrix: Any, size: int) -> None:
-        try:
-            self._inverse = matrix.Inverse(inverse="umfpack")
-        except Exception as error:
-            raise ForwardModelError("linear_solve", f"the Jacobian could not be factorised: {error}") from error
-        self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
-
-    def solve(self, right: Vector) -> Vector:
-        """Return J⁻¹ right.
-
-        Raises:
-            ForwardModelError: ``linear_solve`` where the result is not finite.
-        """
-        self._right.FV().NumPy()[:] = right
-        self._inverse.Mult(self._right, self._left)
-        result = np.array(self._left.FV().NumPy())
-        if not np.isfinite(result).all():
-            raise ForwardModelError("linear_solve", "the linear solve gave values that are not finite")
-        return result
 
 
 @dataclass(frozen=True, eq=False)

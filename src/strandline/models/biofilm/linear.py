@@ -1,0 +1,175 @@
+"""The sparse direct solver under Newton's method: UMFPACK, which NGSolve brings, or MKL PARDISO from the package mkl.
+
+NGSolve finds PARDISO by itself where mkl is installed, and runs it on one thread. It needs care. Its analysis
+(matching, scaling, ordering) costs several times its factorisation, so it is kept: made with the first values that a
+matrix is factorised with, which a `FlowCell` chooses itself, so that no run depends on the runs before it. Where an
+analysis does not suit other values, at ν = 0.5 above all, and where a matrix is singular, PARDISO perturbs pivots and
+returns nonsense without a word. So its residual is checked, and a solution that fails is made again with an analysis
+of its own.
+"""
+
+import os
+from functools import cache
+from typing import Any, Protocol, runtime_checkable
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float
+from ngsolve import la
+
+from strandline.errors import ForwardModelError, InvalidInput
+
+__all__ = ["SOLVERS", "Factorisation", "linear_solver"]
+
+SOLVERS = ("umfpack", "pardiso")
+VARIABLE = "STRANDLINE_LINEAR_SOLVER"
+RESIDUAL_TOLERANCE = 1e-6
+"""Largest ‖Jx - b‖ / ‖b‖ of PARDISO; close to a fold, UMFPACK leaves up to 1e-8."""
+
+Vector = Float[np.ndarray, " unknown"]
+
+
+@cache
+def linear_solver() -> str:
+    """Return one of `SOLVERS`: the environment's choice, else PARDISO where it works; decided once per process.
+
+    Raises:
+        InvalidInput: the environment variable STRANDLINE_LINEAR_SOLVER asks for what is not there.
+    """
+    chosen = os.environ.get(VARIABLE)
+    if chosen is None:
+        return "pardiso" if _pardiso_works() else "umfpack"
+    if chosen not in SOLVERS:
+        raise InvalidInput(
+            f"environment variable {VARIABLE}",
+            value=chosen or "an empty text",
+            expected=f"one of {', '.join(SOLVERS)}",
+            remedy="Correct it, or unset it for the fastest that is installed.",
+        )
+    if chosen == "pardiso" and not _pardiso_works():
+        raise InvalidInput(
+            f"environment variable {VARIABLE}",
+            value=chosen,
+            expected="umfpack, for NGSolve finds no PARDISO",
+            remedy='Install it by `pip install "strandline[mkl]"`, or unset the variable.',
+        )
+    return chosen
+
+
+class Factorisation:
+    """A sparse LU of the reduced Jacobian; it stays valid when the matrix changes."""
+
+    def __init__(self, matrix: Any, size: int) -> None:
+        kind = _Pardiso if linear_solver() == "pardiso" else _Umfpack
+        try:
+            self._lu: _LU = kind(matrix, size)
+        except Exception as error:
+            raise ForwardModelError("linear_solve", f"the Jacobian could not be factorised: {error}") from error
+
+    def solve(self, right: Vector) -> Vector:
+        """Return J⁻¹ right.
+
+        Raises:
+            ForwardModelError: ``linear_solve`` where the result is not finite, or does not solve the equations.
+        """
+        result = self._lu.solve(right)
+        if not np.isfinite(result).all():
+            raise ForwardModelError("linear_solve", "the linear solve gave values that are not finite")
+        return result
+
+
+@runtime_checkable
+class _LU(Protocol):
+    def solve(self, right: Vector) -> Vector: ...
+
+
+class _Umfpack:
+    def __init__(self, matrix: Any, size: int) -> None:
+        self._inverse = matrix.Inverse(inverse="umfpack")
+        self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
+
+    def solve(self, right: Vector) -> Vector:
+        return _product(self._inverse, right, self._right, self._left)
+
+
+class _Pardiso:
+    """Values of their own, and an analysis shared with other values until it does not suit these."""
+
+    def __init__(self, matrix: Any, size: int) -> None:
+        self._values = np.array(matrix.AsVector().FV().NumPy())
+        if not np.isfinite(self._values).all():
+            raise ValueError("an entry is not finite")
+        if matrix not in _analyses:
+            _analyses[matrix] = _Analysis(matrix, size)
+        self._analysis, self._shared = _analyses[matrix], True
+        self._analysis.factorise(self._values)
+
+    def solve(self, right: Vector) -> Vector:
+        self._analysis.factorise(self._values)
+        x, residual = self._analysis.solve(right)
+        if self._shared and not residual <= RESIDUAL_TOLERANCE * np.linalg.norm(right):
+            self._analysis, self._shared = self._analysis.renewed(), False
+            x, residual = self._analysis.solve(right)
+        if not residual <= RESIDUAL_TOLERANCE * np.linalg.norm(right):
+            raise ForwardModelError(
+                "linear_solve",
+                "the Jacobian is singular, or nearly so: PARDISO does not solve the equations",
+                {"linear_residual": float(residual)},
+            )
+        return x
+
+
+class _Analysis:
+    """PARDISO's analysis of a copy of `matrix`, and the factorisation of the values loaded last."""
+
+    def __init__(self, matrix: Any, size: int, *, refinement: int = 0) -> None:
+        self._matrix, self._size = matrix.CreateMatrix(), size
+        self._entries = self._matrix.AsVector().FV().NumPy()
+        self._entries[:] = matrix.AsVector().FV().NumPy()
+        self._loaded: object = None
+        self._inverse = self._matrix.Inverse(inverse="pardiso", flags={"refinement": refinement})
+        self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
+
+    def factorise(self, values: Float[np.ndarray, " nonzero"]) -> None:
+        """Factorise the matrix with `values`, unless it is that array that was loaded last."""
+        if self._loaded is values:
+            return
+        self._loaded = None
+        self._entries[:] = values
+        self._inverse.Update()
+        self._loaded = values
+
+    def solve(self, right: Vector) -> tuple[Vector, float]:
+        """Return the solution, and the length of its residual."""
+        x = _product(self._inverse, right, self._right, self._left)
+        back = _product(self._matrix, x, self._right, self._left)
+        return x, float(np.linalg.norm(back - right))
+
+    def renewed(self) -> "_Analysis":
+        """Return a new analysis for the values loaded, with as much iterative refinement as is of use."""
+        fresh = _Analysis(self._matrix, self._size, refinement=16)
+        fresh._loaded = self._loaded
+        return fresh
+
+
+_analyses: WeakKeyDictionary[Any, _Analysis] = WeakKeyDictionary()
+"""By matrix; an analysis refers to a copy only, so it goes when its matrix goes."""
+
+
+def _product(operator: Any, vector: Vector, given: Any, result: Any) -> Vector:
+    """Return operator · vector by way of two NGSolve vectors."""
+    given.FV().NumPy()[:] = vector
+    operator.Mult(given, result)
+    return np.array(result.FV().NumPy())
+
+
+def _pardiso_works() -> bool:
+    """Try PARDISO on 2 × 2 equations, on a second set of values too; what NGSolve raises depends on its version."""
+    matrix = la.SparseMatrixd.CreateFromCOO([0, 0, 1, 1], [0, 1, 0, 1], [1.0, 2.0, 3.0, 4.0], 2, 2)
+    try:
+        analysis = _Analysis(matrix, 2)
+        analysis.factorise(np.array([0.0, 2.0, 3.0, 4.0]))
+        x, _ = analysis.solve(np.array([2.0, 7.0]))
+    except Exception:
+        return False
+    return bool(np.allclose(x, 1.0))
