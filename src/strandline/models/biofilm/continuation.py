@@ -155,7 +155,7 @@ class _Path:
         """Factorise within the budget."""
         if 0 < self.settings.maximum_jacobians <= self.jacobians:
             raise self._failure(
-                "continuation_stalled", "neither the load nor a limit point was reached within the budget of Jacobians"
+                "continuation_stalled", "neither load nor limit point was reached within the budget of Jacobians"
             )
         self.jacobians += 1
         return self.system.factorise(x, load)
