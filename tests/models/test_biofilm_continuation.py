@@ -223,10 +223,12 @@ def cell() -> FlowCell:
 
 
 def displaced(cell: FlowCell, field_of_d: object) -> np.ndarray:
-    """Return the unknowns of a state with a given displacement of the solid, fixed ends of it included."""
+    """Return the unknowns of a state with a given displacement of the solid; zero is left where it is prescribed."""
     cell.system.values[:] = 0.0
     cell.system.state.components[2].Set(field_of_d, definedon=cell.mesh.Materials("|".join(cell.system.solids)))
-    return np.array(cell.system.values[cell.system.free])
+    x = np.array(cell.system.values[cell.system.free])
+    cell.system.values[:] = 0.0
+    return x
 
 
 def free_of_base(cell: FlowCell) -> np.ndarray:
