@@ -166,7 +166,7 @@ class _Path:
         """Factorise within the budget."""
         if 0 < self.budget <= self.jacobians:
             raise self._failure(
-                "continuation_stalled", "neither load nor limit point was reached within failure_budget"
+                "continuation_stalled", "the search along the load path was given up"
             )
         self.jacobians += 1
         return self.system.factorise(x, load)
