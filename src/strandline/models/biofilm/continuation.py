@@ -165,9 +165,7 @@ class _Path:
     def factorise(self, x: Vector, load: float) -> LinearSolver:
         """Factorise within the budget."""
         if 0 < self.budget <= self.jacobians:
-            raise self._failure(
-                "continuation_stalled", "the search along the load path was given up"
-            )
+            raise self._failure("continuation_stalled", "the search along the load path was given up")
         self.jacobians += 1
         return self.system.factorise(x, load)
 
