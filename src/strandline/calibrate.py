@@ -7,10 +7,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -22,18 +24,38 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import ForwardModel, require_conditions
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
+    Cut,
     GaussianApproximation,
     LaplaceApproximation,
     Posterior,
+    Reading,
+    UnderUncertainty,
     laplace,
     log_prior_hessian,
+    nuisance_values,
+    pooled,
 )
 from strandline.quadrature import QuadratureResult, integrate
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
-from strandline.smc import SMCResult, SMCSettings, StepInfo, sample
+from strandline.smc import (
+    BatchedLogDensity,
+    ConditionalLogDensity,
+    SMCResult,
+    SMCSettings,
+    StepInfo,
+    sample,
+    sample_each,
+)
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean, fit_log_likelihood
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
+
+_CUT_ZETA = 0.5
+"""Share of the effective sample size that a tempering step of the cut reading keeps: enough for moments."""
+_CUT_PARTICLES = 100
+"""Fewest particles for each value of the nuisance inputs."""
+_CUT_STREAM = 2
+"""Sets the random numbers of the cut reading apart from the two streams of the joint one."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +88,8 @@ class Settings:
         particles: of the sampler.
         smc: the sampler's other settings.
         seed: of every random number after the design.
+        nuisance_values: values of the nuisance inputs, where there are any, that stand for their prior in the cut
+            reading of the posterior under uncertainty.
     """
 
     runs: int = 1000
@@ -74,11 +98,16 @@ class Settings:
     particles: int = 5000
     smc: SMCSettings = field(default_factory=SMCSettings)
     seed: int = 1
+    nuisance_values: int = 32
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Problem, settings and all that was learnt."""
+    """Problem, settings and all that was learnt.
+
+    With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
+    `cut_quadrature` has one result for each value of the nuisance inputs; else both are None.
+    """
 
     problem: Problem
     settings: Settings
@@ -92,6 +121,8 @@ class Calibration:
     laplace: LaplaceApproximation
     quadrature: QuadratureResult | None
     seconds: Mapping[str, float]
+    under_uncertainty: UnderUncertainty | None = None
+    cut_quadrature: tuple[QuadratureResult, ...] | None = None
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:
@@ -154,10 +185,16 @@ def calibrate(
             log_prior=sampling.log_prior,
             log_evidence=sampling.log_evidence,
         )
+    under_uncertainty = None
+    if space.nuisance:
+        with watch("cut", tell):
+            given = _given(space, batched_mean(process))
+            under_uncertainty = UnderUncertainty(Reading(posterior), _cut(space, given, settings))
     with watch("check", tell):
         mode = posterior.map_estimate
         hessian = process.hessian(mode[None])[0] + log_prior_hessian(space, mode)
         quadrature = _quadrature(space, process.mean)
+        cut_quadrature = _cut_quadrature(given, under_uncertainty.cut) if under_uncertainty else None
     return Calibration(
         problem=problem,
         settings=settings,
@@ -171,6 +208,8 @@ def calibrate(
         laplace=laplace(hessian, mode),
         quadrature=quadrature,
         seconds=watch.seconds,
+        under_uncertainty=under_uncertainty,
+        cut_quadrature=cut_quadrature,
     )
 
 
@@ -208,6 +247,42 @@ def _quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> 
     if space.dim > 3:
         return None
     return integrate(lambda x: log_likelihood(x) + space.log_prior(x), space.low, space.high)
+
+
+def _given(space: ParameterSpace, log_likelihood: BatchedLogDensity) -> ConditionalLogDensity:
+    """Return log L as a function of the calibrated inputs and of one value of the nuisance inputs."""
+    order = np.argsort([*space.calibrated, *space.nuisance])
+
+    def given(x: Float[jax.Array, "particle x"], theta: Float[jax.Array, " nuisance"]) -> Float[jax.Array, " particle"]:
+        fixed = jnp.broadcast_to(theta, (len(x), len(theta)))
+        return log_likelihood(jnp.concatenate([x, fixed], axis=1)[:, order])
+
+    return given
+
+
+def _cut(space: ParameterSpace, log_likelihood: ConditionalLogDensity, settings: Settings) -> Cut:
+    """Sample p(x | θ, Y) for values θ that represent p(θ), as many particles in all as the study has, and pool them."""
+    values, calibrated = nuisance_values(space, settings.nuisance_values), space.calibrated_space
+    start, chain = jax.random.split(jax.random.fold_in(jax.random.key(settings.seed), _CUT_STREAM))
+    each = max(_CUT_PARTICLES, -(-settings.particles // len(values)))
+    uniform = jax.random.uniform(start, (len(values) * each, calibrated.dim), dtype=float)
+    initial = calibrated.prior_quantiles(np.asarray(uniform)).reshape(len(values), each, -1)
+    smc = replace(settings.smc, zeta=min(_CUT_ZETA, settings.smc.zeta))
+    return pooled(
+        space, values, sample_each(chain, log_likelihood, calibrated.log_prior, initial, values, settings=smc)
+    )
+
+
+def _cut_quadrature(log_likelihood: ConditionalLogDensity, cut: Cut) -> tuple[QuadratureResult, ...] | None:
+    """Integrate p(x | θ, Y) directly for each θ of the cut reading, where the dimension allows it."""
+    if cut.extended.space.dim > 3:
+        return None
+    calibrated, compiled = cut.extended.space.calibrated_space, jax.jit(log_likelihood)
+
+    def log_density(x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, " nuisance"]) -> Any:
+        return np.asarray(compiled(x, theta)) + calibrated.log_prior(x)
+
+    return tuple(integrate(partial(log_density, theta=theta), calibrated.low, calibrated.high) for theta in cut.values)
 
 
 class _Stopwatch:

@@ -33,7 +33,8 @@ def command(study: Path) -> None:
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
         cut = f", {parameter.mass_cut:.2%} of its mass cut off by the box" if parameter.mass_cut else ""
-        click.echo(f"  {parameter.label()}: {parameter.prior}{cut}")
+        nuisance = ", nuisance" if parameter.nuisance else ""
+        click.echo(f"  {parameter.label()}: {parameter.prior}{cut}{nuisance}")
     conditions = tuple(loaded.observed or record.interfaces)
     if any(conditions):
         click.echo(f"  observed conditions: {', '.join(conditions)}")

@@ -20,6 +20,7 @@ STAGES = {
     "draws": "runs at draws",
     "surrogate": "surrogate",
     "sampling": "sampling",
+    "cut": "cut reading",
     "check": "quadrature check",
     "report": "figures and report",
 }

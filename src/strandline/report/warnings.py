@@ -6,6 +6,7 @@ import numpy as np
 
 from strandline.calibrate import Calibration
 from strandline.parameters import Parameter
+from strandline.quadrature import mixture
 
 __all__ = ["find_warnings"]
 
@@ -19,6 +20,8 @@ ABOVE_ZERO = 1.0
 ESS_SHARE = 0.1
 QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
+CUT_TAIL = 0.05
+"""Share of the cut reading left aside where the smallest log-likelihood that it uses is told."""
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
@@ -31,6 +34,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     yield from _runs(calibration)
     yield from _prior(calibration)
     yield from _sampler(calibration)
+    yield from _cut(calibration)
     yield from _bounds(calibration)
     if not calibration.laplace.definite:
         yield (
@@ -96,6 +100,34 @@ def _sampler(calibration: Calibration) -> Iterator[str]:
         yield (
             f"Sampler and quadrature of the same surrogate differ: means by up to {mean_error:.3f} standard "
             f"deviations, standard deviations by up to {sd_error:.1%}. More particles or steps will help."
+        )
+
+
+def _cut(calibration: Calibration) -> Iterator[str]:
+    """Yield doubts about the cut reading: it needs the surrogate where the likelihood is small, too."""
+    found = calibration.under_uncertainty
+    if found is None:
+        return
+    cut, validation = found.cut, calibration.surrogate.validation
+    values = cut.extended.log_likelihood + cut.log_evidence[cut.value_index]
+    lowest = float(np.quantile(values, CUT_TAIL, weights=cut.extended.weights, method="inverted_cdf"))
+    above = next(iter(calibration.log_likelihoods.values())) >= lowest
+    error = float(np.sqrt(np.mean(validation.residuals[above] ** 2))) if above.any() else np.inf
+    if error > max(LOO_LIMIT, validation.loo_rms_near_mode):
+        yield (
+            f"The cut reading uses log-likelihoods down to {lowest:.3g}, and over the {int(above.sum())} runs above "
+            f"that the surrogate's leave-one-out error is {error:.2g}: the cut reading is less sure than the joint one."
+        )
+    if calibration.cut_quadrature is None:
+        return
+    exact = mixture(calibration.cut_quadrature)
+    mean_error = float(np.max(np.abs(cut.mean - exact.mean) / exact.sd))
+    sd_error = float(np.max(np.abs(cut.sd / exact.sd - 1.0)))
+    if not exact.converged or mean_error > QUADRATURE_MEAN or sd_error > QUADRATURE_SD:
+        yield (
+            f"Sampler and quadrature of the cut reading differ: means by up to {mean_error:.3f} standard deviations, "
+            f"standard deviations by up to {sd_error:.1%}{'' if exact.converged else ', the latter not converged'}. "
+            "More particles will help."
         )
 
 

@@ -97,7 +97,12 @@ def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSp
         _check_name(parameter.name, declared, f"inputs.{parameter.name}")
         for bound in parameter.interval:
             _check_range(bound, declared, parameter.name, f"inputs.{parameter.name}: end of the design box")
-    return ParameterSpace(parameters)
+    try:
+        return ParameterSpace(parameters)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"inputs: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
+        ) from None
 
 
 def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
@@ -192,7 +197,7 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
         )
     prior = _prior(name, item)
     try:
-        parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box)
+        parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box, item.nuisance)
     except InvalidInput as error:
         raise InvalidStudy(
             f"inputs.{name}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy

@@ -90,11 +90,13 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     observer.stage("report")
     begun = time.perf_counter()
     summary = summarise(study, calibration, new_runs=new_runs, reused_runs=len(calibration.records) - new_runs)
+    under_uncertainty = calibration.under_uncertainty
     tree = to_datatree(
         calibration.posterior,
         seed=study.settings.seed,
         attrs={"study": study.name, "strandline_version": __version__},
         observed=calibration.problem.observations,
+        cut=None if under_uncertainty is None else under_uncertainty.cut,
     )
     with told_if_unwritable(study.folder):
         (study.folder / SUMMARY).unlink(missing_ok=True)

@@ -53,6 +53,7 @@ class Input(_Strict):
     prior: Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]
     unit: str | None = None
     box: tuple[Number, Number] | None = None
+    nuisance: Annotated[bool, Field(strict=True)] = False
 
 
 class ObservationFile(_Strict):
@@ -155,10 +156,17 @@ class SMC(_Strict):
     zeta: Annotated[Number, Field(gt=0, lt=1)] = 0.995
 
 
+class CutReading(_Strict):
+    """The cut reading of the posterior under uncertainty."""
+
+    values: Annotated[int, BeforeValidator(_number), Field(ge=2)] = 32
+
+
 class Sampler(_Strict):
     """The sampler."""
 
     smc: SMC = SMC()
+    cut: CutReading = CutReading()
 
 
 class Local(_Strict):

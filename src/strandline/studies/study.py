@@ -114,6 +114,7 @@ def _settings(content: StudyFile) -> Settings:
         particles=smc.particles,
         smc=SMCSettings(rejuvenation_steps=smc.rejuvenation_steps, zeta=smc.zeta),
         seed=content.seed,
+        nuisance_values=content.sampler.cut.values,
     )
 
 
