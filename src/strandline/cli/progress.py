@@ -19,6 +19,7 @@ STAGES = {
     "forward": "forward runs",
     "draws": "runs at draws",
     "surrogate": "surrogate",
+    "refinement": "draws for a round",
     "sampling": "sampling",
     "check": "quadrature check",
     "report": "figures and report",

@@ -14,6 +14,7 @@ from strandline.calibrate import Calibration
 from strandline.discrepancy.protocol import unit_of
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
+from strandline.refinement import shifts
 from strandline.report.warnings import find_warnings
 from strandline.studies.study import Study
 from strandline.surrogate import LogLikelihoodSurrogate
@@ -31,7 +32,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         study: what was asked.
         calibration: what was found.
         new_runs: forward runs made by this call.
-        reused_runs: design runs that were in a ledger already.
+        reused_runs: planned runs that were in a ledger already.
     """
     sampling = calibration.sampling
     return {
@@ -42,6 +43,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "seed": study.settings.seed,
         "model": fingerprint(study.model),
         "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
+        "refinement": _refinement(calibration),
         "fixed": dict(study.fixed),
         "truth": None if study.truth is None else dict(study.truth),
         "inputs": _inputs(calibration),
@@ -94,6 +96,21 @@ def _runs(calibration: Calibration) -> dict[str, Any]:
         "failed": len(failed),
         "by_kind": dict(Counter(record.failure_kind or record.state for record in failed)),
     }
+
+
+def _refinement(calibration: Calibration) -> list[dict[str, Any]]:
+    posterior = calibration.posterior
+    return [
+        {
+            "n_train": r.n_train,
+            "runs": r.runs,
+            "failed": r.failed,
+            "error_rms": r.error_rms,
+            "error_rms_posterior": r.error_rms_posterior,
+            "shift": dict(zip(posterior.space.names, shift.tolist(), strict=True)),
+        }
+        for r, shift in zip(calibration.rounds, shifts(calibration.rounds, posterior.mean, posterior.sd), strict=True)
+    ]
 
 
 def _inputs(calibration: Calibration) -> dict[str, Any]:
