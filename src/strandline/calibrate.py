@@ -26,8 +26,10 @@ from strandline.posterior import (
     GaussianApproximation,
     LaplaceApproximation,
     Posterior,
+    SobolIndices,
     laplace,
     log_prior_hessian,
+    sobol_indices,
 )
 from strandline.quadrature import QuadratureResult, integrate
 from strandline.refinement import Learnt, Refinement, Round, refine
@@ -102,6 +104,7 @@ class Calibration:
     quadrature: QuadratureResult | None
     seconds: Mapping[str, float]
     rounds: tuple[Round, ...] = ()
+    sensitivity: SobolIndices | None = None
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:
@@ -190,6 +193,7 @@ def calibrate(
         mode = posterior.map_estimate
         hessian = process.hessian(mode[None])[0] + log_prior_hessian(space, mode)
         quadrature = _quadrature(space, process.mean)
+        sensitivity = _sensitivity(space, process.mean, settings.seed)
     return Calibration(
         problem=problem,
         settings=settings,
@@ -204,6 +208,7 @@ def calibrate(
         quadrature=quadrature,
         seconds=watch.seconds,
         rounds=rounds,
+        sensitivity=sensitivity,
     )
 
 
@@ -241,6 +246,13 @@ def _quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> 
     if space.dim > 3:
         return None
     return integrate(lambda x: log_likelihood(x) + space.log_prior(x), space.low, space.high)
+
+
+def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:
+    """Return what the inputs have to do with the log-likelihood; None where there is one input only."""
+    if space.dim == 1:
+        return None
+    return sobol_indices(log_likelihood, space, number=2048 if space.dim < 4 else 1024, seed=seed)
 
 
 class _Stopwatch:

@@ -21,6 +21,7 @@ from strandline.posterior.predictive import (
     normal_offsets,
     observed_offsets,
 )
+from strandline.posterior.sensitivity import SobolIndices, sobol_indices
 
 __all__ = [
     "GaussianApproximation",
@@ -33,6 +34,7 @@ __all__ = [
     "Posterior",
     "Reweighting",
     "SmoothedWeights",
+    "SobolIndices",
     "Verdict",
     "from_datatree",
     "histogram",
@@ -47,6 +49,7 @@ __all__ = [
     "read",
     "reliability_threshold",
     "reweight",
+    "sobol_indices",
     "subset",
     "systematic_indices",
     "to_datatree",

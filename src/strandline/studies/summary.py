@@ -62,6 +62,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
         "laplace": _laplace(calibration),
         "quadrature_check": quadrature_check(calibration),
+        "sensitivity": _sensitivity(calibration),
         "warnings": list(find_warnings(calibration, turned=study.turned)),
         "seconds": dict(calibration.seconds),
     }
@@ -175,6 +176,19 @@ def _laplace(calibration: Calibration) -> dict[str, Any]:
         "definite": approximation.definite,
         "eigenvalues": approximation.eigenvalues.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
+    }
+
+
+def _sensitivity(calibration: Calibration) -> dict[str, Any] | None:
+    indices = calibration.sensitivity
+    if indices is None:
+        return None
+    kinds = ("first", "first_low", "first_high", "total", "total_low", "total_high")
+    names = calibration.problem.space.names
+    return {
+        "of": "log-likelihood",
+        "inputs": {name: {kind: float(getattr(indices, kind)[i]) for kind in kinds} for i, name in enumerate(names)},
+        "evaluations": indices.evaluations,
     }
 
 
