@@ -239,6 +239,7 @@ PLACEHOLDERS = {
     "fixed": "NAME",
     "inputs": "NAME",
     "measures": "MEASURE",
+    "sensitivity.inputs": "NAME",
     "seconds": "STAGE",
 }
 

@@ -1,21 +1,21 @@
 """The whole method on one screen: from a problem to the posterior.
 
-priors → Sobol design → forward runs → discrepancy → surrogate of the log-likelihood → tempered SMC → posterior.
+priors → Sobol design → forward runs → discrepancy → surrogate of the log-likelihood (→ further runs where the posterior
+lies → better surrogate) → tempered SMC → posterior.
 """
 
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from strandline.cut import cut_by_quadrature, cut_reading
 from strandline.design import sobol
 from strandline.discrepancy import Discrepancy
 from strandline.errors import TooFewRuns
@@ -24,38 +24,28 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import ForwardModel, require_conditions
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
-    Cut,
     GaussianApproximation,
     LaplaceApproximation,
     Posterior,
     Reading,
+    SobolIndices,
     UnderUncertainty,
     laplace,
     log_prior_hessian,
-    nuisance_values,
-    pooled,
+    sobol_indices,
 )
 from strandline.quadrature import QuadratureResult, integrate
+from strandline.refinement import Learnt, Refinement, Round, refine
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.smc import (
-    BatchedLogDensity,
-    ConditionalLogDensity,
     SMCResult,
     SMCSettings,
     StepInfo,
     sample,
-    sample_each,
 )
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean, fit_log_likelihood
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
-
-_CUT_ZETA = 0.5
-"""Share of the effective sample size that a tempering step of the cut reading keeps: enough for moments."""
-_CUT_PARTICLES = 100
-"""Fewest particles for each value of the nuisance inputs."""
-_CUT_STREAM = 2
-"""Sets the random numbers of the cut reading apart from the two streams of the joint one."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +74,7 @@ class Settings:
     Args:
         runs: size of the Sobol design.
         scramble: seed of the design's scrambling, None for the plain sequence.
+        refine: further runs where the posterior lies; none by default.
         kernel: of the Gaussian process.
         particles: of the sampler.
         smc: the sampler's other settings.
@@ -94,16 +85,22 @@ class Settings:
 
     runs: int = 1000
     scramble: int | None = None
+    refine: Refinement = field(default_factory=Refinement)
     kernel: str = "matern32"
     particles: int = 5000
     smc: SMCSettings = field(default_factory=SMCSettings)
     seed: int = 1
     nuisance_values: int = 32
 
+    @property
+    def planned_runs(self) -> int:
+        """Runs of the Sobol design and of all rounds of refinement."""
+        return self.runs + self.refine.total
+
 
 @dataclass(frozen=True)
 class Calibration:
-    """Problem, settings and all that was learnt.
+    """Problem, settings and all that was learnt; the runs of each round of refinement stand behind the earlier ones.
 
     With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
     `cut_quadrature` has one result for each value of the nuisance inputs; else both are None.
@@ -123,6 +120,8 @@ class Calibration:
     seconds: Mapping[str, float]
     under_uncertainty: UnderUncertainty | None = None
     cut_quadrature: tuple[QuadratureResult, ...] | None = None
+    rounds: tuple[Round, ...] = ()
+    sensitivity: SobolIndices | None = None
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:
@@ -132,9 +131,13 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Observer:
-    """Who wants to know how far it is: functions called as the work goes on; by default nobody."""
+    """Who wants to know how far it is: functions called as the work goes on; by default nobody.
+
+    `draws` hears of the inputs of each round of refinement before they are run.
+    """
 
     stage: Callable[[str], None] = lambda name: None
+    draws: Callable[[Sequence[Mapping[str, float]]], None] = lambda inputs: None
     run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
     step: Callable[[StepInfo], None] = lambda info: None
 
@@ -159,17 +162,35 @@ def calibrate(
     require_conditions((o.condition for o in problem.observations), problem.model)
     watch, tell = _Stopwatch(), observer or Observer()
     space = problem.space
-    with watch("forward", tell):
-        design = space.to_physical(sobol(settings.runs, space.dim, scramble=settings.scramble))
-        inputs = [{**problem.fixed, **space.as_mapping(x)} for x in design]
-        records = run_campaign(problem.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
-    with watch("surrogate", tell):
-        training, log_likelihoods = _training_set(problem, design, records)
-        surrogates = {
-            name: fit_log_likelihood(training, values, kernel=settings.kernel)
-            for name, values in log_likelihoods.items()
-        }
-        process = next(iter(surrogates.values())).process
+
+    def extend(known: Learnt | None, points: Float[np.ndarray, "run dim"]) -> Learnt:
+        """Run the model at `points`, behind the known runs, and train the surrogates with all of them."""
+        inputs = [{**problem.fixed, **space.as_mapping(x)} for x in points]
+        with watch("forward", tell):
+            if known is not None:
+                tell.draws(inputs)
+            records = run_campaign(problem.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
+        with watch("surrogate", tell):
+            if known is not None:
+                points, records = np.concatenate([known.design, points]), (*known.records, *records)
+            training, log_likelihoods = _training_set(problem, points, records)
+            surrogates = {
+                name: fit_log_likelihood(training, values, kernel=settings.kernel)
+                for name, values in log_likelihoods.items()
+            }
+        return Learnt(points, records, training, log_likelihoods, surrogates)
+
+    learnt = extend(None, space.to_physical(sobol(settings.runs, space.dim, scramble=settings.scramble)))
+    learnt, rounds = refine(
+        learnt,
+        extend,
+        space,
+        settings.refine,
+        particles=settings.particles,
+        seed=settings.seed,
+        stage=lambda: watch("refinement", tell),
+    )
+    process = learnt.surrogate.process
     with watch("sampling", tell):
         start, chain = jax.random.split(jax.random.key(settings.seed))
         uniform = jax.random.uniform(start, (settings.particles, space.dim), dtype=float)
@@ -188,20 +209,28 @@ def calibrate(
     under_uncertainty = None
     if space.nuisance:
         with watch("cut", tell):
-            given = _given(space, batched_mean(process))
-            under_uncertainty = UnderUncertainty(Reading(posterior), _cut(space, given, settings))
+            cut = cut_reading(
+                space,
+                batched_mean(process),
+                values=settings.nuisance_values,
+                particles=settings.particles,
+                smc=settings.smc,
+                seed=settings.seed,
+            )
+            under_uncertainty = UnderUncertainty(Reading(posterior), cut)
     with watch("check", tell):
         mode = posterior.map_estimate
         hessian = process.hessian(mode[None])[0] + log_prior_hessian(space, mode)
         quadrature = _quadrature(space, process.mean)
-        cut_quadrature = _cut_quadrature(given, under_uncertainty.cut) if under_uncertainty else None
+        cut_quadrature = cut_by_quadrature(batched_mean(process), cut) if under_uncertainty else None
+        sensitivity = _sensitivity(space, process.mean, settings.seed)
     return Calibration(
         problem=problem,
         settings=settings,
-        records=records,
-        training=training,
-        log_likelihoods=log_likelihoods,
-        surrogates=surrogates,
+        records=learnt.records,
+        training=learnt.training,
+        log_likelihoods=learnt.log_likelihoods,
+        surrogates=learnt.surrogates,
         sampling=sampling,
         posterior=posterior,
         gaussian=GaussianApproximation(posterior.mean, posterior.covariance),
@@ -210,6 +239,8 @@ def calibrate(
         seconds=watch.seconds,
         under_uncertainty=under_uncertainty,
         cut_quadrature=cut_quadrature,
+        rounds=rounds,
+        sensitivity=sensitivity,
     )
 
 
@@ -249,44 +280,15 @@ def _quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> 
     return integrate(lambda x: log_likelihood(x) + space.log_prior(x), space.low, space.high)
 
 
-def _given(space: ParameterSpace, log_likelihood: BatchedLogDensity) -> ConditionalLogDensity:
-    """Return log L as a function of the calibrated inputs and of one value of the nuisance inputs."""
-    order = np.argsort([*space.calibrated, *space.nuisance])
-
-    def given(x: Float[jax.Array, "particle x"], theta: Float[jax.Array, " nuisance"]) -> Float[jax.Array, " particle"]:
-        fixed = jnp.broadcast_to(theta, (len(x), len(theta)))
-        return log_likelihood(jnp.concatenate([x, fixed], axis=1)[:, order])
-
-    return given
-
-
-def _cut(space: ParameterSpace, log_likelihood: ConditionalLogDensity, settings: Settings) -> Cut:
-    """Sample p(x | θ, Y) for values θ that represent p(θ), as many particles in all as the study has, and pool them."""
-    values, calibrated = nuisance_values(space, settings.nuisance_values), space.calibrated_space
-    start, chain = jax.random.split(jax.random.fold_in(jax.random.key(settings.seed), _CUT_STREAM))
-    each = max(_CUT_PARTICLES, -(-settings.particles // len(values)))
-    uniform = jax.random.uniform(start, (len(values) * each, calibrated.dim), dtype=float)
-    initial = calibrated.prior_quantiles(np.asarray(uniform)).reshape(len(values), each, -1)
-    smc = replace(settings.smc, zeta=min(_CUT_ZETA, settings.smc.zeta))
-    return pooled(
-        space, values, sample_each(chain, log_likelihood, calibrated.log_prior, initial, values, settings=smc)
-    )
-
-
-def _cut_quadrature(log_likelihood: ConditionalLogDensity, cut: Cut) -> tuple[QuadratureResult, ...] | None:
-    """Integrate p(x | θ, Y) directly for each θ of the cut reading, where the dimension allows it."""
-    if cut.extended.space.dim > 3:
+def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:
+    """Return what the inputs have to do with the log-likelihood; None where there is one input only."""
+    if space.dim == 1:
         return None
-    calibrated, compiled = cut.extended.space.calibrated_space, jax.jit(log_likelihood)
-
-    def log_density(x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, " nuisance"]) -> Any:
-        return np.asarray(compiled(x, theta)) + calibrated.log_prior(x)
-
-    return tuple(integrate(partial(log_density, theta=theta), calibrated.low, calibrated.high) for theta in cut.values)
+    return sobol_indices(log_likelihood, space, number=2048 if space.dim < 4 else 1024, seed=seed)
 
 
 class _Stopwatch:
-    """Seconds by stage."""
+    """Seconds by stage, added up where a stage comes again."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -296,4 +298,4 @@ class _Stopwatch:
         observer.stage(stage)
         begun = time.perf_counter()
         yield
-        self.seconds[stage] = time.perf_counter() - begun
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begun

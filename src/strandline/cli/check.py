@@ -46,7 +46,9 @@ def command(study: Path) -> None:
         click.echo(f"  {line}")
     for name, value in log_likelihoods.items():
         click.echo(f"  {name}: log-likelihood {value:.6g} there")
-    click.echo(f"  {loaded.settings.runs} forward runs planned, {known} of them known already")
+    refine = loaded.settings.refine
+    rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
+    click.echo(f"  {loaded.settings.planned_runs} forward runs planned{rounds}, {known} of them known already")
     click.echo(f"next: strandline run {study}")
 
 

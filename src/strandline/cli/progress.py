@@ -19,6 +19,7 @@ STAGES = {
     "forward": "forward runs",
     "draws": "runs at draws",
     "surrogate": "surrogate",
+    "refinement": "draws for a round",
     "sampling": "sampling",
     "cut": "cut reading",
     "check": "quadrature check",

@@ -21,6 +21,7 @@ from strandline.posterior.predictive import (
     normal_offsets,
     observed_offsets,
 )
+from strandline.posterior.sensitivity import SobolIndices, sobol_indices
 from strandline.posterior.under_uncertainty import (
     Cut,
     Reading,
@@ -43,6 +44,7 @@ __all__ = [
     "Reading",
     "Reweighting",
     "SmoothedWeights",
+    "SobolIndices",
     "UnderUncertainty",
     "Verdict",
     "cut_from_datatree",
@@ -62,6 +64,7 @@ __all__ = [
     "read",
     "reliability_threshold",
     "reweight",
+    "sobol_indices",
     "subset",
     "systematic_indices",
     "to_datatree",

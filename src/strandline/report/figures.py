@@ -195,6 +195,14 @@ def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
         f"the posterior: their root-mean-square error is {validation.loo_rms_near_mode:.3g}."
     )
     yield Captioned("leave_one_out", "surrogate", caption, _whole(axes.figure))
+    if calibration.sensitivity is not None:
+        axes = plots.plot_sensitivity(calibration.sensitivity, calibration.problem.space.names)
+        caption = (
+            "Sobol' indices: the share of the log-likelihood's variance under the prior that each input explains "
+            "alone, and that it is part of, with bootstrap intervals of 95 %. The far tail has most of this variance; "
+            "how well an input is known is seen from its marginal."
+        )
+        yield Captioned("sensitivity", "surrogate", caption, _whole(axes.figure))
 
 
 def _sampler(calibration: Calibration) -> Iterator[Captioned]:

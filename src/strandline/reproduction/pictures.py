@@ -9,12 +9,12 @@ from typing import Any
 import ngsolve as ng
 import numpy as np
 from matplotlib.figure import Figure
-from strandline.reproduction.figures import plot_convergence, plot_nested_likelihoods
 
 from strandline import plots
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
 from strandline.models.biofilm.model import Biofilm
 from strandline.reproduction.evidence import Evidence
+from strandline.reproduction.figures import plot_convergence, plot_nested_likelihoods
 
 __all__ = ["FROM_REPORTS", "Picture", "draw"]
 

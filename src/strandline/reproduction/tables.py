@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from strandline.reproduction.truth import TruePosterior
 
 from strandline.posterior import Posterior
 from strandline.reproduction.evidence import RULES, Cost, Evidence
+from strandline.reproduction.truth import TruePosterior
 
 __all__ = ["Table", "against_truth", "as_json", "checks", "cost", "sensitivities", "uncertain_against_truth"]
 

@@ -17,7 +17,7 @@ from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.studies.observed import TO_MM, read_points
-from strandline.studies.schema import Input, Quantity, StudyFile
+from strandline.studies.schema import Input, Quantity, Refine, StudyFile
 from strandline.surrogate import KERNELS
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "build_space",
     "check_complete",
     "check_kernel",
+    "check_refine",
     "check_runs",
     "check_values",
 ]
@@ -167,6 +168,17 @@ def check_runs(runs: int, dim: int) -> None:
             value=runs,
             expected=f"at least {dim + 2} runs for {dim} input(s); 100 are a start",
             remedy="Enlarge the design.",
+        )
+
+
+def check_refine(refine: Refine | None, particles: int) -> None:
+    """Refuse rounds of more runs than there are particles to draw them from."""
+    if refine is not None and refine.runs > particles:
+        raise InvalidStudy(
+            "design.refine.runs",
+            value=refine.runs,
+            expected=f"at most {particles}, the number of particles that they are drawn from",
+            remedy="Make fewer runs in a round, and more rounds.",
         )
 
 

@@ -1,8 +1,9 @@
 """From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from strandline.report import write_report
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
-from strandline.studies.ledgers import check_ledgers, take_over
+from strandline.studies.ledgers import check_ledgers, take_over, write_round
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
@@ -56,9 +57,25 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
         _try_measures(problem)
         calibration = calibrate(
-            problem, study.settings, ledger=ledger, executor=executor, observer=made.listening(observer)
+            problem,
+            study.settings,
+            ledger=ledger,
+            executor=executor,
+            observer=_noting_rounds(made.listening(observer), study, ledger),
         )
     return _write_results(study, calibration, made.number, observer)
+
+
+def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer:
+    """Return the observer, each round of refinement written down and taken over where another study has made it."""
+    numbers = count()
+
+    def draws(inputs: Sequence[Mapping[str, float]]) -> None:
+        write_round(study, next(numbers), inputs)
+        take_over(study, ledger)
+        observer.draws(inputs)
+
+    return replace(observer, draws=draws)
 
 
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:
@@ -115,7 +132,7 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
 
 
 class _Made:
-    """Notes which runs of the design were made; one that was tried twice counts once."""
+    """Notes which of the planned runs were made; one that was tried twice counts once."""
 
     def __init__(self) -> None:
         self.keys: set[str] = set()

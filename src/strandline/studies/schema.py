@@ -130,10 +130,19 @@ class Sobol(_Strict):
     scramble: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
 
 
+class Refine(_Strict):
+    """Further runs where the posterior lies."""
+
+    rounds: Count = 3
+    runs: Count
+    temperature: Annotated[Number, Field(gt=0, le=1)] = 0.4
+
+
 class Design(_Strict):
     """The design of experiments."""
 
     sobol: Sobol
+    refine: Refine | None = None
 
 
 class LogLikelihood(_Strict):

@@ -12,6 +12,7 @@ from strandline.errors import InvalidStudy
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
+from strandline.refinement import Refinement
 from strandline.runs import Executor, LocalProcesses
 from strandline.smc import SMCSettings
 from strandline.studies import build
@@ -105,11 +106,13 @@ def load_study(folder: Path) -> Study:
 
 
 def _settings(content: StudyFile) -> Settings:
-    smc, sobol = content.sampler.smc, content.design.sobol
+    smc, sobol, refine = content.sampler.smc, content.design.sobol, content.design.refine
     build.check_runs(sobol.runs, len(content.inputs))
+    build.check_refine(refine, smc.particles)
     return Settings(
         runs=sobol.runs,
         scramble=sobol.scramble,
+        refine=Refinement() if refine is None else Refinement(refine.rounds, refine.runs, refine.temperature),
         kernel=build.check_kernel(content.surrogate.log_likelihood.kernel),
         particles=smc.particles,
         smc=SMCSettings(rejuvenation_steps=smc.rejuvenation_steps, zeta=smc.zeta),

@@ -16,6 +16,7 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
 from strandline.posterior import Posterior, Reading
 from strandline.quadrature import QuadratureResult, mixture
+from strandline.refinement import shifts
 from strandline.report.warnings import find_warnings
 from strandline.studies.study import Study
 from strandline.surrogate import LogLikelihoodSurrogate
@@ -33,7 +34,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         study: what was asked.
         calibration: what was found.
         new_runs: forward runs made by this call.
-        reused_runs: design runs that were in a ledger already.
+        reused_runs: planned runs that were in a ledger already.
     """
     sampling = calibration.sampling
     return {
@@ -44,6 +45,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "seed": study.settings.seed,
         "model": fingerprint(study.model),
         "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
+        "refinement": _refinement(calibration),
         "fixed": dict(study.fixed),
         "truth": None if study.truth is None else dict(study.truth),
         "inputs": _inputs(calibration),
@@ -63,6 +65,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "laplace": _laplace(calibration),
         "quadrature_check": quadrature_check(calibration),
         "under_uncertainty": _under_uncertainty(calibration),
+        "sensitivity": _sensitivity(calibration),
         "warnings": list(find_warnings(calibration, turned=study.turned)),
         "seconds": dict(calibration.seconds),
     }
@@ -136,6 +139,21 @@ def _runs(calibration: Calibration) -> dict[str, Any]:
     }
 
 
+def _refinement(calibration: Calibration) -> list[dict[str, Any]]:
+    posterior = calibration.posterior
+    return [
+        {
+            "n_train": r.n_train,
+            "runs": r.runs,
+            "failed": r.failed,
+            "error_rms": r.error_rms,
+            "error_rms_posterior": r.error_rms_posterior,
+            "shift": dict(zip(posterior.space.names, shift.tolist(), strict=True)),
+        }
+        for r, shift in zip(calibration.rounds, shifts(calibration.rounds, posterior.mean, posterior.sd), strict=True)
+    ]
+
+
 def _inputs(calibration: Calibration) -> dict[str, Any]:
     posterior = calibration.posterior
     quantiles = posterior.quantiles(QUANTILES)
@@ -199,6 +217,19 @@ def _laplace(calibration: Calibration) -> dict[str, Any]:
         "definite": approximation.definite,
         "eigenvalues": approximation.eigenvalues.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
+    }
+
+
+def _sensitivity(calibration: Calibration) -> dict[str, Any] | None:
+    indices = calibration.sensitivity
+    if indices is None:
+        return None
+    kinds = ("first", "first_low", "first_high", "total", "total_low", "total_high")
+    names = calibration.problem.space.names
+    return {
+        "of": "log-likelihood",
+        "inputs": {name: {kind: float(getattr(indices, kind)[i]) for kind in kinds} for i, name in enumerate(names)},
+        "evaluations": indices.evaluations,
     }
 
 
