@@ -36,7 +36,8 @@ def test_each_jacobian_is_counted_once(cell):
     found = forward.profile(cell, [(400.0, 0.3), (700.0, -0.2)])
     assert found.failures == 0
     assert found.calls["factorisation"] == found.calls["assembly"] == found.jacobians
-    assert found.calls["back-substitution"] == found.calls["residuals"] > found.jacobians
+    balances = 2  # a run checks that of its solution, with no equation to solve
+    assert found.calls["back-substitution"] == found.calls["residuals"] - balances > found.jacobians
 
 
 def test_methods_are_timed_during_a_profile_only(cell):
@@ -69,7 +70,7 @@ def test_pace_answers_each_point_and_leaves_the_start_out():
     points = forward.design(4)
     measured = forward.pace(Biofilm(mesh="coarse"), points)
     assert sorted(int(record.key) for record in measured.records) == list(range(4))
-    assert {record.failure_kind for record in measured.records} <= {None, "newton_stalled", "limit_point"}
+    assert {record.failure_kind for record in measured.records} <= {None, "limit_point", "continuation_stalled"}
     assert measured.start_up == measured.times[0] > 0
     assert forward.Pace([], [10.0, 11.0, 13.0, 16.0]).per_minute == pytest.approx(30.0)
 
@@ -88,7 +89,7 @@ def test_failures_are_measured_in_successful_runs_without_each_workers_first():
 
 def test_cost_grows_with_unknowns():
     small, large = (forward.solve_cost(MESHES[name], repeats=1) for name in ("coarse", "default"))
-    assert (small.elements, large.elements) == (648, 1194)
+    assert (small.elements, large.elements) == (488, 1194)
     assert large.unknowns > 1.5 * small.unknowns
     assert large.seconds > small.seconds
 

@@ -98,7 +98,22 @@ def test_incompressible_limit_is_continuous(model):
 def test_too_soft_a_sample_is_a_typed_failure_at_bounded_cost(model):
     with pytest.raises(ForwardModelError) as caught:
         model({"E": 100.0, "nu": 0.3, "V_in": 100.0})
-    assert caught.value.kind in {"limit_point", "newton_stalled", "newton_maxit", "inverted_elements"}
+    assert caught.value.kind in {"limit_point", "continuation_stalled"}
+    assert caught.value.evidence["jacobians"] <= model.failure_budget + 1
+    assert 0 < caught.value.evidence["load_reached"] < 100
+
+
+def test_without_a_budget_the_failure_is_followed_around_its_limit_point():
+    with pytest.raises(ForwardModelError, match="limit_point") as caught:
+        Biofilm(mesh="coarse", failure_budget=0)({"E": 100.0, "nu": 0.3, "V_in": 100.0})
+    assert 50 < caught.value.evidence["limit_load"] < 70
+    assert caught.value.evidence["jacobians"] > Biofilm().failure_budget
+
+
+@pytest.mark.parametrize("budget", [1, 2, -5, True])
+def test_budget_that_is_none_is_refused(budget):
+    with pytest.raises(InvalidInput, match="failure_budget"):
+        Biofilm.from_options(failure_budget=budget)
 
 
 def test_fields_for_pictures_are_consistent_with_the_interface(model):

@@ -42,10 +42,10 @@ def command(
     """Make one forward run of STUDY's model; nothing goes into the ledger.
 
     Fixed quantities have the values of study.yaml unless set. A run that fails is an answer too: exit code 0 with
-    --json, 1 without; no CSV is written then. A model of several conditions writes a file for each of them: with
-    --csv shape.csv, shape-CONDITION.csv.
+    --json, 1 without; no CSV is written then. The search for its reason has no budget here, as it has in a campaign.
+    A model of several conditions writes a file for each of them: with --csv shape.csv, shape-CONDITION.csv.
     """
-    from strandline.models.protocol import declared_conditions, with_sensitivities
+    from strandline.models.protocol import declared_conditions, with_sensitivities, without_failure_budget
     from strandline.studies import load_study
     from strandline.studies.build import check_complete
 
@@ -53,7 +53,7 @@ def command(
     inputs = {**loaded.fixed, **_parsed(settings)}
     names = (*loaded.space.names, *loaded.fixed)
     check_complete(inputs, names, loaded.model, "--set", add="Add --set {name}=VALUE.")
-    model = with_sensitivities(loaded.model) if sensitivities else loaded.model
+    model = without_failure_budget(with_sensitivities(loaded.model) if sensitivities else loaded.model)
     targets = {} if csv_path is None else _targets(csv_path, declared_conditions(model))
     for path in targets.values():
         _require_target(path)

@@ -27,6 +27,7 @@ __all__ = [
     "require_conditions",
     "the_only_interface",
     "with_sensitivities",
+    "without_failure_budget",
 ]
 
 Sensitivities = Mapping[str, Mapping[str, Float[np.ndarray, "point xyz"]]]
@@ -156,6 +157,11 @@ def with_sensitivities(model: Any) -> Any:
         expected="a dataclass with a field `sensitivities: bool`",
         remedy="Leave sensitivities out, or give the model that field.",
     )
+
+
+def without_failure_budget(model: Any) -> Any:
+    """Return `model` with its field `failure_budget` at 0, so that a failure is searched to its end; or `model`."""
+    return dataclasses.replace(model, failure_budget=0) if _has_field(model, "failure_budget") else model
 
 
 def the_only_interface(interfaces: Mapping[str, Interface]) -> Interface:

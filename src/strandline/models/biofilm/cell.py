@@ -291,7 +291,7 @@ def _in_physical_units(error: ForwardModelError) -> ForwardModelError:
             f" {evidence['critical_strain']:.2f} at ({evidence['critical_x']:.3f}, {evidence['critical_y']:.3f}) mm"
         )
     elif "load_reached" in evidence:
-        message = f"{message}; reached V_in = {evidence['load_reached']:.4g} mm²/s"
+        message = f"{message}, at V_in = {evidence['load_reached']:.4g} mm²/s"
     return ForwardModelError(error.kind, message, evidence)
 
 

@@ -51,7 +51,7 @@ CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, cont
 """For points on the way."""
 POLISH = NewtonSettings(1e-8, maximum_jacobians=2, smallest_damping=1.0)
 """For a point that seems to lie beyond a fold."""
-ARRIVAL = NewtonSettings(maximum_jacobians=3, smallest_damping=1.0)
+ARRIVAL = NewtonSettings(maximum_jacobians=6, smallest_damping=0.1)
 """For the state at the load wanted."""
 
 
@@ -63,11 +63,11 @@ class ContinuationSettings:
         first_step: of strain, along the tangent.
         smallest_step: of strain; shorter ones stall.
         largest_step: of strain, along the parabola through the last two points.
-        maximum_jacobians: budget of the whole path; 0 for none.
+        maximum_jacobians: budget of the path, not counting the arrival at the load once it is passed; 0 for none.
     """
 
     first_step: float = 0.2
-    smallest_step: float = 0.01
+    smallest_step: float = 0.001
     largest_step: float = 0.11
     maximum_jacobians: int = 0
 
@@ -116,27 +116,38 @@ class _Path:
     def __init__(self, system: LoadedSystem, load: float, settings: ContinuationSettings) -> None:
         self.system, self.load, self.settings = system, load, settings
         self.jacobians, self.reached = 0, 0.0
+        self.budget, self.bracketed = settings.maximum_jacobians, False
         self.figures: Mapping[str, float] = {}
 
     def follow(self, linear: Vector, first_load: float) -> Traced:
         last = PathPoint(np.zeros_like(linear), 0.0, linear / self.load)
         point = self._first_point(linear, first_load)
-        step = self.settings.first_step
+        strain, step = self.system.critical_strain(point.x, point.tangent), self.settings.first_step
         while True:
-            strain = self.system.critical_strain(point.x, point.tangent)
-            if last.load > 0.0:
-                step = self._next_step(last, point, strain)
             following = self._advance(last, point, strain, step)
-            if following.load < self.load:
+            falls = strain.functional @ following.tangent < 0.0
+            if falls:
+                fold = self._fold(point, following, strain)
+                if fold.evidence["limit_load"] < self.load:
+                    raise fold
+            elif following.load < self.load:
                 last, point = point, following
+                strain = self.system.critical_strain(point.x, point.tangent)
+                step = self._next_step(last, point, strain)
                 continue
             arrived = self._arrival(point, following, strain)
             if arrived is not None:
                 return Traced(arrived, self.jacobians)
-            last, point = point, self._advance(last, point, strain, 0.5 * step)
+            step *= 0.5
 
     def _arrival(self, below: PathPoint, above: PathPoint, strain: Strain) -> Vector | None:
-        """Return the steady state at the load between two points; None where Newton's method does not find it."""
+        """Return the steady state at the load between two points; None where Newton's method does not find it.
+
+        There is one, so the first search may exceed the budget.
+        """
+        if self.budget > 0 and not self.bracketed:
+            self.budget = max(self.budget, self.jacobians + ARRIVAL.maximum_jacobians)
+        self.bracketed = True
         cubic = _Cubic.through(below, above, strain)
         shares = np.linspace(0.0, 1.0, 201)
         guess = cubic.at(float(shares[np.argmax(cubic.loads(shares) >= self.load)]))[:-1]
@@ -153,10 +164,8 @@ class _Path:
 
     def factorise(self, x: Vector, load: float) -> LinearSolver:
         """Factorise within the budget."""
-        if 0 < self.settings.maximum_jacobians <= self.jacobians:
-            raise self._failure(
-                "continuation_stalled", "neither load nor limit point was reached within the budget of Jacobians"
-            )
+        if 0 < self.budget <= self.jacobians:
+            raise self._failure("continuation_stalled", "the search along the load path was given up")
         self.jacobians += 1
         return self.system.factorise(x, load)
 
@@ -193,6 +202,8 @@ class _Path:
 
         A tangent that seems to fall is judged with a new Jacobian, at the point solved to the end.
         """
+        reason: tuple[str, str, dict[str, float]]
+        reason = ("continuation_stalled", "the steps along the load path became too short", {})
         while step >= self.settings.smallest_step:
             system = _AtStrain(self, strain.functional, strain.functional @ point.x + step)
             weights = np.append(self.system.weights, np.sqrt(len(point.x)))
@@ -201,17 +212,14 @@ class _Path:
                 found = newton.solve(system, start, weights=weights, settings=CORRECTOR)
                 if strain.functional @ system.tangent < 0.0:
                     found = newton.solve(system, found.x, weights=weights, settings=POLISH)
-                following = self._accepted(found.x[:-1], float(found.x[-1]), system.tangent)
-                break
+                return self._accepted(found.x[:-1], float(found.x[-1]), system.tangent)
             except ForwardModelError as error:
                 if error.kind not in _SHORTER_STEPS:
                     raise
+                if error.kind == "inverted_elements":
+                    reason = (error.kind, error.message, error.evidence)
             step *= 0.5
-        else:
-            raise self._failure("continuation_stalled", "the steps along the load path became too short")
-        if strain.functional @ following.tangent < 0.0:
-            raise self._fold(point, following, strain)
-        return following
+        raise self._failure(*reason)
 
     def _fold(self, before: PathPoint, point: PathPoint, strain: Strain) -> ForwardModelError:
         """Return the failure that two points on either side of a fold show."""
@@ -220,7 +228,7 @@ class _Path:
             "limit_point",
             "the load path turns back: there is no steady state beyond",
             {
-                "limit_load": float(loads.max()),
+                "limit_load": max(float(loads.max()), self.reached),
                 "load_slope": 1.0 / float(strain.functional @ point.tangent),
                 "critical_strain": float(strain.functional @ point.x),
                 "critical_x": strain.place[0],
@@ -230,7 +238,7 @@ class _Path:
 
     def _failure(self, kind: str, message: str, evidence: dict[str, float] | None = None) -> ForwardModelError:
         spent = {"load_reached": self.reached, "jacobians": float(self.jacobians)}
-        return ForwardModelError(kind, message, {**self.figures, **spent, **(evidence or {})})
+        return ForwardModelError(kind, message, {**self.figures, **(evidence or {}), **spent})
 
 
 _SHORTER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
@@ -315,7 +323,7 @@ class _Cubic:
     def at(self, share: float) -> Vector:
         """Return unknowns and load."""
         parts = (*self.values, *self.slopes)
-        return np.asarray(sum(h * part for h, part in zip(_hermite(np.array(share)), parts, strict=True)))
+        return np.asarray(sum(h * part for h, part in zip(_hermite(np.array([share])), parts, strict=True)))
 
     def loads(self, shares: Float[np.ndarray, " share"]) -> Float[np.ndarray, " share"]:
         """Return the load alone."""
@@ -323,6 +331,6 @@ class _Cubic:
         return np.asarray(sum(h * part[-1] for h, part in zip(_hermite(shares), parts, strict=True)))
 
 
-def _hermite(u: Float[np.ndarray, "*share"]) -> tuple[Float[np.ndarray, "*share"], ...]:
+def _hermite(u: Float[np.ndarray, " share"]) -> tuple[Float[np.ndarray, " share"], ...]:
     """Return the weights of first value, second value, first slope, second slope."""
     return (1 + 2 * u) * (1 - u) ** 2, u**2 * (3 - 2 * u), u * (1 - u) ** 2, u**2 * (u - 1)

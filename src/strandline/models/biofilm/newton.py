@@ -110,14 +110,14 @@ def solve(
 
     Raises:
         ForwardModelError: ``newton_stalled`` (damping below its bound), ``newton_maxit``, or what `system` raises. Its
-            evidence holds the number of `jacobians` and of `simplified_steps`.
+            evidence holds the number of `jacobians` and of `simplified_steps`, unless `system` has said its own.
     """
     search = _Search(system, weights, settings)
     try:
         return search.run(x, first)
     except ForwardModelError as error:
         spent = {"jacobians": float(search.jacobians), "simplified_steps": float(search.steps)}
-        raise ForwardModelError(error.kind, error.message, error.evidence | spent) from error
+        raise ForwardModelError(error.kind, error.message, spent | dict(error.evidence)) from error
 
 
 class _Search:
