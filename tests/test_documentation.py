@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import importlib.util
 import json
+import os
 import re
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from strandline.models import MODELS
 from strandline.models.biofilm.outline import Outline
 from strandline.priors import PRIORS
 from strandline.runs import RunRequest, attempt
+from strandline.studies import check_posterior
 from strandline.studies.schema import StudyFile
 from strandline.surrogate import KERNELS
 
@@ -120,12 +122,21 @@ def test_every_command_is_described_with_its_options() -> None:
         for row in rows("reference/command-line.md", "command")
     }
     known = {}
-    for name in COMMANDS:
-        command = importlib.import_module(f"strandline.cli.{name}").command
+    for name, command in every_command():
         argument = next(p for p in command.params if isinstance(p, click.Argument))
         options = {p.opts[0] for p in command.params if isinstance(p, click.Option)}
         known[f"strandline {name} {argument.make_metavar(click.Context(command))}"] = options
     assert described == known
+
+
+def every_command() -> Iterator[tuple[str, click.Command]]:
+    """Yield the commands with their names, those of groups as ``GROUP COMMAND``."""
+    for name in COMMANDS:
+        command = importlib.import_module(f"strandline.cli.{name}").command
+        if isinstance(command, click.Group):
+            yield from ((f"{name} {inner}", item) for inner, item in command.commands.items())
+        else:
+            yield name, command
 
 
 def test_every_public_name_has_its_module_on_the_page_of_the_api() -> None:
@@ -213,6 +224,15 @@ def test_every_key_of_the_summary_is_described(finished: Path) -> None:
     assert generic(summary["measures"]["measurement_lines"]) == generic(summary["surrogate"])
 
 
+def test_every_key_of_the_check_is_described(finished: Path) -> None:
+    folder = finished / "studies/biofilm-uniform"
+    check_posterior(sl.load_study(folder), draws=20, executor=sl.InProcess())
+    content = json.loads((folder / "check.json").read_text("utf-8"))
+    content["runs"]["by_kind"] = {"some_kind": 1}
+    described = {key for row in rows("reference/check.md", "key") for key in code(row[0])}
+    assert described == set(generic(content)) | {f"interfaces[].{key}" for key in generic(content["interfaces"][0])}
+
+
 PLACEHOLDERS = {
     "versions": "PACKAGE",
     "runs.by_kind": "KIND",
@@ -251,6 +271,22 @@ def test_the_programs_that_read_results_run(finished: Path) -> None:
     assert float(first.split()[0]) == summary["inputs"]["E"]["mean"]
     assert float(second.split()[0]) == pytest.approx(summary["inputs"]["E"]["mean"], rel=1e-12)
     assert done.stdout.count(" ok ") == summary["runs"]["ok"] + 1  # and the observation
+
+
+def test_the_program_that_checks_a_posterior_runs(finished: Path) -> None:
+    (program,) = blocks("how-to/check-the-posterior.md", "python")
+    paths = [str(ROOT / "examples"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program],
+        cwd=finished,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    content = json.loads((finished / "studies/biofilm-uniform/check.json").read_text("utf-8"))
+    assert done.stdout.split()[0] == content["verdict"]
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,18 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
         ["design.sobol.runs: got 3", "at least 4 runs for 2 input(s)"],
     ),
     "Python model missing": (changed(model={"python": {"function": "nowhere:f"}}), ["got nowhere:f", "PYTHONPATH"]),
+    "check of an unfinished posterior": (
+        lambda folder: ["posterior", "check", str(write_study(folder))],
+        ["no posterior to check: got a study that is not finished", "strandline run"],
+    ),
+    "check with too few draws": (
+        lambda folder: ["posterior", "check", str(write_study(folder)), "--draws", "19"],
+        ["draws of the check: got 19; expected from 20"],
+    ),
+    "draws not a number": (
+        lambda folder: ["posterior", "check", str(write_study(folder)), "--draws", "many"],
+        ["--draws", "strandline posterior check --help"],
+    ),
     "report of an unfinished study": (unfinished_report, ["0 of 65 forward runs done", "strandline run"]),
     "init over a study": (occupied_init, ["there is a study already", "Choose another folder"]),
     "init below a file": (init_below_a_file, ["folder cannot be made"]),

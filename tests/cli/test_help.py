@@ -31,7 +31,11 @@ def loaded_by(*arguments: str) -> tuple[int, set[str], str]:
     return int(code), set(names), shown + ended.stderr
 
 
-@pytest.mark.parametrize("arguments", [(), *((name,) for name in COMMANDS)], ids=["strandline", *COMMANDS])
+@pytest.mark.parametrize(
+    "arguments",
+    [(), *((name,) for name in COMMANDS), ("posterior", "check")],
+    ids=["strandline", *COMMANDS, "posterior check"],
+)
 def test_help_loads_no_numerics(arguments: tuple[str, ...]) -> None:
     code, names, shown = loaded_by(*arguments, "--help")
     assert code == 0

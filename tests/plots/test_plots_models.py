@@ -14,6 +14,8 @@ from strandline.interface import Interface
 from strandline.parameters import Parameter
 from strandline.plots import (
     FieldGrid,
+    OffsetBand,
+    plot_check,
     plot_conditions,
     plot_field,
     plot_flow,
@@ -240,3 +242,34 @@ def test_leave_one_out_without_options():
 def test_public_names_exist():
     for name in strandline.plots.__all__:
         assert getattr(strandline.plots, name) is not None
+
+
+BAND = OffsetBand(
+    np.array([0.0, 1.0]),
+    np.array([-1e-3, -2e-3]),
+    np.zeros(2),
+    np.array([3e-3, 2e-3]),
+    np.array([0.0, 0.5, 1.0]),
+    np.array([0.0, 1e-3, 4e-3]),
+)
+
+
+def test_check_shows_agreement_failures_and_the_band_in_micrometres():
+    true, surrogate = np.array([-1.0, -np.inf, -3.0, np.nan]), np.array([-1.5, -0.5, -2.0, -2.5])
+    figure = plot_check(true, surrogate, {"light": BAND, "heavy": None})
+    left, band, empty = figure.axes
+    render(figure)
+    lines = {line.get_label(): line.get_xydata() for line in left.get_lines()}
+    np.testing.assert_array_equal(lines["draw of the posterior"], [[-1.5, -1.0], [-2.0, -3.0]])
+    np.testing.assert_array_equal(lines["failed runs: 2"][:, 0], [-0.5, -2.5])
+    assert (lines["failed runs: 2"][:, 1] == left.get_ylim()[0]).all()
+    np.testing.assert_array_equal(lines["agreement"][:, 0], lines["agreement"][:, 1])
+    assert left.get_xlim() == left.get_ylim()
+    (area,) = band.collections
+    np.testing.assert_allclose(sorted(area.get_paths()[0].vertices[:, 1])[0], -2.0)
+    np.testing.assert_allclose(area.get_paths()[0].vertices[:, 1].max(), 3.0)
+    observed = next(line for line in band.get_lines() if line.get_label() == "observed")
+    np.testing.assert_allclose(observed.get_xydata(), [[0, 0], [0.5, 1], [1, 4]])
+    assert observed.get_color() == GREEN
+    assert [ax.get_title() for ax in (band, empty)] == ["light", "heavy"]
+    assert "no band" in empty.texts[0].get_text()

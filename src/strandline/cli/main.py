@@ -18,6 +18,7 @@ COMMANDS = {
     "run": "Do the whole study; go on where it was stopped.",
     "status": "Tell how many runs are done, and how the others ended.",
     "report": "Make posterior, figures and report anew from finished runs.",
+    "posterior": "Check the posterior of a finished study with the true model.",
     "forward": "Make one forward run at chosen inputs.",
 }
 
@@ -74,7 +75,7 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stderr.close()
         raise SystemExit(0) from None
     except (KeyboardInterrupt, _Interrupted):
-        _end("interrupted; what is finished is kept, and `strandline run` goes on from there", 130)
+        _end("interrupted; what is finished is kept, and the same command goes on from there", 130)
 
 
 def _call(arguments: list[str] | None) -> Any:

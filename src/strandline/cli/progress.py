@@ -17,6 +17,7 @@ __all__ = ["observing"]
 STAGES = {
     "observation": "observation",
     "forward": "forward runs",
+    "draws": "runs at draws",
     "surrogate": "surrogate",
     "sampling": "sampling",
     "check": "quadrature check",

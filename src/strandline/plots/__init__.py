@@ -1,5 +1,6 @@
 """Figures: each function takes data and an optional Axes (or Figure, for several panels) and returns it."""
 
+from strandline.plots.check import OffsetBand, plot_check
 from strandline.plots.field import FieldGrid, plot_field, plot_profile, three_measures
 from strandline.plots.flow import FlowFields, plot_flow
 from strandline.plots.interfaces import plot_conditions, plot_interfaces
@@ -13,6 +14,8 @@ __all__ = [
     "Curve",
     "FieldGrid",
     "FlowFields",
+    "OffsetBand",
+    "plot_check",
     "plot_conditions",
     "plot_field",
     "plot_flow",

@@ -1,27 +1,55 @@
 """The posterior as weighted draws, and what is read off them."""
 
 from strandline.posterior.gaussian import GaussianApproximation
+from strandline.posterior.importance import Reweighting, reweight, subset
 from strandline.posterior.kde import KernelDensity
 from strandline.posterior.laplace import LaplaceApproximation, laplace, log_prior_hessian
 from strandline.posterior.marginals import Histogram, Histogram2D, histogram, histogram_2d, histogram_mode
 from strandline.posterior.netcdf import from_datatree, read, to_datatree, write
+from strandline.posterior.pareto_smoothing import (
+    SmoothedWeights,
+    Verdict,
+    pareto_smoothed,
+    reliability_threshold,
+    verdict_on,
+)
 from strandline.posterior.posterior import Posterior, systematic_indices
+from strandline.posterior.predictive import (
+    InterfaceBand,
+    Offsets,
+    interface_band,
+    normal_offsets,
+    observed_offsets,
+)
 
 __all__ = [
     "GaussianApproximation",
     "Histogram",
     "Histogram2D",
+    "InterfaceBand",
     "KernelDensity",
     "LaplaceApproximation",
+    "Offsets",
     "Posterior",
+    "Reweighting",
+    "SmoothedWeights",
+    "Verdict",
     "from_datatree",
     "histogram",
     "histogram_2d",
     "histogram_mode",
+    "interface_band",
     "laplace",
     "log_prior_hessian",
+    "normal_offsets",
+    "observed_offsets",
+    "pareto_smoothed",
     "read",
+    "reliability_threshold",
+    "reweight",
+    "subset",
     "systematic_indices",
     "to_datatree",
+    "verdict_on",
     "write",
 ]

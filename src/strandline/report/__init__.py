@@ -1,5 +1,5 @@
 """A finished study as one self-contained HTML page."""
 
-from strandline.report.page import write_report
+from strandline.report.page import add_check, write_report
 
-__all__ = ["write_report"]
+__all__ = ["add_check", "write_report"]

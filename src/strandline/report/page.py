@@ -11,11 +11,14 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from strandline.calibrate import Calibration
+from strandline.report.check import draw_check
 from strandline.report.figures import Captioned, draw_figures
 
-__all__ = ["write_report"]
+__all__ = ["add_check", "write_report"]
 
 FILE_NAME = "report.html"
+MARKS = ("<!-- check of the posterior -->\n", "<!-- end of the check -->\n")
+"""Comments of the page between which the section of a check stands."""
 
 
 def write_report(
@@ -25,6 +28,7 @@ def write_report(
     study_text: str,
     truth: Mapping[str, float] | None,
     folder: Path,
+    check: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write `folder`/figures (PNG and PDF) and `folder`/report.html; return the page's path.
 
@@ -36,10 +40,35 @@ def write_report(
         study_text: study.yaml, shown as it is.
         truth: the inputs of a synthetic observation.
         folder: the study's.
+        check: the content of check.json where it belongs to this posterior.
     """
     with _whole_folder(folder / "figures") as partial:
         shown = [_saved(captioned, partial) for captioned in draw_figures(calibration, truth)]
-    page = _template().render(s=summary, figures=shown, study_text=study_text)
+        picture = None if check is None else _saved(draw_check(check), partial)
+    page = _template().render(s=summary, figures=shown, study_text=study_text, check=check, picture=picture)
+    return _replaced(folder, page)
+
+
+def add_check(check: Mapping[str, Any], folder: Path) -> None:
+    """Write figures/check.png and .pdf of `folder`, and put the section of the check into its report, if there is one.
+
+    Args:
+        check: the content of check.json.
+        folder: the study's.
+    """
+    figures, report = folder / "figures", folder / FILE_NAME
+    figures.mkdir(exist_ok=True)
+    picture = _saved(draw_check(check), figures)
+    page = report.read_text(encoding="utf-8") if report.is_file() else ""
+    before, begin, rest = page.partition(MARKS[0])
+    _, end, after = rest.partition(MARKS[1])
+    if begin and end:
+        section = _template("check.html.j2").render(check=check, picture=picture)
+        _replaced(folder, f"{before}{begin}{section}{end}{after}")
+
+
+def _replaced(folder: Path, page: str) -> Path:
+    """Write the page whole or not at all."""
     unfinished = folder / f".{FILE_NAME}.partial"
     unfinished.write_text(page, encoding="utf-8")
     return unfinished.replace(folder / FILE_NAME)
@@ -69,7 +98,7 @@ def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
     return {"name": captioned.name, "section": captioned.section, "caption": captioned.caption, "data": data}
 
 
-def _template() -> Any:
+def _template(name: str = "report.html.j2") -> Any:
     environment = Environment(
         loader=PackageLoader("strandline.report"),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -79,4 +108,4 @@ def _template() -> Any:
     )
     environment.filters["g"] = lambda value, digits=4: "–" if value is None else f"{value:.{digits}g}"
     environment.filters["percent"] = lambda value: f"{value:.1%}"
-    return environment.get_template("report.html.j2")
+    return environment.get_template(name)

@@ -210,5 +210,5 @@ def _require_same_model(ledger: Ledger, identity: str) -> None:
             f"{ledger.path} keeps the runs of another model",
             value=f"{ledger.model} in the ledger, {identity} now",
             expected="one and the same model",
-            remedy="Move ledger.sqlite away or use a new study folder for the changed model.",
+            remedy=f"Move {ledger.path.name} away or use a new study folder for the changed model.",
         )

@@ -126,7 +126,7 @@ class Ledger:
                     f"{self.path} keeps the runs of another model",
                     value=f"{self.model} in the ledger, {model} now",
                     expected="one and the same model",
-                    remedy="Move ledger.sqlite away or use a new study folder for the changed model.",
+                    remedy=f"Move {self.path.name} away or use a new study folder for the changed model.",
                 )
 
     @contextlib.contextmanager

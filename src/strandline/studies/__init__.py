@@ -4,12 +4,20 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from strandline.studies.check import Check, check_posterior
     from strandline.studies.run import Outcome, run_study
     from strandline.studies.study import Study, load_study
 
-__all__ = ["Outcome", "Study", "load_study", "run_study"]
+__all__ = ["Check", "Outcome", "Study", "check_posterior", "load_study", "run_study"]
 
-_MODULES = {"Outcome": "run", "Study": "study", "load_study": "study", "run_study": "run"}
+_MODULES = {
+    "Check": "check",
+    "Outcome": "run",
+    "Study": "study",
+    "check_posterior": "check",
+    "load_study": "study",
+    "run_study": "run",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,19 +1,35 @@
 """The files of a study folder, and whether they can be written."""
 
+import json
+import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from strandline.errors import InvalidStudy
 
-__all__ = ["LEDGER", "POSTERIOR", "STUDY", "SUMMARY", "require_writable", "whole_file"]
+__all__ = [
+    "CHECK",
+    "CHECK_LEDGER",
+    "LEDGER",
+    "POSTERIOR",
+    "STUDY",
+    "SUMMARY",
+    "require_writable",
+    "told_if_unwritable",
+    "whole_file",
+    "write_json",
+]
 
 STUDY = "study.yaml"
 LEDGER = "ledger.sqlite"
 POSTERIOR = "posterior.nc"
 SUMMARY = "summary.json"
+CHECK = "check.json"
+CHECK_LEDGER = "check.sqlite"
 
 
 def require_writable(folder: Path) -> None:
@@ -43,3 +59,37 @@ def whole_file(path: Path) -> Iterator[Path]:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def told_if_unwritable(folder: Path) -> Iterator[None]:
+    """Turn the system's refusal to write a result into one clear line.
+
+    Raises:
+        InvalidStudy: with the file and the system's reason.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InvalidStudy(
+            "the results cannot be written",
+            value=f"{error.filename or folder}: {error.strerror or error}",
+            expected="a folder with write permission and room on the disk",
+            remedy="Mend that and run again: finished forward runs are kept.",
+        ) from error
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write `content`, whole or not at all, with null for each number that JSON does not know."""
+    text = json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
+    with whole_file(path) as partial:
+        partial.write_text(text + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    """Return `value` with null for each number that JSON does not know."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

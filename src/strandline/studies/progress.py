@@ -13,7 +13,7 @@ from strandline.studies.folder import SUMMARY
 from strandline.studies.ledgers import design_keys, settled
 from strandline.studies.study import Study
 
-__all__ = ["StudyProgress", "progress_of"]
+__all__ = ["StudyProgress", "progress_of", "results_of"]
 
 Results = Literal["none", "current", "outdated"]
 
@@ -55,7 +55,7 @@ class StudyProgress:
 def progress_of(study: Study) -> StudyProgress:
     """Return how far `study` is; reads the ledger without the lock of its driver."""
     keys = design_keys(study)
-    results = _results(study)
+    results = results_of(study)
     if not study.ledger_path.is_file():
         return StudyProgress(study.name, len(keys), results=results)
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
@@ -77,7 +77,8 @@ def progress_of(study: Study) -> StudyProgress:
     )
 
 
-def _results(study: Study) -> Results:
+def results_of(study: Study) -> Results:
+    """Tell whether the study has results, and whether they are of study.yaml as it is."""
     try:
         summary = json.loads((study.folder / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError):

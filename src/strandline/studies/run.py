@@ -1,10 +1,7 @@
 """From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
 
-import json
-import math
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +14,8 @@ from strandline.models.protocol import fingerprint
 from strandline.posterior import to_datatree, write
 from strandline.report import write_report
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
-from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, whole_file
+from strandline.studies.check_file import read_check
+from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
 from strandline.studies.ledgers import check_ledgers, take_over
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
@@ -98,37 +96,20 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
         attrs={"study": study.name, "strandline_version": __version__},
         observed=calibration.problem.observations,
     )
-    with _told_if_unwritable(study.folder):
+    with told_if_unwritable(study.folder):
         (study.folder / SUMMARY).unlink(missing_ok=True)
         write(tree, study.folder / POSTERIOR)
-        report = write_report(calibration, summary, study_text=study.text, truth=study.truth, folder=study.folder)
+        report = write_report(
+            calibration,
+            summary,
+            study_text=study.text,
+            truth=study.truth,
+            folder=study.folder,
+            check=read_check(study.folder, calibration.posterior),
+        )
         summary["seconds"]["report"] = time.perf_counter() - begun
-        text = json.dumps(_finite(summary), indent=2, ensure_ascii=False, allow_nan=False)
-        with whole_file(study.folder / SUMMARY) as path:
-            path.write_text(text + "\n", encoding="utf-8")
+        write_json(study.folder / SUMMARY, summary)
     return Outcome(calibration, summary, report)
-
-
-@contextmanager
-def _told_if_unwritable(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InvalidStudy(
-            "the results cannot be written",
-            value=f"{error.filename or folder}: {error.strerror or error}",
-            expected="a folder with write permission and room on the disk",
-            remedy="Mend that and run again: finished forward runs are kept.",
-        ) from error
-
-
-def _finite(value: Any) -> Any:
-    """Return `value` with null for each number that JSON does not know."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class _Made:

@@ -1,0 +1,88 @@
+"""A posterior corrected by importance weights at some of its draws, and which draws to take."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from strandline.errors import InvalidInput
+from strandline.posterior.pareto_smoothing import SmoothedWeights, pareto_smoothed
+
+__all__ = ["Reweighting", "reweight", "subset"]
+
+
+@dataclass(frozen=True, eq=False)
+class Reweighting:
+    """Moments of draws of equal weight, of the same draws reweighted, and their difference; each (dim,).
+
+    Args:
+        smoothed: the weights.
+        mean: of the draws.
+        sd: of the draws.
+        reweighted_mean: under the weights.
+        reweighted_sd: under the weights.
+        shift: of the mean, in `sd`; both means are of the same draws, so that their common noise cancels.
+        shift_error: standard error of `shift`, to first order in the influence of each draw.
+    """
+
+    smoothed: SmoothedWeights
+    mean: Float[np.ndarray, " dim"]
+    sd: Float[np.ndarray, " dim"]
+    reweighted_mean: Float[np.ndarray, " dim"]
+    reweighted_sd: Float[np.ndarray, " dim"]
+    shift: Float[np.ndarray, " dim"]
+    shift_error: Float[np.ndarray, " dim"]
+
+    @property
+    def sd_ratio(self) -> Float[np.ndarray, " dim"]:
+        """Reweighted standard deviations over those of the draws (dim,)."""
+        return np.asarray(self.reweighted_sd / self.sd)
+
+
+def reweight(draws: Float[np.ndarray, "draw dim"], log_ratios: Float[np.ndarray, " draw"]) -> Reweighting:
+    """Return what Pareto-smoothed importance weights make of draws of equal weight.
+
+    Args:
+        draws: of the proposal, e.g. a surrogate's posterior.
+        log_ratios: log(target/proposal) at each, up to a constant; -inf is a draw that the target excludes.
+
+    Raises:
+        InvalidInput: draws that are all the same in one input, or see `pareto_smoothed`.
+    """
+    _require_spread(draws)
+    smoothed = pareto_smoothed(log_ratios)
+    equal = np.full(len(draws), 1 / len(draws))
+    (mean, sd), (new_mean, new_sd) = _moments(draws, equal), _moments(draws, smoothed.weights)
+    z, shift = (draws - mean) / sd, (new_mean - mean) / sd
+    influence = smoothed.weights[:, None] * (z - shift) - equal[:, None] * (z + 0.5 * shift * (z**2 - 1))
+    error = np.sqrt(np.sum(influence**2, axis=0))
+    return Reweighting(smoothed, mean, sd, new_mean, new_sd, shift, error)
+
+
+def subset(weights: Float[np.ndarray, " particle"], number: int, seed: int) -> Int[np.ndarray, " draw"]:
+    """Return `number` particle numbers of equal weight, ascending: equal strides through the cumulative weights.
+
+    The seed fixes one of the places, whatever the number: twice as many draws contain the first ones.
+    """
+    phase = np.random.default_rng([seed, 2]).random()
+    places = np.sort((phase + np.arange(number) / number) % 1.0)
+    cumulative = np.cumsum(weights)
+    found = np.searchsorted(cumulative, places * cumulative[-1], side="right")
+    return np.asarray(np.minimum(found, np.flatnonzero(weights)[-1]))
+
+
+def _moments(
+    draws: Float[np.ndarray, "draw dim"], weights: Float[np.ndarray, " draw"]
+) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
+    mean = weights @ draws
+    return mean, np.sqrt(weights @ (draws - mean) ** 2)
+
+
+def _require_spread(draws: Float[np.ndarray, "draw dim"]) -> None:
+    if not np.ptp(draws, axis=0).all():
+        raise InvalidInput(
+            "draws to be reweighted",
+            value="the same value of an input in every draw",
+            expected="draws that differ",
+            remedy="Take more draws, or look at what the sampler did.",
+        )

@@ -1,0 +1,146 @@
+"""Pareto-smoothed importance sampling: weights whose largest few do not rule, and a figure that says when they do.
+
+Vehtari, Simpson, Gelman, Yao, Gabry: Pareto smoothed importance sampling, JMLR 25 (72), 2024. The generalised Pareto
+distribution is fitted as in Zhang, Stephens: A new and efficient estimation method for the generalized Pareto
+distribution, Technometrics 51 (3), 2009.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from strandline.errors import InvalidInput
+
+__all__ = [
+    "GeneralisedPareto",
+    "SmoothedWeights",
+    "Verdict",
+    "fit_generalised_pareto",
+    "pareto_smoothed",
+    "reliability_threshold",
+    "verdict_on",
+]
+
+Verdict = Literal["good", "usable", "bad"]
+
+GOOD_BELOW, USABLE_BELOW = 0.5, 0.7
+SMALLEST_TAIL = 5
+PRIOR_SHAPE, PRIOR_WEIGHT = 0.5, 10
+"""The shape is drawn towards 1/2 with the weight of ten observations: Appendix C of Vehtari et al."""
+LOG_NOTHING = -460.0
+"""A weight below e^-460 = 1e-200 of the largest counts as zero."""
+LOG_EQUAL = 1e-10
+"""Largest log weights within this are equal but for rounding: they have no tail."""
+
+
+@dataclass(frozen=True)
+class GeneralisedPareto:
+    """The distribution on x > 0 with survival function (1 + k x/σ)^(-1/k), k = `shape` and σ = `scale`.
+
+    For k > 0 its tail is that of a power law, and only moments below 1/k exist.
+    """
+
+    shape: float
+    scale: float
+
+    def quantile(self, p: Float[np.ndarray, " level"]) -> Float[np.ndarray, " level"]:
+        """Return the quantiles at the probabilities `p`."""
+        exponential = -np.log1p(-p)
+        if abs(self.shape) < 1e-12:
+            return np.asarray(self.scale * exponential)
+        return np.asarray(self.scale * np.expm1(self.shape * exponential) / self.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedWeights:
+    """Normalised log weights (draw,), and the shape k̂ of the tail that the raw weights have.
+
+    k̂ is -inf where the largest weights are equal, so that there is no tail, and +inf where fewer than five weights
+    stand out from nothing, so that none can be fitted.
+    """
+
+    log_weights: Float[np.ndarray, " draw"]
+    k_hat: float
+
+    @property
+    def weights(self) -> Float[np.ndarray, " draw"]:
+        """Normalised weights (draw,)."""
+        return np.asarray(np.exp(self.log_weights))
+
+    @property
+    def ess(self) -> float:
+        """Effective sample size of the weights, 1 / Σ w²."""
+        return float(1.0 / np.sum(self.weights**2))
+
+
+def pareto_smoothed(log_ratios: Float[np.ndarray, " draw"]) -> SmoothedWeights:
+    """Return the smoothed weights of draws from a proposal, given log(target/proposal) at each, up to a constant.
+
+    The largest min(S/5, 3√S) of the S ratios are replaced by the quantiles of a generalised Pareto distribution fitted
+    to them, none above the largest raw one. -inf is a draw of no weight: it counts among the S.
+
+    Raises:
+        InvalidInput: fewer than five draws, a ratio that is NaN or +inf, or none that is finite.
+    """
+    _require_ratios(log_ratios)
+    number = len(log_ratios)
+    log_weights = log_ratios - log_ratios.max()
+    order = np.argsort(log_weights, kind="stable")
+    length = max(SMALLEST_TAIL, math.ceil(min(number / 5, 3 * math.sqrt(number))))
+    cutoff = max(float(log_weights[order[-min(length + 1, number)]]), LOG_NOTHING)
+    if -cutoff <= LOG_EQUAL:
+        return SmoothedWeights(log_weights - logsumexp(log_weights), -math.inf)
+    tail = order[log_weights[order] > cutoff]
+    if len(tail) < SMALLEST_TAIL:
+        return SmoothedWeights(log_weights - logsumexp(log_weights), math.inf)
+    fitted = fit_generalised_pareto(np.exp(log_weights[tail]) - math.exp(cutoff))
+    shape = (len(tail) * fitted.shape + PRIOR_WEIGHT * PRIOR_SHAPE) / (len(tail) + PRIOR_WEIGHT)
+    levels = (np.arange(len(tail)) + 0.5) / len(tail)
+    smooth = GeneralisedPareto(shape, fitted.scale).quantile(levels) + math.exp(cutoff)
+    log_weights[tail] = np.minimum(np.log(smooth), 0.0)
+    return SmoothedWeights(log_weights - logsumexp(log_weights), shape)
+
+
+def fit_generalised_pareto(exceedances: Float[np.ndarray, " tail"]) -> GeneralisedPareto:
+    """Return the distribution that `exceedances`, all above 0 and ascending, come from.
+
+    Zhang and Stephens (2009): the posterior mean of θ = -k/σ under a weak prior, on a grid of θ by quantiles of that
+    prior, with the likelihood maximised over k at each.
+    """
+    x, number = exceedances, len(exceedances)
+    size = 30 + math.isqrt(number)
+    quarter = float(x[max(int(number / 4 + 0.5) - 1, 0)])
+    theta = 1 / x[-1] + (1 - np.sqrt(size / (np.arange(size) + 0.5))) / (3 * quarter)
+    shapes = np.mean(np.log1p(-theta[:, None] * x), axis=1)
+    profile = number * (np.log(-theta / shapes) - shapes - 1)
+    mean = float(np.exp(profile - logsumexp(profile)) @ theta)
+    shape = float(np.mean(np.log1p(-mean * x)))
+    return GeneralisedPareto(shape, -shape / mean)
+
+
+def reliability_threshold(number: int) -> float:
+    """Return the k̂ above which `number` draws are too few for a reliable estimate, min(1 - 1/log₁₀ S, 0.7)."""
+    return min(1 - 1 / math.log10(number), USABLE_BELOW)
+
+
+def verdict_on(k_hat: float, number: int) -> Verdict:
+    """Return what k̂ of `number` weights says of estimates that are made with them."""
+    threshold = reliability_threshold(number)
+    if k_hat < min(GOOD_BELOW, threshold):
+        return "good"
+    return "usable" if k_hat < threshold else "bad"
+
+
+def _require_ratios(log_ratios: Float[np.ndarray, " draw"]) -> None:
+    valid = not np.isnan(log_ratios).any() and not np.isposinf(log_ratios).any()
+    if len(log_ratios) < SMALLEST_TAIL or not valid or np.isneginf(log_ratios).all():
+        raise InvalidInput(
+            "log ratios of importance sampling",
+            value=f"{len(log_ratios)} values, {np.isfinite(log_ratios).sum()} of them finite",
+            expected=f"at least {SMALLEST_TAIL}, finite or -inf, and not all -inf",
+            remedy="Check both log densities at the draws.",
+        )

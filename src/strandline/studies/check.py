@@ -1,0 +1,160 @@
+"""A finished study's posterior, checked with the true model: runs at some of its draws, and what they make of it.
+
+These runs have a ledger of their own, check.sqlite: that of the design stays as it is to the byte, and each of the two
+can be locked, thrown away or reused without the other.
+"""
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibrate import Observer
+from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.models.protocol import ForwardModel, fingerprint
+from strandline.posterior import Posterior, from_datatree, read, reweight, subset
+from strandline.report import add_check
+from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
+from strandline.studies.check_file import Compared, describe
+from strandline.studies.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable, write_json
+from strandline.studies.ledgers import require_finished, settled
+from strandline.studies.progress import results_of
+from strandline.studies.study import Study
+
+__all__ = ["Check", "check_posterior"]
+
+FEWEST_DRAWS = 20
+
+
+@dataclass(frozen=True)
+class Check:
+    """The content of check.json, and where it lies."""
+
+    content: dict[str, Any]
+    path: Path
+
+
+def check_posterior(
+    study: Study, *, draws: int = 200, executor: Executor | None = None, observer: Observer | None = None
+) -> Check:
+    """Run the true model at draws of the study's posterior, and reweight them by what it says of each.
+
+    The draws depend on the posterior, the seed and their number alone, and the runs are kept: what was run already is
+    not run again. Writes check.json, figures/check.png and .pdf, and a section of report.html.
+
+    Args:
+        study: from `load_study`, finished.
+        draws: how many; at least 20, at most as many as there are particles.
+        executor: where forward runs are made, if not where the study says.
+        observer: who is told how far it is.
+
+    Raises:
+        InvalidInput: `draws` too small or too large.
+        InvalidStudy: a study without results of its present study.yaml, or a folder that cannot be written to.
+        LedgerError: the ledger is locked, belongs to another model, or is damaged.
+        TooFewRuns: the run failed at every draw.
+    """
+    _require_number(draws, None)
+    posterior = _finished_posterior(study)
+    _require_number(draws, posterior.number)
+    require_writable(study.folder)
+    tell, begun = observer or Observer(), time.perf_counter()
+    observations = _observations(study)
+    chosen = subset(posterior.weights, draws, study.settings.seed)
+    positions, surrogate = posterior.draws[chosen], posterior.log_likelihood[chosen]
+    tell.stage("draws")
+    records, new_runs = _run(study, positions, executor or study.executor, tell)
+    tell.stage("report")
+    likelihood = InterfaceLikelihood(observations, next(iter(study.discrepancies.values())))
+    true = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
+    _require_one(records)
+    found = Compared(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))
+    content = describe(study, found, observations, new_runs=new_runs)
+    with told_if_unwritable(study.folder):
+        add_check(content, study.folder)
+        content["seconds"] = time.perf_counter() - begun
+        write_json(study.folder / CHECK, content)
+    return Check(content, study.folder / CHECK)
+
+
+def _finished_posterior(study: Study) -> Posterior:
+    """Return the posterior of a study whose results are there and of study.yaml as it is."""
+    results, path = results_of(study), study.folder / POSTERIOR
+    if results != "current" or not path.is_file():
+        outdated = results == "outdated"
+        raise InvalidStudy(
+            "the study has no posterior to check",
+            value="results of an earlier study.yaml" if outdated else "a study that is not finished",
+            expected=f"{POSTERIOR}, made from study.yaml as it is",
+            remedy=f"Run it first: strandline run {study.folder}",
+        )
+    require_finished(study)
+    try:
+        return from_datatree(read(path), study.space)
+    except (OSError, KeyError, ValueError) as error:
+        raise InvalidStudy(
+            f"{POSTERIOR} cannot be read",
+            value=str(error),
+            expected="the posterior of this study",
+            remedy=f"Make it anew: strandline report {study.folder}",
+        ) from error
+
+
+def _observations(study: Study) -> tuple[Observation, ...]:
+    """Return what the posterior was made from; a synthetic observation is a run in the study's ledger."""
+    observed = study.observed
+    if study.truth is not None:
+        identity = fingerprint(study.model)
+        key = run_key(identity, study.truth)
+        with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
+            observed = ledger.latest([key])[key].interfaces
+    return tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+
+
+def _run(
+    study: Study, positions: Float[np.ndarray, "draw dim"], executor: Executor, observer: Observer
+) -> tuple[tuple[RunRecord, ...], int]:
+    """Return the record of each draw, and how many runs were made for them now."""
+    model, identity = _plain(study), fingerprint(study.model)
+    inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in positions]
+    keys = {run_key(identity, entry) for entry in inputs}
+    with Ledger.open(study.folder / CHECK_LEDGER, model=identity, description=f"{study.name}, checked") as ledger:
+        known = len(settled(ledger, keys))
+        records = run_campaign(model, inputs, ledger=ledger, executor=executor, on_record=observer.run)
+    return records, len(keys) - known
+
+
+def _plain(study: Study) -> ForwardModel:
+    """Return the model without sensitivities, which nobody reads here."""
+    model: Any = study.model
+    plain: ForwardModel = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model
+    return plain
+
+
+def _require_number(draws: int, particles: int | None) -> None:
+    if draws < FEWEST_DRAWS or (particles is not None and draws > particles):
+        most = "the number of particles" if particles is None else f"{particles}, the number of particles"
+        raise InvalidInput(
+            "draws of the check",
+            value=draws,
+            expected=f"from {FEWEST_DRAWS} to {most}",
+            remedy="200 are a good start; k̂ is the surer the more there are.",
+        )
+
+
+def _require_one(records: tuple[RunRecord, ...]) -> None:
+    if not any(record.ok for record in records):
+        first = records[0]
+        raise TooFewRuns(
+            "the true model failed at every draw of the posterior",
+            value=f"0 of {len(records)}; e.g. {first.failure_kind or first.state}: "
+            + (first.message or "no message").splitlines()[0],
+            expected="a posterior where the simulator runs",
+            remedy="Look at the failures; the surrogate knows nothing of where the posterior lies.",
+        )

@@ -1,0 +1,119 @@
+"""Pareto smoothing: against ArviZ, against samples of known shape, and at the edges."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+from strandline.errors import InvalidInput
+from strandline.posterior.pareto_smoothing import (
+    GeneralisedPareto,
+    fit_generalised_pareto,
+    pareto_smoothed,
+    reliability_threshold,
+    verdict_on,
+)
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import arviz
+
+RATIOS = {
+    "bounded": lambda rng, n: np.log(rng.uniform(size=n)),
+    "normal log ratios, narrow": lambda rng, n: 0.3 * rng.normal(size=n),
+    "normal log ratios, wide": lambda rng, n: 4.0 * rng.normal(size=n) + 300.0,
+    "exponential": lambda rng, n: np.log(rng.exponential(size=n)),
+    "Pareto, k = 0.5": lambda rng, n: 0.5 * rng.exponential(size=n),
+    "Pareto, k = 1": lambda rng, n: rng.exponential(size=n),
+    "Student, 3 degrees of freedom": lambda rng, n: 0.4 * rng.standard_t(3, size=n),
+}
+
+
+@pytest.mark.parametrize("number", [25, 200, 1000])
+@pytest.mark.parametrize("kind", RATIOS)
+def test_weights_and_shape_are_those_of_arviz(kind: str, number: int) -> None:
+    log_ratios = RATIOS[kind](np.random.default_rng(3), number)
+    found = pareto_smoothed(log_ratios)
+    wanted, k_hat = arviz.psislw(log_ratios)
+    np.testing.assert_allclose(found.log_weights, wanted, rtol=0, atol=1e-10)
+    assert found.k_hat == pytest.approx(float(k_hat), abs=1e-10)
+    assert found.ess == pytest.approx(1 / np.sum(np.exp(wanted) ** 2))
+
+
+def test_draws_of_no_weight_are_those_of_arviz() -> None:
+    log_ratios = np.random.default_rng(4).normal(size=200)
+    log_ratios[:150:2] = -np.inf
+    found = pareto_smoothed(log_ratios)
+    finite = np.where(np.isneginf(log_ratios), -1e5, log_ratios)
+    wanted, k_hat = arviz.psislw(finite)
+    assert found.k_hat == pytest.approx(float(k_hat), abs=1e-10)
+    kept = np.isfinite(log_ratios)
+    np.testing.assert_allclose(found.log_weights[kept], wanted[kept], atol=1e-10)
+    assert (found.weights[~kept] == 0).all()
+
+
+@pytest.mark.parametrize("shape", [-0.3, 0.0, 0.4, 0.8, 1.2])
+def test_the_fit_finds_shape_and_scale_of_its_own_samples(shape: float) -> None:
+    """Standard errors of maximum likelihood: (1 + k)/√n for k, σ √(2(1 + k)/n) for σ (Smith 1987)."""
+    truth, number, repetitions = GeneralisedPareto(shape, 2.0), 1000, 200
+    rng = np.random.default_rng(5)
+    samples = [np.sort(truth.quantile(rng.uniform(size=number))) for _ in range(repetitions)]
+    fits = [fit_generalised_pareto(sample) for sample in samples]
+    z_shape = np.array([(fit.shape - shape) * math.sqrt(number) / (1 + shape) for fit in fits])
+    z_scale = np.array([(fit.scale / 2 - 1) * math.sqrt(number / (2 * (1 + shape))) for fit in fits])
+    for z in (z_shape, z_scale):
+        assert abs(z.mean()) < 0.25  # three and a half standard errors
+        assert 0.8 < z.std() < 1.2
+
+
+def test_the_quantile_inverts_the_distribution() -> None:
+    p = np.array([0.01, 0.5, 0.99])
+    for shape in (-0.5, 0.7):
+        x = GeneralisedPareto(shape, 3.0).quantile(p)
+        np.testing.assert_allclose((1 + shape * x / 3.0) ** (-1 / shape), 1 - p)
+    np.testing.assert_allclose(GeneralisedPareto(0.0, 3.0).quantile(p), -3 * np.log1p(-p))
+    np.testing.assert_allclose(GeneralisedPareto(1e-9, 3.0).quantile(p), -3 * np.log1p(-p), rtol=1e-7)
+
+
+def test_a_constant_changes_nothing_and_the_largest_raw_weight_is_kept_to() -> None:
+    log_ratios = 2.0 * np.random.default_rng(6).normal(size=400)
+    one, other = pareto_smoothed(log_ratios), pareto_smoothed(log_ratios - 1234.0)
+    np.testing.assert_allclose(one.log_weights, other.log_weights, atol=1e-9)
+    assert one.weights.sum() == pytest.approx(1.0)
+    body = np.argsort(log_ratios)[:300]
+    gain = (one.log_weights - log_ratios)[body]
+    np.testing.assert_allclose(gain, gain[0])  # the body keeps its ratios
+    assert one.log_weights.max() <= log_ratios.max() + gain[0] + 1e-12
+
+
+def test_equal_weights_have_no_tail() -> None:
+    rng = np.random.default_rng(7)
+    for log_ratios in (np.full(50, 3.0), 100.0 + 1e-13 * rng.normal(size=50)):
+        found = pareto_smoothed(log_ratios)
+        assert found.k_hat == -math.inf
+        assert verdict_on(found.k_hat, 50) == "good"
+        np.testing.assert_allclose(found.weights, 1 / 50)
+
+
+def test_a_few_draws_that_have_all_the_weight_are_bad() -> None:
+    log_ratios = np.full(50, -np.inf)
+    log_ratios[:4] = [0.0, -0.1, -0.3, -1.0]
+    found = pareto_smoothed(log_ratios)
+    assert found.k_hat == math.inf
+    assert verdict_on(found.k_hat, 50) == "bad"
+    np.testing.assert_allclose(found.weights[:4], np.exp(log_ratios[:4]) / np.exp(log_ratios[:4]).sum())
+
+
+def test_the_verdict_depends_on_the_number_of_draws() -> None:
+    assert reliability_threshold(100) == pytest.approx(0.5)
+    assert reliability_threshold(1000) == pytest.approx(2 / 3)
+    assert reliability_threshold(100_000) == 0.7
+    assert [verdict_on(k, 10_000) for k in (0.49, 0.5, 0.69, 0.7, 3.0)] == ["good", "usable", "usable", "bad", "bad"]
+    assert [verdict_on(k, 20) for k in (0.2, 0.25)] == ["good", "bad"]
+
+
+@pytest.mark.parametrize("wrong", [[0.0] * 4, [0.0] * 9 + [math.nan], [0.0] * 9 + [math.inf], [-math.inf] * 9])
+def test_ratios_that_are_none(wrong: list[float]) -> None:
+    with pytest.raises(InvalidInput, match="log ratios of importance sampling"):
+        pareto_smoothed(np.array(wrong))
