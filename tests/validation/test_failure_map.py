@@ -138,7 +138,7 @@ def test_the_fold_is_found_by_bisection():
     found = critical_moduli(made_up, FOLD_RATIOS)
     np.testing.assert_allclose(found, [fold(nu) for nu in FOLD_RATIOS], atol=0.5 * WIDTH)
     row = cells(fold_table(FOLD_RATIOS, {"fine": found}), FOLD_RATIOS.index(0.0))
-    assert row["feasibility study, Pa"] == 197.0
+    assert row["prototype, Pa"] == 197.0
     assert abs(row["fine, Pa"] - 200.0) < WIDTH
 
 

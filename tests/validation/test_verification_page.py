@@ -1,4 +1,4 @@
-"""The page on the forward model quotes the numbers of verification.json and failure-map.json, and these are what was aimed at."""
+"""The page on the forward model quotes verification.json and failure-map.json, and these are what was aimed at."""
 
 import json
 from pathlib import Path
