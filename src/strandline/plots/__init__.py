@@ -8,6 +8,7 @@ from strandline.plots.joint import plot_hexagons, plot_joint, plot_pairs
 from strandline.plots.leave_one_out import plot_leave_one_out
 from strandline.plots.marginals import Curve, plot_marginal, plot_marginals
 from strandline.plots.particles import plot_particles
+from strandline.plots.parts import plot_parts
 from strandline.plots.sensitivity import plot_sensitivity
 from strandline.plots.tempering import plot_tempering
 
@@ -28,6 +29,7 @@ __all__ = [
     "plot_marginals",
     "plot_pairs",
     "plot_particles",
+    "plot_parts",
     "plot_profile",
     "plot_sensitivity",
     "plot_tempering",

@@ -32,7 +32,7 @@ def plot_parts(
         ax = axes_or_new(ax, (7.2, 3.9))
         for (_, triangles), colour in zip(cells.items(), COLOURS, strict=False):
             ax.tripcolor(
-                *points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=ListedColormap([colour]),
+                points[:, 0], points[:, 1], triangles, facecolors=np.zeros(len(triangles)), cmap=ListedColormap([colour]),
                 edgecolors="0.4", lw=0.3, rasterized=True,
             )  # fmt: skip
         handles = [Patch(facecolor=colour, edgecolor="0.4") for colour in COLOURS[: len(cells)]]

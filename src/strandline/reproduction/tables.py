@@ -132,6 +132,6 @@ def cost(costs: Sequence[Cost]) -> Table:
     )
 
 
-def as_json(table: Table) -> Mapping[str, Any]:
+def as_json(table: Table) -> dict[str, Any]:
     """Return what claims.json holds of a table."""
     return {"columns": list(table.columns), "rows": [list(row) for row in table.rows]}
