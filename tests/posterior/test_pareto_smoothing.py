@@ -9,6 +9,7 @@ import pytest
 from strandline.errors import InvalidInput
 from strandline.posterior.pareto_smoothing import (
     GeneralisedPareto,
+    SmoothedWeights,
     fit_generalised_pareto,
     pareto_smoothed,
     reliability_threshold,
@@ -92,7 +93,7 @@ def test_equal_weights_have_no_tail() -> None:
     for log_ratios in (np.full(50, 3.0), 100.0 + 1e-13 * rng.normal(size=50)):
         found = pareto_smoothed(log_ratios)
         assert found.k_hat == -math.inf
-        assert verdict_on(found.k_hat, 50) == "good"
+        assert verdict_on(found) == "good"
         np.testing.assert_allclose(found.weights, 1 / 50)
 
 
@@ -101,7 +102,7 @@ def test_a_few_draws_that_have_all_the_weight_are_bad() -> None:
     log_ratios[:4] = [0.0, -0.1, -0.3, -1.0]
     found = pareto_smoothed(log_ratios)
     assert found.k_hat == math.inf
-    assert verdict_on(found.k_hat, 50) == "bad"
+    assert verdict_on(found) == "bad"
     np.testing.assert_allclose(found.weights[:4], np.exp(log_ratios[:4]) / np.exp(log_ratios[:4]).sum())
 
 
@@ -109,8 +110,25 @@ def test_the_verdict_depends_on_the_number_of_draws() -> None:
     assert reliability_threshold(100) == pytest.approx(0.5)
     assert reliability_threshold(1000) == pytest.approx(2 / 3)
     assert reliability_threshold(100_000) == 0.7
-    assert [verdict_on(k, 10_000) for k in (0.49, 0.5, 0.69, 0.7, 3.0)] == ["good", "usable", "usable", "bad", "bad"]
-    assert [verdict_on(k, 20) for k in (0.2, 0.25)] == ["good", "bad"]
+    uneven = {n: normalised(np.random.default_rng(n).normal(size=n)) for n in (20, 10_000)}
+
+    def verdicts(number: int, *shapes: float) -> list[str]:
+        return [verdict_on(SmoothedWeights(uneven[number], k)) for k in shapes]
+
+    assert verdicts(10_000, 0.49, 0.5, 0.69, 0.7, 3.0) == ["good", "usable", "usable", "bad", "bad"]
+    assert verdicts(20, 0.2, 0.25) == ["good", "bad"]
+
+
+def test_a_heavy_tail_of_nearly_equal_weights_is_good() -> None:
+    """k̂ has no scale: a hundredth of a Cauchy tail changes no estimate, the tail itself rules it."""
+    tail = np.abs(np.random.default_rng(8).standard_cauchy(500))
+    slight, heavy = pareto_smoothed(np.log1p(1e-4 * tail)), pareto_smoothed(np.log(tail))
+    assert min(slight.k_hat, heavy.k_hat) > 0.7
+    assert [verdict_on(found) for found in (slight, heavy)] == ["good", "bad"]
+
+
+def normalised(log_ratios: np.ndarray) -> np.ndarray:
+    return np.asarray(log_ratios - np.log(np.exp(log_ratios).sum()))
 
 
 @pytest.mark.parametrize("wrong", [[0.0] * 4, [0.0] * 9 + [math.nan], [0.0] * 9 + [math.inf], [-math.inf] * 9])

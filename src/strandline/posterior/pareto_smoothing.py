@@ -28,6 +28,8 @@ __all__ = [
 Verdict = Literal["good", "usable", "bad"]
 
 GOOD_BELOW, USABLE_BELOW = 0.5, 0.7
+NEARLY_EQUAL = 0.98
+"""Effective draws, as a share of all, from which on the weights change nothing, whatever the shape of their tail."""
 SMALLEST_TAIL = 5
 PRIOR_SHAPE, PRIOR_WEIGHT = 0.5, 10
 """The shape is drawn towards 1/2 with the weight of ten observations: Appendix C of Vehtari et al."""
@@ -127,12 +129,17 @@ def reliability_threshold(number: int) -> float:
     return min(1 - 1 / math.log10(number), USABLE_BELOW)
 
 
-def verdict_on(k_hat: float, number: int) -> Verdict:
-    """Return what k̂ of `number` weights says of estimates that are made with them."""
+def verdict_on(weights: SmoothedWeights) -> Verdict:
+    """Return what the weights say of estimates that are made with them.
+
+    k̂ does not depend on how much the weights differ. Where they hardly do, a heavy tail of what little there is moves
+    no estimate: their coefficient of variation is √(S / effective draws - 1), below 0.15 from `NEARLY_EQUAL` on.
+    """
+    number = len(weights.log_weights)
     threshold = reliability_threshold(number)
-    if k_hat < min(GOOD_BELOW, threshold):
+    if weights.k_hat < min(GOOD_BELOW, threshold) or weights.ess >= NEARLY_EQUAL * number:
         return "good"
-    return "usable" if k_hat < threshold else "bad"
+    return "usable" if weights.k_hat < threshold else "bad"
 
 
 def _require_ratios(log_ratios: Float[np.ndarray, " draw"]) -> None:

@@ -89,7 +89,7 @@ def describe(study: Study, found: Compared, observations: Sequence[Observation],
         },
         "k_hat": smoothed.k_hat,
         "threshold": reliability_threshold(number),
-        "verdict": verdict_on(smoothed.k_hat, number),
+        "verdict": verdict_on(smoothed),
         "remarks": list(_remarks(study, found)),
         "ess": smoothed.ess,
         "log_likelihood": {
@@ -141,7 +141,7 @@ def _inputs(found: Compared) -> dict[str, dict[str, Any]]:
 
 def _remarks(study: Study, found: Compared) -> Iterator[str]:
     """Yield a sentence on k̂ and one on whatever else must be known."""
-    verdict = verdict_on(found.result.smoothed.k_hat, len(found.records))
+    verdict = verdict_on(found.result.smoothed)
     yield VERDICTS[verdict]
     if verdict != "good":
         measure = next(iter(study.discrepancies.values()))
