@@ -49,7 +49,8 @@ INTERVALS = (8, 12, 8)
 CHECKS = 60
 """Runs anywhere in the table that it does not know, and as many near the posterior."""
 FLAT_NODES = (161, 65, 1)
-NODES = (129, 49, 17)
+NODES = (97, 41, 33)
+PANELS = (48, 24, 20)
 READINGS: tuple[Reading, ...] = ("joint", "cut")
 INFLOW = Parameter("V_in", ScaledBeta(2.6, 1.4, 0.0, 110.0), "mm^2/s")
 
@@ -143,7 +144,7 @@ def uncertain_inflow(study: Study, table: FieldTable, truth: RunRecord) -> dict[
     fields = true_fields(table, likelihood, nodes=NODES)
     result: dict[str, Any] = {"study": study.name, "seconds_fields": time.perf_counter() - begun}
     for reading in READINGS:
-        found = true_posterior(table, likelihood, space, reading=reading, fields=fields)
+        found = true_posterior(table, likelihood, space, reading=reading, fields=fields, panels=PANELS)
         result[reading] = moments(found.posterior) | {"error": own_errors(found)}
     return result | {"seconds": time.perf_counter() - begun}
 
