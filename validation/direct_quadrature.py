@@ -44,7 +44,7 @@ from strandline.runs import Executor, Ledger, LocalProcesses, RunRecord, run_cam
 from strandline.studies import Study, load_study
 
 OUTPUT = Path(__file__).parent / "output"
-INTERVALS = (8, 12, 8)
+INTERVALS = (6, 10, 8)
 """Chebyshev intervals in the root of the load, ν and V; even, so that the table of half as many is nested."""
 CHECKS = 60
 """Runs anywhere in the table that it does not know, and as many near the posterior."""

@@ -43,6 +43,7 @@ def test_box_of_the_biofilm_ends_a_tenth_above_each_state_of_the_fold():
     [
         (120.0, -0.3, 94.02), (60.0, -0.3, 64.61), (120.0, 0.1, 72.43), (60.0, 0.1, 49.15), (20.0, 0.1, 25.10),
         (120.0, 0.5, 64.17), (60.0, 0.5, 42.56), (20.0, -0.8, 65.07), (60.0, -0.8, 116.90), (2.0, -0.8, 9.38),
+        (0.3, -0.72, 0.9737), (0.3, -0.55, 0.6423),
     ],
 )  # fmt: skip
 def test_box_of_the_biofilm_ends_before_the_folds_at_other_rates(young, nu, limit_rate):

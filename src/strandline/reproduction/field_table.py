@@ -47,8 +47,8 @@ class LoadCoordinates:
         fold: (ν, E) pairs of the fold at the inflow rate `fold_rate`; between them a cubic of E/(1+ν) is fitted.
         fold_rate: V at which the fold was found, mm²/s.
         inertia: (a, b) in mm²/s: at another V the fold is taken to have E ∝ V √(b² + (a + V)²). For the built-in
-            biofilm this E is 2 % below to 18 % above the folds found for E from 60 to 240 Pa, and further above those
-            of softer solids in slow flow. None: E ∝ V.
+            biofilm this E is 2 % below to 26 % above the folds found for E from 60 to 240 Pa, and hardly below those
+            of the softest solids in creeping flow. None: E ∝ V.
         reach: the softest states of the table have this share of the load at the fold.
         nu: interval of Poisson's ratio.
         rate: interval of V, mm²/s; its lower end is above 0, for at V = 0 the load would ask for E = 0. The table is
@@ -57,7 +57,7 @@ class LoadCoordinates:
 
     fold: tuple[tuple[float, float], ...] = BIOFILM_FOLD
     fold_rate: float = 100.0
-    inertia: tuple[float, float] | None = (17.0, 55.0)
+    inertia: tuple[float, float] | None = (17.0, 67.0)
     reach: float = 0.88
     nu: tuple[float, float] = (-0.8, 0.5)
     rate: tuple[float, float] = (1.0, 110.0)
