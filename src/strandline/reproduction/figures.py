@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from strandline.parameters import ParameterSpace
-from strandline.plots.style import BLACK, CYCLE, DASHES, RED, axes_or_new, below, figure_or_new, mark, styled
+from strandline.plots.style import BLACK, CYCLE, DASHES, GREY, RED, axes_or_new, below, figure_or_new, mark, styled
 from strandline.reproduction.nested import NestedStep
 from strandline.reproduction.truth import GridPosterior
 
@@ -95,16 +95,11 @@ def plot_convergence(steps: Mapping[str, Sequence[NestedStep]], *, ax: Axes | No
         ax = axes_or_new(ax, (5.6, 3.8))
         for colour, (name, sequence) in zip(CYCLE, steps.items(), strict=False):
             runs = [step.runs for step in sequence]
-            ax.plot(runs, [s.total_variation for s in sequence], "o-", color=colour, label=f"{name}: total variation")
-            ax.plot(
-                runs,
-                [s.loo_rms_near_mode for s in sequence],
-                "s",
-                linestyle=DASHES[1],
-                fillstyle="none",
-                color=colour,
-                label=f"{name}: leave-one-out error near the mode",
-            )
+            ax.plot(runs, [s.total_variation for s in sequence], "o-", color=colour, label=name)
+            proxy = [s.loo_rms_near_mode for s in sequence]
+            ax.plot(runs, proxy, "s", linestyle=DASHES[1], fillstyle="none", color=colour)
+        ax.plot([], [], "o-", color=GREY, label="total variation")
+        ax.plot([], [], "s", linestyle=DASHES[1], fillstyle="none", color=GREY, label="leave-one-out near the mode")
         ax.set(xscale="log", yscale="log", xlabel="forward runs of the design", ylabel="error")
         ticks = sorted({step.runs for sequence in steps.values() for step in sequence})
         ax.set_xticks(ticks, labels=[str(n) for n in ticks], minor=False)
