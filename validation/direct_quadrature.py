@@ -44,12 +44,13 @@ from strandline.runs import Executor, Ledger, LocalProcesses, RunRecord, run_cam
 from strandline.studies import Study, load_study
 
 OUTPUT = Path(__file__).parent / "output"
-INTERVALS = (8, 12, 8)
+INTERVALS = (6, 10, 8)
 """Chebyshev intervals in the root of the load, ν and V; even, so that the table of half as many is nested."""
 CHECKS = 60
 """Runs anywhere in the table that it does not know, and as many near the posterior."""
 FLAT_NODES = (161, 65, 1)
-NODES = (129, 49, 17)
+NODES = (97, 41, 33)
+PANELS = (48, 24, 20)
 READINGS: tuple[Reading, ...] = ("joint", "cut")
 INFLOW = Parameter("V_in", ScaledBeta(2.6, 1.4, 0.0, 110.0), "mm^2/s")
 
@@ -143,7 +144,7 @@ def uncertain_inflow(study: Study, table: FieldTable, truth: RunRecord) -> dict[
     fields = true_fields(table, likelihood, nodes=NODES)
     result: dict[str, Any] = {"study": study.name, "seconds_fields": time.perf_counter() - begun}
     for reading in READINGS:
-        found = true_posterior(table, likelihood, space, reading=reading, fields=fields)
+        found = true_posterior(table, likelihood, space, reading=reading, fields=fields, panels=PANELS)
         result[reading] = moments(found.posterior) | {"error": own_errors(found)}
     return result | {"seconds": time.perf_counter() - begun}
 

@@ -7,7 +7,7 @@ from strandline.testing.folding import Folding
 
 MODEL = Folding(softness=0.97)
 """Its fold is 3 % away from the one that the coordinates are told."""
-BOX = LoadCoordinates(fold=Folding.FOLD, reach=0.9)
+BOX = LoadCoordinates(fold=Folding.FOLD, reach=0.9, inertia=None)
 
 
 @pytest.fixture(scope="session")

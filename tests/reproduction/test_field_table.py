@@ -38,6 +38,21 @@ def test_box_of_the_biofilm_ends_a_tenth_above_each_state_of_the_fold():
         assert 1.1 * young < float(box.softest(np.array([nu]), box.fold_rate)[0]) < 1.17 * young
 
 
+@pytest.mark.parametrize(
+    ("young", "nu", "limit_rate"),
+    [
+        (120.0, -0.3, 94.02), (60.0, -0.3, 64.61), (120.0, 0.1, 72.43), (60.0, 0.1, 49.15), (20.0, 0.1, 25.10),
+        (120.0, 0.5, 64.17), (60.0, 0.5, 42.56), (20.0, -0.8, 65.07), (60.0, -0.8, 116.90), (2.0, -0.8, 9.38),
+        (0.3, -0.72, 0.9737), (0.3, -0.55, 0.6423),
+    ],
+)  # fmt: skip
+def test_box_of_the_biofilm_ends_before_the_folds_at_other_rates(young, nu, limit_rate):
+    """Folds found by following the load to its limit; where E can be 100 Pa the table must not end far before them."""
+    share = float(LoadCoordinates().load(np.array([young, nu, limit_rate])))
+    assert share > 0.92
+    assert share < 1.2 or young < 100
+
+
 def test_outside_is_outside():
     box = LoadCoordinates()
     x = np.array([[400, 0.3, 100], [250, 0.3, 100], [400, 0.51, 100], [400, 0.3, 111], [400, 0.3, 0]], float)
@@ -123,7 +138,7 @@ def test_a_node_beyond_the_fold_is_refused(tmp_path):
             intervals=(4, 2, 2),
             ledger=ledger,
             executor=InProcess(),
-            coordinates=LoadCoordinates(fold=Folding.FOLD),
+            coordinates=LoadCoordinates(fold=Folding.FOLD, inertia=None),
         )
 
 

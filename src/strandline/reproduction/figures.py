@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from strandline.parameters import ParameterSpace
-from strandline.plots.style import BLACK, CYCLE, DASHES, RED, axes_or_new, figure_or_new, mark, styled
+from strandline.plots.style import BLACK, CYCLE, DASHES, GREY, RED, axes_or_new, below, figure_or_new, mark, styled
 from strandline.reproduction.nested import NestedStep
 from strandline.reproduction.truth import GridPosterior
 
@@ -70,7 +70,7 @@ def plot_nested_likelihoods(
                 linestyles="dashed",
             )
             used = training[: step.succeeded]
-            ax.plot(*used.T, ".", color="white", markersize=3.0, markeredgecolor=BLACK, markeredgewidth=0.3)
+            ax.plot(*used.T, "o", color="white", markersize=2.6, markeredgecolor=BLACK, markeredgewidth=0.3)
             if ground_truth is not None:
                 mark(ax, ground_truth, RED, "ground truth", marker="o", size=6.0)
             ax.set_title(f"{step.runs} runs, TV {step.total_variation:.2g}")
@@ -92,22 +92,17 @@ def plot_convergence(steps: Mapping[str, Sequence[NestedStep]], *, ax: Axes | No
         ax: axes to draw in.
     """
     with styled():
-        ax = axes_or_new(ax)
+        ax = axes_or_new(ax, (5.6, 3.8))
         for colour, (name, sequence) in zip(CYCLE, steps.items(), strict=False):
             runs = [step.runs for step in sequence]
-            ax.plot(runs, [s.total_variation for s in sequence], "o-", color=colour, label=f"{name}: total variation")
-            ax.plot(
-                runs,
-                [s.loo_rms_near_mode for s in sequence],
-                "s",
-                linestyle=DASHES[1],
-                fillstyle="none",
-                color=colour,
-                label=f"{name}: leave-one-out error near the mode",
-            )
+            ax.plot(runs, [s.total_variation for s in sequence], "o-", color=colour, label=name)
+            proxy = [s.loo_rms_near_mode for s in sequence]
+            ax.plot(runs, proxy, "s", linestyle=DASHES[1], fillstyle="none", color=colour)
+        ax.plot([], [], "o-", color=GREY, label="total variation")
+        ax.plot([], [], "s", linestyle=DASHES[1], fillstyle="none", color=GREY, label="leave-one-out near the mode")
         ax.set(xscale="log", yscale="log", xlabel="forward runs of the design", ylabel="error")
         ticks = sorted({step.runs for sequence in steps.values() for step in sequence})
         ax.set_xticks(ticks, labels=[str(n) for n in ticks], minor=False)
         ax.minorticks_off()
-        ax.legend()
+        below(ax, columns=2)
     return ax

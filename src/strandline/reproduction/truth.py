@@ -363,7 +363,7 @@ def true_posterior(
     *,
     rate: float | None = None,
     reading: Reading = "joint",
-    nodes: tuple[int, int, int] = (129, 49, 17),
+    nodes: tuple[int, int, int] = (97, 41, 33),
     panels: tuple[int, int, int] = (64, 32, 24),
     fields: tuple[LogLikelihoodField, LogLikelihoodField] | None = None,
 ) -> TruePosterior:
@@ -400,7 +400,7 @@ def true_fields(
     table: FieldTable,
     likelihood: InterfaceLikelihood,
     *,
-    nodes: tuple[int, int, int] = (129, 49, 17),
+    nodes: tuple[int, int, int] = (97, 41, 33),
     rate: float | None = None,
 ) -> tuple[LogLikelihoodField, LogLikelihoodField]:
     """Return the log-likelihood of a table and, on half the nodes, of its nested table of half the intervals."""
