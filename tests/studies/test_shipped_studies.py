@@ -1,4 +1,4 @@
-"""The study folders that come along: they load, and need no forward runs but those of biofilm-uniform."""
+"""The study folders that come along: they load, and variants take the forward runs of the first of their kind."""
 
 from pathlib import Path
 
@@ -20,8 +20,16 @@ def test_it_loads_under_its_own_name(name: str) -> None:
     assert load_study(STUDIES / name).name == name
 
 
-@pytest.mark.parametrize("name", ["biofilm-informed", "biofilm-measures", "biofilm-uniform-refined"])
-def test_it_needs_the_same_forward_runs(name: str) -> None:
-    study, first = load_study(STUDIES / name), load_study(STUDIES / "biofilm-uniform")
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("biofilm-informed", "biofilm-uniform"),
+        ("biofilm-measures", "biofilm-uniform"),
+        ("biofilm-uniform-refined", "biofilm-uniform"),
+        ("biofilm-inflow-refined", "biofilm-inflow"),
+    ],
+)
+def test_it_needs_the_same_forward_runs(name: str, source: str) -> None:
+    study, first = load_study(STUDIES / name), load_study(STUDIES / source)
     assert needed_keys(study) == needed_keys(first)
     assert [path.resolve() for path in study.reuse] == [first.ledger_path]

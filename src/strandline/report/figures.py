@@ -256,9 +256,7 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     yield Captioned("cut_marginals", "uncertainty", caption, _whole(figure))
     names = [space.names[i] for i in space.nuisance]
     figure = plots.plot_marginals(calibration.posterior, names, truth=truth, whole_box=True)
-    caption = (
-        f"Prior of {', '.join(names)} (red), which the cut reading keeps, and the joint reading's posterior of it."
-    )
+    caption = f"Prior of {', '.join(names)} (red), kept by the cut reading, and the joint reading's posterior of it."
     yield Captioned("nuisance", "uncertainty", caption, _whole(figure))
 
 

@@ -111,12 +111,12 @@ def _cut(calibration: Calibration) -> Iterator[str]:
     cut, validation = found.cut, calibration.surrogate.validation
     values = cut.extended.log_likelihood + cut.log_evidence[cut.value_index]
     lowest = float(np.quantile(values, CUT_TAIL, weights=cut.extended.weights, method="inverted_cdf"))
-    above = next(iter(calibration.log_likelihoods.values())) >= lowest
-    error = float(np.sqrt(np.mean(validation.residuals[above] ** 2))) if above.any() else np.inf
+    above = validation.near_mode | (next(iter(calibration.log_likelihoods.values())) >= lowest)
+    error = float(np.sqrt(np.mean(validation.residuals[above] ** 2)))
     if error > max(LOO_LIMIT, validation.loo_rms_near_mode):
         yield (
-            f"The cut reading uses log-likelihoods down to {lowest:.3g}, and over the {int(above.sum())} runs above "
-            f"that the surrogate's leave-one-out error is {error:.2g}: the cut reading is less sure than the joint one."
+            f"The cut reading uses log-likelihoods down to {lowest:.3g}, and over the {int(above.sum())} runs from "
+            f"there up the surrogate's leave-one-out error is {error:.2g}: it is less sure than the joint one."
         )
     if calibration.cut_quadrature is None:
         return

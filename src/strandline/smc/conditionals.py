@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key, UInt32
 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
@@ -36,7 +36,7 @@ def sample_each(
     log_likelihood: ConditionalLogDensity,
     log_prior: BatchedLogDensity,
     initial: Float[np.ndarray, "case particle dim"],
-    given: Float[np.ndarray, "case given"],
+    given: Float[np.ndarray, "value given"],
     *,
     settings: SMCSettings,
 ) -> tuple[SMCResult, ...]:
@@ -82,7 +82,7 @@ def sample_each(
 
 @partial(jax.jit, static_argnames=("target", "moves"))
 def _step(
-    keys: RandomKey,
+    keys: Key[Array, " case"] | UInt32[Array, "case 2"],
     number: int | Array,
     states: Particles,
     given: Float[Array, "case given"],
