@@ -23,6 +23,7 @@ from strandline.cli.main import COMMANDS
 from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
 from strandline.models.biofilm.outline import Outline
+from strandline.posterior import SobolIndices
 from strandline.priors import PRIORS
 from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior
@@ -231,6 +232,9 @@ def test_every_key_of_the_summary_is_described(finished: Path, uncertain: dict[s
     known = set(generic(summary)) | {key for key in generic(uncertain) if key.startswith("under_uncertainty.")}
     known = {key for key in known if not key.startswith("under_uncertainty.cut.quadrature_check.")}
     known = {key for key in known if not key.startswith(("measures.", "surrogate.optimiser."))}
+    assert summary["sensitivity"] is None  # the study has one input
+    kinds = {f"inputs.NAME.{f.name}" for f in dataclasses.fields(SobolIndices)} - {"inputs.NAME.evaluations"}
+    known = known - {"sensitivity"} | {f"sensitivity.{key}" for key in kinds | {"of", "evaluations"}}
     assert described == known | {"measures.MEASURE", "surrogate.optimiser"}
     assert summary["measures"].keys() == {"measurement_lines"}
     assert generic(summary["measures"]["measurement_lines"]) == generic(summary["surrogate"])
@@ -251,7 +255,6 @@ PLACEHOLDERS = {
     "fixed": "NAME",
     "inputs": "NAME",
     "measures": "MEASURE",
-    "sensitivity.inputs": "NAME",
     "seconds": "STAGE",
     "under_uncertainty.joint.inputs": "NAME",
     "under_uncertainty.cut.inputs": "NAME",

@@ -70,9 +70,9 @@ def plot_marginals(
     whole_box: bool = False,
     figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw the marginals of several inputs (of all of them where `names` is left out), three in a row."""
+    """Draw the marginals of several inputs (of all of them where `names` is left out), three or four in a row."""
     chosen = posterior.space.names if names is None else tuple(names)
-    columns = min(3, len(chosen))
+    columns = min(3 if len(chosen) <= 6 else 4, len(chosen))
     rows = -(-len(chosen) // columns)
     with styled():
         figure = figure_or_new(figure, (max(3.0 * columns, 3.6), 2.4 * rows + 0.5))

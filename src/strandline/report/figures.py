@@ -234,6 +234,13 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
     elif space.dim > 2:
         figure = plots.plot_pairs(posterior, truth=truth)
         yield Captioned("posterior", "posterior", "Posterior of all pairs of inputs.", _whole(figure))
+    if space.dim > 3:
+        axes = plots.plot_parallel(posterior, truth=truth)
+        caption = (
+            "Each line is a particle, coloured by its log posterior density; lines of high density are drawn on top. "
+            "An input whose axis the red lines cross everywhere is not known from the data."
+        )
+        yield Captioned("parallel", "posterior", caption, _whole(axes.figure))
     curves = _quadrature_curves(space.names, calibration.quadrature)
     figure = plots.plot_marginals(posterior, overlays=curves, truth=truth)
     caption = "Marginal posteriors with priors" + (
