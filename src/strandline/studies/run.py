@@ -17,6 +17,7 @@ from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
 from strandline.studies.ledgers import check_ledgers, take_over
+from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
@@ -62,7 +63,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
 
 
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:
-    """Return the observed interfaces by condition; synthetic ones are a run of the model like any other."""
+    """Return the observed interfaces by condition; synthetic ones are a run of the model, and noise."""
     if study.truth is None:
         return study.observed
     observer.stage("observation")
@@ -75,7 +76,7 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
             expected="inputs at which the model runs",
             remedy="Choose other values under observation.synthetic, or try them with `strandline forward`.",
         )
-    return record.interfaces
+    return noisy(record.interfaces, study.synthetic_noise)
 
 
 def _try_measures(problem: Problem) -> None:
