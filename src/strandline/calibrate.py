@@ -48,7 +48,6 @@ from strandline.surrogate import LogLikelihoodSurrogate, batched_mean, fit_log_l
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
 
 
-
 @dataclass(frozen=True)
 class Problem:
     """What is asked.

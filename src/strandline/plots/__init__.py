@@ -1,6 +1,7 @@
 """Figures: each function takes data and an optional Axes (or Figure, for several panels) and returns it."""
 
 from strandline.plots.check import OffsetBand, plot_check
+from strandline.plots.convergence import plot_convergence
 from strandline.plots.field import FieldGrid, plot_field, plot_profile, three_measures
 from strandline.plots.flow import FlowFields, plot_flow
 from strandline.plots.interfaces import plot_conditions, plot_interfaces
@@ -20,6 +21,7 @@ __all__ = [
     "OffsetBand",
     "plot_check",
     "plot_conditions",
+    "plot_convergence",
     "plot_field",
     "plot_flow",
     "plot_hexagons",

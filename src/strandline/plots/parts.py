@@ -31,10 +31,9 @@ def plot_parts(
     with styled():
         ax = axes_or_new(ax, (7.2, 3.9))
         for (_, triangles), colour in zip(cells.items(), COLOURS, strict=False):
-            ax.tripcolor(
-                points[:, 0], points[:, 1], triangles, facecolors=np.zeros(len(triangles)), cmap=ListedColormap([colour]),
-                edgecolors="0.4", lw=0.3, rasterized=True,
-            )  # fmt: skip
+            shade, faces = ListedColormap([colour]), np.zeros(len(triangles))
+            x, y = points.T
+            ax.tripcolor(x, y, triangles, facecolors=faces, cmap=shade, edgecolors="0.4", lw=0.3, rasterized=True)
         handles = [Patch(facecolor=colour, edgecolor="0.4") for colour in COLOURS[: len(cells)]]
         ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
         ax.legend(handles, list(cells), loc="upper right", ncols=len(cells))

@@ -109,6 +109,13 @@ def template(name: str, *, package: str = "strandline.report") -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["g"] = lambda value, digits=4: "–" if value is None else f"{value:.{digits}g}"
+    environment.filters["g"] = _figures
     environment.filters["percent"] = lambda value: f"{value:.1%}"
     return environment.get_template(name)
+
+
+def _figures(value: float | list[float] | None, digits: int = 4) -> str:
+    """Return a number, or each of several, with so many digits."""
+    if isinstance(value, list):
+        return ", ".join(_figures(item, digits) for item in value)
+    return "–" if value is None else f"{value:.{digits}g}"

@@ -80,8 +80,8 @@ def more_runs(numbers: Sequence[int], errors: Mapping[str, Sequence[float]]) -> 
         "From 1000 to 5000 training runs in seven inputs the surrogate does not improve significantly.",
         (12,),
         "confirmed" if gain <= LITTLE else "refuted",
-        f"The relative L2 error ({name}) goes from {errors[name][at]:.3f} at {numbers[at]} runs to {errors[name][-1]:.3f} at "
-        f"{numbers[-1]}, a fall of {100 * gain:.0f} %"
+        f"The relative L2 error ({name}) goes from {errors[name][at]:.3f} at {numbers[at]} runs to "
+        f"{errors[name][-1]:.3f} at {numbers[-1]}, a fall of {100 * gain:.0f} %"
         + "".join(f"; {other}: {100 * g:.0f} %" for other, g in list(gains.items())[1:])
         + ". A plateau of this error does not mean that the surrogate is good enough: see the check of the posterior.",
         {"runs": list(numbers), "errors": {n: list(v) for n, v in errors.items()}, "fall": gains},

@@ -54,8 +54,8 @@ class Plan:
         draws: of each check of a posterior.
     """
 
-    table: tuple[int, int, int] = (16, 12, 4)
-    nodes: tuple[int, int, int] = (129, 49, 17)
+    table: tuple[int, int, int] = (6, 10, 8)
+    nodes: tuple[int, int, int] = (97, 41, 33)
     checks: int = 60
     nested: tuple[int, ...] = SIZES
     sizes: tuple[int, ...] = STUDY_SIZES

@@ -1,6 +1,6 @@
 """Tables of the page: posteriors beside those of the true model, checks, sensitivities, runs and seconds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 

@@ -18,6 +18,7 @@ from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
 from strandline.studies.ledgers import check_ledgers, take_over, write_round
+from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
@@ -79,7 +80,7 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
 
 
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:
-    """Return the observed interfaces by condition; synthetic ones are a run of the model like any other."""
+    """Return the observed interfaces by condition; synthetic ones are a run of the model, and noise."""
     if study.truth is None:
         return study.observed
     observer.stage("observation")
@@ -92,7 +93,7 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
             expected="inputs at which the model runs",
             remedy="Choose other values under observation.synthetic, or try them with `strandline forward`.",
         )
-    return record.interfaces
+    return noisy(record.interfaces, study.synthetic_noise)
 
 
 def _try_measures(problem: Problem) -> None:

@@ -56,12 +56,20 @@ class Input(_Strict):
     nuisance: Annotated[bool, Field(strict=True)] = False
 
 
+class ObservationNoise(_Strict):
+    """Noise on the node coordinates of a synthetic observation."""
+
+    sd: Annotated[Number, Field(gt=0)]
+    seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
+
+
 class ObservationFile(_Strict):
     """Where the observed interface comes from: a file of points, or a run of the model itself."""
 
     file: str | None = None
     unit: Literal["mm", "um", "µm", "m"] | None = None
     synthetic: dict[str, Number] | None = None
+    noise: ObservationNoise | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "ObservationFile":
@@ -69,6 +77,10 @@ class ObservationFile(_Strict):
             raise ValueError("either `file` with its `unit`, or `synthetic`")
         if self.file is not None and self.unit is None:
             raise ValueError("the unit of the coordinates too: `unit: mm` (or um, m)")
+        if self.file is not None and self.noise is not None:
+            raise ValueError(
+                "`noise` with `synthetic` only: a file holds its own; σ_N stands under the study's `noise`"
+            )
         return self
 
 

@@ -17,7 +17,7 @@ from strandline.runs import Executor, LocalProcesses
 from strandline.smc import SMCSettings
 from strandline.studies import build
 from strandline.studies.folder import LEDGER
-from strandline.studies.observed import read_points, require_plausible
+from strandline.studies.observed import SyntheticNoise, read_points, require_plausible
 from strandline.studies.parse import parse_study
 from strandline.studies.schema import ConditionFile, ObservationFile, StudyFile
 
@@ -39,6 +39,7 @@ class Study:
         noise_variance: σ_N², in the unit of d²; of every condition.
         observed: the observed interfaces by condition, mm; empty where the model makes synthetic ones.
         truth: the inputs at which the model makes a synthetic observation of each of its conditions, or None.
+        synthetic_noise: what is added to a synthetic observation, or None.
         turned: the conditions whose observed points ran the other way round and were turned.
         settings: how the posterior is computed.
         executor: where forward runs are made.
@@ -55,6 +56,7 @@ class Study:
     noise_variance: float
     observed: Mapping[str, Interface]
     truth: Mapping[str, float] | None
+    synthetic_noise: SyntheticNoise | None
     turned: tuple[str, ...]
     settings: Settings
     executor: Executor
@@ -98,6 +100,7 @@ def load_study(folder: Path) -> Study:
         noise_variance=content.noise.variance or (content.noise.sd or 0.0) ** 2,
         observed=observed,
         truth=truth,
+        synthetic_noise=_synthetic_noise(content),
         turned=turned,
         settings=_settings(content),
         executor=LocalProcesses(workers=content.executor.local.workers, timeout=content.executor.local.timeout),
@@ -129,6 +132,15 @@ def _truth(
         return None
     build.check_complete(source.synthetic, names, model, "observation.synthetic")
     return dict(source.synthetic)
+
+
+def _synthetic_noise(content: StudyFile) -> SyntheticNoise | None:
+    """Return the noise of a synthetic observation; its seed is the study's where it has none."""
+    source = content.observation
+    if isinstance(source, list) or source.noise is None:
+        return None
+    seed = source.noise.seed
+    return SyntheticNoise(source.noise.sd, content.seed if seed is None else seed)
 
 
 def _observed(

@@ -48,6 +48,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "refinement": _refinement(calibration),
         "fixed": dict(study.fixed),
         "truth": None if study.truth is None else dict(study.truth),
+        "synthetic_noise": None if study.synthetic_noise is None else asdict(study.synthetic_noise),
         "inputs": _inputs(calibration),
         "log_evidence": sampling.log_evidence,
         "likelihood": _likelihood(study, calibration),
@@ -202,7 +203,7 @@ def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
         "loo_rms_near_mode": validation.loo_rms_near_mode,
         "near_mode_count": validation.near_mode_count,
         "hyperparameters": {
-            "length_scale": float(process.length_scale),
+            "length_scale": np.asarray(process.length_scale).tolist(),
             "signal_variance": float(process.signal_variance),
             "nugget": float(process.nugget),
         },
