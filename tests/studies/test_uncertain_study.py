@@ -141,6 +141,20 @@ def test_a_rough_surrogate_of_the_cut_is_told(outcome: Outcome) -> None:
     assert any("quadrature of the cut reading differ" in warning for warning in find_warnings(moved))
 
 
+def test_a_cut_reading_at_a_bound_is_told(outcome: Outcome) -> None:
+    calibration = outcome.calibration
+    found = calibration.under_uncertainty
+    assert found is not None
+    draws = found.cut.extended.draws.copy()
+    draws[found.cut.value_index == 0, 1] = 301.0
+    cut = replace(found.cut, extended=replace(found.cut.extended, draws=draws))
+    told = list(find_warnings(replace(calibration, under_uncertainty=replace(found, cut=cut))))
+    before = list(find_warnings(calibration))
+    expected = "The cut reading of E reaches the lower end of its box, 300 Pa"
+    assert any(warning.startswith(expected) for warning in told)
+    assert not any(warning.startswith((expected, "The cut reading of tilt")) for warning in before)
+
+
 def refused(tmp_path: Path, **changes: Any) -> InvalidStudy:
     with pytest.raises(InvalidStudy) as caught:
         load_study(write_study(tmp_path / "study", **changes))

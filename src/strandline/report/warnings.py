@@ -6,6 +6,7 @@ import numpy as np
 
 from strandline.calibrate import Calibration
 from strandline.parameters import Parameter
+from strandline.posterior import Posterior
 from strandline.quadrature import mixture
 
 __all__ = ["find_warnings"]
@@ -132,16 +133,24 @@ def _cut(calibration: Calibration) -> Iterator[str]:
 
 
 def _bounds(calibration: Calibration) -> Iterator[str]:
-    posterior = calibration.posterior
+    yield from _bounds_of(calibration.posterior, "posterior")
+    found = calibration.under_uncertainty
+    if found is not None:
+        yield from _bounds_of(found.cut.extended, "cut reading", found.cut.names)
+
+
+def _bounds_of(posterior: Posterior, called: str, names: Sequence[str] | None = None) -> Iterator[str]:
     unit = posterior.space.to_unit(posterior.draws)
     for i, parameter in enumerate(posterior.space):
+        if names is not None and parameter.name not in names:
+            continue
         sides = {"lower": unit[:, i] < BOUND_SHARE, "upper": unit[:, i] > 1.0 - BOUND_SHARE}
         for side, touching in sides.items():
             mass = float(posterior.weights @ touching)
             if mass > BOUND_MASS:
                 bound = parameter.interval[0 if side == "lower" else 1]
                 yield (
-                    f"The posterior of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
+                    f"The {called} of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
                     f"{mass:.1%} of its mass lies within 2% of it. "
                     "What lies beyond was excluded by the prior, not by the data."
                 )
