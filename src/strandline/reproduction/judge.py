@@ -23,7 +23,7 @@ def judge(evidence: Evidence) -> dict[str, Claim]:
     fields = likelihood_fields(measures)
     nested = {rule: {step.runs: step for step in steps} for rule, steps in evidence.nested.items()}
     parts = evidence.studies["biofilm-parts"].truth or {}
-    convergence = evidence.convergence
+    convergence, truths = evidence.convergence, evidence.truths
     judged = (
         claims.ridge_and_peak(fields, at, uniform.posterior, (width / np.sqrt(len(measures.records))).tolist()),
         claims.measures_compared(fields),
@@ -36,7 +36,12 @@ def judge(evidence: Evidence) -> dict[str, Claim]:
         claims.uniform_prior(uniform.posterior, refined.posterior),
         claims.laplace_misleads({"centre": uniform, "refined": refined}),
         claims.informed_prior(found["biofilm-informed"].posterior, uniform.posterior),
-        claims.uncertain_inflow(evidence.outcomes["biofilm-inflow"].summary["under_uncertainty"], uniform.posterior),
+        claims.uncertain_inflow(
+            evidence.outcomes["biofilm-inflow"].summary["under_uncertainty"],
+            uniform.posterior,
+            {"joint": truths.joint["centre"].posterior, "cut": truths.cut["centre"].posterior},
+            truths.certain["centre"].posterior,
+        ),
         claims_parts.heterogeneous(
             found["biofilm-parts"].posterior,
             {name: check.content for name, check in evidence.checks.items() if name.startswith("biofilm-parts")},
