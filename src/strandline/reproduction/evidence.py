@@ -22,7 +22,7 @@ from strandline.runs import Executor, Ledger, run_campaign, run_key
 from strandline.studies import Check, Outcome, Study, check_posterior, load_study, run_study
 from strandline.surrogate import STUDY_SIZES, Convergence, convergence_study
 
-__all__ = ["RULES", "STUDIES", "Cost", "Evidence", "Plan", "Truths", "gather"]
+__all__ = ["RULES", "STUDIES", "Cost", "Evidence", "Plan", "Truths", "gather", "require_studies"]
 
 STUDIES = (
     "biofilm-uniform",
@@ -139,7 +139,8 @@ def gather(folder: Path, results: Path, *, plan: Plan, executor: Executor | None
     Raises:
         InvalidInput: a study that is not there, and everything that `run_study` raises.
     """
-    studies = _load(folder)
+    require_studies(folder)
+    studies = {name: load_study(folder / name) for name in STUDIES}
     costs: list[Cost] = []
     outcomes = {}
     for name, study in studies.items():
@@ -174,7 +175,12 @@ def gather(folder: Path, results: Path, *, plan: Plan, executor: Executor | None
     return Evidence(studies, outcomes, checks, truths, nested, convergence, tuple(costs))
 
 
-def _load(folder: Path) -> dict[str, Study]:
+def require_studies(folder: Path) -> None:
+    """Refuse a folder that lacks one of `STUDIES`.
+
+    Raises:
+        InvalidInput: with those that are missing.
+    """
     missing = [name for name in STUDIES if not (folder / name / "study.yaml").is_file()]
     if missing:
         raise InvalidInput(
@@ -183,7 +189,6 @@ def _load(folder: Path) -> dict[str, Study]:
             expected="the folder `studies` of the project",
             remedy="Go to the root of the project, or say where it is with --studies.",
         )
-    return {name: load_study(folder / name) for name in STUDIES}
 
 
 @dataclass

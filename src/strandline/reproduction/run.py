@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from strandline.calibrate import Observer
-from strandline.reproduction.evidence import Evidence, Plan, gather
+from strandline.reproduction.evidence import Evidence, Plan, gather, require_studies
 from strandline.reproduction.judge import judge
 from strandline.reproduction.judgement import Claim
 from strandline.reproduction.page import write_claims, write_page
 from strandline.reproduction.pictures import draw
 from strandline.runs import Executor
+from strandline.studies.folder import told_if_unwritable
 
 __all__ = ["Reproduction", "reproduce"]
 
@@ -48,6 +49,9 @@ def reproduce(
         InvalidInput: a study is missing; and everything that `run_study` and `check_posterior` raise.
     """
     begun, tell = time.perf_counter(), observer or Observer()
+    require_studies(studies)
+    with told_if_unwritable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     evidence = gather(studies, folder, plan=plan or Plan(), executor=executor, observer=tell)
     claims = judge(evidence)
     tell.stage("page")
