@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: env demo test test-all check bench docs clean
+.PHONY: env demo reproduce test test-all check bench docs clean
 
 env: $(VENV)/.installed
 
@@ -21,6 +21,10 @@ $(VENV)/.installed-check: $(VENV)/.installed
 # The main job: 1000 fluid-structure runs, surrogate, posterior, figures, report.
 demo: env
 	$(BIN)/strandline run studies/biofilm-uniform
+
+# All examples of the published study, and what is to be said of them.
+reproduce: env
+	$(BIN)/strandline reproduce
 
 # Without the statistical tests marked long.
 test: env

@@ -23,11 +23,13 @@ from strandline.cli.main import COMMANDS
 from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
 from strandline.models.biofilm.outline import Outline
+from strandline.posterior import SobolIndices
 from strandline.priors import PRIORS
 from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior
 from strandline.studies.schema import StudyFile
 from strandline.surrogate import KERNELS
+from strandline.testing.studies import BEAM_STUDY, write_study
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -213,12 +215,26 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def test_every_key_of_the_summary_is_described(finished: Path) -> None:
+@pytest.fixture(scope="module")
+def uncertain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The summary of a study with a nuisance input."""
+    inputs = {**BEAM_STUDY["inputs"], "tilt": {**BEAM_STUDY["inputs"]["tilt"], "nuisance": True}}
+    sampler = {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}, "cut": {"values": 2}}
+    folder = write_study(tmp_path_factory.mktemp("uncertain"), inputs=inputs, sampler=sampler)
+    return sl.run_study(sl.load_study(folder), executor=sl.InProcess()).summary
+
+
+def test_every_key_of_the_summary_is_described(finished: Path, uncertain: dict[str, Any]) -> None:
     summary = json.loads((finished / "studies/biofilm-uniform/summary.json").read_text("utf-8"))
     described = {key for row in rows("reference/summary.md", "key") for key in code(row[0])}
-    described -= {"quadrature_check"}
-    known = set(generic(summary))
+    described -= {"quadrature_check", "under_uncertainty.cut.quadrature_check"}
+    described = {key.replace("READING", reading) for key in described for reading in ("joint", "cut")}
+    known = set(generic(summary)) | {key for key in generic(uncertain) if key.startswith("under_uncertainty.")}
+    known = {key for key in known if not key.startswith("under_uncertainty.cut.quadrature_check.")}
     known = {key for key in known if not key.startswith(("measures.", "surrogate.optimiser."))}
+    assert summary["sensitivity"] is None  # the study has one input
+    kinds = {f"inputs.NAME.{f.name}" for f in dataclasses.fields(SobolIndices)} - {"inputs.NAME.evaluations"}
+    known = known - {"sensitivity"} | {f"sensitivity.{key}" for key in kinds | {"of", "evaluations"}}
     assert described == known | {"measures.MEASURE", "surrogate.optimiser"}
     assert summary["measures"].keys() == {"measurement_lines"}
     assert generic(summary["measures"]["measurement_lines"]) == generic(summary["surrogate"])
@@ -240,6 +256,9 @@ PLACEHOLDERS = {
     "inputs": "NAME",
     "measures": "MEASURE",
     "seconds": "STAGE",
+    "under_uncertainty.joint.inputs": "NAME",
+    "under_uncertainty.cut.inputs": "NAME",
+    "under_uncertainty.cut.nuisance_values": "NAME",
 }
 
 
@@ -290,7 +309,13 @@ def test_the_program_that_checks_a_posterior_runs(finished: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", ["how-to/change-without-runs.md", "how-to/own-observation.md", "how-to/several-experiments.md"]
+    "page",
+    [
+        "how-to/change-without-runs.md",
+        "how-to/own-observation.md",
+        "how-to/several-experiments.md",
+        "how-to/uncertain-experiment.md",
+    ],
 )
 def test_the_pieces_of_studies_are_valid(page: str) -> None:
     whole = yaml.safe_load((ROOT / "studies" / "biofilm-uniform" / "study.yaml").read_text("utf-8"))

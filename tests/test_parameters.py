@@ -135,3 +135,18 @@ def test_draws_follow_the_priors():
 def test_the_test_of_draws_catches_planted_bugs(planted):
     draws = planted.prior_quantiles(np.random.default_rng(12).random((20000, 2)))
     assert min(ks_p_values(draws)) < 1e-3
+
+
+def test_calibrated_and_nuisance_inputs_keep_their_columns():
+    flow = Parameter("V", ScaledBeta(2.6, 1.4, 0.0, 110.0), "mm²/s", nuisance=True)
+    inputs = (Parameter("E", Uniform(100.0, 800.0), "Pa"), flow, Parameter("nu", Uniform(-0.8, 0.5)))
+    space = ParameterSpace(inputs)
+    assert (space.calibrated, space.nuisance) == ((0, 2), (1,))
+    assert space.calibrated_space == ParameterSpace((inputs[0], inputs[2]))
+    assert space.calibrated_space.nuisance == ()
+
+
+@pytest.mark.parametrize("names", ["a", "ab"])
+def test_at_least_one_input_is_calibrated(names):
+    with pytest.raises(InvalidInput, match=r"inputs to calibrate: got none: a.* nuisance; expected at least one"):
+        ParameterSpace(tuple(Parameter(name, Uniform(0.0, 1.0), nuisance=True) for name in names))

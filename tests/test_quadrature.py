@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate as scipy_integrate
 
 from strandline.errors import InvalidInput, NumericsError
-from strandline.quadrature import integrate
+from strandline.quadrature import integrate, mixture
 from strandline.testing import densities
 
 TARGETS = {
@@ -162,3 +162,23 @@ def test_unusable_boxes_are_refused(low, high, words):
 def test_undefined_densities_are_errors(value, words):
     with pytest.raises(NumericsError, match=words):
         integrate(lambda x: np.full(len(x), value), np.zeros(1), np.ones(1))
+
+
+def test_a_mixture_has_the_moments_of_its_parts():
+    """Two normals of equal weight, against their closed form; leaving out how far apart they lie must be caught."""
+    first = densities.gaussian(np.array([1.0, -2.0]), np.array([[1.0, 0.5], [0.5, 1.0]]))
+    second = densities.gaussian(np.array([3.0, -1.0]), np.diag([0.5, 2.0]))
+    low, high = np.minimum(first.low, second.low), np.maximum(first.high, second.high)
+    parts = [integrate(t.log_likelihood, low, high) for t in (first, second)]
+    found = mixture(parts)
+    apart = second.mean - first.mean
+    within = 0.5 * (first.covariance + second.covariance)
+    np.testing.assert_allclose(found.mean, 0.5 * (first.mean + second.mean), atol=0.005)
+    np.testing.assert_allclose(found.covariance, within + 0.25 * np.outer(apart, apart), atol=0.01)
+    assert np.abs(found.covariance - within).max() > 0.2
+    evidence = 0.5 * sum(math.exp(part.log_evidence) for part in parts)
+    assert found.log_evidence == pytest.approx(math.log(evidence))
+    assert found.evaluations == sum(part.evaluations for part in parts)
+    assert found.converged
+    for marginal in found.marginals:
+        assert marginal.density @ np.diff(marginal.edges) == pytest.approx(1.0)

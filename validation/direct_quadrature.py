@@ -1,173 +1,241 @@
-"""The posterior of a 2-D biofilm study without any surrogate of the log-likelihood, against the one of the study.
+"""The posterior of the built-in biofilm without any surrogate of the log-likelihood, against those of the studies.
 
-Forward runs on a Chebyshev–Lobatto grid; between its nodes the *interface field* is interpolated (it is smooth, unlike
-the log-likelihood), the measure is evaluated on the interpolated interface, and the posterior is integrated adaptively.
-The error of the interpolation is seen from the nested grid with half the intervals and from forward runs in between.
+Forward runs at Chebyshev nodes; between them the *interface* is interpolated (it is smooth, unlike the log-likelihood),
+the measure is evaluated on the interpolated interfaces, and the posterior is integrated on a grid of Gauss points:
+`strandline.reproduction`. Its errors come from runs that the table does not know and from half of each discretisation.
 
-Where no steady state exists (soft samples) there is nothing to interpolate: the grid ends at E_low(ν), a fifth above
-the fold, and the likelihood on that edge shows how much mass can lie beyond.
+One table over (E, ν, V_in) serves the known inflow rate of the studies and, with ``--uncertain``, the uncertain one of
+study S5 in both readings; ``--nested`` sets surrogates of the first 50 … 1000 runs of a study against the truth (S2).
+The runs are kept in output/field-table.sqlite; a second call makes none.
 
-Run it with:  python -m validation.direct_quadrature STUDY [STUDY …]      (study folders that `strandline run` finished)
+Run it with:  python -m validation.direct_quadrature [--nested] [--uncertain] STUDY [STUDY …]
+(study folders that `strandline run` finished, with the inputs E and nu)
 """
 
+import argparse
 import json
-import sys
-from dataclasses import dataclass
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import BarycentricInterpolator
 
-from strandline.interface import Interface, Observation
+from strandline.design import sobol
+from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
+from strandline.models.biofilm.model import Biofilm
 from strandline.models.protocol import fingerprint
-from strandline.quadrature import QuadratureResult, integrate
-from strandline.runs import Ledger, RunRecord, run_campaign
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import ScaledBeta
+from strandline.reproduction.batch import batch_log_likelihood
+from strandline.reproduction.field_table import FieldTable, TableErrors, tabulate, withheld
+from strandline.reproduction.figures import plot_convergence, plot_nested_likelihoods
+from strandline.reproduction.nested import NestedDesign, NestedStep, nested_surrogates
+from strandline.reproduction.truth import (
+    Difference,
+    GridPosterior,
+    Reading,
+    TruePosterior,
+    true_fields,
+    true_posterior,
+)
+from strandline.runs import Executor, Ledger, LocalProcesses, RunRecord, run_campaign, run_key
 from strandline.studies import Study, load_study
 
 OUTPUT = Path(__file__).parent / "output"
-INTERVALS = (32, 20)
-"""Chebyshev intervals in 1/E and in ν; both even, so that the grid of half as many is nested."""
-FOLD = ((-0.8, 83.0), (-0.6, 83.0), (-0.3, 133.0), (0.0, 197.0), (0.2, 234.0), (0.3, 250.0), (0.5, 258.0))
-"""(ν, E in Pa) below which no steady state was found at V_in = 100 mm²/s."""
-MARGIN = 1.2
-E_HIGH, NU_LOW, NU_HIGH, E_BOX_LOW = 800.0, -0.8, 0.5, 100.0
+INTERVALS = (6, 10, 8)
+"""Chebyshev intervals in the root of the load, ν and V; even, so that the table of half as many is nested."""
 CHECKS = 60
+"""Runs anywhere in the table that it does not know, and as many near the posterior."""
+FLAT_NODES = (161, 65, 1)
+NODES = (97, 41, 33)
+PANELS = (48, 24, 20)
+READINGS: tuple[Reading, ...] = ("joint", "cut")
+INFLOW = Parameter("V_in", ScaledBeta(2.6, 1.4, 0.0, 110.0), "mm^2/s")
 
 
-@dataclass(frozen=True)
-class FieldTable:
-    """Interface points at the nodes of the grid (E-like, ν, coordinate)."""
-
-    t: Float[np.ndarray, " e"]
-    nu: Float[np.ndarray, " nu"]
-    values: Float[np.ndarray, "e nu coordinate"]
-
-    def at(self, x: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point coordinate"]:
-        """Return the interpolated interface points at (E, ν)."""
-        t, nu = to_reference(x)
-        along_t = barycentric_matrix(self.t, t)
-        along_nu = barycentric_matrix(self.nu, nu)
-        return np.einsum("pi,pj,ijc->pc", along_t, along_nu, self.values, optimize=True)
-
-    def halved(self) -> "FieldTable":
-        """Return the nested table with half the intervals."""
-        return FieldTable(self.t[::2], self.nu[::2], self.values[::2, ::2])
+def build_table(model: Biofilm, ledger: Ledger, executor: Executor) -> tuple[FieldTable, TableErrors]:
+    """Return the table and its errors at random points of the box."""
+    table = tabulate(model, model.undeformed(), intervals=INTERVALS, ledger=ledger, executor=executor)
+    anywhere = table.coordinates.from_box(np.random.default_rng(0).uniform(-1, 1, (CHECKS, 3)))
+    return table, withheld(table, model, anywhere, ledger=ledger, executor=executor)
 
 
-def e_low(nu: Float[np.ndarray, " point"]) -> Float[np.ndarray, " point"]:
-    """Return the softest E of the grid at each ν, by a smooth fit above the fold."""
-    at, fold = np.array(FOLD).T
-    smooth = np.polynomial.Polynomial.fit(at, MARGIN * fold, 3)
-    return np.maximum(smooth(nu), 95.0)
+def likelihood_of(study: Study, truth: RunRecord) -> InterfaceLikelihood:
+    """Return the likelihood of the measure that makes the posterior of `study`."""
+    assert truth.interface is not None
+    discrepancy = next(iter(study.discrepancies.values()))
+    return InterfaceLikelihood((Observation(truth.interface, study.noise_variance),), discrepancy)
 
 
-def to_reference(x: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
-    """Map (E, ν) to [-1, 1]²: linear in 1/E between E_low(ν) and E_HIGH, linear in ν."""
-    soft, stiff = 1.0 / e_low(x[:, 1]), 1.0 / E_HIGH
-    return 2.0 * (1.0 / x[:, 0] - stiff) / (soft - stiff) - 1.0, 2.0 * (x[:, 1] - NU_LOW) / (NU_HIGH - NU_LOW) - 1.0
+def near(posterior: GridPosterior, table: FieldTable, rate: float) -> Float[np.ndarray, "run 3"]:
+    """Return points about a posterior at a known rate, inside the table."""
+    plane = np.random.default_rng(1).multivariate_normal(posterior.mean, posterior.covariance, CHECKS)
+    x = np.column_stack([plane, np.full(CHECKS, rate)])
+    return np.asarray(x[table.coordinates.inside(x) & (x[:, 0] <= posterior.grid.young.max())])
 
 
-def from_reference(t: Float[np.ndarray, " point"], s: Float[np.ndarray, " point"]) -> Float[np.ndarray, "point 2"]:
-    """Invert `to_reference`."""
-    nu = NU_LOW + 0.5 * (s + 1.0) * (NU_HIGH - NU_LOW)
-    soft, stiff = 1.0 / e_low(nu), 1.0 / E_HIGH
-    return np.stack([1.0 / (stiff + 0.5 * (t + 1.0) * (soft - stiff)), nu], axis=1)
+def log_likelihood_error(table: FieldTable, errors: TableErrors, likelihood: InterfaceLikelihood) -> float:
+    """Return the largest error of log L at withheld runs."""
+    right, interpolated = (batch_log_likelihood(likelihood, s) for s in (errors.simulated, table.at(errors.x)))
+    return float(np.abs(right - interpolated).max())
 
 
-def barycentric_matrix(nodes: Float[np.ndarray, " n"], x: Float[np.ndarray, " point"]) -> Float[np.ndarray, "point n"]:
-    """Return the Lagrange basis of `nodes` at `x`."""
-    return np.asarray(BarycentricInterpolator(nodes, np.eye(len(nodes)))(x))
-
-
-def tabulate(study: Study) -> tuple[FieldTable, Ledger]:
-    """Make the forward runs of the grid and return the table of interfaces, with the open ledger."""
-    OUTPUT.mkdir(exist_ok=True)
-    ledger = Ledger.open(OUTPUT / "ledger.sqlite", model=fingerprint(study.model), description="direct quadrature")
-    t, s = (np.cos(np.pi * np.arange(n, -1, -1) / n) for n in INTERVALS)
-    grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
-    records = run_at(study, ledger, from_reference(grid[:, 0], grid[:, 1]))
-    failed = [dict(r.inputs) for r in records if r.interface is None]
-    if failed:
-        raise SystemExit(f"{len(failed)} nodes of the grid failed, e.g. {failed[0]}: raise MARGIN")
-    points = np.array([r.interface.points.ravel() for r in records if r.interface is not None])
-    return FieldTable(t, s, points.reshape(len(t), len(s), -1)), ledger
-
-
-def run_at(study: Study, ledger: Ledger, x: Float[np.ndarray, "run 2"]) -> tuple[RunRecord, ...]:
-    """Return the records of forward runs at (E, ν)."""
-    inputs = [{**study.fixed, **study.space.as_mapping(row)} for row in x]
-    return run_campaign(study.model, inputs, ledger=ledger, executor=study.executor)
-
-
-def posterior(study: Study, likelihood: InterfaceLikelihood, table: FieldTable) -> QuadratureResult:
-    """Integrate prior times likelihood of interpolated interfaces over the part of the box that the grid covers."""
-
-    def log_density(x: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, " point"]:
-        result = np.full(len(x), -1e4)
-        inside = np.flatnonzero((x[:, 0] >= e_low(x[:, 1])) & (x[:, 0] >= E_BOX_LOW))
-        shapes = table.at(x[inside]).reshape(len(inside), -1, 2)
-        values = [likelihood(Interface.polyline(points)) for points in shapes]
-        result[inside] = np.array(values) + study.space.log_prior(x[inside])
-        return result
-
-    return integrate(log_density, study.space.low, study.space.high)
-
-
-def compare(folder: Path) -> dict[str, object]:
-    """Return the direct posterior of one study, its errors, and how far the study's own is from it."""
-    study = load_study(folder)
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    table, ledger = tabulate(study)
-    with ledger:
-        (truth,) = run_campaign(study.model, [study.truth or {}], ledger=ledger, executor=study.executor)
-        assert truth.interface is not None
-        discrepancy = next(iter(study.discrepancies.values()))
-        likelihood = InterfaceLikelihood((Observation(truth.interface, study.noise_variance),), discrepancy)
-        exact, coarse = (posterior(study, likelihood, grid) for grid in (table, table.halved()))
-        between = from_reference(*np.random.default_rng(0).uniform(-1, 1, (2, CHECKS)))
-        near = np.random.default_rng(1).multivariate_normal(exact.mean, exact.covariance, CHECKS)
-        inside = (near[:, 1] < NU_HIGH) & (near[:, 1] > NU_LOW) & (near[:, 0] > e_low(near[:, 1]))
-        checks = np.concatenate([between, near[inside & (near[:, 0] < E_HIGH)]])
-        runs = run_at(study, ledger, checks)
-    true_points = np.array([r.interface.points for r in runs if r.interface is not None])
-    interpolated = table.at(checks).reshape(len(checks), -1, 2)
-    errors = [
-        abs(likelihood(Interface.polyline(a)) - likelihood(Interface.polyline(b)))
-        for a, b in zip(true_points, interpolated, strict=True)
-    ]
-    edge_nu = np.linspace(NU_LOW, NU_HIGH, 53)
-    edge = np.stack([np.maximum(e_low(edge_nu), E_BOX_LOW), edge_nu], axis=1)
-    on_edge = [likelihood(Interface.polyline(p)) for p in table.at(edge).reshape(len(edge), -1, 2)]
-    mean, sd = (np.array([summary["inputs"][n][key] for n in study.space.names]) for key in ("mean", "sd"))
+def moments(posterior: GridPosterior) -> dict[str, Any]:
+    """Return what is written of a posterior."""
+    correlation = posterior.covariance[0, 1] / posterior.sd.prod()
     return {
-        "study": study.name,
-        "inputs": list(study.space.names),
-        "direct": {"mean": exact.mean.tolist(), "sd": exact.sd.tolist(), "log_evidence": exact.log_evidence},
-        "study_posterior": {"mean": mean.tolist(), "sd": sd.tolist(), "log_evidence": summary["log_evidence"]},
-        "mean_difference_sd": ((mean - exact.mean) / exact.sd).tolist(),
-        "sd_ratio": (sd / exact.sd).tolist(),
-        "error": {
-            "half_grid_mean_sd": float(np.max(np.abs(coarse.mean - exact.mean) / exact.sd)),
-            "half_grid_sd_ratio": float(np.max(np.abs(coarse.sd / exact.sd - 1))),
-            "interface_um": float(1e3 * np.abs(true_points - interpolated).max()),
-            "log_likelihood_between": float(max(errors[:CHECKS])),
-            "log_likelihood_near_posterior": float(max(errors[CHECKS:])),
-            "highest_log_likelihood_on_edge": float(max(on_edge)),
-            "quadrature_mean_sd": exact.error_mean,
-            "quadrature_sd": exact.error_sd,
-        },
+        "mean": posterior.mean.tolist(),
+        "sd": posterior.sd.tolist(),
+        "correlation": float(correlation),
+        "log_evidence": posterior.log_evidence,
+        "mass_beyond_the_table": posterior.edge_mass,
     }
 
 
-def main(folders: list[str]) -> None:
+def largest(difference: Difference) -> float:
+    """Return the largest of the differences of means (in sd), standard deviations (relative) and log evidence."""
+    return float(np.abs([*difference.mean, *difference.sd_ratio, difference.log_evidence]).max())
+
+
+def own_errors(truth: TruePosterior) -> dict[str, float]:
+    """Return what half of each discretisation does to the posterior."""
+    return {
+        "half_table": largest(truth.from_half_table),
+        "half_nodes": largest(truth.from_half_field),
+        "half_grid": largest(truth.from_half_grid),
+    }
+
+
+def study_design(study: Study, likelihood: InterfaceLikelihood) -> NestedDesign:
+    """Return the inputs and log-likelihoods of the runs of a finished study, in the order of its design."""
+    x = study.space.to_physical(sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble))
+    inputs = [{**study.fixed, **study.space.as_mapping(row)} for row in x]
+    with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
+        known = ledger.latest([run_key(fingerprint(study.model), entry) for entry in inputs])
+    records = [known[run_key(fingerprint(study.model), entry)] for entry in inputs]
+    values = [likelihood(record.interfaces) if record.ok else np.nan for record in records]
+    return NestedDesign(x, np.array(values))
+
+
+def nested_table(steps: tuple[NestedStep, ...]) -> list[dict[str, Any]]:
+    """Return what is written of the nested designs."""
+    return [
+        {
+            "runs": step.runs,
+            "succeeded": step.succeeded,
+            "total_variation": step.total_variation,
+            "maximum_likelihood": step.maximum_likelihood.tolist(),
+            "mean_difference_sd": step.difference.mean.tolist(),
+            "sd_ratio": (1 + step.difference.sd_ratio).tolist(),
+            "loo_rms_near_mode": step.loo_rms_near_mode,
+            "near_mode": step.near_mode,
+        }
+        for step in steps
+    ]
+
+
+def uncertain_inflow(study: Study, table: FieldTable, truth: RunRecord) -> dict[str, Any]:
+    """Return the true posterior of E and nu where V_in has the prior of study S5, in both readings."""
+    space = ParameterSpace((*study.space.parameters, INFLOW))
+    likelihood = likelihood_of(study, truth)
+    begun = time.perf_counter()
+    fields = true_fields(table, likelihood, nodes=NODES)
+    result: dict[str, Any] = {"study": study.name, "seconds_fields": time.perf_counter() - begun}
+    for reading in READINGS:
+        found = true_posterior(table, likelihood, space, reading=reading, fields=fields, panels=PANELS)
+        result[reading] = moments(found.posterior) | {"error": own_errors(found)}
+    return result | {"seconds": time.perf_counter() - begun}
+
+
+def compare_study(
+    folder: Path, table: FieldTable, anywhere: TableErrors, ledger: Ledger
+) -> tuple[dict[str, Any], TruePosterior, InterfaceLikelihood]:
+    """Return the comparison of one study with the truth, the truth, and the likelihood."""
+    study = load_study(folder)
+    rate = float(study.fixed["V_in"])
+    truth = observation(study, ledger)
+    likelihood = likelihood_of(study, truth)
+    begun = time.perf_counter()
+    fields = true_fields(table, likelihood, nodes=FLAT_NODES, rate=rate)
+    found = true_posterior(table, likelihood, study.space, rate=rate, fields=fields)
+    seconds = time.perf_counter() - begun
+    points = near(found.posterior, table, rate)
+    close = withheld(table, study.model, points, ledger=ledger, executor=study.executor)
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    mean, sd = (np.array([summary["inputs"][n][key] for n in study.space.names]) for key in ("mean", "sd"))
+    result = {
+        "study": study.name,
+        "direct": moments(found.posterior),
+        "study_posterior": {"mean": mean.tolist(), "sd": sd.tolist(), "log_evidence": summary["log_evidence"]},
+        "mean_difference_sd": ((mean - found.posterior.mean) / found.posterior.sd).tolist(),
+        "sd_ratio": (sd / found.posterior.sd).tolist(),
+        "error": {
+            **own_errors(found),
+            "interface_um": float(1e3 * close.distance.max()),
+            "log_likelihood_anywhere": log_likelihood_error(table, anywhere, likelihood),
+            "log_likelihood_near_posterior": log_likelihood_error(table, close, likelihood),
+        },
+        "seconds": seconds,
+    }
+    return result, found, likelihood
+
+
+def observation(study: Study, ledger: Ledger) -> RunRecord:
+    """Return the run that is the synthetic observation of `study`."""
+    assert study.truth is not None
+    (record,) = run_campaign(study.model, [study.truth], ledger=ledger, executor=study.executor)
+    return record
+
+
+def main(folders: list[Path], *, nested: bool, uncertain: bool) -> None:
     """Print the comparison of each study and write it to output/direct_quadrature.json."""
-    results = [compare(Path(folder)) for folder in folders]
-    for result in results:
-        print(json.dumps(result, indent=1))
-    (OUTPUT / "direct_quadrature.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    OUTPUT.mkdir(exist_ok=True)
+    studies = [load_study(folder) for folder in folders]
+    model, executor = Biofilm(), LocalProcesses()
+    results: list[dict[str, Any]] = []
+    designs: dict[str, tuple[NestedStep, ...]] = {}
+    with Ledger.open(OUTPUT / "field-table.sqlite", model=fingerprint(model), description="field table") as ledger:
+        table, anywhere = build_table(model, ledger, executor)
+        for folder, study in zip(folders, studies, strict=True):
+            result, found, likelihood = compare_study(folder, table, anywhere, ledger)
+            if nested:
+                design = study_design(study, likelihood)
+                steps = nested_surrogates(design, found.posterior, study.space)
+                designs[study.name] = steps
+                result["nested"] = nested_table(steps)
+                figure = plot_nested_likelihoods(
+                    steps,
+                    found.posterior,
+                    study.space,
+                    training=design.x[design.ok],
+                    ground_truth=np.array([(study.truth or {})[n] for n in study.space.names]),
+                )
+                figure.savefig(OUTPUT / f"nested-{study.name}.png", dpi=150)  # type: ignore[union-attr]
+            if uncertain:
+                result["uncertain_inflow"] = uncertain_inflow(study, table, observation(study, ledger))
+            print(json.dumps(result, indent=1), flush=True)
+            results.append(result)
+    if designs:
+        plot_convergence(designs).figure.savefig(OUTPUT / "nested-convergence.png", dpi=150)  # type: ignore[union-attr]
+    written = {
+        "table": {
+            "intervals": INTERVALS,
+            "runs": table.runs,
+            "interface_um": float(1e3 * anywhere.distance.max()),
+            "interface_um_median": float(1e3 * np.median(anywhere.distance)),
+        },
+        "studies": results,
+    }
+    (OUTPUT / "direct_quadrature.json").write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["studies/biofilm-uniform", "studies/biofilm-uniform-refined"])
+    parser = argparse.ArgumentParser(description="the posterior of the true model against those of finished studies")
+    parser.add_argument("studies", nargs="*", type=Path)
+    parser.add_argument("--nested", action="store_true", help="surrogates of 50 to 1000 runs against the truth")
+    parser.add_argument("--uncertain", action="store_true", help="the inflow rate uncertain, joint and cut")
+    chosen = parser.parse_args()
+    usual = [Path("studies/biofilm-uniform"), Path("studies/biofilm-uniform-refined")]
+    main(chosen.studies or usual, nested=chosen.nested, uncertain=chosen.uncertain)

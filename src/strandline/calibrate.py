@@ -1,6 +1,7 @@
 """The whole method on one screen: from a problem to the posterior.
 
-priors → Sobol design → forward runs → discrepancy → surrogate of the log-likelihood → tempered SMC → posterior.
+priors → Sobol design → forward runs → discrepancy → surrogate of the log-likelihood (→ further runs where the posterior
+lies → better surrogate) → tempered SMC → posterior.
 """
 
 import time
@@ -14,6 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from strandline.cut import cut_by_quadrature, cut_reading
 from strandline.design import sobol
 from strandline.discrepancy import Discrepancy
 from strandline.errors import TooFewRuns
@@ -25,12 +27,22 @@ from strandline.posterior import (
     GaussianApproximation,
     LaplaceApproximation,
     Posterior,
+    Reading,
+    SobolIndices,
+    UnderUncertainty,
     laplace,
     log_prior_hessian,
+    sobol_indices,
 )
 from strandline.quadrature import QuadratureResult, integrate
+from strandline.refinement import Learnt, Refinement, Round, refine
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
-from strandline.smc import SMCResult, SMCSettings, StepInfo, sample
+from strandline.smc import (
+    SMCResult,
+    SMCSettings,
+    StepInfo,
+    sample,
+)
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean, fit_log_likelihood
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
@@ -62,23 +74,37 @@ class Settings:
     Args:
         runs: size of the Sobol design.
         scramble: seed of the design's scrambling, None for the plain sequence.
+        refine: further runs where the posterior lies; none by default.
         kernel: of the Gaussian process.
         particles: of the sampler.
         smc: the sampler's other settings.
         seed: of every random number after the design.
+        nuisance_values: values of the nuisance inputs, where there are any, that stand for their prior in the cut
+            reading of the posterior under uncertainty.
     """
 
     runs: int = 1000
     scramble: int | None = None
+    refine: Refinement = field(default_factory=Refinement)
     kernel: str = "matern32"
     particles: int = 5000
     smc: SMCSettings = field(default_factory=SMCSettings)
     seed: int = 1
+    nuisance_values: int = 32
+
+    @property
+    def planned_runs(self) -> int:
+        """Runs of the Sobol design and of all rounds of refinement."""
+        return self.runs + self.refine.total
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Problem, settings and all that was learnt."""
+    """Problem, settings and all that was learnt; the runs of each round of refinement stand behind the earlier ones.
+
+    With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
+    `cut_quadrature` has one result for each value of the nuisance inputs; else both are None.
+    """
 
     problem: Problem
     settings: Settings
@@ -92,6 +118,10 @@ class Calibration:
     laplace: LaplaceApproximation
     quadrature: QuadratureResult | None
     seconds: Mapping[str, float]
+    under_uncertainty: UnderUncertainty | None = None
+    cut_quadrature: tuple[QuadratureResult, ...] | None = None
+    rounds: tuple[Round, ...] = ()
+    sensitivity: SobolIndices | None = None
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:
@@ -101,9 +131,13 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Observer:
-    """Who wants to know how far it is: functions called as the work goes on; by default nobody."""
+    """Who wants to know how far it is: functions called as the work goes on; by default nobody.
+
+    `draws` hears of the inputs of each round of refinement before they are run.
+    """
 
     stage: Callable[[str], None] = lambda name: None
+    draws: Callable[[Sequence[Mapping[str, float]]], None] = lambda inputs: None
     run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
     step: Callable[[StepInfo], None] = lambda info: None
 
@@ -128,17 +162,35 @@ def calibrate(
     require_conditions((o.condition for o in problem.observations), problem.model)
     watch, tell = _Stopwatch(), observer or Observer()
     space = problem.space
-    with watch("forward", tell):
-        design = space.to_physical(sobol(settings.runs, space.dim, scramble=settings.scramble))
-        inputs = [{**problem.fixed, **space.as_mapping(x)} for x in design]
-        records = run_campaign(problem.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
-    with watch("surrogate", tell):
-        training, log_likelihoods = _training_set(problem, design, records)
-        surrogates = {
-            name: fit_log_likelihood(training, values, kernel=settings.kernel)
-            for name, values in log_likelihoods.items()
-        }
-        process = next(iter(surrogates.values())).process
+
+    def extend(known: Learnt | None, points: Float[np.ndarray, "run dim"]) -> Learnt:
+        """Run the model at `points`, behind the known runs, and train the surrogates with all of them."""
+        inputs = [{**problem.fixed, **space.as_mapping(x)} for x in points]
+        with watch("forward", tell):
+            if known is not None:
+                tell.draws(inputs)
+            records = run_campaign(problem.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
+        with watch("surrogate", tell):
+            if known is not None:
+                points, records = np.concatenate([known.design, points]), (*known.records, *records)
+            training, log_likelihoods = _training_set(problem, points, records)
+            surrogates = {
+                name: fit_log_likelihood(training, values, kernel=settings.kernel)
+                for name, values in log_likelihoods.items()
+            }
+        return Learnt(points, records, training, log_likelihoods, surrogates)
+
+    learnt = extend(None, space.to_physical(sobol(settings.runs, space.dim, scramble=settings.scramble)))
+    learnt, rounds = refine(
+        learnt,
+        extend,
+        space,
+        settings.refine,
+        particles=settings.particles,
+        seed=settings.seed,
+        stage=lambda: watch("refinement", tell),
+    )
+    process = learnt.surrogate.process
     with watch("sampling", tell):
         start, chain = jax.random.split(jax.random.key(settings.seed))
         uniform = jax.random.uniform(start, (settings.particles, space.dim), dtype=float)
@@ -154,23 +206,41 @@ def calibrate(
             log_prior=sampling.log_prior,
             log_evidence=sampling.log_evidence,
         )
+    under_uncertainty = None
+    if space.nuisance:
+        with watch("cut", tell):
+            cut = cut_reading(
+                space,
+                batched_mean(process),
+                values=settings.nuisance_values,
+                particles=settings.particles,
+                smc=settings.smc,
+                seed=settings.seed,
+            )
+            under_uncertainty = UnderUncertainty(Reading(posterior), cut)
     with watch("check", tell):
         mode = posterior.map_estimate
         hessian = process.hessian(mode[None])[0] + log_prior_hessian(space, mode)
         quadrature = _quadrature(space, process.mean)
+        cut_quadrature = cut_by_quadrature(batched_mean(process), cut) if under_uncertainty else None
+        sensitivity = _sensitivity(space, process.mean, settings.seed)
     return Calibration(
         problem=problem,
         settings=settings,
-        records=records,
-        training=training,
-        log_likelihoods=log_likelihoods,
-        surrogates=surrogates,
+        records=learnt.records,
+        training=learnt.training,
+        log_likelihoods=learnt.log_likelihoods,
+        surrogates=learnt.surrogates,
         sampling=sampling,
         posterior=posterior,
         gaussian=GaussianApproximation(posterior.mean, posterior.covariance),
         laplace=laplace(hessian, mode),
         quadrature=quadrature,
         seconds=watch.seconds,
+        under_uncertainty=under_uncertainty,
+        cut_quadrature=cut_quadrature,
+        rounds=rounds,
+        sensitivity=sensitivity,
     )
 
 
@@ -210,8 +280,15 @@ def _quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> 
     return integrate(lambda x: log_likelihood(x) + space.log_prior(x), space.low, space.high)
 
 
+def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:
+    """Return what the inputs have to do with the log-likelihood; None where there is one input only."""
+    if space.dim == 1:
+        return None
+    return sobol_indices(log_likelihood, space, number=2048 if space.dim < 4 else 1024, seed=seed)
+
+
 class _Stopwatch:
-    """Seconds by stage."""
+    """Seconds by stage, added up where a stage comes again."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -221,4 +298,4 @@ class _Stopwatch:
         observer.stage(stage)
         begun = time.perf_counter()
         yield
-        self.seconds[stage] = time.perf_counter() - begun
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begun

@@ -23,6 +23,7 @@ class Parameter:
         prior: the distribution before the data are seen.
         unit: e.g. ``Pa``; ``1`` for a pure number.
         box: interval in which forward runs are made; where it is left out, the support of the prior.
+        nuisance: not asked for, only uncertain (θ of the paper): the answer is an average over it.
 
     A prior that reaches beyond the box is truncated to it, and `mass_cut` tells how much was cut off: outside the box
     nothing is known of the simulator.
@@ -32,6 +33,7 @@ class Parameter:
     prior: Prior
     unit: str = "1"
     box: tuple[float, float] | None = None
+    nuisance: bool = False
 
     def __post_init__(self) -> None:
         low, high = self.interval
@@ -80,6 +82,13 @@ class ParameterSpace:
                 expected="at least one input, all names different",
                 remedy="Rename or add inputs.",
             )
+        if not self.calibrated:
+            raise InvalidInput(
+                "inputs to calibrate",
+                value=f"none: {', '.join(names)} {'is' if len(names) == 1 else 'are all'} nuisance",
+                expected="at least one input that is not nuisance",
+                remedy="Take `nuisance` away from the inputs that are asked for.",
+            )
 
     def __iter__(self) -> Iterator[Parameter]:
         return iter(self.parameters)
@@ -95,6 +104,21 @@ class ParameterSpace:
     def names(self) -> tuple[str, ...]:
         """Names in order."""
         return tuple(p.name for p in self.parameters)
+
+    @property
+    def calibrated(self) -> tuple[int, ...]:
+        """Columns of the inputs that are asked for, x of the paper."""
+        return tuple(i for i, p in enumerate(self.parameters) if not p.nuisance)
+
+    @property
+    def nuisance(self) -> tuple[int, ...]:
+        """Columns of the nuisance inputs, θ of the paper."""
+        return tuple(i for i, p in enumerate(self.parameters) if p.nuisance)
+
+    @property
+    def calibrated_space(self) -> "ParameterSpace":
+        """The inputs that are asked for alone, in their order."""
+        return ParameterSpace(tuple(self.parameters[i] for i in self.calibrated))
 
     @property
     def dim(self) -> int:

@@ -6,7 +6,7 @@ their error estimate, so an estimate is always that of the coarser rule.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from strandline.errors import InvalidInput, NumericsError
 
-__all__ = ["LogDensity", "Marginal", "QuadratureResult", "integrate"]
+__all__ = ["LogDensity", "Marginal", "QuadratureResult", "integrate", "mixture"]
 
 LogDensity = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
 
@@ -224,6 +224,34 @@ def integrate(
             break
         cells, levels = cells.where(~chosen).joined(rule.halved(cells.where(chosen))), levels + 1
     return _result(rule, cells, moments, errors, converged=bool(sizes.sum() <= 1.0), levels=levels)
+
+
+def mixture(parts: Sequence[QuadratureResult]) -> QuadratureResult:
+    """Return moments and marginals of the mixture of normalised densities over one box, each with the same weight.
+
+    The evidence is the mean of those of the parts. Evaluations add up; levels and errors are the largest.
+    """
+    means = np.array([part.mean for part in parts])
+    mean, apart = means.mean(axis=0), means - means.mean(axis=0)
+    covariance = np.mean([part.covariance for part in parts], axis=0) + apart.T @ apart / len(parts)
+    logs = np.array([part.log_evidence for part in parts])
+    marginals = [
+        Marginal(same[0].edges, np.mean([m.density for m in same], axis=0))
+        for same in zip(*(part.marginals for part in parts), strict=True)
+    ]
+    return QuadratureResult(
+        log_evidence=float(logs.max() + np.log(np.mean(np.exp(logs - logs.max())))),
+        mean=mean,
+        covariance=covariance,
+        sd=np.sqrt(np.diag(covariance)),
+        evaluations=sum(part.evaluations for part in parts),
+        converged=all(part.converged for part in parts),
+        levels=max(part.levels for part in parts),
+        error_log_evidence=max(part.error_log_evidence for part in parts),
+        error_mean=max(part.error_mean for part in parts),
+        error_sd=max(part.error_sd for part in parts),
+        marginals=tuple(marginals),
+    )
 
 
 def _first_grid(rule: _Rule) -> _Cells:

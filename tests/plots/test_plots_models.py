@@ -17,6 +17,7 @@ from strandline.plots import (
     OffsetBand,
     plot_check,
     plot_conditions,
+    plot_convergence,
     plot_field,
     plot_flow,
     plot_interfaces,
@@ -273,3 +274,25 @@ def test_check_shows_agreement_failures_and_the_band_in_micrometres():
     assert observed.get_color() == GREEN
     assert [ax.get_title() for ax in (band, empty)] == ["light", "heavy"]
     assert "no band" in empty.texts[0].get_text()
+
+
+def test_convergence_is_drawn_logarithmically_with_a_line_for_each_case():
+    sizes, errors = [100, 200, 500], {"centre": [0.9, 0.5, 0.3], "refined": [0.5, 0.2, 0.1]}
+    ax = plot_convergence(sizes, errors)
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert {line.get_label(): line.get_ydata().tolist() for line in ax.get_lines()} == errors
+    assert all(line.get_xdata().tolist() == sizes for line in ax.get_lines())
+    assert len({(line.get_color(), line.get_linestyle()) for line in ax.get_lines()}) == 2
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["100", "200", "500"]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["centre", "refined"]
+    render(ax.figure)
+
+
+def test_convergence_goes_into_given_axes():
+    ax = empty_axes()
+    assert plot_convergence(np.array([10, 20]), {"a": np.array([1.0, 0.1])}, quantity="error", ax=ax) is ax
+    assert ax.get_ylabel() == "error"
+
+
+def empty_axes():
+    return strandline.plots.style.new_figure((3.0, 2.0)).add_subplot()

@@ -20,6 +20,7 @@ FIGURES = [
     "marginals",
     "particles",
     "posterior",
+    "sensitivity",
     "tempering",
 ]
 """Of a model of two inputs that has no fields to show."""

@@ -88,6 +88,18 @@ def test_summary_and_posterior_tell_the_same(finished: Any) -> None:
     assert finished.outcome.summary["log_evidence"] == particles.attrs["log_evidence"]
 
 
+def test_sensitivities_of_each_input_are_told(finished: Any) -> None:
+    found = finished.outcome.summary["sensitivity"]
+    assert found["of"] == "log-likelihood"
+    assert list(found["inputs"]) == ["E", "tilt"]
+    for item in found["inputs"].values():
+        assert set(item) == {"first", "first_low", "first_high", "total", "total_low", "total_high"}
+        assert item["first_low"] < item["first"] < item["first_high"]
+        assert item["total_low"] < item["total"] < item["total_high"]
+        assert item["total"] > item["first"] - 0.02
+    assert sum(item["first"] for item in found["inputs"].values()) < 1.05
+
+
 def test_the_posterior_is_that_of_the_model_itself(finished: Any) -> None:
     """Against a sum over a grid with the model itself: no surrogate, no sampler, σ_N² written out."""
     E, tilt = (a.ravel() for a in np.meshgrid(np.linspace(300, 560, 201), np.linspace(0, 0.04, 201)))

@@ -33,7 +33,8 @@ def command(study: Path) -> None:
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
         cut = f", {parameter.mass_cut:.2%} of its mass cut off by the box" if parameter.mass_cut else ""
-        click.echo(f"  {parameter.label()}: {parameter.prior}{cut}")
+        nuisance = ", nuisance" if parameter.nuisance else ""
+        click.echo(f"  {parameter.label()}: {parameter.prior}{cut}{nuisance}")
     conditions = tuple(loaded.observed or record.interfaces)
     if any(conditions):
         click.echo(f"  observed conditions: {', '.join(conditions)}")
@@ -45,7 +46,9 @@ def command(study: Path) -> None:
         click.echo(f"  {line}")
     for name, value in log_likelihoods.items():
         click.echo(f"  {name}: log-likelihood {value:.6g} there")
-    click.echo(f"  {loaded.settings.runs} forward runs planned, {known} of them known already")
+    refine = loaded.settings.refine
+    rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
+    click.echo(f"  {loaded.settings.planned_runs} forward runs planned{rounds}, {known} of them known already")
     click.echo(f"next: strandline run {study}")
 
 

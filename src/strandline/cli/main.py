@@ -20,6 +20,7 @@ COMMANDS = {
     "report": "Make posterior, figures and report anew from finished runs.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "forward": "Make one forward run at chosen inputs.",
+    "reproduce": "Run the published study, whole, and judge its claims.",
 }
 
 

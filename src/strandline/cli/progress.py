@@ -19,7 +19,9 @@ STAGES = {
     "forward": "forward runs",
     "draws": "runs at draws",
     "surrogate": "surrogate",
+    "refinement": "draws for a round",
     "sampling": "sampling",
+    "cut": "cut reading",
     "check": "quadrature check",
     "report": "figures and report",
 }

@@ -22,6 +22,7 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
         figures = (item[k] for k in ("mean", "sd", "median", "q05", "q95", "map"))
         mean, sd, *rest = (f"{value:.4g}" for value in figures)
         click.echo(f"{name:>10} {unit:>7} {mean:>10} {sd:>9} " + " ".join(f"{text:>10}" for text in rest))
+    _show_readings(summary["under_uncertainty"] or {})
     click.echo(f"log-evidence {summary['log_evidence']:.3f}; effective samples {summary['sampler']['ess']:.0f}")
     if check is not None:
         click.echo(
@@ -32,6 +33,15 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
         click.echo(f"warning: {warning}")
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     click.echo(f"seconds: {seconds}\nreport: {report}")
+
+
+def _show_readings(readings: Mapping[str, Any]) -> None:
+    """Print the posterior of the calibrated inputs in both readings."""
+    for reading, content in readings.items():
+        click.echo(f"under uncertainty, {reading} reading (MAP: fullest of {content['map_bins']} bins an input):")
+        for name, item in content["inputs"].items():
+            mean, sd, *rest = (f"{item[k]:.4g}" for k in ("mean", "sd", "median", "q05", "q95", "map"))
+            click.echo(f"{name:>10} {'':>7} {mean:>10} {sd:>9} " + " ".join(f"{text:>10}" for text in rest))
 
 
 def _kinds(by_kind: Mapping[str, int]) -> str:

@@ -1,13 +1,17 @@
 """Figures: each function takes data and an optional Axes (or Figure, for several panels) and returns it."""
 
 from strandline.plots.check import OffsetBand, plot_check
+from strandline.plots.convergence import plot_convergence
 from strandline.plots.field import FieldGrid, plot_field, plot_profile, three_measures
 from strandline.plots.flow import FlowFields, plot_flow
 from strandline.plots.interfaces import plot_conditions, plot_interfaces
-from strandline.plots.joint import plot_hexagons, plot_joint, plot_pairs
+from strandline.plots.joint import plot_hexagons, plot_joint, plot_pairs, plot_selected_pairs
 from strandline.plots.leave_one_out import plot_leave_one_out
 from strandline.plots.marginals import Curve, plot_marginal, plot_marginals
+from strandline.plots.parallel import plot_parallel
 from strandline.plots.particles import plot_particles
+from strandline.plots.parts import plot_parts
+from strandline.plots.sensitivity import plot_sensitivity
 from strandline.plots.tempering import plot_tempering
 
 __all__ = [
@@ -17,6 +21,7 @@ __all__ = [
     "OffsetBand",
     "plot_check",
     "plot_conditions",
+    "plot_convergence",
     "plot_field",
     "plot_flow",
     "plot_hexagons",
@@ -26,8 +31,12 @@ __all__ = [
     "plot_marginal",
     "plot_marginals",
     "plot_pairs",
+    "plot_parallel",
     "plot_particles",
+    "plot_parts",
     "plot_profile",
+    "plot_selected_pairs",
+    "plot_sensitivity",
     "plot_tempering",
     "three_measures",
 ]

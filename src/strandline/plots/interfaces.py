@@ -1,5 +1,6 @@
 """The observed interface among the undeformed and some simulated ones (Fig. 4)."""
 
+import textwrap
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,6 +12,9 @@ from strandline.interface import Interface
 from strandline.plots.style import BLACK, CYCLE, DASHES, GREEN, GREY, axes_or_new, below, figure_or_new, styled
 
 __all__ = ["plot_conditions", "plot_interfaces"]
+
+_HALF_LINE = 38
+"""Characters of a label that leave room for a second one beside it."""
 
 
 def plot_interfaces(
@@ -28,16 +32,19 @@ def plot_interfaces(
         simulated: interfaces by the label that the legend gives them, e.g. their inputs.
         ax: axes to draw in.
     """
+    labels = {label: _wrapped(label) for label in simulated or {}}
+    long = any(len(label) > _HALF_LINE for label in labels)
+    lines = sum(label.count("\n") + 1 for label in labels.values()) if long else 0
     with styled():
-        ax = axes_or_new(ax, (6.2, 3.6))
+        ax = axes_or_new(ax, (6.2, 3.6 + 0.16 * lines))
         if reference is not None:
             _draw(ax, reference, GREY, "undeformed", width=1.2, style=(0, (4, 2)))
         if observed is not None:
             _draw(ax, observed, GREEN, "observed", width=3.5)
         for k, (label, interface) in enumerate((simulated or {}).items()):
-            _draw(ax, interface, (BLACK, *CYCLE)[k % 6], label, width=1.2, style=(*DASHES, "-")[k % 6])
+            _draw(ax, interface, (BLACK, *CYCLE)[k % 6], labels[label], width=1.2, style=(*DASHES, "-")[k % 6])
         ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-        below(ax, columns=2, handlelength=3.2)
+        below(ax, columns=1 if long else 2, handlelength=3.2)
     return ax
 
 
@@ -68,6 +75,13 @@ def plot_conditions(
                 if legend is not None:
                     legend.remove()
     return figure
+
+
+def _wrapped(label: str) -> str:
+    """Return the label of many inputs in lines that fit under the axes."""
+    if len(label) <= _HALF_LINE:
+        return label
+    return "\n".join(textwrap.wrap(label.replace(" = ", "\u00a0=\u00a0"), 2 * _HALF_LINE))
 
 
 def _draw(

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from strandline.errors import NumericsError
+from strandline.errors import InvalidInput, NumericsError
 from strandline.plots.marginals import draw_marginal
 from strandline.plots.style import (
     BLACK,
@@ -33,7 +33,7 @@ from strandline.posterior import (
     systematic_indices,
 )
 
-__all__ = ["plot_hexagons", "plot_joint", "plot_pairs"]
+__all__ = ["plot_hexagons", "plot_joint", "plot_pairs", "plot_selected_pairs"]
 
 PERCENTILES = (0.1, 0.5, 0.9)
 _GRID = 71
@@ -148,7 +148,46 @@ def plot_pairs(
             _pair_panel(panels[i, j], posterior, chosen[j], chosen[i], bins, truth)
             panels[i, j].set_xlabel(panels[i, j].get_xlabel() if i == count - 1 else "")
             panels[i, j].set_ylabel(panels[i, j].get_ylabel() if j == 0 and i > 0 else "")
+            panels[i, j].tick_params(labelbottom=i == count - 1, labelleft=j == 0 and i > 0)
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def plot_selected_pairs(
+    posterior: Posterior,
+    pairs: Sequence[tuple[str, str]],
+    *,
+    bins: int = 25,
+    truth: Mapping[str, float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the joint marginals of some pairs of inputs, three in a row (Fig. 14); `plot_pairs` draws all of them.
+
+    Args:
+        posterior: the weighted draws.
+        pairs: the inputs along x and y of each panel.
+        bins: hexagons across.
+        truth: the ground truth by name.
+        figure: figure to draw in.
+
+    Raises:
+        InvalidInput: no pair, or an input that the posterior does not have.
+    """
+    if not pairs:
+        raise InvalidInput(
+            "pairs of inputs to draw", value="none", expected="at least one pair", remedy="Name two inputs."
+        )
+    columns = min(3, len(pairs))
+    rows = -(-len(pairs) // columns)
+    with styled():
+        figure = figure_or_new(figure, (max(3.2 * columns, 4.2), 2.7 * rows))
+        panels: Any = figure.subplots(rows, columns, squeeze=False).ravel()
+        for ax, (across, up) in zip(panels, pairs, strict=False):
+            plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=2500, ax=ax)
+            if truth is not None and across in truth and up in truth:
+                mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="o", size=11.0)
+        for ax in panels[len(pairs) :]:
+            ax.remove()
     return figure
 
 

@@ -41,13 +41,14 @@ def plot_marginal(
     overlay: Curve | None = None,
     truth: float | None = None,
     legend: bool = True,
+    whole_box: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the marginal posterior of one input with its prior."""
+    """Draw the marginal posterior of one input with its prior; `whole_box` shows all of the prior (Fig. 10)."""
     parameter = posterior.space[name]
     with styled():
         ax = axes_or_new(ax, (4.0, 3.0))
-        shown = shown_interval(posterior, name)
+        shown = parameter.interval if whole_box else shown_interval(posterior, name)
         draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
         if overlay is not None:
             ax.plot(overlay.x, overlay.density, color=PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
@@ -66,18 +67,21 @@ def plot_marginals(
     bins: int = 30,
     overlays: Mapping[str, Curve] | None = None,
     truth: Mapping[str, float] | None = None,
+    whole_box: bool = False,
     figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw the marginals of several inputs (of all of them where `names` is left out), three in a row."""
+    """Draw the marginals of several inputs (of all of them where `names` is left out), three or four in a row."""
     chosen = posterior.space.names if names is None else tuple(names)
-    columns = min(3, len(chosen))
+    columns = min(3 if len(chosen) <= 6 else 4, len(chosen))
     rows = -(-len(chosen) // columns)
     with styled():
         figure = figure_or_new(figure, (max(3.0 * columns, 3.6), 2.4 * rows + 0.5))
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax, name in zip(panels, chosen, strict=False):
             overlay, value = (overlays or {}).get(name), (truth or {}).get(name)
-            plot_marginal(posterior, name, bins=bins, overlay=overlay, truth=value, legend=False, ax=ax)
+            plot_marginal(
+                posterior, name, bins=bins, overlay=overlay, truth=value, legend=False, whole_box=whole_box, ax=ax
+            )
         for ax in panels[len(chosen) :]:
             ax.remove()
         handles = {

@@ -5,7 +5,7 @@ from strandline.posterior.importance import Reweighting, reweight, subset
 from strandline.posterior.kde import KernelDensity
 from strandline.posterior.laplace import LaplaceApproximation, laplace, log_prior_hessian
 from strandline.posterior.marginals import Histogram, Histogram2D, histogram, histogram_2d, histogram_mode
-from strandline.posterior.netcdf import from_datatree, read, to_datatree, write
+from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
 from strandline.posterior.pareto_smoothing import (
     SmoothedWeights,
     Verdict,
@@ -21,8 +21,18 @@ from strandline.posterior.predictive import (
     normal_offsets,
     observed_offsets,
 )
+from strandline.posterior.sensitivity import SobolIndices, sobol_indices
+from strandline.posterior.under_uncertainty import (
+    Cut,
+    Reading,
+    UnderUncertainty,
+    mode_bins,
+    nuisance_values,
+    pooled,
+)
 
 __all__ = [
+    "Cut",
     "GaussianApproximation",
     "Histogram",
     "Histogram2D",
@@ -31,9 +41,13 @@ __all__ = [
     "LaplaceApproximation",
     "Offsets",
     "Posterior",
+    "Reading",
     "Reweighting",
     "SmoothedWeights",
+    "SobolIndices",
+    "UnderUncertainty",
     "Verdict",
+    "cut_from_datatree",
     "from_datatree",
     "histogram",
     "histogram_2d",
@@ -41,12 +55,16 @@ __all__ = [
     "interface_band",
     "laplace",
     "log_prior_hessian",
+    "mode_bins",
     "normal_offsets",
+    "nuisance_values",
     "observed_offsets",
     "pareto_smoothed",
+    "pooled",
     "read",
     "reliability_threshold",
     "reweight",
+    "sobol_indices",
     "subset",
     "systematic_indices",
     "to_datatree",

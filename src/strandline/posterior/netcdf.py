@@ -14,10 +14,12 @@ from strandline.errors import InvalidInput
 from strandline.interface import Observation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior.posterior import Posterior
+from strandline.posterior.under_uncertainty import Cut
 
-__all__ = ["from_datatree", "read", "to_datatree", "write"]
+__all__ = ["cut_from_datatree", "from_datatree", "read", "to_datatree", "write"]
 
 _RESERVED = ("weight", "log_weight", "log_likelihood", "log_prior", "particle", "chain", "draw")
+_RESERVED_CUT = ("nuisance_value", "nuisance_input", "value_index", "nuisance_values", "conditional_log_evidence")
 
 
 def to_datatree(
@@ -27,6 +29,7 @@ def to_datatree(
     attrs: Mapping[str, str | int | float] | None = None,
     observed: Sequence[Observation] = (),
     number: int | None = None,
+    cut: Cut | None = None,
 ) -> xr.DataTree:
     """Return the posterior as a tree of data sets.
 
@@ -35,14 +38,19 @@ def to_datatree(
     (chain, draw) draws of the prior; ``observed_data`` the observed interfaces. No time is recorded: the same
     posterior and seed give the same content.
 
+    With nuisance inputs the joint reading of the posterior under uncertainty is ``posterior`` without their columns.
+    The cut reading has ``cut_posterior`` and ``weighted_cut_posterior``, the latter with the values of the nuisance
+    inputs and the log-evidence given each.
+
     Args:
         posterior: the weighted draws.
         seed: of the resampling and of the draws of the prior.
         attrs: further attributes of the root, e.g. the study's name.
         observed: the observations the posterior was made from.
         number: how many equally weighted draws; as many as there are particles where it is left out.
+        cut: the cut reading, where there are nuisance inputs.
     """
-    _require_free_names(posterior.space)
+    _require_free_names(posterior.space, _RESERVED if cut is None else _RESERVED + _RESERVED_CUT)
     size = posterior.number if number is None else number
     equal = posterior.equally_weighted(np.random.default_rng([seed, 0]), size)
     uniform = np.random.default_rng([seed, 1]).random((size, posterior.space.dim))
@@ -52,6 +60,9 @@ def to_datatree(
         "weighted_posterior": _particles(posterior),
         "prior": _draws(posterior.space, prior),
     }
+    if cut is not None:
+        chosen = cut.extended.equally_weighted(np.random.default_rng([seed, 2]), number)
+        groups |= {"cut_posterior": _draws(posterior.space, chosen), "weighted_cut_posterior": _conditionals(cut)}
     if observed:
         groups["observed_data"] = _observed(observed)
     tree = xr.DataTree.from_dict(groups)
@@ -61,12 +72,28 @@ def to_datatree(
 
 def from_datatree(tree: xr.DataTree, space: ParameterSpace) -> Posterior:
     """Return the weighted posterior that a tree of `to_datatree` holds, for the inputs of `space`."""
-    data = tree["weighted_posterior"].to_dataset()
+    return _posterior(tree["weighted_posterior"].to_dataset(), space)
+
+
+def cut_from_datatree(tree: xr.DataTree, space: ParameterSpace) -> Cut | None:
+    """Return the cut reading that a tree of `to_datatree` holds, or None where it holds none."""
+    if "weighted_cut_posterior" not in tree.children:
+        return None
+    data = tree["weighted_cut_posterior"].to_dataset()
+    return Cut(
+        extended=_posterior(data, space),
+        values=data["nuisance_values"].to_numpy(),
+        log_evidence=data["conditional_log_evidence"].to_numpy(),
+        value_index=data["value_index"].to_numpy(),
+    )
+
+
+def _posterior(data: xr.Dataset, space: ParameterSpace) -> Posterior:
     missing = [name for name in space.names if name not in data]
     if missing:
         raise InvalidInput(
             "inputs of the stored posterior",
-            value=sorted(str(name) for name in data.data_vars if name not in _RESERVED),
+            value=sorted(str(name) for name in data.data_vars if name not in _RESERVED + _RESERVED_CUT),
             expected=f"all of {list(space.names)}",
             remedy="Read it with the parameters it was written with.",
         )
@@ -124,9 +151,23 @@ def _particles(posterior: Posterior) -> xr.Dataset:
     return xr.Dataset(variables, coords={"particle": np.arange(posterior.number)}, attrs=figures)
 
 
+def _conditionals(cut: Cut) -> xr.Dataset:
+    """Return the particles of the cut reading, with the values of the nuisance inputs that they belong to."""
+    space = cut.extended.space
+    relative = "log of the likelihood over the evidence given the nuisance inputs"
+    data = _particles(cut.extended)
+    data["log_likelihood"].attrs["long_name"] = relative
+    return data.assign(
+        value_index=("particle", cut.value_index),
+        nuisance_values=(("nuisance_value", "nuisance_input"), cut.values),
+        conditional_log_evidence=("nuisance_value", cut.log_evidence),
+    ).assign_coords(nuisance_input=[space.names[i] for i in space.nuisance])
+
+
 def _attributes(parameter: Parameter) -> dict[str, Any]:
     low, high = parameter.interval
-    return {"units": parameter.unit, "low": low, "high": high, "prior": repr(parameter.prior)}
+    known = {"units": parameter.unit, "low": low, "high": high, "prior": repr(parameter.prior)}
+    return known | ({"nuisance": 1} if parameter.nuisance else {})
 
 
 def _observed(observed: Sequence[Observation]) -> xr.Dataset:
@@ -147,12 +188,12 @@ def _observed(observed: Sequence[Observation]) -> xr.Dataset:
     return xr.Dataset(variables)
 
 
-def _require_free_names(space: ParameterSpace) -> None:
-    taken = [name for name in space.names if name in _RESERVED or "/" in name]
+def _require_free_names(space: ParameterSpace, reserved: Sequence[str]) -> None:
+    taken = [name for name in space.names if name in reserved or "/" in name]
     if taken:
         raise InvalidInput(
             "names of inputs in a netCDF file",
             value=taken,
-            expected=f"names without '/' and none of {list(_RESERVED)}",
+            expected=f"names without '/' and none of {list(reserved)}",
             remedy="Rename the inputs.",
         )

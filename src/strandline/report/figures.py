@@ -12,6 +12,8 @@ from strandline import plots
 from strandline.calibrate import Calibration
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
+from strandline.posterior import Reading
+from strandline.quadrature import QuadratureResult, mixture
 from strandline.surrogate import LogLikelihoodSurrogate
 
 __all__ = ["Captioned", "draw_figures"]
@@ -41,6 +43,7 @@ def draw_figures(calibration: Calibration, truth: Mapping[str, float] | None) ->
     yield from _surrogate(calibration)
     yield from _sampler(calibration)
     yield from _posterior(calibration, truth)
+    yield from _under_uncertainty(calibration, truth)
 
 
 def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -192,6 +195,14 @@ def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
         f"the posterior: their root-mean-square error is {validation.loo_rms_near_mode:.3g}."
     )
     yield Captioned("leave_one_out", "surrogate", caption, _whole(axes.figure))
+    if calibration.sensitivity is not None:
+        axes = plots.plot_sensitivity(calibration.sensitivity, calibration.problem.space.names)
+        caption = (
+            "Sobol' indices: the share of the log-likelihood's variance under the prior that each input explains "
+            "alone, and that it is part of, with bootstrap intervals of 95 %. The far tail has most of this variance; "
+            "how well an input is known is seen from its marginal."
+        )
+        yield Captioned("sensitivity", "surrogate", caption, _whole(axes.figure))
 
 
 def _sampler(calibration: Calibration) -> Iterator[Captioned]:
@@ -223,18 +234,59 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
     elif space.dim > 2:
         figure = plots.plot_pairs(posterior, truth=truth)
         yield Captioned("posterior", "posterior", "Posterior of all pairs of inputs.", _whole(figure))
-    figure = plots.plot_marginals(posterior, overlays=_quadrature_curves(calibration), truth=truth)
+    if space.dim > 3:
+        axes = plots.plot_parallel(posterior, truth=truth)
+        caption = (
+            "Each line is a particle, coloured by its log posterior density; lines of high density are drawn on top. "
+            "An input whose axis the red lines cross everywhere is not known from the data."
+        )
+        yield Captioned("parallel", "posterior", caption, _whole(axes.figure))
+    curves = _quadrature_curves(space.names, calibration.quadrature)
+    figure = plots.plot_marginals(posterior, overlays=curves, truth=truth)
     caption = "Marginal posteriors with priors" + (
         " and the direct quadrature of the same surrogate." if calibration.quadrature else "."
     )
     yield Captioned("marginals", "posterior", caption, _whole(figure))
 
 
-def _quadrature_curves(calibration: Calibration) -> dict[str, plots.Curve]:
-    exact = calibration.quadrature
+def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    """Yield the calibrated inputs in both readings, and the nuisance inputs (the study's Figs. 9d and 10)."""
+    found, space = calibration.under_uncertainty, calibration.problem.space
+    if found is None:
+        return
+    for name, reading in {"joint": found.joint, "cut": found.cut}.items():
+        yield from _reading(name, reading, truth)
+    exact = None if calibration.cut_quadrature is None else mixture(calibration.cut_quadrature)
+    curves = _quadrature_curves(found.cut.names, exact)
+    figure = plots.plot_marginals(found.cut.extended, found.cut.names, overlays=curves, truth=truth)
+    caption = "Marginals of the cut reading with priors" + (" and direct quadrature." if curves else ".")
+    yield Captioned("cut_marginals", "uncertainty", caption, _whole(figure))
+    names = [space.names[i] for i in space.nuisance]
+    figure = plots.plot_marginals(calibration.posterior, names, truth=truth, whole_box=True)
+    caption = f"Prior of {', '.join(names)} (red), kept by the cut reading, and the joint reading's posterior of it."
+    yield Captioned("nuisance", "uncertainty", caption, _whole(figure))
+
+
+def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    """Yield the calibrated inputs in one reading; one input alone is among the marginals."""
+    names = reading.names
+    if len(names) == 2:
+        figure = plots.plot_joint(reading.extended, (names[0], names[1]), truth=truth)
+        caption = (
+            f"Posterior under uncertainty, {name} reading: weighted hexagonal histogram with percentile lines of the "
+            "kernel density (black) and the Gaussian (orange), fullest bin (green), mean; marginals with priors."
+        )
+    elif len(names) > 2:
+        figure = plots.plot_pairs(reading.extended, names, truth=truth)
+        caption = f"Posterior under uncertainty, {name} reading: all pairs of calibrated inputs."
+    else:
+        return
+    yield Captioned(f"posterior_{name}", "uncertainty", caption, _whole(figure))
+
+
+def _quadrature_curves(names: Sequence[str], exact: QuadratureResult | None) -> dict[str, plots.Curve]:
     if exact is None:
         return {}
-    names = calibration.problem.space.names
     curves = {}
     for name, marginal in zip(names, exact.marginals, strict=True):
         middle = 0.5 * (marginal.edges[1:] + marginal.edges[:-1])

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from strandline.calibrate import Calibration
 from strandline.report.check import draw_check
 from strandline.report.figures import Captioned, draw_figures
 
-__all__ = ["add_check", "write_report"]
+__all__ = ["add_check", "template", "write_report"]
 
 FILE_NAME = "report.html"
 MARKS = ("<!-- check of the posterior -->\n", "<!-- end of the check -->\n")
@@ -45,7 +45,9 @@ def write_report(
     with _whole_folder(folder / "figures") as partial:
         shown = [_saved(captioned, partial) for captioned in draw_figures(calibration, truth)]
         picture = None if check is None else _saved(draw_check(check), partial)
-    page = _template().render(s=summary, figures=shown, study_text=study_text, check=check, picture=picture)
+    page = template("report.html.j2").render(
+        s=summary, figures=shown, study_text=study_text, check=check, picture=picture
+    )
     return _replaced(folder, page)
 
 
@@ -63,7 +65,7 @@ def add_check(check: Mapping[str, Any], folder: Path) -> None:
     before, begin, rest = page.partition(MARKS[0])
     _, end, after = rest.partition(MARKS[1])
     if begin and end:
-        section = _template("check.html.j2").render(check=check, picture=picture)
+        section = template("check.html.j2").render(check=check, picture=picture)
         _replaced(folder, f"{before}{begin}{section}{end}{after}")
 
 
@@ -98,14 +100,22 @@ def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
     return {"name": captioned.name, "section": captioned.section, "caption": captioned.caption, "data": data}
 
 
-def _template(name: str = "report.html.j2") -> Any:
+def template(name: str, *, package: str = "strandline.report") -> Any:
+    """Return a template of a package; it may include those of reports, such as their style."""
     environment = Environment(
-        loader=PackageLoader("strandline.report"),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")]),
         autoescape=select_autoescape(default=True, default_for_string=True),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["g"] = lambda value, digits=4: "–" if value is None else f"{value:.{digits}g}"
+    environment.filters["g"] = _figures
     environment.filters["percent"] = lambda value: f"{value:.1%}"
     return environment.get_template(name)
+
+
+def _figures(value: float | list[float] | None, digits: int = 4) -> str:
+    """Return a number, or each of several, with so many digits."""
+    if isinstance(value, list):
+        return ", ".join(_figures(item, digits) for item in value)
+    return "–" if value is None else f"{value:.{digits}g}"

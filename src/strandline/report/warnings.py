@@ -6,6 +6,8 @@ import numpy as np
 
 from strandline.calibrate import Calibration
 from strandline.parameters import Parameter
+from strandline.posterior import Posterior
+from strandline.quadrature import mixture
 
 __all__ = ["find_warnings"]
 
@@ -19,6 +21,8 @@ ABOVE_ZERO = 1.0
 ESS_SHARE = 0.1
 QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
+CUT_TAIL = 0.05
+"""Share of the cut reading left aside where the smallest log-likelihood that it uses is told."""
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
@@ -31,6 +35,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     yield from _runs(calibration)
     yield from _prior(calibration)
     yield from _sampler(calibration)
+    yield from _cut(calibration)
     yield from _bounds(calibration)
     if not calibration.laplace.definite:
         yield (
@@ -99,17 +104,53 @@ def _sampler(calibration: Calibration) -> Iterator[str]:
         )
 
 
+def _cut(calibration: Calibration) -> Iterator[str]:
+    """Yield doubts about the cut reading: it needs the surrogate where the likelihood is small, too."""
+    found = calibration.under_uncertainty
+    if found is None:
+        return
+    cut, validation = found.cut, calibration.surrogate.validation
+    values = cut.extended.log_likelihood + cut.log_evidence[cut.value_index]
+    lowest = float(np.quantile(values, CUT_TAIL, weights=cut.extended.weights, method="inverted_cdf"))
+    above = validation.near_mode | (next(iter(calibration.log_likelihoods.values())) >= lowest)
+    error = float(np.sqrt(np.mean(validation.residuals[above] ** 2)))
+    if error > max(LOO_LIMIT, validation.loo_rms_near_mode):
+        yield (
+            f"The cut reading uses log-likelihoods down to {lowest:.3g}, and over the {int(above.sum())} runs from "
+            f"there up the surrogate's leave-one-out error is {error:.2g}: it is less sure than the joint one."
+        )
+    if calibration.cut_quadrature is None:
+        return
+    exact = mixture(calibration.cut_quadrature)
+    mean_error = float(np.max(np.abs(cut.mean - exact.mean) / exact.sd))
+    sd_error = float(np.max(np.abs(cut.sd / exact.sd - 1.0)))
+    if not exact.converged or mean_error > QUADRATURE_MEAN or sd_error > QUADRATURE_SD:
+        yield (
+            f"Sampler and quadrature of the cut reading differ: means by up to {mean_error:.3f} standard deviations, "
+            f"standard deviations by up to {sd_error:.1%}{'' if exact.converged else ', the latter not converged'}. "
+            "More particles will help."
+        )
+
+
 def _bounds(calibration: Calibration) -> Iterator[str]:
-    posterior = calibration.posterior
+    yield from _bounds_of(calibration.posterior, "posterior")
+    found = calibration.under_uncertainty
+    if found is not None:
+        yield from _bounds_of(found.cut.extended, "cut reading", found.cut.names)
+
+
+def _bounds_of(posterior: Posterior, called: str, names: Sequence[str] | None = None) -> Iterator[str]:
     unit = posterior.space.to_unit(posterior.draws)
     for i, parameter in enumerate(posterior.space):
+        if names is not None and parameter.name not in names:
+            continue
         sides = {"lower": unit[:, i] < BOUND_SHARE, "upper": unit[:, i] > 1.0 - BOUND_SHARE}
         for side, touching in sides.items():
             mass = float(posterior.weights @ touching)
             if mass > BOUND_MASS:
                 bound = parameter.interval[0 if side == "lower" else 1]
                 yield (
-                    f"The posterior of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
+                    f"The {called} of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
                     f"{mass:.1%} of its mass lies within 2% of it. "
                     "What lies beyond was excluded by the prior, not by the data."
                 )

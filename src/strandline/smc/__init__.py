@@ -1,12 +1,15 @@
 """Adaptive tempered Sequential Monte Carlo."""
 
-from strandline.smc.moves import Moved, metropolis
+from strandline.smc.conditionals import ConditionalLogDensity, sample_each
+from strandline.smc.moves import BatchedLogDensity, Moved, metropolis
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo
 from strandline.smc.resampling import systematic
 from strandline.smc.sampler import Particles, sample
 from strandline.smc.tempering import effective_sample_size, next_temperature
 
 __all__ = [
+    "BatchedLogDensity",
+    "ConditionalLogDensity",
     "Moved",
     "Particles",
     "SMCResult",
@@ -16,5 +19,6 @@ __all__ = [
     "metropolis",
     "next_temperature",
     "sample",
+    "sample_each",
     "systematic",
 ]

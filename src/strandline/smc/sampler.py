@@ -5,7 +5,7 @@ One tempering step is a pure, jitted function (key, state) -> (state, info); the
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +26,22 @@ from strandline.smc.records import SMCResult, SMCSettings, StepInfo, require
 from strandline.smc.resampling import systematic
 from strandline.smc.tempering import effective_sample_size, next_temperature, reweighted
 
-__all__ = ["Particles", "sample"]
+__all__ = [
+    "Info",
+    "Particles",
+    "advance",
+    "check",
+    "checked_start",
+    "finished",
+    "hashable",
+    "report",
+    "require_double",
+    "require_steps_left",
+    "sample",
+]
 
 _STUDY = SMCSettings()
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class Particles(NamedTuple):
@@ -43,7 +56,9 @@ class Particles(NamedTuple):
     narrowest: Float[Array, " dim"]
 
 
-class _Info(NamedTuple):
+class Info(NamedTuple):
+    """What one tempering step did, on the device."""
+
     ess: Float[Array, ""]
     resampled: Array
     log_evidence_increment: Float[Array, ""]
@@ -78,24 +93,23 @@ def sample(
         InvalidInput: double precision is off, fewer than two particles, or an initial particle outside the prior.
         NumericsError: a log-likelihood of NaN or +inf inside the prior, none above -inf, or no end to the tempering.
     """
-    target = _hashable(log_likelihood), _hashable(log_prior)
+    target = hashable(log_likelihood), hashable(log_prior)
     state = _start(*target, initial)
     shares = jnp.asarray(settings.zeta, float), jnp.asarray(settings.resample_below, float)
     moves = settings.rejuvenation_steps
     steps: list[StepInfo] = []
     while state.temperature < 1.0:
-        _require_steps_left(len(steps), settings, state)
+        require_steps_left(len(steps), settings, state)
         before = float(state.temperature)
         state, info = _step(jax.random.fold_in(key, len(steps)), state, *shares, target=target, moves=moves)
-        _check(info, before, state)
-        steps.append(_report(state, info))
+        check(info, before, state)
+        steps.append(report(state, info))
         if on_step is not None:
             on_step(steps[-1])
-    return _result(state, tuple(steps), settings)
+    return finished(state, tuple(steps), settings)
 
 
-@partial(jax.jit, static_argnames=("target", "moves"))
-def _step(
+def advance(
     key: RandomKey,
     state: Particles,
     zeta: Scalar,
@@ -103,7 +117,7 @@ def _step(
     *,
     target: tuple[BatchedLogDensity, BatchedLogDensity],
     moves: int,
-) -> tuple[Particles, _Info]:
+) -> tuple[Particles, Info]:
     """Temper, reweight, resample where needed, rejuvenate: one round of Algorithm 1."""
     for_resampling, for_moves = jax.random.split(key)
     number = len(state.log_weights)
@@ -128,7 +142,10 @@ def _step(
         steps=moves,
     )
     after = Particles(*moved[:1], log_weights, *moved[1:3], temperature, moved.acceptance, state.narrowest)
-    return after, _Info(ess, resample, increment, scale, moved.undefined)
+    return after, Info(ess, resample, increment, scale, moved.undefined)
+
+
+_step = partial(jax.jit, static_argnames=("target", "moves"))(advance)
 
 
 def _start(
@@ -137,10 +154,16 @@ def _start(
     initial: Float[Array | np.ndarray, "particle dim"],
 ) -> Particles:
     """Return the state at γ = 0 after checking all that can be checked."""
-    _require_double()
-    require(len(initial) >= 2, "number of particles", len(initial), "at least 2")
+    require_double()
     positions = jnp.asarray(initial, float)
-    prior, likelihood = jax.jit(log_prior)(positions), jax.jit(log_likelihood)(positions)
+    return checked_start(positions, jax.jit(log_likelihood)(positions), jax.jit(log_prior)(positions))
+
+
+def checked_start(
+    positions: Float[Array, "particle dim"], likelihood: Float[Array, " particle"], prior: Float[Array, " particle"]
+) -> Particles:
+    """Return the state at γ = 0 of particles whose log L and log p are known."""
+    require(len(positions) >= 2, "number of particles", len(positions), "at least 2")
     outside = int(jnp.sum(~jnp.isfinite(prior)))
     require(outside == 0, "initial particles outside the prior", outside, "none: draws of the prior itself")
     if jnp.isnan(likelihood).any() or jnp.isposinf(likelihood).any():
@@ -159,16 +182,17 @@ def _start(
     return Particles(positions, log_weights, likelihood, prior, 0 * one, one, NARROWEST * jnp.std(positions, axis=0))
 
 
-def _hashable(function: BatchedLogDensity) -> BatchedLogDensity:
+def hashable(function: _Function) -> _Function:
     """Return the function itself where the compiler can remember it, else a stand-in for this call."""
     try:
         hash(function)
     except TypeError:
-        return lambda x: function(x)
+        stand_in: Any = lambda *arguments: function(*arguments)  # noqa: E731
+        return stand_in  # type: ignore[no-any-return]
     return function
 
 
-def _check(info: _Info, before: float, state: Particles) -> None:
+def check(info: Info, before: float, state: Particles) -> None:
     """Refuse a step that met undefined likelihoods or that did not advance."""
     if int(info.undefined) > 0:
         raise NumericsError(
@@ -182,7 +206,8 @@ def _check(info: _Info, before: float, state: Particles) -> None:
         )
 
 
-def _require_steps_left(done: int, settings: SMCSettings, state: Particles) -> None:
+def require_steps_left(done: int, settings: SMCSettings, state: Particles) -> None:
+    """Give up where the settings say so."""
     if done >= settings.maximum_steps:
         raise NumericsError(
             f"{done} tempering steps reached only temperature {float(state.temperature):.4g}. "
@@ -190,7 +215,8 @@ def _require_steps_left(done: int, settings: SMCSettings, state: Particles) -> N
         )
 
 
-def _report(state: Particles, info: _Info) -> StepInfo:
+def report(state: Particles, info: Info) -> StepInfo:
+    """Return what a step did as plain numbers."""
     return StepInfo(
         temperature=float(state.temperature),
         ess=float(info.ess),
@@ -201,7 +227,8 @@ def _report(state: Particles, info: _Info) -> StepInfo:
     )
 
 
-def _result(state: Particles, steps: tuple[StepInfo, ...], settings: SMCSettings) -> SMCResult:
+def finished(state: Particles, steps: tuple[StepInfo, ...], settings: SMCSettings) -> SMCResult:
+    """Return the result of a state at γ = 1."""
     return SMCResult(
         positions=np.asarray(state.positions),
         log_weights=np.asarray(state.log_weights),
@@ -214,7 +241,8 @@ def _result(state: Particles, steps: tuple[StepInfo, ...], settings: SMCSettings
     )
 
 
-def _require_double() -> None:
+def require_double() -> None:
+    """Refuse single precision."""
     require(
         jnp.zeros(()).dtype == jnp.float64,
         "precision of JAX",

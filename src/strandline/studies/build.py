@@ -17,7 +17,7 @@ from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.studies.observed import TO_MM, read_points
-from strandline.studies.schema import Input, Quantity, StudyFile
+from strandline.studies.schema import Input, Quantity, Refine, StudyFile
 from strandline.surrogate import KERNELS
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "build_space",
     "check_complete",
     "check_kernel",
+    "check_refine",
     "check_runs",
     "check_values",
 ]
@@ -97,7 +98,12 @@ def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSp
         _check_name(parameter.name, declared, f"inputs.{parameter.name}")
         for bound in parameter.interval:
             _check_range(bound, declared, parameter.name, f"inputs.{parameter.name}: end of the design box")
-    return ParameterSpace(parameters)
+    try:
+        return ParameterSpace(parameters)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"inputs: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
+        ) from None
 
 
 def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
@@ -165,6 +171,17 @@ def check_runs(runs: int, dim: int) -> None:
         )
 
 
+def check_refine(refine: Refine | None, particles: int) -> None:
+    """Refuse rounds of more runs than there are particles to draw them from."""
+    if refine is not None and refine.runs > particles:
+        raise InvalidStudy(
+            "design.refine.runs",
+            value=refine.runs,
+            expected=f"at most {particles}, the number of particles that they are drawn from",
+            remedy="Make fewer runs in a round, and more rounds.",
+        )
+
+
 def check_kernel(name: str) -> str:
     """Return `name` if a kernel is called so."""
     _entry(KERNELS, name, "surrogate.log_likelihood.kernel")
@@ -192,7 +209,7 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
         )
     prior = _prior(name, item)
     try:
-        parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box)
+        parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box, item.nuisance)
     except InvalidInput as error:
         raise InvalidStudy(
             f"inputs.{name}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy

@@ -24,6 +24,7 @@ from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.check_file import Compared, describe
 from strandline.studies.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable, write_json
 from strandline.studies.ledgers import require_finished, settled
+from strandline.studies.observed import noisy
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
 
@@ -107,13 +108,13 @@ def _finished_posterior(study: Study) -> Posterior:
 
 
 def _observations(study: Study) -> tuple[Observation, ...]:
-    """Return what the posterior was made from; a synthetic observation is a run in the study's ledger."""
+    """Return what the posterior was made from; a synthetic observation is a run in the study's ledger, and noise."""
     observed = study.observed
     if study.truth is not None:
         identity = fingerprint(study.model)
         key = run_key(identity, study.truth)
         with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
-            observed = ledger.latest([key])[key].interfaces
+            observed = noisy(ledger.latest([key])[key].interfaces, study.synthetic_noise)
     return tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
 
 

@@ -16,6 +16,7 @@ __all__ = [
     "CHECK_LEDGER",
     "LEDGER",
     "POSTERIOR",
+    "REFINEMENT",
     "STUDY",
     "SUMMARY",
     "require_writable",
@@ -28,6 +29,7 @@ STUDY = "study.yaml"
 LEDGER = "ledger.sqlite"
 POSTERIOR = "posterior.nc"
 SUMMARY = "summary.json"
+REFINEMENT = "refinement.json"
 CHECK = "check.json"
 CHECK_LEDGER = "check.sqlite"
 

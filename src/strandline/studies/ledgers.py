@@ -1,30 +1,73 @@
 """What the ledgers of a study hold of the runs that it needs."""
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping, Sequence
 
 from strandline.design import sobol
 from strandline.errors import InvalidStudy
 from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, run_key
+from strandline.studies.folder import REFINEMENT, write_json
 from strandline.studies.study import Study
 
-__all__ = ["check_ledgers", "design_keys", "known_runs", "needed_keys", "require_finished", "settled", "take_over"]
+__all__ = [
+    "check_ledgers",
+    "design_keys",
+    "known_runs",
+    "needed_keys",
+    "planned_runs",
+    "refinement_keys",
+    "require_finished",
+    "settled",
+    "take_over",
+    "write_round",
+]
 
 ATTEMPTS = 3
 """Starts after which a campaign gives up a run whose process vanishes each time."""
 
 
 def design_keys(study: Study) -> list[str]:
-    """Return the ledger keys of the study's design, in its order."""
+    """Return the ledger keys of the study's Sobol design, in its order."""
     identity = fingerprint(study.model)
     design = study.space.to_physical(sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble))
     return [run_key(identity, {**study.fixed, **study.space.as_mapping(x)}) for x in design]
 
 
+def refinement_keys(study: Study) -> list[list[str]]:
+    """Return the keys of each round of refinement that study.yaml as it is has come to so far.
+
+    Where the rounds make their runs follows from the runs before them: refinement.json says it of those that began.
+    """
+    try:
+        found = json.loads((study.folder / REFINEMENT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    if not isinstance(found, dict) or found.get("study_sha256") != study.text_digest:
+        return []
+    rounds = found.get("rounds")
+    return [list(keys) for keys in rounds] if isinstance(rounds, list) else []
+
+
+def write_round(study: Study, number: int, inputs: Sequence[Mapping[str, float]]) -> None:
+    """Note the runs of round `number`, the first being 0, in refinement.json; rounds behind it are forgotten."""
+    identity = fingerprint(study.model)
+    rounds = [*refinement_keys(study)[:number], [run_key(identity, entry) for entry in inputs]]
+    write_json(study.folder / REFINEMENT, {"study_sha256": study.text_digest, "rounds": rounds})
+
+
+def planned_runs(study: Study) -> int:
+    """Return the number of runs of the design and of all rounds of refinement."""
+    begun = refinement_keys(study)
+    left = study.settings.refine.rounds - len(begun)
+    return study.settings.runs + sum(len(keys) for keys in begun) + left * study.settings.refine.runs
+
+
 def needed_keys(study: Study) -> list[str]:
-    """Return the keys of the design and, in front, of the run that makes a synthetic observation."""
+    """Return the keys of all runs needed, as far as they are known yet: the synthetic one, the design, the rounds."""
     synthetic = [] if study.truth is None else [run_key(fingerprint(study.model), study.truth)]
-    return list(dict.fromkeys([*synthetic, *design_keys(study)]))
+    rounds = [key for keys in refinement_keys(study) for key in keys]
+    return list(dict.fromkeys([*synthetic, *design_keys(study), *rounds]))
 
 
 def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False) -> list[RunRecord]:
@@ -37,8 +80,8 @@ def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False)
 
 
 def known_runs(study: Study) -> int:
-    """Return how many runs of the design are in the study's ledger, or in one that it may take runs from."""
-    keys = design_keys(study)
+    """Return how many planned runs are in the study's ledger, or in one that it may take runs from."""
+    keys = [*design_keys(study), *(key for some in refinement_keys(study) for key in some)]
     known: set[str] = set()
     for path in (study.ledger_path, *study.reuse):
         if path.is_file():
@@ -66,13 +109,14 @@ def require_finished(study: Study) -> None:
         InvalidStudy: with the number of runs done.
     """
     keys, done = needed_keys(study), 0
+    needed = len(keys) + planned_runs(study) - sum(len(some) for some in (design_keys(study), *refinement_keys(study)))
     if study.ledger_path.is_file():
         with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
             done = len(settled(ledger, keys, sensitivities=study.sensitivities))
-    if done < len(keys):
+    if done < needed:
         raise InvalidStudy(
             "the study is not finished",
-            value=f"{done} of {len(keys)} forward runs done{', the synthetic one included' if study.truth else ''}",
+            value=f"{done} of {needed} forward runs done{', the synthetic one included' if study.truth else ''}",
             expected="all runs done, for results to be made of them",
             remedy=f"Run it first: strandline run {study.folder}",
         )

@@ -1,5 +1,7 @@
-"""Observed interfaces from files of points."""
+"""Observed interfaces: from files of points, or synthetic ones with noise."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +9,52 @@ import numpy as np
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
 
-__all__ = ["TO_MM", "read_points", "require_plausible"]
+__all__ = ["TO_MM", "SyntheticNoise", "noisy", "read_points", "require_plausible"]
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
 LARGEST_RATIO = 10.0
 """An observed interface that differs from the undeformed one by more than this factor in size has another unit."""
+
+
+@dataclass(frozen=True)
+class SyntheticNoise:
+    """Independent Gaussian noise on every node coordinate of a synthetic observation.
+
+    Args:
+        sd: its standard deviation, mm.
+        seed: of its random numbers.
+    """
+
+    sd: float
+    seed: int
+
+
+def noisy(interfaces: Mapping[str, Interface], noise: SyntheticNoise | None) -> dict[str, Interface]:
+    """Return synthetic observations by condition, Y = M + σ ε with ε ~ N(0, I) (Willmann et al. 2022, Eq. 16).
+
+    The random numbers of a condition depend on its name and the seed alone. Without `noise` nothing changes.
+
+    Raises:
+        InvalidStudy: noise so large that an interface touches itself.
+    """
+    if noise is None:
+        return dict(interfaces)
+    return {condition: _disturbed(interface, condition, noise) for condition, interface in interfaces.items()}
+
+
+def _disturbed(interface: Interface, condition: str, noise: SyntheticNoise) -> Interface:
+    random = np.random.default_rng([noise.seed, *condition.encode()])
+    moved = replace(interface, points=interface.points + noise.sd * random.standard_normal(interface.points.shape))
+    try:
+        moved.require_simple()
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"observation.noise: with it, {error.what}",
+            value=f"sd: {noise.sd:g}",
+            expected=f"noise well below the distance of the nodes, {float(np.median(interface.lengths)):.2g} mm",
+            remedy="Lower observation.noise.sd, which is in mm.",
+        ) from None
+    return moved
 
 
 def read_points(path: Path, unit: str) -> Interface:

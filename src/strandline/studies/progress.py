@@ -10,7 +10,7 @@ from typing import Literal
 from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord
 from strandline.studies.folder import SUMMARY
-from strandline.studies.ledgers import design_keys, settled
+from strandline.studies.ledgers import design_keys, planned_runs, refinement_keys, settled
 from strandline.studies.study import Study
 
 __all__ = ["StudyProgress", "progress_of", "results_of"]
@@ -20,11 +20,11 @@ Results = Literal["none", "current", "outdated"]
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """Counts of the design's runs by how they ended, and examples of failures.
+    """Counts of the planned runs by how they ended, and examples of failures.
 
     Args:
         name: of the study.
-        planned: runs of the design.
+        planned: runs of the design and of all rounds of refinement.
         ok: those that gave an interface.
         failed: those that did not and will not be tried again.
         open: runs started and not ended: under way if a driver is at work, lost otherwise.
@@ -54,10 +54,10 @@ class StudyProgress:
 
 def progress_of(study: Study) -> StudyProgress:
     """Return how far `study` is; reads the ledger without the lock of its driver."""
-    keys = design_keys(study)
-    results = results_of(study)
+    keys = [*design_keys(study), *(key for some in refinement_keys(study) for key in some)]
+    results, planned = results_of(study), planned_runs(study)
     if not study.ledger_path.is_file():
-        return StudyProgress(study.name, len(keys), results=results)
+        return StudyProgress(study.name, planned, results=results)
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
         records = settled(ledger, keys, sensitivities=study.sensitivities)
         open_runs = ledger.counts().open
@@ -65,7 +65,7 @@ def progress_of(study: Study) -> StudyProgress:
     seconds = [record.seconds for record in records]
     return StudyProgress(
         study.name,
-        len(keys),
+        planned,
         ok=len(records) - len(failed),
         failed=len(failed),
         open=open_runs,

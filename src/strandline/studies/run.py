@@ -1,8 +1,9 @@
 """From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from strandline.report import write_report
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
-from strandline.studies.ledgers import check_ledgers, take_over
+from strandline.studies.ledgers import check_ledgers, take_over, write_round
+from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
@@ -56,13 +58,29 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
         _try_measures(problem)
         calibration = calibrate(
-            problem, study.settings, ledger=ledger, executor=executor, observer=made.listening(observer)
+            problem,
+            study.settings,
+            ledger=ledger,
+            executor=executor,
+            observer=_noting_rounds(made.listening(observer), study, ledger),
         )
     return _write_results(study, calibration, made.number, observer)
 
 
+def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer:
+    """Return the observer, each round of refinement written down and taken over where another study has made it."""
+    numbers = count()
+
+    def draws(inputs: Sequence[Mapping[str, float]]) -> None:
+        write_round(study, next(numbers), inputs)
+        take_over(study, ledger)
+        observer.draws(inputs)
+
+    return replace(observer, draws=draws)
+
+
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:
-    """Return the observed interfaces by condition; synthetic ones are a run of the model like any other."""
+    """Return the observed interfaces by condition; synthetic ones are a run of the model, and noise."""
     if study.truth is None:
         return study.observed
     observer.stage("observation")
@@ -75,7 +93,7 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
             expected="inputs at which the model runs",
             remedy="Choose other values under observation.synthetic, or try them with `strandline forward`.",
         )
-    return record.interfaces
+    return noisy(record.interfaces, study.synthetic_noise)
 
 
 def _try_measures(problem: Problem) -> None:
@@ -90,11 +108,13 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     observer.stage("report")
     begun = time.perf_counter()
     summary = summarise(study, calibration, new_runs=new_runs, reused_runs=len(calibration.records) - new_runs)
+    under_uncertainty = calibration.under_uncertainty
     tree = to_datatree(
         calibration.posterior,
         seed=study.settings.seed,
         attrs={"study": study.name, "strandline_version": __version__},
         observed=calibration.problem.observations,
+        cut=None if under_uncertainty is None else under_uncertainty.cut,
     )
     with told_if_unwritable(study.folder):
         (study.folder / SUMMARY).unlink(missing_ok=True)
@@ -113,7 +133,7 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
 
 
 class _Made:
-    """Notes which runs of the design were made; one that was tried twice counts once."""
+    """Notes which of the planned runs were made; one that was tried twice counts once."""
 
     def __init__(self) -> None:
         self.keys: set[str] = set()

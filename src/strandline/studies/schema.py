@@ -53,6 +53,14 @@ class Input(_Strict):
     prior: Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]
     unit: str | None = None
     box: tuple[Number, Number] | None = None
+    nuisance: Annotated[bool, Field(strict=True)] = False
+
+
+class ObservationNoise(_Strict):
+    """Noise on the node coordinates of a synthetic observation."""
+
+    sd: Annotated[Number, Field(gt=0)]
+    seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
 
 
 class ObservationFile(_Strict):
@@ -61,6 +69,7 @@ class ObservationFile(_Strict):
     file: str | None = None
     unit: Literal["mm", "um", "µm", "m"] | None = None
     synthetic: dict[str, Number] | None = None
+    noise: ObservationNoise | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "ObservationFile":
@@ -68,6 +77,10 @@ class ObservationFile(_Strict):
             raise ValueError("either `file` with its `unit`, or `synthetic`")
         if self.file is not None and self.unit is None:
             raise ValueError("the unit of the coordinates too: `unit: mm` (or um, m)")
+        if self.file is not None and self.noise is not None:
+            raise ValueError(
+                "`noise` with `synthetic` only: a file holds its own; σ_N stands under the study's `noise`"
+            )
         return self
 
 
@@ -129,10 +142,19 @@ class Sobol(_Strict):
     scramble: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
 
 
+class Refine(_Strict):
+    """Further runs where the posterior lies."""
+
+    rounds: Count = 3
+    runs: Count
+    temperature: Annotated[Number, Field(gt=0, le=1)] = 0.4
+
+
 class Design(_Strict):
     """The design of experiments."""
 
     sobol: Sobol
+    refine: Refine | None = None
 
 
 class LogLikelihood(_Strict):
@@ -155,10 +177,17 @@ class SMC(_Strict):
     zeta: Annotated[Number, Field(gt=0, lt=1)] = 0.995
 
 
+class CutReading(_Strict):
+    """The cut reading of the posterior under uncertainty."""
+
+    values: Annotated[int, BeforeValidator(_number), Field(ge=2)] = 32
+
+
 class Sampler(_Strict):
     """The sampler."""
 
     smc: SMC = SMC()
+    cut: CutReading = CutReading()
 
 
 class Local(_Strict):

@@ -12,11 +12,12 @@ from strandline.errors import InvalidStudy
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
+from strandline.refinement import Refinement
 from strandline.runs import Executor, LocalProcesses
 from strandline.smc import SMCSettings
 from strandline.studies import build
 from strandline.studies.folder import LEDGER
-from strandline.studies.observed import read_points, require_plausible
+from strandline.studies.observed import SyntheticNoise, read_points, require_plausible
 from strandline.studies.parse import parse_study
 from strandline.studies.schema import ConditionFile, ObservationFile, StudyFile
 
@@ -38,6 +39,7 @@ class Study:
         noise_variance: σ_N², in the unit of d²; of every condition.
         observed: the observed interfaces by condition, mm; empty where the model makes synthetic ones.
         truth: the inputs at which the model makes a synthetic observation of each of its conditions, or None.
+        synthetic_noise: what is added to a synthetic observation, or None.
         turned: the conditions whose observed points ran the other way round and were turned.
         settings: how the posterior is computed.
         executor: where forward runs are made.
@@ -54,6 +56,7 @@ class Study:
     noise_variance: float
     observed: Mapping[str, Interface]
     truth: Mapping[str, float] | None
+    synthetic_noise: SyntheticNoise | None
     turned: tuple[str, ...]
     settings: Settings
     executor: Executor
@@ -97,6 +100,7 @@ def load_study(folder: Path) -> Study:
         noise_variance=content.noise.variance or (content.noise.sd or 0.0) ** 2,
         observed=observed,
         truth=truth,
+        synthetic_noise=_synthetic_noise(content),
         turned=turned,
         settings=_settings(content),
         executor=LocalProcesses(workers=content.executor.local.workers, timeout=content.executor.local.timeout),
@@ -105,15 +109,18 @@ def load_study(folder: Path) -> Study:
 
 
 def _settings(content: StudyFile) -> Settings:
-    smc, sobol = content.sampler.smc, content.design.sobol
+    smc, sobol, refine = content.sampler.smc, content.design.sobol, content.design.refine
     build.check_runs(sobol.runs, len(content.inputs))
+    build.check_refine(refine, smc.particles)
     return Settings(
         runs=sobol.runs,
         scramble=sobol.scramble,
+        refine=Refinement() if refine is None else Refinement(refine.rounds, refine.runs, refine.temperature),
         kernel=build.check_kernel(content.surrogate.log_likelihood.kernel),
         particles=smc.particles,
         smc=SMCSettings(rejuvenation_steps=smc.rejuvenation_steps, zeta=smc.zeta),
         seed=content.seed,
+        nuisance_values=content.sampler.cut.values,
     )
 
 
@@ -125,6 +132,15 @@ def _truth(
         return None
     build.check_complete(source.synthetic, names, model, "observation.synthetic")
     return dict(source.synthetic)
+
+
+def _synthetic_noise(content: StudyFile) -> SyntheticNoise | None:
+    """Return the noise of a synthetic observation; its seed is the study's where it has none."""
+    source = content.observation
+    if isinstance(source, list) or source.noise is None:
+        return None
+    seed = source.noise.seed
+    return SyntheticNoise(source.noise.sd, content.seed if seed is None else seed)
 
 
 def _observed(

@@ -2,7 +2,7 @@
 
 import platform
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
 from importlib import metadata
 from typing import Any
@@ -14,6 +14,9 @@ from strandline.calibrate import Calibration
 from strandline.discrepancy.protocol import unit_of
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
+from strandline.posterior import Posterior, Reading
+from strandline.quadrature import QuadratureResult, mixture
+from strandline.refinement import shifts
 from strandline.report.warnings import find_warnings
 from strandline.studies.study import Study
 from strandline.surrogate import LogLikelihoodSurrogate
@@ -31,7 +34,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         study: what was asked.
         calibration: what was found.
         new_runs: forward runs made by this call.
-        reused_runs: design runs that were in a ledger already.
+        reused_runs: planned runs that were in a ledger already.
     """
     sampling = calibration.sampling
     return {
@@ -42,8 +45,10 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "seed": study.settings.seed,
         "model": fingerprint(study.model),
         "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
+        "refinement": _refinement(calibration),
         "fixed": dict(study.fixed),
         "truth": None if study.truth is None else dict(study.truth),
+        "synthetic_noise": None if study.synthetic_noise is None else asdict(study.synthetic_noise),
         "inputs": _inputs(calibration),
         "log_evidence": sampling.log_evidence,
         "likelihood": _likelihood(study, calibration),
@@ -60,6 +65,8 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
         "laplace": _laplace(calibration),
         "quadrature_check": quadrature_check(calibration),
+        "under_uncertainty": _under_uncertainty(calibration),
+        "sensitivity": _sensitivity(calibration),
         "warnings": list(find_warnings(calibration, turned=study.turned)),
         "seconds": dict(calibration.seconds),
     }
@@ -68,16 +75,53 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
 def quadrature_check(calibration: Calibration) -> dict[str, Any] | None:
     """Compare the sampler with the direct integration of the same surrogate; None above three inputs."""
     exact, posterior = calibration.quadrature, calibration.posterior
-    if exact is None:
-        return None
-    names = posterior.space.names
+    return None if exact is None else _compared(posterior.space.names, posterior, exact)
+
+
+def _compared(names: Sequence[str], sampled: Posterior | Reading, exact: QuadratureResult) -> dict[str, Any]:
+    """Compare means and standard deviations of the sampler with those of the quadrature."""
     per_input = {n: {"mean": float(m), "sd": float(s)} for n, m, s in zip(names, exact.mean, exact.sd, strict=True)}
     return per_input | {
-        "max_mean_error_sd": float(np.max(np.abs(posterior.mean - exact.mean) / exact.sd)),
-        "max_sd_ratio_error": float(np.max(np.abs(posterior.sd / exact.sd - 1.0))),
+        "max_mean_error_sd": float(np.max(np.abs(sampled.mean - exact.mean) / exact.sd)),
+        "max_sd_ratio_error": float(np.max(np.abs(sampled.sd / exact.sd - 1.0))),
         "log_evidence": exact.log_evidence,
         "converged": exact.converged,
         "evaluations": exact.evaluations,
+    }
+
+
+def _under_uncertainty(calibration: Calibration) -> dict[str, Any] | None:
+    """Return both readings of the posterior of the calibrated inputs; None without nuisance inputs."""
+    found = calibration.under_uncertainty
+    if found is None:
+        return None
+    space, cut, parts = calibration.problem.space, found.cut, calibration.cut_quadrature
+    return {
+        "joint": _reading(found.joint),
+        "cut": _reading(cut)
+        | {
+            "nuisance_values": {
+                space.names[i]: column.tolist() for i, column in zip(space.nuisance, cut.values.T, strict=True)
+            },
+            "log_evidence": cut.log_evidence.tolist(),
+            "joint_log_evidence": cut.joint_log_evidence,
+            "particles": cut.extended.number,
+            "ess": cut.extended.ess,
+            "quadrature_check": None if parts is None else _compared(cut.names, cut, mixture(parts)),
+        },
+    }
+
+
+def _reading(reading: Reading) -> dict[str, Any]:
+    mean, sd, mode = reading.mean, reading.sd, reading.map_estimate
+    q05, median, q95 = reading.quantiles(QUANTILES)
+    figures = {"mean": mean, "sd": sd, "median": median, "q05": q05, "q95": q95, "map": mode}
+    return {
+        "inputs": {
+            name: {key: float(values[i]) for key, values in figures.items()} for i, name in enumerate(reading.names)
+        },
+        "map_bins": reading.map_bins,
+        "covariance": reading.covariance.tolist(),
     }
 
 
@@ -96,6 +140,21 @@ def _runs(calibration: Calibration) -> dict[str, Any]:
     }
 
 
+def _refinement(calibration: Calibration) -> list[dict[str, Any]]:
+    posterior = calibration.posterior
+    return [
+        {
+            "n_train": r.n_train,
+            "runs": r.runs,
+            "failed": r.failed,
+            "error_rms": r.error_rms,
+            "error_rms_posterior": r.error_rms_posterior,
+            "shift": dict(zip(posterior.space.names, shift.tolist(), strict=True)),
+        }
+        for r, shift in zip(calibration.rounds, shifts(calibration.rounds, posterior.mean, posterior.sd), strict=True)
+    ]
+
+
 def _inputs(calibration: Calibration) -> dict[str, Any]:
     posterior = calibration.posterior
     quantiles = posterior.quantiles(QUANTILES)
@@ -108,6 +167,7 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
             "q05": float(quantiles[0, i]),
             "q95": float(quantiles[2, i]),
             "map": float(posterior.map_estimate[i]),
+            "nuisance": parameter.nuisance,
             "prior": _described(parameter.prior),
             "box": list(parameter.interval),
             "prior_mass_cut": parameter.mass_cut,
@@ -143,7 +203,7 @@ def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
         "loo_rms_near_mode": validation.loo_rms_near_mode,
         "near_mode_count": validation.near_mode_count,
         "hyperparameters": {
-            "length_scale": float(process.length_scale),
+            "length_scale": np.asarray(process.length_scale).tolist(),
             "signal_variance": float(process.signal_variance),
             "nugget": float(process.nugget),
         },
@@ -158,6 +218,19 @@ def _laplace(calibration: Calibration) -> dict[str, Any]:
         "definite": approximation.definite,
         "eigenvalues": approximation.eigenvalues.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
+    }
+
+
+def _sensitivity(calibration: Calibration) -> dict[str, Any] | None:
+    indices = calibration.sensitivity
+    if indices is None:
+        return None
+    kinds = ("first", "first_low", "first_high", "total", "total_low", "total_high")
+    names = calibration.problem.space.names
+    return {
+        "of": "log-likelihood",
+        "inputs": {name: {kind: float(getattr(indices, kind)[i]) for kind in kinds} for i, name in enumerate(names)},
+        "evaluations": indices.evaluations,
     }
 
 

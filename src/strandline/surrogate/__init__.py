@@ -1,5 +1,6 @@
 """Gaussian-process surrogates."""
 
+from strandline.surrogate.convergence import STUDY_SIZES, Convergence, convergence_study
 from strandline.surrogate.gaussian_process import GaussianProcess, batched_mean, condition
 from strandline.surrogate.hyperparameters import (
     Attempt,
@@ -8,21 +9,25 @@ from strandline.surrogate.hyperparameters import (
     evidence,
     fit_hyperparameters,
 )
-from strandline.surrogate.kernels import KERNELS, Kernel
+from strandline.surrogate.kernels import KERNELS, Kernel, LengthScale
 from strandline.surrogate.log_likelihood import LogLikelihoodSurrogate, fit_log_likelihood
 from strandline.surrogate.validation import Validation, validate
 
 __all__ = [
     "KERNELS",
+    "STUDY_SIZES",
     "Attempt",
+    "Convergence",
     "Evidence",
     "FittedHyperparameters",
     "GaussianProcess",
     "Kernel",
+    "LengthScale",
     "LogLikelihoodSurrogate",
     "Validation",
     "batched_mean",
     "condition",
+    "convergence_study",
     "evidence",
     "fit_hyperparameters",
     "fit_log_likelihood",

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 from strandline.errors import InvalidInput
-from strandline.surrogate.kernels import Kernel
-from strandline.surrogate.linear_algebra import distances, factorise, fill_lower, solve
+from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
+from strandline.surrogate.linear_algebra import factorise, solve
 
 __all__ = ["GaussianProcess", "batched_mean", "condition", "standardisation"]
 
@@ -33,7 +33,7 @@ class GaussianProcess:
         alpha: (K + σ_n² I)⁻¹ (y - target_mean).
         cholesky: lower Cholesky factor of K + σ_n² I.
         kernel: the correlation function.
-        length_scale: l, in standard deviations of the inputs.
+        length_scale: l, in standard deviations of the inputs; one for each input with a product kernel.
         signal_variance: σ0², in squared units of the target.
         nugget: σ_n², in squared units of the target.
     """
@@ -45,7 +45,7 @@ class GaussianProcess:
     alpha: Float[np.ndarray, " run"]
     cholesky: Float[np.ndarray, "run run"]
     kernel: Kernel
-    length_scale: float
+    length_scale: LengthScale
     signal_variance: float
     nugget: float
 
@@ -57,15 +57,15 @@ class GaussianProcess:
     def mean(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the posterior mean, in units of the target."""
         out = np.empty(len(x))
-        for rows, _, s in self._blocks(x):
-            out[rows] = self.kernel.correlation(s) @ self.alpha
+        for rows, offset in self._blocks(x):
+            out[rows] = self.kernel.value(offset) @ self.alpha
         return self.target_mean + self.signal_variance * out
 
     def variance(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the posterior variance of the function itself (without the nugget), never negative."""
         out = np.empty(len(x))
-        for rows, _, s in self._blocks(x):
-            k = self.signal_variance * self.kernel.correlation(s)
+        for rows, offset in self._blocks(x):
+            k = self.signal_variance * self.kernel.value(offset)
             half = solve_triangular(self.cholesky, k.T, lower=True, check_finite=False)
             out[rows] = self.signal_variance - np.einsum("ij,ij->j", half, half)
         return np.maximum(out, 0.0)
@@ -73,34 +73,27 @@ class GaussianProcess:
     def gradient(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim"]:
         """Return the gradient of the mean by the physical inputs."""
         out = np.empty(x.shape)
-        for rows, offset, s in self._blocks(x):
-            out[rows] = np.einsum("bn,bnd->bd", self.kernel.slope(s) * self.alpha, offset)
+        for rows, offset in self._blocks(x):
+            out[rows] = self.kernel.weighted_gradient(offset, self.alpha)
         return self.signal_variance * out / (self.length_scale * self.scale)
 
     def hessian(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim dim"]:
         """Return the Hessian of the mean by the physical inputs; exact at training points too."""
         out = np.empty((*x.shape, self.dim))
-        for rows, offset, s in self._blocks(x):
-            direction = offset / np.where(s > 0, s, 1.0)[..., None]
-            bend = self.kernel.slope_rate(s) * s * self.alpha
-            isotropic = self.kernel.slope(s) @ self.alpha
-            out[rows] = np.einsum("bn,bnd,bne->bde", bend, direction, direction, optimize=True)
-            out[rows] += isotropic[:, None, None] * np.eye(self.dim)
+        for rows, offset in self._blocks(x):
+            out[rows] = self.kernel.weighted_hessian(offset, self.alpha)
         unit = self.length_scale * self.scale
         return np.asarray(self.signal_variance * out / (unit[:, None] * unit))
 
-    def _blocks(
-        self, x: Float[np.ndarray, "point dim"]
-    ) -> Iterator[tuple[slice, Float[np.ndarray, "block run dim"], Float[np.ndarray, "block run"]]]:
-        """Yield rows of x with their offsets from the training points and their distances, in length scales."""
+    def _blocks(self, x: Float[np.ndarray, "point dim"]) -> Iterator[tuple[slice, Float[np.ndarray, "block run dim"]]]:
+        """Yield rows of x with their offsets from the training points, in length scales."""
         self._require_dim(x)
         points = (x - self.shift) / (self.scale * self.length_scale)
         train = self.x_train / self.length_scale
         size = max(1, _PAIRS_PER_BLOCK // len(train))
         for start in range(0, len(x), size):
             rows = slice(start, min(start + size, len(x)))
-            offset = points[rows, None, :] - train
-            yield rows, offset, np.sqrt(np.einsum("bnd,bnd->bn", offset, offset))
+            yield rows, points[rows, None, :] - train
 
     def _require_dim(self, x: Float[np.ndarray, "point d"]) -> None:
         if x.shape[1] != self.dim:
@@ -137,7 +130,7 @@ def condition(
     y: Float[np.ndarray, " run"],
     *,
     kernel: Kernel,
-    length_scale: float,
+    length_scale: LengthScale,
     signal_variance: float,
     nugget: float,
 ) -> GaussianProcess:
@@ -147,19 +140,20 @@ def condition(
         x: training inputs, physical.
         y: training targets.
         kernel: the correlation function.
-        length_scale: l, in standard deviations of the inputs.
+        length_scale: l, in standard deviations of the inputs; with a product kernel one for each input.
         signal_variance: σ0².
         nugget: σ_n².
 
     Raises:
-        InvalidInput: an input column that does not vary.
+        InvalidInput: an input column that does not vary, or a length scale that is not positive.
         NumericsError: the covariance is not positive definite.
     """
     shift, scale = standardisation(x)
     x_train, target_mean = (x - shift) / scale, float(y.mean())
-    s = distances(x_train) / length_scale
-    K = np.zeros_like(s)
-    fill_lower(K, s, lambda t: signal_variance * kernel.correlation(t), diagonal=nugget)
+    lengths = as_lengths(kernel, length_scale, x.shape[1])
+    K = np.zeros((len(y), len(y)), order="F")
+    pairs = kernel.pairs(x_train, unit=lengths)
+    pairs.fill(K, inverse_lengths=np.ones(len(lengths)), variance=signal_variance, diagonal=nugget)
     factorise(K)
     return GaussianProcess(
         x_train=x_train,
@@ -169,7 +163,7 @@ def condition(
         alpha=solve(K, y - target_mean),
         cholesky=K,
         kernel=kernel,
-        length_scale=float(length_scale),
+        length_scale=as_length_scale(kernel, lengths),
         signal_variance=float(signal_variance),
         nugget=float(nugget),
     )
@@ -189,22 +183,22 @@ def batched_mean(
     """
     unit = gp.scale * gp.length_scale
     train, weight = gp.x_train / gp.length_scale, gp.signal_variance * gp.alpha
-    correlation = gp.kernel.correlation
+    correlation = gp.kernel.of_columns
     in_one = jax.default_backend() != "cpu" if fused is None else fused
 
-    def scaled_distance(points: jax.Array, centre: jax.Array) -> jax.Array:
-        """Return |points - centre|, coordinates on the leading axis."""
-        return jnp.sqrt(sum((p - c) ** 2 for p, c in zip(points, centre, strict=True)))
+    def offsets(points: jax.Array, centre: jax.Array) -> list[jax.Array]:
+        """Return points - centre, coordinates on the leading axis."""
+        return [p - c for p, c in zip(points, centre, strict=True)]
 
     def mean(x: Float[jax.Array, "particle dim"]) -> Float[jax.Array, " particle"]:
         points = ((x - gp.shift) / unit).T
         if in_one:
-            s = scaled_distance(points[:, :, None], jnp.asarray(train.T)[:, None, :])
-            return gp.target_mean + jnp.sum(correlation(s) * weight, axis=1)
+            offset = offsets(points[:, :, None], jnp.asarray(train.T)[:, None, :])
+            return gp.target_mean + jnp.sum(correlation(offset) * weight, axis=1)
 
         def add(total: jax.Array, run: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             centre, w = run
-            return total + w * correlation(scaled_distance(points, centre)), None
+            return total + w * correlation(offsets(points, centre)), None
 
         start = jnp.full(len(x), gp.target_mean, points.dtype)
         total, _ = jax.lax.scan(add, start, (jnp.asarray(train), jnp.asarray(weight)), unroll=_UNROLL)

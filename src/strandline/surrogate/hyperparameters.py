@@ -1,10 +1,12 @@
 """Hyperparameters by maximum evidence, in coordinates that suit its flat ridge.
 
 On a log-likelihood the evidence rises along σ0²/l³ = const, so the coordinates are (log σ0²/l³, log l) and l is
-bounded; the nugget is given.
+bounded; the nugget is given. A product kernel has a log l for each input, and l³ is that of their geometric mean: the
+ridge, on which all lengths grow together, is straight again.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +14,8 @@ from jaxtyping import Float
 from scipy.optimize import OptimizeResult, minimize
 
 from strandline.errors import InvalidInput, NumericsError, TooFewRuns
-from strandline.surrogate.kernels import Kernel
-from strandline.surrogate.linear_algebra import distances, factorise, fill_lower, invert, lower_panels, solve
+from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
+from strandline.surrogate.linear_algebra import factorise, invert, solve
 
 __all__ = ["Attempt", "Evidence", "FittedHyperparameters", "evidence", "fit_hyperparameters", "require_runs"]
 
@@ -21,15 +23,16 @@ SHORTEST_LENGTH = 0.01
 STARTING_LENGTHS = (0.5, 3.0)
 _WINDOW = 40.0  # half-width of the box of log σ0²/l³ around its first guess
 _FLAT = 1e-3  # nats: a smaller change of the log evidence decides nothing
+_VARIANCE_STEPS, _SMALLEST_SHARE = 3, 1e-3  # of the search for a starting variance
 _STEP = 0.01  # perturbation of the coordinates when a stop is checked
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Log evidence and its derivatives by (log σ0²/l³, log l)."""
+    """Log evidence and its derivatives by (log σ0²/l³, log l), with a log l for each length."""
 
     value: float
-    gradient: Float[np.ndarray, "2"]
+    gradient: Float[np.ndarray, " coordinate"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Attempt:
     """One start of the optimiser and how it ended.
 
     Args:
-        start: length scale at the start.
+        start: length scale at the start, of every input.
         length_scale: length scale at the end.
         signal_variance: signal variance at the end.
         log_evidence: log evidence at the end.
@@ -48,7 +51,7 @@ class Attempt:
     """
 
     start: float
-    length_scale: float
+    length_scale: LengthScale
     signal_variance: float
     log_evidence: float
     evaluations: int
@@ -62,17 +65,17 @@ class FittedHyperparameters:
     """The best accepted attempt, and all attempts.
 
     Args:
-        length_scale: l, in standard deviations of the inputs.
+        length_scale: l, in standard deviations of the inputs; one for each with a product kernel.
         signal_variance: σ0².
         nugget: σ_n², as given.
         log_evidence: log p(y | l, σ0², σ_n²).
-        at_bound: whether l lies at its upper bound: the usual end on a log-likelihood.
+        at_bound: whether a length lies at its upper bound: the usual end on a log-likelihood.
         message: the optimiser's own words on the best attempt.
         verdict: what the check of the best attempt found.
         attempts: every start with its end.
     """
 
-    length_scale: float
+    length_scale: LengthScale
     signal_variance: float
     nugget: float
     log_evidence: float
@@ -83,33 +86,27 @@ class FittedHyperparameters:
 
 
 class _Objective:
-    """Evidence of fixed data with its two n×n work arrays kept between evaluations."""
+    """Evidence of fixed data with its n×n work arrays kept between evaluations."""
 
     def __init__(
         self, x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"], kernel: Kernel, nugget: float
     ) -> None:
         self.y, self.kernel, self.nugget = y, kernel, nugget
-        self.r = distances(x)
-        self.K = np.zeros_like(self.r)
+        self.lengths = x.shape[1] if kernel.per_input else 1
+        self.pairs = kernel.pairs(x, unit=np.ones(self.lengths))
+        self.K = np.zeros((len(y), len(y)), order="F")
         self.worst = math.inf
 
-    def evidence(self, log_ratio: float, log_length: float) -> Evidence:
+    def evidence(self, log_ratio: float, log_lengths: Sequence[float]) -> Evidence:
         """Return the evidence at (log σ0²/l³, log l)."""
-        inverse_length, variance = math.exp(-log_length), math.exp(log_ratio + 3 * log_length)
-        self._fill(inverse_length, variance)
-        factorise(self.K)
+        inverse, variance = self._covariance(log_ratio, log_lengths)
         alpha = solve(self.K, self.y)
         value = -0.5 * self.y @ alpha - np.log(np.diagonal(self.K)).sum() - 0.5 * len(alpha) * math.log(2 * math.pi)
         invert(self.K)
         by_variance = self._by_log_variance(alpha)
-        by_length = 3 * by_variance + self._by_log_length(alpha, inverse_length, variance)
-        return Evidence(float(value), np.array([by_variance, by_length]))
-
-    def _fill(self, inverse_length: float, variance: float) -> None:
-        def covariance(r: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
-            return np.asarray(variance * self.kernel.correlation(inverse_length * r))
-
-        fill_lower(self.K, self.r, covariance, diagonal=self.nugget)
+        by_lengths = variance * self.pairs.by_log_lengths(alpha, self.K, inverse_lengths=inverse)
+        by_lengths += 3 / self.lengths * by_variance
+        return Evidence(float(value), np.array([by_variance, *by_lengths]))
 
     def _by_log_variance(self, alpha: Float[np.ndarray, " run"]) -> float:
         """Return ∂/∂log σ0² = ½ (αᵀ σ0²C α - tr K⁻¹ σ0²C) with σ0²C = K - σ_n² I; `K` holds K⁻¹."""
@@ -117,22 +114,37 @@ class _Objective:
         trace = len(alpha) - self.nugget * np.trace(self.K)
         return float(0.5 * (fit - trace))
 
-    def _by_log_length(self, alpha: Float[np.ndarray, " run"], inverse_length: float, variance: float) -> float:
-        """Return ½ Σ_ij (α_i α_j - K⁻¹_ij) ∂K_ij/∂log l from lower triangles; the diagonal adds nothing."""
-        total = 0.0
-        for rows, columns in lower_panels(len(alpha)):
-            slope = self.kernel.by_log_length(inverse_length * self.r[rows, columns])
-            slope *= np.outer(alpha[rows], alpha[columns]) - self.K[rows, columns]
-            square = slope[: slope.shape[1]]
-            total += slope.sum() - np.triu(square).sum()
-        return float(variance * total)
+    def starting_ratio(self, length: float) -> float:
+        """Return log σ0²/l³ to start from at one length for all inputs: there σ0² is the variance of the targets.
 
-    def descent(self, z: Float[np.ndarray, "2"]) -> tuple[float, Float[np.ndarray, "2"]]:
+        With several lengths that is far too small at long ones, and the optimiser's first step then leads to where all
+        lengths vanish, a local maximum. So σ0² is made to fit the targets, αᵀ σ0²C α = n, as far as the nugget allows.
+        """
+        ratio = math.log(float(np.var(self.y))) - 3 * math.log(length)
+        for _ in range(_VARIANCE_STEPS if self.lengths > 1 else 0):
+            try:
+                self._covariance(ratio, [math.log(length)] * self.lengths)
+            except NumericsError:
+                break
+            alpha = solve(self.K, self.y)
+            share = (self.y @ alpha - self.nugget * alpha @ alpha) / len(alpha)
+            ratio += math.log(max(share, _SMALLEST_SHARE))
+        return ratio
+
+    def _covariance(self, log_ratio: float, log_lengths: Sequence[float]) -> tuple[Float[np.ndarray, " length"], float]:
+        """Factorise the covariance into `K`; return the inverse lengths and σ0²."""
+        inverse = np.array([math.exp(-log_length) for log_length in log_lengths])
+        variance = math.exp(log_ratio + 3 * _mean(log_lengths))
+        self.pairs.fill(self.K, inverse_lengths=inverse, variance=variance, diagonal=self.nugget)
+        factorise(self.K)
+        return inverse, variance
+
+    def descent(self, z: Float[np.ndarray, " coordinate"]) -> tuple[float, Float[np.ndarray, " coordinate"]]:
         """Return minus the evidence for the optimiser; where K breaks down, a wall above all values seen."""
         try:
-            found = self.evidence(float(z[0]), float(z[1]))
+            found = self.evidence(float(z[0]), z[1:].tolist())
         except NumericsError:
-            return (self.worst + 1e3 if math.isfinite(self.worst) else 1e30), np.zeros(2)
+            return (self.worst + 1e3 if math.isfinite(self.worst) else 1e30), np.zeros(len(z))
         self.worst = -found.value if math.isinf(self.worst) else max(self.worst, -found.value)
         return -found.value, -found.gradient
 
@@ -142,7 +154,7 @@ def evidence(
     y_centred: Float[np.ndarray, " run"],
     *,
     kernel: Kernel,
-    length_scale: float,
+    length_scale: LengthScale,
     signal_variance: float,
     nugget: float,
 ) -> Evidence:
@@ -160,7 +172,8 @@ def evidence(
         NumericsError: the covariance is not positive definite.
     """
     objective = _Objective(x_std, y_centred, kernel, nugget)
-    return objective.evidence(math.log(signal_variance) - 3 * math.log(length_scale), math.log(length_scale))
+    log_lengths = [math.log(length) for length in as_lengths(kernel, length_scale, x_std.shape[1])]
+    return objective.evidence(math.log(signal_variance) - 3 * _mean(log_lengths), log_lengths)
 
 
 def fit_hyperparameters(
@@ -180,7 +193,7 @@ def fit_hyperparameters(
         kernel: the correlation function.
         nugget: σ_n², kept fixed.
         length_scale_bound: upper bound of l, in standard deviations of the inputs.
-        starting_lengths: values of l to start from; those above the bound start at it.
+        starting_lengths: values of l to start from, in every input; those above the bound start at it.
 
     Raises:
         TooFewRuns: fewer than dim + 2 runs.
@@ -199,7 +212,7 @@ def fit_hyperparameters(
         signal_variance=best.signal_variance,
         nugget=nugget,
         log_evidence=best.log_evidence,
-        at_bound=best.length_scale >= length_scale_bound * (1 - 1e-6),
+        at_bound=bool(np.max(best.length_scale) >= length_scale_bound * (1 - 1e-6)),
         message=best.message,
         verdict=best.verdict,
         attempts=attempts,
@@ -238,16 +251,16 @@ def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) 
 
 def _attempt(objective: _Objective, start: float, bound: float) -> Attempt:
     """Run the optimiser from one length scale and judge its stop."""
-    ratio = math.log(float(np.var(objective.y))) - 3 * math.log(start)
-    box = [(ratio - _WINDOW, ratio + _WINDOW), (math.log(SHORTEST_LENGTH), math.log(bound))]
-    z0 = np.array([ratio, math.log(start)])
+    ratio = objective.starting_ratio(start)
+    box = [(ratio - _WINDOW, ratio + _WINDOW)] + [(math.log(SHORTEST_LENGTH), math.log(bound))] * objective.lengths
+    z0 = np.array([ratio] + [math.log(start)] * objective.lengths)
     found = minimize(objective.descent, z0, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": 200})
     verdict, accepted = _judge(objective, found, box)
-    length = min(math.exp(found.x[1]), bound)
+    lengths = [min(math.exp(log_length), bound) for log_length in found.x[1:]]
     return Attempt(
         start=start,
-        length_scale=length,
-        signal_variance=math.exp(found.x[0]) * length**3,
+        length_scale=as_length_scale(objective.kernel, np.array(lengths)),
+        signal_variance=math.exp(found.x[0]) * math.prod(lengths) ** (3 / objective.lengths),
         log_evidence=-float(found.fun),
         evaluations=int(found.nfev),
         message=str(found.message),
@@ -259,7 +272,7 @@ def _attempt(objective: _Objective, start: float, bound: float) -> Attempt:
 def _judge(objective: _Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
     """Return a verdict on the optimiser's stop and whether to accept it.
 
-    A stop without success (line search "ABNORMAL", limit of iterations) is accepted only if small steps along both
+    A stop without success (line search "ABNORMAL", limit of iterations) is accepted only if small steps along all
     coordinates and along the gradient, inside the box, gain less than `_FLAT`.
     """
     if found.fun >= 1e29:
@@ -269,12 +282,21 @@ def _judge(objective: _Objective, found: OptimizeResult, box: list[tuple[float, 
     low, high = np.array(box).T
     slope = np.clip(found.x - np.asarray(found.jac), low, high) - found.x
     norm = float(np.linalg.norm(slope))
-    steps = [*(_STEP * np.eye(2)), *(-_STEP * np.eye(2)), _STEP * slope / max(norm, 1e-300)]
+    axes = _STEP * np.eye(len(box))
+    steps = [*axes, *-axes, _STEP * slope / max(norm, 1e-300)]
     gain = max(float(found.fun) - objective.descent(np.clip(found.x + step, low, high))[0] for step in steps)
     figures = f"projected gradient {norm:.2g}, best gain of a step of {_STEP:g} is {gain:.2g} nats"
     return (f"accepted: {figures}", True) if gain < _FLAT else (f"not a maximum: {figures}", False)
 
 
 def _account(attempts: tuple[Attempt, ...]) -> str:
-    lines = [f"from l = {a.start:g} to {a.length_scale:.3g}: {a.message} ({a.verdict})" for a in attempts]
+    lines = [f"from l = {a.start:g} to {_shown(a.length_scale)}: {a.message} ({a.verdict})" for a in attempts]
     return "; ".join(lines) + ". Raise the nugget, clip extreme log-likelihoods or bound the length scale lower."
+
+
+def _shown(length_scale: LengthScale) -> str:
+    return ", ".join(f"{length:.3g}" for length in np.atleast_1d(length_scale))
+
+
+def _mean(values: Sequence[float]) -> float:
+    return math.fsum(values) / len(values)

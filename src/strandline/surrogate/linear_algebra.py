@@ -1,7 +1,6 @@
 """Covariance matrices built, factorised and inverted in place; only lower triangles are touched."""
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -10,9 +9,10 @@ from scipy.spatial.distance import cdist
 
 from strandline.errors import NumericsError
 
-__all__ = ["distances", "factorise", "fill_lower", "invert", "lower_panels", "solve"]
+__all__ = ["Panel", "distances", "factorise", "fill_lower", "invert", "lower_panels", "solve"]
 
 Matrix = Float[np.ndarray, "run run"]
+Panel = tuple[slice, slice]
 _PANEL = 64
 
 
@@ -21,16 +21,16 @@ def distances(x: Float[np.ndarray, "run dim"]) -> Matrix:
     return np.asfortranarray(cdist(x, x))
 
 
-def lower_panels(number: int) -> Iterator[tuple[slice, slice]]:
+def lower_panels(number: int, width: int = _PANEL) -> Iterator[Panel]:
     """Yield (rows, columns) of panels that cover the lower triangle and stay in the cache."""
-    for start in range(0, number, _PANEL):
-        yield slice(start, number), slice(start, min(start + _PANEL, number))
+    for start in range(0, number, width):
+        yield slice(start, number), slice(start, min(start + width, number))
 
 
-def fill_lower(out: Matrix, source: Matrix, function: Callable[[Any], Any], *, diagonal: float) -> None:
-    """Write function(source) + diagonal·I into the lower triangle of `out`."""
+def fill_lower(out: Matrix, function: Callable[[Panel], Float[np.ndarray, "row column"]], *, diagonal: float) -> None:
+    """Write function(panel) + diagonal·I into the lower triangle of `out`, panel by panel."""
     for panel in lower_panels(len(out)):
-        out[panel] = function(source[panel])
+        out[panel] = function(panel)
     np.einsum("ii->i", out)[:] += diagonal
 
 

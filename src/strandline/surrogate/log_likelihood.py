@@ -28,12 +28,13 @@ class LogLikelihoodSurrogate:
 def fit_log_likelihood(
     x: Float[np.ndarray, "run dim"], log_likelihood: Float[np.ndarray, " target"], *, kernel: str = "matern32"
 ) -> LogLikelihoodSurrogate:
-    """Fit the surrogate of Willmann et al. (2022): isotropic kernel, nugget σ_n² = 1e-5 (max 𝓛 - min 𝓛).
+    """Fit the surrogate of Willmann et al. (2022): nugget σ_n² = 1e-5 (max 𝓛 - min 𝓛).
 
     Args:
         x: physical inputs of the successful runs.
         log_likelihood: their log-likelihoods.
-        kernel: a name in `KERNELS`.
+        kernel: a name in `KERNELS`; the publication has ``matern32`` for its homogeneous specimen and
+            ``matern32_product`` for that of three parts.
 
     Raises:
         TooFewRuns: fewer than dim + 2 runs.

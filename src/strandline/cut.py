@@ -1,0 +1,83 @@
+"""The cut reading of the posterior under uncertainty: one conditional posterior for each value of the nuisance inputs.
+
+It samples p(x | θ, Y) of a surrogate for values θ that represent p(θ) and pools the draws; see
+`strandline.posterior.under_uncertainty` for what the result means.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from strandline.parameters import ParameterSpace
+from strandline.posterior import Cut, nuisance_values, pooled
+from strandline.quadrature import QuadratureResult, integrate
+from strandline.smc import BatchedLogDensity, ConditionalLogDensity, SMCSettings, sample_each
+
+__all__ = ["cut_by_quadrature", "cut_reading"]
+
+ZETA = 0.5
+"""Share of the effective sample size that a tempering step keeps: enough for moments."""
+FEWEST_PARTICLES = 250
+"""For each value of the nuisance inputs: with 150, errors of 5 % of a standard deviation were seen."""
+STREAM = 2
+"""Sets these random numbers apart from the two streams of the joint reading."""
+LARGEST_DIM = 3
+"""Number of inputs, nuisance inputs included, up to which there is a quadrature to compare with."""
+
+
+def cut_reading(
+    space: ParameterSpace,
+    log_likelihood: BatchedLogDensity,
+    *,
+    values: int,
+    particles: int,
+    smc: SMCSettings,
+    seed: int,
+) -> Cut:
+    """Sample p(x | θ, Y) for `values` values θ that represent p(θ), and pool the draws.
+
+    Args:
+        space: all inputs, some of them nuisance.
+        log_likelihood: of points (…, dim), with JAX.
+        values: number of θ.
+        particles: in all, at least; each θ has an equal number.
+        smc: settings of the joint reading; steps of tempering may be longer here.
+        seed: of the random numbers.
+    """
+    theta, calibrated = nuisance_values(space, values), space.calibrated_space
+    start, chain = jax.random.split(jax.random.fold_in(jax.random.key(seed), STREAM))
+    each = max(FEWEST_PARTICLES, -(-particles // len(theta)))
+    uniform = jax.random.uniform(start, (len(theta) * each, calibrated.dim), dtype=float)
+    initial = calibrated.prior_quantiles(np.asarray(uniform)).reshape(len(theta), each, -1)
+    longer = replace(smc, zeta=min(ZETA, smc.zeta))
+    given = _given(space, log_likelihood)
+    return pooled(space, theta, sample_each(chain, given, calibrated.log_prior, initial, theta, settings=longer))
+
+
+def cut_by_quadrature(log_likelihood: BatchedLogDensity, cut: Cut) -> tuple[QuadratureResult, ...] | None:
+    """Integrate p(x | θ, Y) directly for each θ of a cut reading; None above three inputs."""
+    space = cut.extended.space
+    if space.dim > LARGEST_DIM:
+        return None
+    calibrated, compiled = space.calibrated_space, jax.jit(_given(space, log_likelihood))
+
+    def log_density(x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, " nuisance"]) -> Any:
+        return np.asarray(compiled(x, theta)) + calibrated.log_prior(x)
+
+    return tuple(integrate(partial(log_density, theta=theta), calibrated.low, calibrated.high) for theta in cut.values)
+
+
+def _given(space: ParameterSpace, log_likelihood: BatchedLogDensity) -> ConditionalLogDensity:
+    """Return log L as a function of the calibrated inputs and of one value of the nuisance inputs."""
+    order = np.argsort([*space.calibrated, *space.nuisance])
+
+    def given(x: Float[jax.Array, "particle x"], theta: Float[jax.Array, " nuisance"]) -> Float[jax.Array, " particle"]:
+        fixed = jnp.broadcast_to(theta, (len(x), len(theta)))
+        return log_likelihood(jnp.concatenate([x, fixed], axis=1)[:, order])
+
+    return given

@@ -1,0 +1,137 @@
+"""Tables of the page: posteriors beside those of the true model, checks, sensitivities, runs and seconds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from strandline.posterior import Posterior
+from strandline.reproduction.evidence import RULES, Cost, Evidence
+from strandline.reproduction.truth import TruePosterior
+
+__all__ = ["Table", "against_truth", "as_json", "checks", "cost", "sensitivities", "uncertain_against_truth"]
+
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: names of its columns, rows of numbers and words, and a sentence below."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+
+
+TRUTH_COLUMNS = (
+    "posterior", "E: mean", "true model", "off, sd", "sd", "true model", "ratio",
+    "ν: mean", "true model", "off, sd", "sd", "true model", "ratio",
+)  # fmt: skip
+
+
+def against_truth(evidence: Evidence) -> Table:
+    """Return S3 by the sampler against the true model, by quadrature rule."""
+    rows = [
+        _truth_row(f"{rule}, sampler", _moments(evidence.outcomes[f"biofilm-uniform{end}"].calibration.posterior),
+                   evidence.truths.certain[rule])
+        for rule, end in RULES.items()
+    ]  # fmt: skip
+    errors, truth = evidence.truths.errors, evidence.truths.certain
+    worst = max(float(np.abs(t.from_half_table.mean).max()) for t in truth.values())
+    return Table(
+        TRUTH_COLUMNS,
+        tuple(rows),
+        f"The true model's posterior comes from a table of {evidence.truths.table.runs} forward runs, the interface "
+        f"interpolated between them. At {len(errors.x)} runs that the table does not know it is off by "
+        f"{1e3 * float(np.median(errors.distance)):.2g} µm in the median and {1e3 * errors.distance.max():.2g} µm at "
+        f"most; half the table moves a mean by {worst:.2g} sd.",
+    )
+
+
+def uncertain_against_truth(evidence: Evidence) -> Table:
+    """Return S5, joint and cut, by the sampler and by quadrature of the surrogate, against the true model."""
+    rows = []
+    for rule, end in RULES.items():
+        found = evidence.outcomes[f"biofilm-inflow{end}"].calibration.under_uncertainty
+        assert found is not None
+        for name, reading, truth in (
+            ("joint", found.joint, evidence.truths.joint[rule]),
+            ("cut", found.cut, evidence.truths.cut[rule]),
+        ):
+            rows.append(_truth_row(f"{name}, {rule}", (reading.mean, reading.sd), truth))
+    halves = [t for group in (evidence.truths.joint, evidence.truths.cut) for t in group.values()]
+    worst = max(float(np.abs(t.from_half_table.mean).max()) for t in halves)
+    edge = max(t.posterior.edge_mass for t in halves)
+    return Table(
+        TRUTH_COLUMNS,
+        tuple(rows),
+        f"Half the table moves a mean of the true model's by {worst:.2g} sd. Were the likelihood beyond the soft end "
+        f"of the table what it is at that end, {100 * edge:.2g} % of the mass would lie there.",
+    )
+
+
+def _moments(posterior: Posterior) -> tuple[Any, Any]:
+    return posterior.mean, posterior.sd
+
+
+def _truth_row(name: str, moments: tuple[Any, Any], truth: TruePosterior) -> tuple[Cell, ...]:
+    mean, sd = moments
+    exact = truth.posterior
+    cells: list[Cell] = [name]
+    for k in range(2):
+        off, ratio = (mean[k] - exact.mean[k]) / exact.sd[k], sd[k] / exact.sd[k]
+        cells += [float(v) for v in (mean[k], exact.mean[k], off, sd[k], exact.sd[k], ratio)]
+    return tuple(cells)
+
+
+def checks(evidence: Evidence, names: Sequence[str]) -> Table:
+    """Return what the true model says at draws of posteriors."""
+    rows: list[tuple[Cell, ...]] = []
+    for name in names:
+        content = evidence.checks[name].content
+        shifts = {key: item["shift"] for key, item in content["inputs"].items()}
+        worst = max(shifts, key=lambda key: abs(shifts[key]))
+        true, surrogate = (float(np.median(content["particles"][k])) for k in ("true", "surrogate"))
+        rows.append((name, content["draws"], content["runs"]["failed"], content["k_hat"], content["verdict"],
+                     content["ess"], surrogate, true, f"{worst}: {shifts[worst]:+.2f}"))  # fmt: skip
+    return Table(
+        ("study", "draws", "failed", "k̂", "verdict", "effective draws", "median log L, surrogate", "true",
+         "largest shift, sd"),
+        tuple(rows),
+        "k̂ is the shape of the Pareto distribution fitted to the largest importance weights: below 0.5 the reweighted "
+        "moments can be trusted, above 0.7 nothing can.",
+    )  # fmt: skip
+
+
+def sensitivities(evidence: Evidence, names: Sequence[str]) -> Table | None:
+    """Return Sobol indices of the log-likelihood, total and first order; None where no study has them."""
+    found = {name: evidence.outcomes[name].summary.get("sensitivity") for name in names}
+    rows = tuple(
+        (name, key, item["first"], item["total"])
+        for name, indices in found.items()
+        if indices is not None
+        for key, item in indices["inputs"].items()
+    )
+    note = "Sobol indices of the surrogate of the log-likelihood under the prior: shares of its variance."
+    return Table(("study", "input", "first order", "total"), rows, note) if rows else None
+
+
+def cost(costs: Sequence[Cost]) -> Table:
+    """Return runs and seconds of every part of the work, and their sums."""
+    stages = list(dict.fromkeys(stage for c in costs for stage in c.seconds))
+    rows: list[tuple[Cell, ...]] = [
+        (c.name, c.made, c.reused, sum(c.seconds.values()), *(c.seconds.get(stage) for stage in stages)) for c in costs
+    ]
+    total = sum(sum(c.seconds.values()) for c in costs)
+    rows.append(("in all", sum(c.made for c in costs), sum(c.reused for c in costs), total, *(None for _ in stages)))
+    return Table(
+        ("part", "runs made", "runs found", "seconds", *stages),
+        tuple(rows),
+        f"{total / 60:.0f} minutes in all. A run found in a ledger is not made again.",
+    )
+
+
+def as_json(table: Table) -> dict[str, Any]:
+    """Return what claims.json holds of a table."""
+    return {"columns": list(table.columns), "rows": [list(row) for row in table.rows]}

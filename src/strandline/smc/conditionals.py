@@ -1,0 +1,150 @@
+"""Several posteriors that differ by given values alone, sampled side by side in one compiled program."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key, UInt32
+
+from strandline.errors import InvalidInput, NumericsError
+from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
+from strandline.smc.records import SMCResult, SMCSettings, StepInfo
+from strandline.smc.sampler import (
+    Info,
+    Particles,
+    advance,
+    check,
+    checked_start,
+    finished,
+    hashable,
+    report,
+    require_double,
+    require_steps_left,
+)
+
+__all__ = ["ConditionalLogDensity", "sample_each"]
+
+ConditionalLogDensity = Callable[[Float[Array, "particle dim"], Float[Array, " given"]], Float[Array, " particle"]]
+"""log L(x | θ) of points x and one value of θ."""
+
+
+def sample_each(
+    key: RandomKey,
+    log_likelihood: ConditionalLogDensity,
+    log_prior: BatchedLogDensity,
+    initial: Float[np.ndarray, "case particle dim"],
+    given: Float[np.ndarray, "value given"],
+    *,
+    settings: SMCSettings,
+) -> tuple[SMCResult, ...]:
+    """Draw weighted particles of p(x | θ, Y) ∝ L(x | θ) p(x) for each row θ of `given`.
+
+    Each case is what `sample` does with the key ``fold_in(key, case)`` and θ fixed: it has temperatures of its own, and
+    stands still once it has reached 1. θ is an argument of the compiled step, so there is one program for all.
+
+    Args:
+        key: random key; not to be used again.
+        log_likelihood: log L of physical points for one θ, batched over the points and jittable; -inf allowed.
+        log_prior: log p of physical points, batched, jittable, normalised.
+        initial: draws of the prior for each case, physical.
+        given: θ of each case.
+        settings: the sampler's settings, the same for all.
+
+    Raises:
+        InvalidInput: not one set of initial particles for each θ, double precision is off, fewer than two particles,
+            or one outside the prior.
+        NumericsError: as for `sample`; the message names θ.
+    """
+    _require_one_each(initial, given)
+    target = hashable(log_likelihood), hashable(log_prior)
+    values = jnp.asarray(given, float)
+    keys = jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(len(values)))
+    states = _start(*target, initial, values)
+    shares = jnp.asarray(settings.zeta, float), jnp.asarray(settings.resample_below, float)
+    steps: list[list[StepInfo]] = [[] for _ in given]
+    for number in range(settings.maximum_steps + 1):
+        before = np.asarray(states.temperature)
+        active = np.flatnonzero(before < 1.0)
+        if not active.size:
+            break
+        require_steps_left(number, settings, _one(states, active[0]))
+        states, infos = _step(keys, number, states, values, *shares, target=target, moves=settings.rejuvenation_steps)
+        on_host = jax.tree.map(np.asarray, (states, infos))
+        for i in active:
+            state, info = _one(on_host, i)
+            _told_with(given[i], check, info, float(before[i]), state)
+            steps[i].append(report(state, info))
+    return tuple(finished(_one(states, i), tuple(done), settings) for i, done in enumerate(steps))
+
+
+@partial(jax.jit, static_argnames=("target", "moves"))
+def _step(
+    keys: Key[Array, " case"] | UInt32[Array, "case 2"],
+    number: int | Array,
+    states: Particles,
+    given: Float[Array, "case given"],
+    zeta: Scalar,
+    resample_below: Scalar,
+    *,
+    target: tuple[ConditionalLogDensity, BatchedLogDensity],
+    moves: int,
+) -> tuple[Particles, Info]:
+    """Advance every case that has not reached γ = 1."""
+    log_likelihood, log_prior = target
+
+    def one(key: RandomKey, state: Particles, theta: Float[Array, " given"]) -> tuple[Particles, Info]:
+        after, info = advance(
+            jax.random.fold_in(key, number),
+            state,
+            zeta,
+            resample_below,
+            target=(lambda x: log_likelihood(x, theta), log_prior),
+            moves=moves,
+        )
+        return jax.tree.map(partial(jnp.where, state.temperature < 1.0), after, state), info
+
+    advanced: tuple[Particles, Info] = jax.vmap(one)(keys, states, given)
+    return advanced
+
+
+def _start(
+    log_likelihood: ConditionalLogDensity,
+    log_prior: BatchedLogDensity,
+    initial: Float[np.ndarray, "case particle dim"],
+    given: Float[Array, "case given"],
+) -> Particles:
+    """Return the checked states at γ = 0, cases on the leading axis."""
+    require_double()
+    positions = jnp.asarray(initial, float)
+    likelihood = jax.jit(jax.vmap(log_likelihood))(positions, given)
+    prior = jax.jit(jax.vmap(log_prior))(positions)
+    cases = range(len(given))
+    states = [_told_with(given[i], checked_start, positions[i], likelihood[i], prior[i]) for i in cases]
+    stacked: Particles = jax.tree.map(lambda *parts: jnp.stack(parts), *states)
+    return stacked
+
+
+def _one(tree: Any, case: Any) -> Any:
+    """Return one case of a tree of arrays."""
+    return jax.tree.map(lambda a: a[case], tree)
+
+
+def _told_with(theta: Any, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call the function; where the numerics fail, say for which θ."""
+    try:
+        return function(*arguments)
+    except NumericsError as error:
+        raise NumericsError(f"given {np.asarray(theta).tolist()}: {error}") from error
+
+
+def _require_one_each(initial: Float[np.ndarray, "case particle dim"], given: Float[np.ndarray, "other given"]) -> None:
+    if len(initial) != len(given) or not len(given):
+        raise InvalidInput(
+            "initial particles of conditional posteriors",
+            value=f"{len(initial)} sets for {len(given)} given values",
+            expected="one set for each given value, and at least one",
+            remedy="Draw a set of the prior for each value.",
+        )

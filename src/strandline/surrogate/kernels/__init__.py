@@ -1,0 +1,29 @@
+"""Correlation functions of the Gaussian processes: one file each, and a line in `KERNELS`."""
+
+from strandline.errors import InvalidInput
+from strandline.surrogate.kernels.matern32 import MATERN32
+from strandline.surrogate.kernels.matern32_product import MATERN32_PRODUCT
+from strandline.surrogate.kernels.protocol import Kernel, LengthScale, as_length_scale, as_lengths
+
+__all__ = ["KERNELS", "Kernel", "LengthScale", "as_length_scale", "as_lengths", "kernel_named"]
+
+KERNELS: dict[str, Kernel] = {
+    "matern32": MATERN32,
+    "matern32_product": MATERN32_PRODUCT,
+}
+
+
+def kernel_named(name: str) -> Kernel:
+    """Return the kernel of that name.
+
+    Raises:
+        InvalidInput: no such kernel.
+    """
+    if name not in KERNELS:
+        raise InvalidInput(
+            "name of the kernel",
+            value=name,
+            expected=f"one of {', '.join(KERNELS)}",
+            remedy="Choose one of these or add a line to strandline.surrogate.kernels.KERNELS.",
+        )
+    return KERNELS[name]
