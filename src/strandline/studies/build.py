@@ -53,12 +53,12 @@ def build_model(
         )
     target = _entry(MODELS, name, "model")
     module, _, attribute = target.partition(":")
-    options = {key: _with_points(value, folder) for key, value in (options or {}).items()}
+    options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
     model: ForwardModel = _construct(getattr(importlib.import_module(module), attribute), options, f"model.{name}")
     return _sensitive(model) if sensitivities else model
 
 
-def _with_points(value: Any, folder: Path) -> Any:
+def _with_points(name: str, value: Any, folder: Path) -> Any:
     """Return an option, its file of points read."""
     if not isinstance(value, Mapping) or "file" not in value:
         return value
@@ -70,7 +70,7 @@ def _with_points(value: Any, folder: Path) -> Any:
             expected=f"one of {', '.join(TO_MM)}",
             remedy="Add `unit: mm` beside `file`.",
         )
-    points = read_points(folder / str(value["file"]), unit).points.tolist()
+    points = read_points(folder / str(value["file"]), unit, what=name).points.tolist()
     rest = {key: item for key, item in value.items() if key not in ("file", "unit")}
     return {"points": points, "spline": False, **rest}
 

@@ -57,28 +57,34 @@ def _disturbed(interface: Interface, condition: str, noise: SyntheticNoise) -> I
     return moved
 
 
-def read_points(path: Path, unit: str) -> Interface:
+def read_points(path: Path, unit: str, *, what: str = "observation") -> Interface:
     """Return the open polyline through the points of a text file, in mm.
 
     Each line holds x and y, separated by a comma, a semicolon or blanks; a first line of column names and lines that
     begin with # are passed over. The points stand in order along the interface.
 
+    Args:
+        path: of the file.
+        unit: of its numbers, a key of `TO_MM`.
+        what: the points are, for messages.
+
     Raises:
         InvalidStudy: the file is missing, empty or no table of numbers, or its points form no simple polyline.
     """
-    rows = [(number, _fields(line)) for number, line in enumerate(_lines(path), 1)]
+    name = f"{what} {path.name}"
+    rows = [(number, _fields(line)) for number, line in enumerate(_lines(path, name), 1)]
     rows = [(number, fields) for number, fields in rows if fields and not fields[0].startswith("#")]
     if rows and not any(_is_number(field) for field in rows[0][1]):
         rows = rows[1:]
     if not rows:
-        raise _refused(path, "holds no points", None, "two columns x, y with one point a line")
-    points = np.array([_point(path, number, fields) for number, fields in rows]) * TO_MM[unit]
+        raise _refused(name, "holds no points", None, "two columns x, y with one point a line")
+    points = np.array([_point(name, number, fields) for number, fields in rows]) * TO_MM[unit]
     try:
         interface = Interface.polyline(points)
         interface.require_simple()
     except InvalidInput as error:
         raise InvalidStudy(
-            f"observation {path.name}: {error.what}",
+            f"{name}: {error.what}",
             value=error.value,
             expected=error.expected,
             remedy=error.remedy,
@@ -102,22 +108,22 @@ def require_plausible(path: Path, observed: Interface, undeformed: Interface, *,
         )
 
 
-def _lines(path: Path) -> list[str]:
+def _lines(path: Path, name: str) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
-        raise _refused(path, "is missing", str(path), "a file with two columns x, y") from None
+        raise _refused(name, "is missing", str(path), "a file with two columns x, y") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise _refused(path, "cannot be read", str(error), "a readable text file") from None
+        raise _refused(name, "cannot be read", str(error), "a readable text file") from None
 
 
 def _fields(line: str) -> list[str]:
     return line.replace(",", " ").replace(";", " ").split()
 
 
-def _point(path: Path, number: int, fields: list[str]) -> tuple[float, float]:
+def _point(name: str, number: int, fields: list[str]) -> tuple[float, float]:
     if len(fields) != 2 or not all(_is_number(field) for field in fields):
-        raise _refused(path, f"has no point in line {number}", " ".join(fields), "two numbers x, y")
+        raise _refused(name, f"has no point in line {number}", " ".join(fields), "two numbers x, y")
     return float(fields[0]), float(fields[1])
 
 
@@ -129,10 +135,10 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _refused(path: Path, problem: str, value: str | None, expected: str) -> InvalidStudy:
+def _refused(name: str, problem: str, value: str | None, expected: str) -> InvalidStudy:
     return InvalidStudy(
-        f"observation {path.name} {problem}",
+        f"{name} {problem}",
         value=value,
         expected=expected,
-        remedy="Correct observation.file or the file.",
+        remedy="Correct the name of the file in study.yaml, or the file.",
     )
