@@ -70,10 +70,7 @@ def test_ticks_of_each_axis_lie_where_their_numbers_say() -> None:
 
 
 def test_nuisance_inputs_stand_behind_the_density() -> None:
-    class Nuisance(Parameter):
-        nuisance = True
-
-    space = ParameterSpace((Nuisance("V", Uniform(0.0, 10.0)), *SPACE.parameters[:6]))
+    space = ParameterSpace((Parameter("V", Uniform(0.0, 10.0), nuisance=True), *SPACE.parameters[:6]))
     posterior = Posterior(space, SEVEN.draws, SEVEN.log_weights, SEVEN.log_likelihood, SEVEN.log_prior, -2.0)
     assert _order(posterior) == (*NAMES[:6], DENSITY, "V")
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from strandline.report import write_report
-from strandline.report.page import _template
+from strandline.report.page import template
 
 FIGURES = [
     "interfaces",
@@ -150,7 +150,7 @@ def test_without_quadrature_truth_and_failures(reported: Any) -> None:
     seconds = {key: value for key, value in summary["seconds"].items() if key != "report"}
     bare = {**summary, "quadrature_check": None, "truth": None, "warnings": [], "seconds": seconds, "fixed": {}}
     failed = {**bare["runs"], "failed": 2, "by_kind": {"newton_stalled": 2}}
-    text = Page(_template().render(s={**bare, "runs": failed}, figures=[], study_text="", check=None)).text
+    text = Page(template("report.html.j2").render(s={**bare, "runs": failed}, figures=[], study_text="", check=None)).text
     assert "truth" not in text
     assert "Quadrature" not in text
     assert "No warnings" in text
