@@ -150,7 +150,8 @@ def test_without_quadrature_truth_and_failures(reported: Any) -> None:
     seconds = {key: value for key, value in summary["seconds"].items() if key != "report"}
     bare = {**summary, "quadrature_check": None, "truth": None, "warnings": [], "seconds": seconds, "fixed": {}}
     failed = {**bare["runs"], "failed": 2, "by_kind": {"newton_stalled": 2}}
-    text = Page(template("report.html.j2").render(s={**bare, "runs": failed}, figures=[], study_text="", check=None)).text
+    page = template("report.html.j2")
+    text = Page(page.render(s={**bare, "runs": failed}, figures=[], study_text="", check=None)).text
     assert "truth" not in text
     assert "Quadrature" not in text
     assert "No warnings" in text
