@@ -11,7 +11,7 @@ from strandline.reproduction import STUDIES, Plan, Reproduction, reproduce
 
 SHIPPED = Path(__file__).parents[2] / "studies"
 SMALL = Plan(
-    table=(6, 4, 2), nodes=(33, 17, 11), checks=4, nested=(24, 48), sizes=(24, 48), tests=8, draws=20
+    table=(6, 4, 2), nodes=(33, 17, 11), checks=4, nested=(24, 48), larger=(100, 200), sizes=(24, 48), tests=8, draws=20
 )  # fmt: skip
 CHANGES = {
     r"mesh: default": "mesh: coarse",

@@ -16,8 +16,9 @@ from strandline.errors import InvalidInput
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
 from strandline.reproduction.field_table import FieldTable, TableErrors, tabulate, withheld
+from strandline.reproduction.larger_designs import LARGER, LargerDesign, larger_designs
 from strandline.reproduction.nested import SIZES, NestedDesign, NestedStep, nested_surrogates
-from strandline.reproduction.truth import TruePosterior, true_fields, true_posterior
+from strandline.reproduction.truth import GridPosterior, Reading, TruePosterior, true_fields, true_posterior
 from strandline.runs import Executor, Ledger, run_campaign, run_key
 from strandline.studies import Check, Outcome, Study, check_posterior, load_study, run_study
 from strandline.surrogate import STUDY_SIZES, Convergence, convergence_study
@@ -49,6 +50,7 @@ class Plan:
         nodes: of the log-likelihood between them.
         checks: runs that the table does not know, to measure its error.
         nested: sizes of the designs of S2.
+        larger: sizes of the designs of S5 that the table answers.
         sizes: of the training sets of Fig. 12.
         tests: test points of Fig. 12, from later in the sequence.
         draws: of each check of a posterior.
@@ -58,6 +60,7 @@ class Plan:
     nodes: tuple[int, int, int] = (97, 41, 33)
     checks: int = 60
     nested: tuple[int, ...] = SIZES
+    larger: tuple[int, ...] = LARGER
     sizes: tuple[int, ...] = STUDY_SIZES
     tests: int = 100
     draws: int = 200
@@ -102,6 +105,7 @@ class Evidence:
         checks: of posteriors with the true model, by study.
         truths: posteriors of the true model.
         nested: of S2, by quadrature rule.
+        larger: of S5, by quadrature rule.
         convergence: of Fig. 12, by quadrature rule.
         costs: in the order of the work.
     """
@@ -111,6 +115,7 @@ class Evidence:
     checks: Mapping[str, Check]
     truths: Truths
     nested: Mapping[str, tuple[NestedStep, ...]]
+    larger: Mapping[str, tuple[LargerDesign, ...]]
     convergence: Mapping[str, Convergence]
     costs: tuple[Cost, ...]
 
@@ -169,10 +174,13 @@ def gather(folder: Path, results: Path, *, plan: Plan, executor: Executor | None
             )
             for rule, end in RULES.items()
         }
+    observer.stage("larger designs in three inputs")
+    with _timed(costs, "larger designs in three inputs"):
+        larger = {rule: _larger(studies[f"biofilm-inflow{end}"], truths, rule, plan) for rule, end in RULES.items()}
     observer.stage("training size in seven inputs")
     with _timed(costs, "training size in seven inputs") as made:
         convergence = _convergence(studies, outcomes, results, plan, executor, observer, made)
-    return Evidence(studies, outcomes, checks, truths, nested, convergence, tuple(costs))
+    return Evidence(studies, outcomes, checks, truths, nested, larger, convergence, tuple(costs))
 
 
 def require_studies(folder: Path) -> None:
@@ -260,6 +268,14 @@ def _design(outcome: Outcome) -> NestedDesign:
     values = np.full(len(x), np.nan)
     values[[record.ok for record in calibration.records]] = next(iter(calibration.log_likelihoods.values()))
     return NestedDesign(x, values)
+
+
+def _larger(study: Study, truths: Truths, rule: str, plan: Plan) -> tuple[LargerDesign, ...]:
+    truth: dict[Reading, GridPosterior] = {
+        "joint": truths.joint[rule].posterior,
+        "cut": truths.cut[rule].posterior,
+    }
+    return larger_designs(truths.joint[rule].field, truth, study.space, sizes=plan.larger)
 
 
 def _convergence(

@@ -16,12 +16,17 @@ from strandline.reproduction.tables import (
     as_json,
     checks,
     cost,
+    larger,
     sensitivities,
     uncertain_against_truth,
 )
 from strandline.studies.folder import whole_file, write_json
 
 __all__ = ["write_claims", "write_page"]
+
+
+WORDS = {"map": "MAP", "mean": "mean"}
+"""How the page calls the keys of a claim's numbers."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +59,23 @@ def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Secti
                 shown("9a", "9a, refined", "9b"), ("C5", "C6")),
         Section("S4", "S4 informed", "S4: informed prior", (), shown("9c"), ("C7",)),
         Section("S5", "S5 inflow", "S5: uncertain inflow",
-                (uncertain_against_truth(evidence), checks(evidence, others), *inflow),
+                (uncertain_against_truth(evidence), larger(evidence), checks(evidence, others), *inflow),
                 shown("9d", "9d, cut", "10"), ("C8",)),
         Section("S6", "S6 parts", "S6: heterogeneous specimen", (checks(evidence, by_parts), *parts),
                 shown("11", "12", "13", "14", "15"), ("C9", "C10")),
     )  # fmt: skip
+
+
+def compared(claim: Claim) -> list[tuple[str, float, float]]:
+    """Return what the study prints beside ours: name, our number, the study's."""
+    pairs = {key: (claim.numbers[key], theirs) for key, theirs in claim.study.items() if key in claim.numbers}
+    return [
+        (f"{WORDS.get(key, key)}: {name}", ours[name], theirs[name])
+        for key, (ours, theirs) in pairs.items()
+        if isinstance(theirs, Mapping) and isinstance(ours, Mapping)
+        for name in theirs
+        if name in ours
+    ]
 
 
 def write_page(
@@ -69,6 +86,7 @@ def write_page(
     text = template("reproduction.html.j2", package="strandline.reproduction").render(
         version=__version__,
         claims=claims,
+        compared=compared,
         sections=sections(evidence, named),
         cost=cost(evidence.costs),
         seconds=seconds,
@@ -90,6 +108,7 @@ def write_claims(evidence: Evidence, claims: Mapping[str, Claim], folder: Path, 
     content["truth"] = {
         "uniform": as_json(against_truth(evidence)),
         "uncertain_inflow": as_json(uncertain_against_truth(evidence)),
+        "uncertain_inflow_with_more_runs": as_json(larger(evidence)),
     }
     content["cost"] = as_json(cost(evidence.costs)) | {"seconds": seconds}
     path = folder / "claims.json"

@@ -8,9 +8,10 @@ import numpy as np
 
 from strandline.posterior import Posterior
 from strandline.reproduction.evidence import RULES, Cost, Evidence
+from strandline.reproduction.larger_designs import FITTED, MEAN_WITHIN, READINGS, SD_WITHIN, runs_to_find
 from strandline.reproduction.truth import TruePosterior
 
-__all__ = ["Table", "against_truth", "as_json", "checks", "cost", "sensitivities", "uncertain_against_truth"]
+__all__ = ["Table", "against_truth", "as_json", "checks", "cost", "larger", "sensitivities", "uncertain_against_truth"]
 
 Cell = str | float | int | None
 
@@ -68,6 +69,36 @@ def uncertain_against_truth(evidence: Evidence) -> Table:
         tuple(rows),
         f"Half the table moves a mean of the true model's by {worst:.2g} sd. Were the likelihood beyond the soft end "
         f"of the table what it is at that end, {100 * edge:.2g} % of the mass would lie there.",
+    )
+
+
+def larger(evidence: Evidence) -> Table:
+    """Return how far the surrogate of S5 is from the true model when it is given more runs, and how many it takes."""
+    rows, words = [], []
+    for rule, designs in evidence.larger.items():
+        for design in designs:
+            cells: list[Cell] = [rule, design.runs]
+            for reading in READINGS:
+                off = design.differences[reading]
+                cells += [float(v) for v in (off.mean[0], 1 + off.sd_ratio[0], off.mean[1], 1 + off.sd_ratio[1])]
+                cells.append("yes" if design.found(reading) else "no")
+            rows.append(tuple(cells))
+        for reading in READINGS:
+            runs = runs_to_find(designs, reading)
+            words.append(f"{reading}, {rule}: " + (f"{runs}" if runs else f"more than {designs[-1].runs}"))
+    names = [
+        f"{reading}, {what}"
+        for reading in READINGS
+        for what in ("E: off, sd", "ratio of sd", "ν: off, sd", "ratio of sd", "found")
+    ]
+    return Table(
+        ("quadrature", "runs", *names),
+        tuple(rows),
+        f"The surrogate of S5 with more runs, by quadrature, against the true model; no forward run is made, the "
+        f"log-likelihood of the design comes from the table, and hyperparameters from its first {FITTED} runs. Found: "
+        f"means within {MEAN_WITHIN:g} sd and standard deviations within {100 * SD_WITHIN:g} %. Runs that this takes: "
+        + "; ".join(words)
+        + ".",
     )
 
 

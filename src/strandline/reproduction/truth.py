@@ -34,6 +34,7 @@ __all__ = [
     "log_likelihood_field",
     "posterior_on_grid",
     "product_grid",
+    "spline_field",
     "total_variation",
     "true_fields",
     "true_posterior",
@@ -76,7 +77,7 @@ class LogLikelihoodField:
     def halved(self) -> "LogLikelihoodField":
         """Return the field through every second node."""
         a, b, c = (axis[::2] for axis in self.axes)
-        return _field(self.coordinates, (a, b, c), self.values[::2, ::2, ::2])
+        return spline_field(self.coordinates, (a, b, c), self.values[::2, ::2, ::2])
 
 
 def log_likelihood_field(
@@ -99,14 +100,21 @@ def log_likelihood_field(
         for k in range(len(rates)):
             shapes = table.on_grid(s[i : i + 1], nu, rates[k : k + 1])[0, :, 0]
             values[i, :, k] = batch_log_likelihood(likelihood, shapes)
-    return _field(table.coordinates, (s, nu, rates), values)
+    return spline_field(table.coordinates, (s, nu, rates), values)
 
 
-def _field(
+def spline_field(
     coordinates: LoadCoordinates,
     axes: tuple[Float[np.ndarray, " s"], Float[np.ndarray, " nu"], Float[np.ndarray, " rate"]],
     values: Float[np.ndarray, "s nu rate"],
 ) -> LogLikelihoodField:
+    """Return the field through given values of log L.
+
+    Args:
+        coordinates: the box.
+        axes: equally spaced nodes from -1 to 1 in s, ν and V, at least six each; one node makes it constant.
+        values: log L at the nodes.
+    """
     coefficients, knots = values, []
     for k, axis in enumerate(axes):
         if len(axis) > 1:

@@ -1,0 +1,147 @@
+"""How many runs the surrogate of three inputs would take: Sobol designs far larger than the study's (study S5).
+
+A design of ten thousand runs costs no run here: the log-likelihoods are those of the true model, read from its field.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design import sobol
+from strandline.parameters import ParameterSpace
+from strandline.reproduction.truth import (
+    Difference,
+    GridPosterior,
+    LogLikelihood,
+    LogLikelihoodField,
+    Reading,
+    compare,
+    posterior_on_grid,
+    product_grid,
+)
+from strandline.surrogate import GaussianProcess, fit_log_likelihood
+from strandline.surrogate.gaussian_process import condition
+
+__all__ = [
+    "FITTED", "LARGER", "MEAN_WITHIN", "READINGS", "SD_WITHIN", "LargerDesign", "larger_designs", "runs_to_find",
+]  # fmt: skip
+
+LARGER = (1000, 2000, 4000, 8000)
+FITTED = 2000
+"""Runs that the hyperparameters are fitted to at most; larger designs keep those."""
+READINGS: tuple[Reading, ...] = ("joint", "cut")
+PANELS = (32, 16, 12)
+MEAN_WITHIN = 0.15
+"""Standard deviations that a mean may be off for a posterior to count as found."""
+SD_WITHIN = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class LargerDesign:
+    """What a design of `runs` points gives.
+
+    Args:
+        runs: size of the design.
+        succeeded: points inside the table, which the surrogate is conditioned on.
+        differences: of the surrogate's posterior from the true one, by reading.
+    """
+
+    runs: int
+    succeeded: int
+    differences: Mapping[Reading, Difference]
+
+    def found(self, reading: Reading) -> bool:
+        """Tell whether all means are within `MEAN_WITHIN` sd and all sds within `SD_WITHIN` of the truth."""
+        off = self.differences[reading]
+        return bool((np.abs(off.mean) <= MEAN_WITHIN).all() and (np.abs(off.sd_ratio) <= SD_WITHIN).all())
+
+
+def larger_designs(
+    field: LogLikelihoodField,
+    truth: Mapping[Reading, GridPosterior],
+    space: ParameterSpace,
+    *,
+    sizes: Sequence[int] = LARGER,
+    fitted: int = FITTED,
+    panels: tuple[int, int, int] = PANELS,
+) -> tuple[LargerDesign, ...]:
+    """Fit the study's surrogate to the true log-likelihood at ever more Sobol points and integrate its posterior.
+
+    Args:
+        field: the log-likelihood of the true model.
+        truth: its posteriors, ``joint`` and ``cut``.
+        space: of E, ν and V, in this order.
+        sizes: of the designs, ascending.
+        fitted: hyperparameters are fitted to so many runs at most.
+        panels: of the quadrature of the surrogate.
+    """
+    x = space.to_physical(sobol(max(sizes), space.dim))
+    values = field(x)
+    return tuple(_one(x[:n], values[:n], field, truth, space, fitted, panels) for n in sizes)
+
+
+def runs_to_find(designs: Sequence[LargerDesign], reading: Reading) -> int | None:
+    """Return the smallest size from which on the posterior of a reading is found; None if the largest misses it."""
+    missed = [design.runs for design in designs if not design.found(reading)]
+    return next((d.runs for d in designs if d.runs > max(missed, default=0)), None)
+
+
+def _one(
+    x: Float[np.ndarray, "run 3"],
+    values: Float[np.ndarray, " run"],
+    field: LogLikelihoodField,
+    truth: Mapping[Reading, GridPosterior],
+    space: ParameterSpace,
+    fitted: int,
+    panels: tuple[int, int, int],
+) -> LargerDesign:
+    ok = np.isfinite(values)
+    likelihood = _read_once(_inside(field, _process(x[ok], values[ok], fitted)))
+    grid = product_grid(space, panels=panels)
+    differences = {
+        reading: compare(posterior_on_grid(likelihood, space, grid, reading=reading), truth[reading])
+        for reading in READINGS
+    }
+    return LargerDesign(len(x), int(ok.sum()), differences)
+
+
+def _process(x: Float[np.ndarray, "run 3"], values: Float[np.ndarray, " run"], fitted: int) -> GaussianProcess:
+    first = fit_log_likelihood(x[:fitted], values[:fitted]).process
+    if len(x) <= fitted:
+        return first
+    # Length scales are in standard deviations of the inputs, which a few more Sobol points hardly change.
+    return condition(
+        x,
+        values,
+        kernel=first.kernel,
+        length_scale=first.length_scale,
+        signal_variance=first.signal_variance,
+        nugget=first.nugget,
+    )
+
+
+def _inside(field: LogLikelihoodField, process: GaussianProcess) -> LogLikelihood:
+    """Return the surrogate where the table has states, -inf elsewhere."""
+
+    def likelihood(x: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
+        values = np.full(len(x), -np.inf)
+        inside = field.coordinates.inside(x)
+        values[inside] = process.mean(x[inside])
+        return values
+
+    return likelihood
+
+
+def _read_once(likelihood: LogLikelihood) -> LogLikelihood:
+    """Return the same function with what it gave at the slices of a grid kept, for a second reading."""
+    kept: dict[bytes, Float[np.ndarray, " point"]] = {}
+
+    def values(x: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
+        key = x[0].tobytes() + len(x).to_bytes(8, "little")
+        if key not in kept:
+            kept[key] = likelihood(x)
+        return kept[key]
+
+    return values
