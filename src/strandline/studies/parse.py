@@ -60,6 +60,7 @@ class _Loader(yaml.SafeLoader):
     """Safe YAML that refuses repeated keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return the mapping of a node; a key for the second time is refused with its line."""
         seen = []
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)

@@ -120,6 +120,7 @@ class _Path:
         self.figures: Mapping[str, float] = {}
 
     def follow(self, linear: Vector, first_load: float) -> Traced:
+        """Go from the unloaded state along the path until it turns back, the load is reached, or the budget ends."""
         last = PathPoint(np.zeros_like(linear), 0.0, linear / self.load)
         point = self._first_point(linear, first_load)
         strain, step = self.system.critical_strain(point.x, point.tangent), self.settings.first_step

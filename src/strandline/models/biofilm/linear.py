@@ -105,6 +105,11 @@ class _Pardiso:
         self._analysis.factorise(self._values)
 
     def solve(self, right: Vector) -> Vector:
+        """Return A⁻¹ right; a shared analysis that does not suit these values is replaced by one of their own.
+
+        Raises:
+            ForwardModelError: ``linear_solve``, the residual is not small with that one either.
+        """
         self._analysis.factorise(self._values)
         x, residual = self._analysis.solve(right)
         if self._shared and not residual <= RESIDUAL_TOLERANCE * np.linalg.norm(right):

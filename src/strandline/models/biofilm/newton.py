@@ -128,6 +128,7 @@ class _Search:
         self.jacobians, self.steps = 0, 0
 
     def run(self, x: Vector, first: NewtonStep | None) -> NewtonSolution:
+        """Iterate from x, the first step being given where it is known, until convergence or a reason to stop."""
         damping, previous, taken = 1.0, None, first
         while True:
             taken = taken or self._step(x)
