@@ -32,7 +32,7 @@ LARGER = (1000, 2000, 4000, 8000)
 FITTED = 2000
 """Runs that the hyperparameters are fitted to at most; larger designs keep those."""
 READINGS: tuple[Reading, ...] = ("joint", "cut")
-PANELS = (32, 16, 12)
+PANELS = (24, 12, 8)
 MEAN_WITHIN = 0.15
 """Standard deviations that a mean may be off for a posterior to count as found."""
 SD_WITHIN = 0.1
@@ -79,7 +79,19 @@ def larger_designs(
     """
     x = space.to_physical(sobol(max(sizes), space.dim))
     values = field(x)
-    return tuple(_one(x[:n], values[:n], field, truth, space, fitted, panels) for n in sizes)
+    ok = np.isfinite(values)
+    first = fit_log_likelihood(x[ok][:fitted], values[ok][:fitted]).process
+    grid = product_grid(space, panels=panels)
+    designs = []
+    for runs in sizes:
+        inside = ok & (np.arange(len(x)) < runs)
+        likelihood = _read_once(_within(field, _process(x[inside], values[inside], first)))
+        differences = {
+            reading: compare(posterior_on_grid(likelihood, space, grid, reading=reading), truth[reading])
+            for reading in READINGS
+        }
+        designs.append(LargerDesign(runs, int(inside.sum()), differences))
+    return tuple(designs)
 
 
 def runs_to_find(designs: Sequence[LargerDesign], reading: Reading) -> int | None:
@@ -88,30 +100,15 @@ def runs_to_find(designs: Sequence[LargerDesign], reading: Reading) -> int | Non
     return next((d.runs for d in designs if d.runs > max(missed, default=0)), None)
 
 
-def _one(
-    x: Float[np.ndarray, "run 3"],
-    values: Float[np.ndarray, " run"],
-    field: LogLikelihoodField,
-    truth: Mapping[Reading, GridPosterior],
-    space: ParameterSpace,
-    fitted: int,
-    panels: tuple[int, int, int],
-) -> LargerDesign:
-    ok = np.isfinite(values)
-    likelihood = _read_once(_inside(field, _process(x[ok], values[ok], fitted)))
-    grid = product_grid(space, panels=panels)
-    differences = {
-        reading: compare(posterior_on_grid(likelihood, space, grid, reading=reading), truth[reading])
-        for reading in READINGS
-    }
-    return LargerDesign(len(x), int(ok.sum()), differences)
+def _process(
+    x: Float[np.ndarray, "run 3"], values: Float[np.ndarray, " run"], first: GaussianProcess
+) -> GaussianProcess:
+    """Return the surrogate of these runs; if they are more than those of `first`, with its hyperparameters.
 
-
-def _process(x: Float[np.ndarray, "run 3"], values: Float[np.ndarray, " run"], fitted: int) -> GaussianProcess:
-    first = fit_log_likelihood(x[:fitted], values[:fitted]).process
-    if len(x) <= fitted:
-        return first
-    # Length scales are in standard deviations of the inputs, which a few more Sobol points hardly change.
+    Length scales are in standard deviations of the inputs, which further Sobol points hardly change.
+    """
+    if len(x) < len(first.x_train):
+        return fit_log_likelihood(x, values).process
     return condition(
         x,
         values,
@@ -122,7 +119,7 @@ def _process(x: Float[np.ndarray, "run 3"], values: Float[np.ndarray, " run"], f
     )
 
 
-def _inside(field: LogLikelihoodField, process: GaussianProcess) -> LogLikelihood:
+def _within(field: LogLikelihoodField, process: GaussianProcess) -> LogLikelihood:
     """Return the surrogate where the table has states, -inf elsewhere."""
 
     def likelihood(x: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
