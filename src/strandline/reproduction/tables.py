@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from strandline.posterior import Posterior
 from strandline.reproduction.evidence import RULES, Cost, Evidence
 from strandline.reproduction.larger_designs import FITTED, MEAN_WITHIN, READINGS, SD_WITHIN, runs_to_find
 from strandline.reproduction.truth import TruePosterior
@@ -25,19 +25,16 @@ class Table:
     note: str = ""
 
 
-TRUTH_COLUMNS = (
-    "posterior", "E: mean", "true model", "off, sd", "sd", "true model", "ratio",
-    "ν: mean", "true model", "off, sd", "sd", "true model", "ratio",
-)  # fmt: skip
+TRUTH_COLUMNS = ("posterior", "input", "mean", "true model", "off, sd", "sd", "true model", "ratio")
+INPUTS = ("E [Pa]", "ν")
 
 
 def against_truth(evidence: Evidence) -> Table:
     """Return S3 by the sampler against the true model, by quadrature rule."""
-    rows = [
-        _truth_row(f"{rule}, sampler", _moments(evidence.outcomes[f"biofilm-uniform{end}"].calibration.posterior),
-                   evidence.truths.certain[rule])
-        for rule, end in RULES.items()
-    ]  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
+    for rule, end in RULES.items():
+        posterior = evidence.outcomes[f"biofilm-uniform{end}"].calibration.posterior
+        rows += _truth_rows(rule, posterior.mean, posterior.sd, evidence.truths.certain[rule])
     errors, truth = evidence.truths.errors, evidence.truths.certain
     worst = max(float(np.abs(t.from_half_table.mean).max()) for t in truth.values())
     return Table(
@@ -52,47 +49,47 @@ def against_truth(evidence: Evidence) -> Table:
 
 def uncertain_against_truth(evidence: Evidence) -> Table:
     """Return S5, joint and cut, by the sampler and by quadrature of the surrogate, against the true model."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for rule, end in RULES.items():
-        found = evidence.outcomes[f"biofilm-inflow{end}"].calibration.under_uncertainty
+        outcome = evidence.outcomes[f"biofilm-inflow{end}"]
+        found = outcome.calibration.under_uncertainty
         assert found is not None
-        for name, reading, truth in (
-            ("joint", found.joint, evidence.truths.joint[rule]),
-            ("cut", found.cut, evidence.truths.cut[rule]),
+        of_cut = outcome.summary["under_uncertainty"]["cut"]["quadrature_check"]
+        for name, reading, check, truth in (
+            ("joint", found.joint, outcome.summary["quadrature_check"], evidence.truths.joint[rule]),
+            ("cut", found.cut, of_cut, evidence.truths.cut[rule]),
         ):
-            rows.append(_truth_row(f"{name}, {rule}", (reading.mean, reading.sd), truth))
+            rows += _truth_rows(f"{name}, {rule}", reading.mean, reading.sd, truth)
+            mean, sd = (np.array([check[key][figure] for key in ("E", "nu")]) for figure in ("mean", "sd"))
+            rows += _truth_rows(f"{name}, {rule}, by quadrature", mean, sd, truth)
     halves = [t for group in (evidence.truths.joint, evidence.truths.cut) for t in group.values()]
     worst = max(float(np.abs(t.from_half_table.mean).max()) for t in halves)
     edge = max(t.posterior.edge_mass for t in halves)
     return Table(
         TRUTH_COLUMNS,
         tuple(rows),
-        f"Half the table moves a mean of the true model's by {worst:.2g} sd. Were the likelihood beyond the soft end "
-        f"of the table what it is at that end, {100 * edge:.2g} % of the mass would lie there.",
+        "The surrogate by the particles of the sampler and, as a check of it, by quadrature, each against the true "
+        f"model. Half the table moves a mean of the true model's by {worst:.2g} sd. Were the likelihood beyond the "
+        f"soft end of the table what it is at that end, {100 * edge:.2g} % of the mass would lie there.",
     )
 
 
 def larger(evidence: Evidence) -> Table:
     """Return how far the surrogate of S5 is from the true model when it is given more runs, and how many it takes."""
-    rows, words = [], []
+    rows: list[tuple[Cell, ...]] = []
+    words = []
     for rule, designs in evidence.larger.items():
-        for design in designs:
-            cells: list[Cell] = [rule, design.runs]
-            for reading in READINGS:
-                off = design.differences[reading]
-                cells += [float(v) for v in (off.mean[0], 1 + off.sd_ratio[0], off.mean[1], 1 + off.sd_ratio[1])]
-                cells.append("yes" if design.found(reading) else "no")
-            rows.append(tuple(cells))
         for reading in READINGS:
+            for design in designs:
+                off = design.differences[reading]
+                figures = (off.mean[0], 1 + off.sd_ratio[0], off.mean[1], 1 + off.sd_ratio[1])
+                name = f"{reading}, {rule}" if design is designs[0] else ""
+                found = "yes" if design.found(reading) else "no"
+                rows.append((name, design.runs, *(float(v) for v in figures), found))
             runs = runs_to_find(designs, reading)
             words.append(f"{reading}, {rule}: " + (f"{runs}" if runs else f"more than {designs[-1].runs}"))
-    names = [
-        f"{reading}, {what}"
-        for reading in READINGS
-        for what in ("E: off, sd", "ratio of sd", "ν: off, sd", "ratio of sd", "found")
-    ]
     return Table(
-        ("quadrature", "runs", *names),
+        ("posterior", "runs", "E: off, sd", "ratio of sd", "ν: off, sd", "ratio of sd", "found"),
         tuple(rows),
         f"The surrogate of S5 with more runs, by quadrature, against the true model; no forward run is made, the "
         f"log-likelihood of the design comes from the table, and hyperparameters from its first {FITTED} runs. Found: "
@@ -102,18 +99,16 @@ def larger(evidence: Evidence) -> Table:
     )
 
 
-def _moments(posterior: Posterior) -> tuple[Any, Any]:
-    return posterior.mean, posterior.sd
-
-
-def _truth_row(name: str, moments: tuple[Any, Any], truth: TruePosterior) -> tuple[Cell, ...]:
-    mean, sd = moments
+def _truth_rows(
+    name: str, mean: Float[np.ndarray, " dim"], sd: Float[np.ndarray, " dim"], truth: TruePosterior
+) -> list[tuple[Cell, ...]]:
+    """Return a row for each input, the posterior's figures beside those of the true model."""
     exact = truth.posterior
-    cells: list[Cell] = [name]
-    for k in range(2):
-        off, ratio = (mean[k] - exact.mean[k]) / exact.sd[k], sd[k] / exact.sd[k]
-        cells += [float(v) for v in (mean[k], exact.mean[k], off, sd[k], exact.sd[k], ratio)]
-    return tuple(cells)
+    return [
+        (name if k == 0 else "", label, float(mean[k]), float(exact.mean[k]),
+         float((mean[k] - exact.mean[k]) / exact.sd[k]), float(sd[k]), float(exact.sd[k]), float(sd[k] / exact.sd[k]))
+        for k, label in enumerate(INPUTS)
+    ]  # fmt: skip
 
 
 def checks(evidence: Evidence, names: Sequence[str]) -> Table:
