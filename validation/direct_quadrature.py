@@ -31,15 +31,9 @@ from strandline.priors import ScaledBeta
 from strandline.reproduction.batch import batch_log_likelihood
 from strandline.reproduction.field_table import FieldTable, TableErrors, tabulate, withheld
 from strandline.reproduction.figures import plot_convergence, plot_nested_likelihoods
+from strandline.reproduction.grid_posterior import Difference, GridPosterior, Reading
 from strandline.reproduction.nested import NestedDesign, NestedStep, nested_surrogates
-from strandline.reproduction.truth import (
-    Difference,
-    GridPosterior,
-    Reading,
-    TruePosterior,
-    true_fields,
-    true_posterior,
-)
+from strandline.reproduction.truth import TruePosterior, true_fields, true_posterior
 from strandline.runs import Executor, Ledger, LocalProcesses, RunRecord, run_campaign, run_key
 from strandline.studies import Study, load_study
 

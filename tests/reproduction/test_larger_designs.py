@@ -7,15 +7,10 @@ import pytest
 
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
+from strandline.reproduction.field_table import LoadCoordinates
+from strandline.reproduction.grid_posterior import Difference, posterior_on_grid, product_grid
 from strandline.reproduction.larger_designs import READINGS, LargerDesign, larger_designs, runs_to_find
-from strandline.reproduction.truth import (
-    Difference,
-    LoadCoordinates,
-    LogLikelihoodField,
-    posterior_on_grid,
-    product_grid,
-    spline_field,
-)
+from strandline.reproduction.log_likelihood_field import LogLikelihoodField, spline_field
 
 SPACE = ParameterSpace(
     (

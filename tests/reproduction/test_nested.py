@@ -8,8 +8,8 @@ from strandline.errors import InvalidInput
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.reproduction.figures import plot_convergence, plot_nested_likelihoods
+from strandline.reproduction.grid_posterior import posterior_on_grid, product_grid
 from strandline.reproduction.nested import NestedDesign, maximum_likelihood, nested_surrogates, two_inputs
-from strandline.reproduction.truth import posterior_on_grid, product_grid
 from strandline.surrogate import fit_log_likelihood
 
 SPACE = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", Uniform(-0.8, 0.5))))

@@ -12,16 +12,15 @@ from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import LogNormal, ScaledBeta, Uniform
-from strandline.reproduction import truth
-from strandline.reproduction.truth import (
+from strandline.reproduction.grid_posterior import (
     GridPosterior,
-    log_likelihood_field,
+    compare,
     posterior_on_grid,
     product_grid,
     total_variation,
-    true_fields,
-    true_posterior,
 )
+from strandline.reproduction.log_likelihood_field import log_likelihood_field
+from strandline.reproduction.truth import true_fields, true_posterior
 
 TRUTH = (400.0, 0.3, 100.0)
 VARIANCE = 1e-5
@@ -195,4 +194,4 @@ def test_no_state_in_the_box_is_said(known):
 def test_half_table_tells_a_table_that_is_too_rough(make_table, likelihood):
     rough = true_posterior(make_table((4, 6, 4)), likelihood, KNOWN, rate=100.0, nodes=NODES)
     assert rough.from_half_table.total_variation > 0.02
-    assert truth.compare(rough.posterior, rough.posterior).total_variation == 0
+    assert compare(rough.posterior, rough.posterior).total_variation == 0

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from strandline.calibrate import Calibration
 from strandline.posterior import Posterior
+from strandline.reproduction.grid_posterior import GridPosterior
 from strandline.reproduction.judgement import (
     Claim,
     LikelihoodField,
@@ -18,7 +19,6 @@ from strandline.reproduction.judgement import (
     modes,
     plateau,
 )
-from strandline.reproduction.truth import GridPosterior
 from strandline.runs import RunRecord
 
 __all__ = [

@@ -16,9 +16,10 @@ from strandline.errors import InvalidInput
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
 from strandline.reproduction.field_table import FieldTable, TableErrors, tabulate, withheld
+from strandline.reproduction.grid_posterior import GridPosterior, Reading
 from strandline.reproduction.larger_designs import LARGER, LargerDesign, larger_designs
 from strandline.reproduction.nested import SIZES, NestedDesign, NestedStep, nested_surrogates
-from strandline.reproduction.truth import GridPosterior, Reading, TruePosterior, true_fields, true_posterior
+from strandline.reproduction.truth import TruePosterior, true_fields, true_posterior
 from strandline.runs import Executor, Ledger, run_campaign, run_key
 from strandline.studies import Check, Outcome, Study, check_posterior, load_study, run_study
 from strandline.surrogate import STUDY_SIZES, Convergence, convergence_study

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure, SubFigure
 
 from strandline.parameters import ParameterSpace
 from strandline.plots.style import BLACK, CYCLE, DASHES, GREY, RED, axes_or_new, below, figure_or_new, mark, styled
+from strandline.reproduction.grid_posterior import GridPosterior
 from strandline.reproduction.nested import NestedStep
-from strandline.reproduction.truth import GridPosterior
 
 __all__ = ["plot_convergence", "plot_nested_likelihoods"]
 

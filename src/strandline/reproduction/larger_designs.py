@@ -11,16 +11,16 @@ from jaxtyping import Float
 
 from strandline.design import sobol
 from strandline.parameters import ParameterSpace
-from strandline.reproduction.truth import (
+from strandline.reproduction.grid_posterior import (
     Difference,
     GridPosterior,
     LogLikelihood,
-    LogLikelihoodField,
     Reading,
     compare,
     posterior_on_grid,
     product_grid,
 )
+from strandline.reproduction.log_likelihood_field import LogLikelihoodField
 from strandline.surrogate import GaussianProcess, fit_log_likelihood
 from strandline.surrogate.gaussian_process import condition
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from strandline.errors import InvalidInput
 from strandline.parameters import ParameterSpace
-from strandline.reproduction.truth import Difference, GridPosterior, LogLikelihood, compare, posterior_on_grid
+from strandline.reproduction.grid_posterior import Difference, GridPosterior, LogLikelihood, compare, posterior_on_grid
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate, fit_log_likelihood
 
 __all__ = ["SIZES", "NestedDesign", "NestedStep", "maximum_likelihood", "nested_surrogates", "two_inputs"]
