@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from math import isfinite
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ __all__ = [
     "LikelihoodField",
     "Verdict",
     "angle_between_axes",
+    "correlation_ratio",
+    "density_over_prior",
     "distance_to_prior",
     "mass_within",
     "modes",
@@ -51,8 +54,8 @@ class Claim:
     study: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what claims.json holds of it."""
-        return {name: value for name, value in asdict(self).items() if name != "key"}
+        """Return what claims.json holds of it; None stands for a number that is not finite, such as k̂ = inf."""
+        return {name: _finite(value) for name, value in asdict(self).items() if name != "key"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +113,31 @@ def plateau(posterior: Posterior, name: str, *, level: float = 0.8) -> float:
 
 def distance_to_prior(posterior: Posterior, name: str, *, bins: int = 30) -> float:
     """Return the total variation between a marginal and its prior, both as histograms over the box."""
-    parameter = posterior.space[name]
-    bars = histogram(posterior.columns([name])[:, 0], posterior.weights, bounds=parameter.interval, bins=bins)
-    below = np.asarray(parameter.truncated_prior.cdf(bars.edges))
-    return float(0.5 * np.abs(bars.mass - np.diff(below)).sum())
+    _, mass, prior = _beside_prior(posterior, name, bins)
+    return float(0.5 * np.abs(mass - prior).sum())
+
+
+def density_over_prior(posterior: Posterior, name: str, value: float, *, bins: int = 30) -> float:
+    """Return how many times as dense as its prior a marginal is about `value`, both as histograms over the box."""
+    edges, mass, prior = _beside_prior(posterior, name, bins)
+    at = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, bins - 1))
+    return float(mass[at] / prior[at])
+
+
+def correlation_ratio(posterior: Posterior, name: str, given: str, *, bins: int = 20) -> float:
+    """Return the root of the share of an input's variance that its mean given another input explains.
+
+    |ρ| for a normal distribution; unlike ρ it is not blind to a bend. The other input is cut into `bins` parts of
+    equal weight, so that of n independent draws it is about √(bins/n), not 0.
+    """
+    value, by = posterior.columns([name, given]).T
+    order = np.argsort(by, kind="stable")
+    weights, value = posterior.weights[order], value[order]
+    part = np.minimum((bins * (np.cumsum(weights) - 0.5 * weights)).astype(int), bins - 1)
+    mass, first = (np.bincount(part, w, bins) for w in (weights, weights * value))
+    mean, held = weights @ value, mass > 0
+    between = mass[held] @ (first[held] / mass[held] - mean) ** 2
+    return float(np.sqrt(between / (weights @ (value - mean) ** 2)))
 
 
 def angle_between_axes(
@@ -128,6 +152,25 @@ def mass_within(posterior: Posterior, approximation: GaussianApproximation, leve
     """Return the posterior mass inside the ellipse that holds `level` of a Gaussian approximation's mass."""
     inside = approximation.radius(posterior.draws) <= approximation.percentile_radius(level)
     return float(posterior.weights[inside].sum())
+
+
+def _finite(value: Any) -> Any:
+    """Return `value` with None for each number that JSON does not know."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _beside_prior(
+    posterior: Posterior, name: str, bins: int
+) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
+    """Return the edges of bins over the box, the mass of a marginal in each and that of its prior."""
+    parameter = posterior.space[name]
+    bars = histogram(posterior.columns([name])[:, 0], posterior.weights, bounds=parameter.interval, bins=bins)
+    below = np.asarray(parameter.truncated_prior.cdf(bars.edges))
+    return bars.edges, bars.mass, np.diff(below)
 
 
 def _marginal(
