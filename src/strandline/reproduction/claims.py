@@ -299,6 +299,10 @@ def uncertain_inflow(
         certain_truth: that with the inflow known.
     """
     exact, known = truth["joint"], certain_truth
+    figures = {
+        reading: {n: {key: uncertain[reading]["inputs"][key][n] for key in ("E", "nu")} for n in ("map", "mean", "sd")}
+        for reading in ("joint", "cut")
+    }
     ratio = float(exact.sd[0] / known.sd[0])
     modes_of = {"uncertain": _mode(exact), "known": _mode(known)}
     lower = modes_of["uncertain"][0] < modes_of["known"][0]
@@ -316,13 +320,9 @@ def uncertain_inflow(
         f"{joint['mean']:.0f} ± {joint['sd']:.0f} Pa jointly, MAP {joint['map']:.0f}, and {cut['mean']:.0f} ± "
         f"{cut['sd']:.0f} Pa cut: its joint mean is {off:.2f} sd off"
         + ("." if off < FOUND else f", as the surrogate of {CURRENTS} is too rough in three inputs."),
-        {
-            reading: {
-                key: {n: uncertain[reading]["inputs"][n][key] for n in ("E", "nu")} for key in ("map", "mean", "sd")
-            }
-            for reading in ("joint", "cut")
-        }
+        figures["joint"]
         | {
+            "cut": figures["cut"],
             "true_model": {
                 reading: {"mean": _point(found.mean), "sd": _point(found.sd), "mode": _point(_mode(found))}
                 for reading, found in truth.items()
