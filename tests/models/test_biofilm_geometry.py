@@ -51,6 +51,29 @@ def test_layer_covers_the_floor():
     np.testing.assert_allclose(_areas(mesh)["solid"], 0.5 * 0.7 * 0.5 + 0.5 * 1.3 * 0.4, rtol=1e-12)
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_layer_that_ends_on_the_floor(mirrored):
+    """It starts on one end of the channel; the floor is bare beyond its foot."""
+    points = [(0.0, 0.2), (0.7, 0.3), (1.4, 0.0)]
+    if mirrored:
+        points = [(2.0 - x, y) for x, y in reversed(points)]
+    mesh = mesh_flow_cell(Outline(tuple(points), spline=False, nodes=None).interface(), MeshSize(0.3, 0.1, 0.1, 0.5))
+    assert set(mesh.GetBoundaries()) == {"base", "floor", "side", "inlet", "outlet", "top", "interface"}
+    areas = _areas(mesh)
+    np.testing.assert_allclose(areas["solid"], 0.5 * 0.7 * 0.5 + 0.5 * 0.7 * 0.3, rtol=1e-12)
+    np.testing.assert_allclose(areas["fluid"] + areas["solid"], 2.0, rtol=1e-12)
+
+
+def test_ends_within_rounding_of_the_wall_are_on_it():
+    points = [(0.0, 0.2), (0.7, 0.3), (1.4, 0.0)]
+    off = [(1e-12, 0.2), (0.7, 0.3), (1.4, -1e-12)]
+    exact, rounded = (
+        mesh_flow_cell(Outline(tuple(p), spline=False, nodes=None).interface(), COARSE) for p in (points, off)
+    )
+    assert rounded.GetBoundaries() == exact.GetBoundaries()
+    assert (rounded.ne, rounded.nv) == (exact.ne, exact.nv)
+
+
 @pytest.mark.parametrize(("inlet", "x"), [("left", 0.0), ("right", 2.0)])
 def test_inlet_is_on_the_side_asked_for(inlet, x):
     mesh = mesh_flow_cell(Outline().interface(), COARSE, Channel(inlet=inlet))

@@ -324,7 +324,7 @@ def bits(record):
 
 
 def test_a_driver_killed_at_random_moments_loses_and_repeats_nothing(path, tmp_path):
-    number, rng = 60, random.Random(20220824)
+    number, rng = 240, random.Random(20220824)
     model = Counted(str(tmp_path), Faulty(fault="exception", above=480.0))
     before, growth = {}, []
     environment = {**os.environ, "TMPDIR": str(tmp_path)}  # for the folders that killed drivers leave behind

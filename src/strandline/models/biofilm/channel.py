@@ -7,7 +7,7 @@ import numpy as np
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
-__all__ = ["Channel", "check_outline"]
+__all__ = ["ON_WALL", "Channel", "check_outline"]
 
 SIDES = ("left", "right")
 OUTLETS = ("horizontal", "traction_free")
@@ -43,8 +43,8 @@ class Channel:
 def check_outline(outline: Interface, channel: Channel) -> None:
     """Refuse an outline that does not bound a solid on the channel's floor.
 
-    It starts and ends on the floor (a bump), or on the left and right end of the channel (a layer), runs from left to
-    right, stays inside the channel elsewhere and does not cross itself.
+    It starts on the floor or on the left end of the channel, ends on the floor or on the right end (both on the floor:
+    a bump; neither: a layer), runs from left to right, stays inside the channel elsewhere and does not cross itself.
 
     Raises:
         InvalidInput: with the place, mm.

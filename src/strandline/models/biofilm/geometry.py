@@ -7,7 +7,7 @@ from netgen.geom2d import SplineGeometry
 from ngsolve import Mesh
 
 from strandline.interface import Interface
-from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.channel import ON_WALL, Channel
 from strandline.models.biofilm.subdivision import Edge, Partition, Point, Subdivision
 
 __all__ = ["MESHES", "MeshSize", "mesh_flow_cell", "subdivide"]
@@ -44,19 +44,26 @@ def subdivide(interface: Interface, channel: Channel, partition: Partition) -> t
     The first vertices are those of `interface`, in its order.
     """
     outline: list[Point] = [(float(x), float(y)) for x, y in interface.points]
+    outline[0], outline[-1] = _on_wall(outline[0], 0.0), _on_wall(outline[-1], channel.length)
     corners = [(0.0, 0.0), (channel.length, 0.0), (channel.length, channel.height), (0.0, channel.height)]
     count = len(outline)
     origin, right, top_right, top_left = range(count, count + 4)
     along = list(range(count))
-    if outline[0][1] > 0:  # a layer: the lower corners belong to the solid
-        fluid, solid = [*along, top_right, top_left], [origin, right, *reversed(along)]
-    else:
-        fluid, solid = [origin, *along, right, top_right, top_left], list(reversed(along))
+    # A lower corner belongs to the solid where the outline ends on the channel's end, above it; else to the fluid.
+    of_solid = [corner for corner, end in ((origin, outline[0]), (right, outline[-1])) if end[1] > 0]
+    before, after = ([c] if c not in of_solid else [] for c in (origin, right))
+    fluid, solid = [*before, *along, *after, top_right, top_left], [*of_solid, *reversed(along)]
     figure = Subdivision([*outline, *corners], {FLUID: fluid, "solid": solid})
     parts = ["solid"]
     for line in partition.lines:
         parts = figure.cut(parts, line)
     return figure, figure.rename(parts, partition.markers, "solid") if partition.lines else parts
+
+
+def _on_wall(end: Point, wall: float) -> Point:
+    """Return an end of the outline exactly on the floor or on the channel's end, from which it is less than 1e-9."""
+    x, y = end
+    return (x, 0.0) if abs(y) < ON_WALL else (wall, y)
 
 
 def mesh_flow_cell(
