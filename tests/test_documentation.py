@@ -27,6 +27,7 @@ from strandline.posterior import SobolIndices
 from strandline.priors import PRIORS
 from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior
+from strandline.studies.build import build_model
 from strandline.studies.schema import StudyFile
 from strandline.surrogate import KERNELS
 from strandline.testing.studies import BEAM_STUDY, write_study
@@ -323,3 +324,12 @@ def test_the_pieces_of_studies_are_valid(page: str) -> None:
     assert pieces
     for piece in pieces:
         StudyFile.model_validate(whole | yaml.safe_load(piece.replace("…\n", "")))
+
+
+def test_models_of_the_guide_to_an_own_flow_cell_are_built(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "hill.csv", [[900, 0], [1270, 600], [2100, 0]], delimiter=",")
+    pages = blocks("how-to/own-flow-cell.md", "yaml")
+    assert len(pages) == 5
+    for page in pages:
+        (options,) = yaml.safe_load(page)["model"].values()
+        assert build_model({"biofilm": options}, tmp_path)

@@ -159,6 +159,7 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
         ["--set.tild", "got tild", "Did you mean tilt?"],
     ),
     "--set without a number": (forward("--set", "E=stiff"), ["--set: got E=stiff", "NAME=NUMBER"]),
+    "--set twice": (forward("--set", "E=400", "--set", "E=500"), ["E for the second time", "each name once"]),
     "--set of NaN": (forward("--set", "E=nan"), ["--set: got E=nan"]),
     "--set out of range": (forward("--set", "E=-3", "--set", "tilt=0"), ["--set.E: got -3", "(0, inf] Pa"]),
     "--set forgotten": (forward("--set", "E=400"), ["a value for tilt too", "Add --set tilt=VALUE."]),

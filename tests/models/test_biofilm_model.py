@@ -129,6 +129,14 @@ def test_fields_for_pictures_are_consistent_with_the_interface(model):
     assert (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0).all()
 
 
+def test_fields_are_those_of_the_condition_asked_for():
+    two = Biofilm.from_options(mesh="coarse", inflow_rates={"slow": 40, "fast": 80})
+    solid = {"E": 400.0, "nu": 0.3}
+    peaks = {name: np.abs(two.fields(solid, name).velocity).max() for name in two.conditions}
+    assert 1.8 < peaks["fast"] / peaks["slow"] < 2.2
+    assert np.abs(two.fields(solid).velocity).max() == pytest.approx(peaks["fast"], rel=1e-9)
+
+
 def test_unknown_mesh_is_refused():
     with pytest.raises(InvalidInput, match="coarse, default, fine"):
         Biofilm(mesh="corse")

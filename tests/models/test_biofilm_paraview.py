@@ -24,9 +24,20 @@ def test_vtu_holds_the_fields(tmp_path):
     )
     np.testing.assert_allclose(deformed.point_data["pressure [Pa]"], fields.pressure)
     np.testing.assert_array_equal(deformed.cells_dict["triangle"], fields.triangles)
-    assert set(deformed.cell_data["solid"][0].tolist()) == {0, 1}
+    assert set(deformed.cell_data["part"][0].tolist()) == {0, 1}
     speed = np.linalg.norm(deformed.point_data["velocity [mm/s]"], axis=1)
     assert 250 < speed.max() < 300
+
+
+def test_vtu_numbers_the_parts_by_their_markers(tmp_path):
+    model = Biofilm.from_options(mesh="coarse", partition="three_parts")
+    solids = {name: value for k in (1, 2, 3) for name, value in ((f"E{k}", 400.0), (f"nu{k}", 0.3))}
+    write_vtu(model.fields({**solids, "V_in": 50.0}), tmp_path)
+    undeformed = meshio.read(tmp_path / "undeformed.vtu")
+    part, centres = undeformed.cell_data["part"][0], undeformed.points[undeformed.cells_dict["triangle"]].mean(axis=1)
+    for number, marker in enumerate(model.partition.markers, 1):
+        assert part[np.argmin(np.linalg.norm(centres[:, :2] - marker, axis=1))] == number
+    assert set(part.tolist()) == {0, 1, 2, 3}
 
 
 def test_folder_that_cannot_be_made_is_refused(tmp_path):

@@ -100,7 +100,7 @@ def channel() -> SimpleNamespace:
     return SimpleNamespace(
         points=np.stack([x + 0.05 * y, y], axis=1),
         triangles=triangles,
-        cell_is_solid=solid,
+        cell_part=solid.astype(int),
         velocity=np.stack([3 * y, 4 * y], axis=1),
         pressure=2.0 - x,
         displacement=np.stack([0.05 * y, 0 * y], axis=1),
@@ -123,7 +123,10 @@ def test_flow_draws_magnitudes_on_the_deformed_mesh():
 
 def test_flow_outlines_the_interface():
     fields = channel()
-    (outline,) = [c for c in plot_flow(fields).axes[0].collections if isinstance(c, LineCollection)]
+    rest, inner, outline = [c for c in plot_flow(fields).axes[0].collections if isinstance(c, LineCollection)]
+    assert not inner.get_segments()
+    moved = np.asarray(outline.get_segments()) - np.asarray(rest.get_segments())
+    np.testing.assert_allclose(moved, [0.05, 0] * np.asarray(rest.get_segments())[..., [1]], atol=1e-15)
     undeformed = np.asarray(outline.get_segments()) - [0.05, 0] * np.asarray(outline.get_segments())[..., [1]]
     middle = undeformed.mean(axis=1)
     on_side = np.isclose(np.abs(middle[:, 0] - 1.0), 0.3) & (middle[:, 1] < 0.4)
@@ -132,9 +135,19 @@ def test_flow_outlines_the_interface():
     assert np.linalg.norm(undeformed[:, 1] - undeformed[:, 0], axis=1).sum() == pytest.approx(0.4 + 0.6 + 0.4)
 
 
+def test_flow_divides_the_parts_and_has_a_title():
+    fields = channel()
+    right = fields.points[fields.triangles].mean(axis=1)[:, 0] > 1.0
+    fields.cell_part = fields.cell_part + (fields.cell_part > 0) * right
+    ax = plot_flow(fields, title="E = 1").axes[0]
+    _, inner, _ = [c for c in ax.collections if isinstance(c, LineCollection)]
+    assert len(inner.get_segments()) > 2
+    assert ax.get_title() == "E = 1"
+
+
 def test_flow_without_a_solid_does_not_crash():
     fields = channel()
-    fields.cell_is_solid = np.zeros(len(fields.triangles), bool)
+    fields.cell_part = np.zeros(len(fields.triangles), int)
     render(plot_flow(fields))
 
 

@@ -60,14 +60,13 @@ def command(
     if vtu is not None or plot:
         _require_fields(model)
     record = attempted(model, inputs)
-    if record.ok and (vtu is not None or plot):
-        _write_fields(model, inputs, vtu, plot=plot)
+    drawn = _write_fields(model, inputs, vtu, plot=plot) if record.ok and (vtu is not None or plot) else []
     if record.ok:
         for condition, path in targets.items():
             _write_csv(path, record, condition, sensitivities=sensitivities)
     if as_json:
         slopes = _slopes(record) if sensitivities else {}
-        click.echo(json.dumps(_outcome(record, inputs, targets) | slopes))
+        click.echo(json.dumps(_outcome(record, inputs, targets) | {"written": [str(p) for p in drawn]} | slopes))
     elif not record.ok:
         message = (record.message or "").partition("\n")[0]
         click.echo(f"failed after {record.seconds:.2f} s: {record.failure_kind or record.state}: {message}", err=True)
@@ -75,8 +74,10 @@ def command(
     else:
         figures = ", ".join(f"{name} {value:.6g}" for name, value in record.diagnostics.items())
         click.echo(f"ok in {record.seconds:.2f} s{': ' + figures if figures else ''}")
-        for line in _told(record, sensitivities=sensitivities):
+        for line in _told(record, model, sensitivities=sensitivities):
             click.echo(f"  {line}")
+        for path in (*targets.values(), *drawn):
+            click.echo(f"wrote {path}")
 
 
 def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord":
@@ -102,25 +103,38 @@ def _require_fields(model: Any) -> None:
         )
 
 
-def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, *, plot: bool) -> None:
-    """Write the solved state for ParaView and as a picture."""
+def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, *, plot: bool) -> list[Path]:
+    """Write the solved state for ParaView and as a picture, of each condition; return what was written."""
     from strandline.models.biofilm.paraview import write_vtu
+    from strandline.models.protocol import declared_conditions
     from strandline.plots import plot_flow
 
-    fields = model.fields(inputs)
-    if folder is not None:
-        write_vtu(fields, folder)
-    if plot:
-        target = (folder or Path()) / "forward.png"
-        _require_target(target)
-        figure: Any = plot_flow(fields)
-        figure.savefig(target, dpi=160)
+    written = []
+    for condition in declared_conditions(model):
+        fields = model.fields(inputs, condition) if condition else model.fields(inputs)
+        if folder is not None:
+            written.append(write_vtu(fields, folder / condition))
+        if plot:
+            target = (folder or Path()) / (f"forward-{condition}.png" if condition else "forward.png")
+            _require_target(target)
+            title = ", ".join(f"{name} = {value:g}" for name, value in inputs.items())
+            figure: Any = plot_flow(fields, title=f"{condition}: {title}" if condition else title)
+            figure.savefig(target, dpi=160)
+            written.append(target)
+    return written
 
 
 def _parsed(settings: tuple[str, ...]) -> dict[str, float]:
     values = {}
     for text in settings:
         name, _, number = text.partition("=")
+        if name.strip() in values:
+            raise InvalidInput(
+                "--set",
+                value=f"{name.strip()} for the second time",
+                expected="each name once",
+                remedy="Remove one of them.",
+            )
         try:
             values[name.strip()] = float(number)
         except ValueError:
@@ -153,16 +167,26 @@ def _targets(path: Path, conditions: tuple[str, ...]) -> dict[str, Path]:
     return {c: path.with_name(f"{path.stem}-{c}{path.suffix}") if c else path for c in conditions}
 
 
-def _told(record: "RunRecord", *, sensitivities: bool) -> Iterator[str]:
+def _told(record: "RunRecord", model: "ForwardModel", *, sensitivities: bool) -> Iterator[str]:
     """Yield a line for each named condition, and for each sensitivity with its largest value."""
     import numpy as np
 
+    from strandline.models.protocol import declared_inputs
+
+    units = {item.name: item.unit for item in declared_inputs(model)}
     for condition, interface in record.interfaces.items():
         if condition:
             yield f"{condition}: {len(interface.points)} points"
         for name, slope in record.sensitivities.get(condition, {}).items() if sensitivities else ():
             largest = float(np.linalg.norm(slope, axis=1).max())
-            yield f"{condition + ': ' if condition else ''}d/d{name} up to {largest:.6g} mm per unit of {name}"
+            yield f"{condition + ': ' if condition else ''}d/d{name} up to {largest:.6g} mm{_per(units.get(name))}"
+
+
+def _per(unit: str | None) -> str:
+    """Return how a slope by an input of that unit goes on."""
+    if unit is None:
+        return " per unit of the input"
+    return "" if unit in ("", "1") else f" per {unit}"
 
 
 def _slopes(record: "RunRecord") -> dict[str, object]:

@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
 
-from strandline.plots.style import BLACK, figure_of, figure_or_new, styled
+from strandline.plots.style import BLACK, GREY, figure_of, figure_or_new, styled
 
 __all__ = ["FlowFields", "plot_flow"]
 
@@ -29,8 +29,8 @@ class FlowFields(Protocol):
         ...
 
     @property
-    def cell_is_solid(self) -> Bool[np.ndarray, " cell"]:
-        """Which cells are solid."""
+    def cell_part(self) -> Int[np.ndarray, " cell"]:
+        """0 in the fluid, else the number of the part of the solid."""
         ...
 
     @property
@@ -49,11 +49,19 @@ class FlowFields(Protocol):
         ...
 
 
-def plot_flow(fields: FlowFields, *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
-    """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other."""
+def plot_flow(fields: FlowFields, *, title: str = "", figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
+    """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.
+
+    The undeformed interface is dashed; thin lines in the solid divide its parts.
+
+    Args:
+        fields: the state to draw.
+        title: what it is, e.g. its inputs.
+        figure: to draw in.
+    """
     speed = np.linalg.norm(fields.velocity, axis=1)
     length = np.linalg.norm(fields.displacement, axis=1)
-    fluid, solid = ~fields.cell_is_solid, fields.cell_is_solid
+    fluid, solid = fields.cell_part == 0, fields.cell_part > 0
     with styled():
         figure = figure_or_new(figure, (5.2, 7.2))
         panels = figure.subplots(3, 1, sharex=True, sharey=True)
@@ -61,15 +69,28 @@ def plot_flow(fields: FlowFields, *, figure: Figure | SubFigure | None = None) -
         _panel(panels[1], fields, fields.pressure, fluid, "pressure [Pa]", "cividis")
         _panel(panels[2], fields, length, solid, "displacement magnitude [mm]", "viridis")
         panels[-1].set_xlabel("x [mm]")
+        if title:
+            panels[0].set_title(title)
     return figure
 
 
-def interface_edges(fields: FlowFields) -> Float[np.ndarray, "edge 2 2"]:
-    """Return the end points of the edges between a solid and a fluid cell (edge, end, xy)."""
-    fluid = _edges(fields.triangles[~fields.cell_is_solid])
-    solid = _edges(fields.triangles[fields.cell_is_solid])
-    shared = sorted(fluid & solid)
-    return np.asarray(fields.points[np.array(shared, int).reshape(-1, 2)])
+def interface_edges(fields: FlowFields) -> Int[np.ndarray, "edge 2"]:
+    """Return the node numbers of the edges between a solid and a fluid cell."""
+    return _shared(fields, fields.cell_part == 0, fields.cell_part > 0)
+
+
+def inner_edges(fields: FlowFields) -> Int[np.ndarray, "edge 2"]:
+    """Return the node numbers of the edges between parts of the solid."""
+    parts = range(1, int(fields.cell_part.max()) + 1)
+    found = [_shared(fields, fields.cell_part == k, fields.cell_part > k) for k in parts]
+    return np.concatenate(found) if found else np.empty((0, 2), int)
+
+
+def _shared(
+    fields: FlowFields, one: Bool[np.ndarray, " cell"], other: Bool[np.ndarray, " cell"]
+) -> Int[np.ndarray, "edge 2"]:
+    shared = sorted(_edges(fields.triangles[one]) & _edges(fields.triangles[other]))
+    return np.array(shared, int).reshape(-1, 2)
 
 
 def _edges(triangles: Int[np.ndarray, "cell 3"]) -> set[tuple[int, int]]:
@@ -87,15 +108,19 @@ def _panel(
 ) -> None:
     """Draw nodal `values` on the chosen cells; the others stay pale grey."""
     x, y = fields.points.T
-    rest = fields.triangles[~cells]
-    if len(rest):
-        ax.tripcolor(x, y, rest, facecolors=np.zeros(len(rest)), cmap="Greys", vmin=-0.15, vmax=1.0)
+    others = fields.triangles[~cells]
+    if len(others):
+        ax.tripcolor(x, y, others, facecolors=np.zeros(len(others)), cmap="Greys", vmin=-0.15, vmax=1.0)
     if cells.any():
         mesh = Triangulation(x, y, fields.triangles[cells])
         used = values[np.unique(fields.triangles[cells])]  # nodes elsewhere must not stretch the colours
         low, high = float(used.min()), float(used.max())
+        high = high if high > low else low + 1.0  # nothing moves: the lowest colour, not the middle one
         drawn = ax.tripcolor(mesh, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
         figure_of(ax).colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
-    ax.add_collection(LineCollection(list(interface_edges(fields)), colors=BLACK, linewidths=1.2))
+    interface, rest = interface_edges(fields), fields.points - fields.displacement
+    ax.add_collection(LineCollection(list(rest[interface]), colors=GREY, linewidths=0.9, linestyles="dashed"))
+    ax.add_collection(LineCollection(list(fields.points[inner_edges(fields)]), colors=BLACK, linewidths=0.6))
+    ax.add_collection(LineCollection(list(fields.points[interface]), colors=BLACK, linewidths=1.2))
     ax.margins(0.0)
     ax.set(aspect="equal", ylabel="y [mm]")

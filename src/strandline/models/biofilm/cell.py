@@ -42,7 +42,7 @@ class FlowFields:
     Args:
         points: deformed node positions, mm.
         triangles: node numbers.
-        cell_is_solid: per triangle.
+        cell_part: per triangle, 0 in the fluid, else the number of the solid's part from 1.
         velocity: mm/s, zero in the solid.
         pressure: fluid pressure, Pa, zero in the solid.
         displacement: mm; in the fluid that of the mesh.
@@ -50,7 +50,7 @@ class FlowFields:
 
     points: Points
     triangles: Int[np.ndarray, "cell 3"]
-    cell_is_solid: Bool[np.ndarray, " cell"]
+    cell_part: Int[np.ndarray, " cell"]
     velocity: Points
     pressure: Float[np.ndarray, " point"]
     displacement: Points
@@ -91,7 +91,9 @@ class FlowCell:
         _, self.parts = subdivide(outline, channel, partition)
         self.outline, self.channel = outline, channel
         self.mesh = mesh_flow_cell(outline, size, channel, partition)
-        self.is_solid = np.array([element.mat != "fluid" for element in self.mesh.Elements(ng.VOL)])
+        number = {"fluid": 0} | {name: k for k, name in enumerate(self.parts, 1)}
+        self.part = np.array([number[element.mat] for element in self.mesh.Elements(ng.VOL)])
+        self.is_solid = self.part > 0
         self.system = CoupledSystem(
             self.mesh, _boundaries(channel), viscosity=VISCOSITY, density=1.0, law=law, solids=tuple(self.parts)
         )
@@ -228,7 +230,7 @@ class FlowCell:
         return FlowFields(
             points=rest + d,
             triangles=nodes[:, split].reshape(-1, 3),
-            cell_is_solid=np.repeat(self.is_solid, 4),
+            cell_part=np.repeat(self.part, 4),
             velocity=nodal(velocity, fluid) * VELOCITY_SCALE,
             pressure=nodal(pressure, fluid)[:, 0] * STRESS_SCALE,
             displacement=d,
@@ -237,8 +239,7 @@ class FlowCell:
     def _prescribe_inflow(self) -> None:
         """Write the parabola of volume rate 1 over the free height of the inlet into the velocity."""
         at_left = self.channel.inlet == "left"
-        foot = self.outline.points[0 if at_left else -1]
-        bottom = float(foot[1]) if foot[0] in (0.0, self.channel.length) else 0.0
+        bottom = float(self.outline.points[0 if at_left else -1][1])  # 0 where the outline ends on the floor
         free = self.channel.height - bottom
         s = (ng.y - bottom) / free
         profile = (1.0 if at_left else -1.0) * 6 * s * (1 - s) / free

@@ -1,13 +1,15 @@
 """The channel around the biofilm, and which outlines fit into it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
-__all__ = ["ON_WALL", "Channel", "check_outline"]
+__all__ = ["ON_WALL", "Channel", "check_inside", "check_outline"]
 
 SIDES = ("left", "right")
 OUTLETS = ("horizontal", "traction_free")
@@ -61,13 +63,24 @@ def check_outline(outline: Interface, channel: Channel) -> None:
                 "end of the outline", _place(point), f"a point on the floor y = 0 or on the channel's end x = {wall:g}",
                 "Move or add the end point.",
             )  # fmt: skip
-    inner = outline.points[1:-1]
+    check_inside(outline.points, channel)
+
+
+def check_inside(points: Sequence[tuple[float, float]] | Float[np.ndarray, "point 2"], channel: Channel) -> None:
+    """Refuse an outline, or control points of one, that leaves the channel between its ends.
+
+    Raises:
+        InvalidInput: with the place, mm.
+    """
+    inner = np.asarray(points, float)[1:-1]
     inside = (inner[:, 0] > 0) & (inner[:, 0] < channel.length) & (inner[:, 1] > 0) & (inner[:, 1] < channel.height)
     if not inside.all():
         _refuse(
-            "outline outside the channel", _place(inner[np.argmin(inside)]),
-            f"points inside [0, {channel.length:g}] × [0, {channel.height:g}] mm", "Correct the point or the channel.",
-        )  # fmt: skip
+            "outline outside the channel",
+            _place(inner[np.argmin(inside)]),
+            f"points inside [0, {channel.length:g}] × [0, {channel.height:g}] mm",
+            "Correct the point or the channel. A spline may overshoot between points: add some, or `spline: false`.",
+        )
 
 
 def _place(point: np.ndarray) -> str:

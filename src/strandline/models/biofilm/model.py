@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,12 @@ import numpy as np
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, is_condition
 from strandline.models.biofilm.cell import FlowCell, FlowFields
-from strandline.models.biofilm.channel import Channel, check_outline
+from strandline.models.biofilm.channel import Channel, check_inside, check_outline
 from strandline.models.biofilm.geometry import MESHES, subdivide
 from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.subdivision import Partition, check_partition
 from strandline.models.protocol import ModelInput, Simulation
 
 __all__ = ["Biofilm", "FlowFields"]
@@ -71,6 +72,7 @@ class Biofilm:
         for name, rate in self.inflow_rates:
             _check_rate(name, rate)
         reference = self.outline.interface()
+        check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
         subdivide(reference, self.channel, self.partition)
         linear_solver()
@@ -131,10 +133,16 @@ class Biofilm:
         """Return the interface without flow, mm."""
         return self.outline.interface()
 
-    def fields(self, inputs: Mapping[str, float]) -> FlowFields:
-        """Return velocity, pressure and displacement of the solved state; at the last of several inflow rates."""
+    def fields(self, inputs: Mapping[str, float], condition: str = "") -> FlowFields:
+        """Return velocity, pressure and displacement of the solved state; at the last of several inflow rates.
+
+        Args:
+            inputs: as for a run.
+            condition: the name of one of the inflow rates, if not the last one is meant.
+        """
         cell = _flow_cell(self._geometry)
-        rate = self.inflow_rates[-1][1] if self.inflow_rates else float(inputs["V_in"])
+        rates = dict(self.inflow_rates) or {"": float(inputs.get("V_in", 0.0))}
+        rate = rates[condition or next(reversed(rates))]
         cell.solve(*self._material_values(inputs), rate)
         return cell.fields()
 
@@ -150,6 +158,7 @@ class Biofilm:
 
 
 _SMALLEST_BUDGET = 3
+_FROM_FILE = {"outline": "; in a study file also file with its unit in place of points, which are in mm"}
 
 _INFLOW = ModelInput("V_in", "mm^2/s", 0.0, np.inf, high_included=False, meaning="inflow volume rate per depth")
 
@@ -191,16 +200,26 @@ def _converted(name: str, value: object, kind: Any) -> Any:
         return kind.PRESETS[value]
     known = {field.name for field in dataclasses.fields(kind)}
     if not isinstance(value, Mapping) or not set(value) <= known:
-        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else value
+        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
+        close = get_close_matches(str(unknown[0]), known, n=1) if unknown else []
         raise InvalidInput(
             f"{name} of the biofilm model",
-            value=unknown,
-            expected=f"a mapping with keys among {', '.join(sorted(known))}",
-            remedy="Correct it.",
+            value=", ".join(map(str, unknown)) or value,
+            expected=f"a mapping with keys among {', '.join(sorted(known))}{_FROM_FILE.get(name, '')}",
+            remedy=f"Did you mean {close[0]}?" if close else "Correct it.",
         )
-    wanted = {field.name: field.type for field in dataclasses.fields(kind)}
-    plain = {key: float(v) if wanted[key] is float and _is_number(v) else _as_tuples(v) for key, v in value.items()}
-    return kind(**plain)
+    if kind is Partition:
+        check_partition(**value)
+    lengths = {field.name for field in dataclasses.fields(kind) if field.type is float}
+    for key in lengths & set(value):
+        if not _is_number(value[key]):
+            raise InvalidInput(
+                f"{key} of the {name}",
+                value=value[key],
+                expected="a number in mm, without a unit",
+                remedy="Correct it.",
+            )
+    return kind(**{key: float(v) if key in lengths else _as_tuples(v) for key, v in value.items()})
 
 
 def _as_tuples(value: Any) -> Any:
@@ -244,7 +263,7 @@ def _check_rate(name: object, rate: object) -> None:
         raise InvalidInput(
             f"inflow rate {name!r} of the biofilm model",
             value=rate,
-            expected="the name of a condition with its rate in mm^2/s, e.g. slow: 50",
+            expected="the name of a condition with its rate in mm^2/s, 0 or more, e.g. slow: 50",
             remedy="Correct the inflow rate.",
         )
 

@@ -22,7 +22,9 @@ COLLECTION = """<?xml version="1.0"?>
 def write_vtu(fields: FlowFields, folder: Path) -> Path:
     """Write undeformed.vtu, deformed.vtu and flow.pvd into `folder`, made if needed; return the path of the last.
 
-    Both meshes carry velocity [mm/s], pressure [Pa] and displacement [mm] at the nodes and `solid` (0 or 1) per cell.
+    Both meshes carry velocity [mm/s], pressure [Pa] and displacement [mm] at the nodes and, per cell, the `part`: 0 in
+    the fluid, 1, 2, … in the solid in the order of the partition's markers. In the fluid the displacement is that of
+    the mesh; in the solid velocity and pressure are 0. The times 0 and 1 of the PVD stand for undeformed and deformed.
 
     Args:
         fields: from `Biofilm.fields`.
@@ -51,7 +53,7 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
                     "pressure [Pa]": fields.pressure,
                     "displacement [mm]": _in_space(fields.displacement),
                 },
-                cell_data={"solid": [fields.cell_is_solid.astype(np.int8)]},
+                cell_data={"part": [fields.cell_part.astype(np.int8)]},
             )
             mesh.write(folder / f"{name}.vtu")
         (folder / "flow.pvd").write_text(COLLECTION, encoding="utf-8")

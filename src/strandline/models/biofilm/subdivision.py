@@ -1,6 +1,6 @@
 """A plane figure cut into polygons that share vertices: fluid, and one or more parts of the solid."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 
-__all__ = ["Edge", "Partition", "Subdivision"]
+__all__ = ["Edge", "Partition", "Subdivision", "check_partition"]
 
 Point = tuple[float, float]
 SNAP = 0.2
@@ -36,6 +36,34 @@ Partition.PRESETS["three_parts"] = Partition(
     markers=((0.65, 0.25), (1.00, 0.30), (0.90, 0.05)),
 )
 """The heterogeneous specimen of the study (S6): part 2 the largest, part 3 at the ground; for the study's outline."""
+
+
+def check_partition(lines: Sequence[object] = (), markers: Sequence[object] = ()) -> None:
+    """Refuse lists, as a study file has them, that are no lines and no markers of a partition.
+
+    Raises:
+        InvalidInput: with the list.
+    """
+    for what, given, shape, example in (
+        ("lines", lines, (2, 2), "pairs of points in mm, e.g. [[[0.4, 0.1], [1.5, 0.1]]]"),
+        ("markers", markers, (2,), "points in mm, e.g. [[0.6, 0.2], [0.9, 0.05]]"),
+    ):
+        if not (isinstance(given, list | tuple) and all(_is_numbers(item, shape) for item in given)):
+            raise InvalidInput(
+                f"{what} of the partition",
+                value=given,
+                expected=f"a list of {example}",
+                remedy="Correct the brackets and numbers.",
+            )
+
+
+def _is_numbers(value: object, shape: tuple[int, ...]) -> bool:
+    """Tell whether `value` is an array of finite numbers of that shape."""
+    try:
+        array = np.array(value, float)
+    except (TypeError, ValueError):
+        return False
+    return array.shape == shape and bool(np.isfinite(array).all())
 
 
 @dataclass(frozen=True)
@@ -79,8 +107,8 @@ class Subdivision:
             raise InvalidInput(
                 "markers of the partition",
                 value=f"{len(markers)} markers",
-                expected=f"{len(names)}, one in each part that the lines make",
-                remedy="Add or remove markers, or correct the lines.",
+                expected=f"{len(names)}, one in each part that the lines make of this outline",
+                remedy="Add or remove markers, or correct the lines. `three_parts` is made for the study's outline.",
             )
         found = [[name for name in names if self.contains(name, marker)] for marker in markers]
         for marker, inside in zip(markers, found, strict=True):
