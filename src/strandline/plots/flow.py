@@ -52,7 +52,7 @@ class FlowFields(Protocol):
 def plot_flow(fields: FlowFields, *, title: str = "", figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
     """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.
 
-    The undeformed interface is dashed; thin lines in the solid divide its parts.
+    The undeformed interface is grey; thin lines in the solid divide its parts.
 
     Args:
         fields: the state to draw.
@@ -119,7 +119,7 @@ def _panel(
         drawn = ax.tripcolor(mesh, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
         figure_of(ax).colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
     interface, rest = interface_edges(fields), fields.points - fields.displacement
-    ax.add_collection(LineCollection(list(rest[interface]), colors=GREY, linewidths=0.9, linestyles="dashed"))
+    ax.add_collection(LineCollection(list(rest[interface]), colors=GREY, linewidths=0.9))
     ax.add_collection(LineCollection(list(fields.points[inner_edges(fields)]), colors=BLACK, linewidths=0.6))
     ax.add_collection(LineCollection(list(fields.points[interface]), colors=BLACK, linewidths=1.2))
     ax.margins(0.0)
