@@ -1,0 +1,307 @@
+"""The tutorials are followed to the letter, and what they show is what is printed.
+
+A page is read from top to bottom. A ``yaml`` block is the ``study.yaml`` of the folder that its ``name`` says, "Change
+`A` to `B` in `study.yaml`" edits the last one, ``console`` blocks hold commands and what they print, ``python`` blocks
+are run, and a ``text`` block after one is its output. ``…`` stands for output left out.
+"""
+
+import importlib
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import pytest
+import yaml
+
+from strandline.cli.main import COMMANDS
+from strandline.studies import load_study
+from strandline.studies.template import write_template
+
+ROOT = Path(__file__).parents[2]
+TUTORIALS = ROOT / "docs" / "tutorials"
+PAGES = sorted(path.name for path in TUTORIALS.glob("*.md"))
+COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
+NUMBER = r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+STEP = re.compile(
+    r"^```(?P<language>yaml|console|python|text)\n(?P<block>.*?)^```$"
+    r"|^Change `(?P<old>[^`]+)`\s+to\s+`(?P<new>[^`]+)`\s+in\s+`study.yaml`"
+    r"|(?<=\. )Change `(?P<old2>[^`]+)`\s+to\s+`(?P<new2>[^`]+)`\s+in\s+`study.yaml`",
+    re.DOTALL | re.MULTILINE,
+)
+
+
+# What a page asks for
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do: a study to write, an edit of it, a command, or a program; and what it is said to print."""
+
+    kind: str
+    text: str
+    shown: str = ""
+
+
+def steps_of(page: str) -> Iterator[Step]:
+    """Yield what a reader is told to do, in order."""
+    program = ""
+    for match in STEP.finditer(page):
+        language, block = match["language"], match["block"]
+        if language == "console":
+            for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+                command, _, shown = part.partition("\n")
+                yield Step("command", command, shown)
+        elif language == "text":
+            yield Step("program", program, block)
+        elif language == "python":
+            program = block
+        elif language == "yaml":
+            yield Step("study", block)
+        else:
+            yield Step("edit", f"{match['old'] or match['old2']}\n{match['new'] or match['new2']}")
+
+
+def page_steps(page: str) -> list[Step]:
+    return list(steps_of((TUTORIALS / page).read_text("utf-8")))
+
+
+def write(folder: Path, step: Step) -> Path:
+    """Write the study.yaml of a ``study`` step and return its folder."""
+    study = folder / str(yaml.safe_load(step.text)["name"])
+    study.mkdir(exist_ok=True)
+    (study / "study.yaml").write_text(step.text, encoding="utf-8")
+    return study
+
+
+def edit(study: Path, step: Step) -> None:
+    old, new = step.text.split("\n")
+    text = (study / "study.yaml").read_text("utf-8")
+    assert text.count(old) == 1, old
+    (study / "study.yaml").write_text(text.replace(old, new), encoding="utf-8")
+
+
+def arguments_of(step: Step) -> list[str]:
+    name, *arguments = shlex.split(step.text)
+    assert name == "strandline", step.text
+    return arguments
+
+
+# What it shows against what is printed
+
+Tolerances = Callable[[Sequence[float]], Sequence[float]]
+
+
+def of_table(n: Sequence[float]) -> Sequence[float]:
+    """mean, sd, median, 5 %, 95 %, MAP: in standard deviations, the MAP being a single particle."""
+    sd = n[1]
+    return (0.3 * sd, 0.2 * sd, 0.3 * sd, 0.4 * sd, 0.4 * sd, sd)
+
+
+def of_check(n: Sequence[float]) -> Sequence[float]:
+    """mean, true mean, sd, true sd, shift, its error, ratio of the sd."""
+    return (0.3 * n[2], 0.3 * n[2], 0.3 * n[2], 0.3 * n[2], 0.3, 0.1, 0.2)
+
+
+def of_text(n: Sequence[float]) -> Sequence[float]:
+    """A tenth."""
+    return tuple(0.1 * abs(value) for value in n)
+
+
+def fixed(*tolerances: float) -> Tolerances:
+    return lambda _: tolerances
+
+
+ROW = rf"^ +[A-Za-z]\w*( +[A-Za-z]\S*)?( +{NUMBER}){{2}}"
+RULES: tuple[tuple[str, Tolerances], ...] = (
+    (rf"{ROW}.*±", of_check),
+    (ROW, of_table),
+    (r"^log-evidence", lambda n: (0.4, *(0.2 * value for value in n[1:]))),
+    (r"^sampler against quadrature", fixed(0.05, 4.0)),
+    (r"^Pareto k", lambda n: (0.3, 0.0, 0.0, 0.25 * n[-1])),
+    (r"effective draws", lambda n: (*(0.0 for _ in n[:-1]), 0.4 * n[-1])),
+    (r"^round \d+: off by", lambda n: (0.0, *(0.3 * value for value in n[1:]))),
+    (r"alone .* with others", fixed(0.06, 0.08)),
+    (r"log-evidence -", fixed(0.0, 0.5)),
+    (r"^log-likelihood, true minus", lambda n: (0.3 * abs(n[0]) + 0.1, 0.3 * n[1])),
+)
+"""Tolerances of the figures of a line, by what the line is like; a tenth where none fits."""
+SPECIAL = ((r" s\b", float("inf")), (r"% of its mass", 1.0))
+"""Tolerances of a figure by what follows it: seconds are nobody's promise."""
+
+
+def compare(shown: str, printed: str) -> int:
+    """Return how many figures of `shown` were compared with `printed`, in which its pieces must stand in order.
+
+    Raises:
+        AssertionError: a piece is not there, or a figure differs by more than its tolerance.
+    """
+    rest, compared = " ".join(printed.split()), 0
+    for piece in shown.split("…"):
+        words = " ".join(piece.split())
+        if not words:
+            continue
+        pattern = "".join(
+            f"({NUMBER})" if index % 2 else re.escape(text) for index, text in enumerate(re.split(f"({NUMBER})", words))
+        )
+        match = re.search(pattern, rest)
+        assert match, f"not printed: {words}\nin: {rest}"
+        for (figure, tolerance, line), found in zip(figures(piece), match.groups(), strict=True):
+            assert abs(float(found) - figure) <= tolerance, (
+                f"{found} was printed, {figure:g} ± {tolerance:g} in: {line}"
+            )
+            compared += 1
+        rest = rest[match.end() :]
+    return compared
+
+
+def figures(piece: str) -> Iterator[tuple[float, float, str]]:
+    """Yield each figure with its tolerance and its line."""
+    for line in piece.splitlines():
+        found = list(re.finditer(NUMBER, line))
+        values = [float(match[0]) for match in found]
+        rule = next((rule for pattern, rule in RULES if re.search(pattern, line)), of_text)
+        tolerances = rule(values) if values else ()
+        for match, value, tolerance in zip(found, values, tolerances, strict=False):
+            special = [t for pattern, t in SPECIAL if re.match(pattern, line[match.end() :])]
+            last_place = 0.5 * 10.0 ** -len(match[0].partition(".")[2])
+            yield value, max([tolerance, last_place, *special]), line
+
+
+# Without a forward run
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_studies_and_commands_of_a_page_are_valid(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    steps, study = page_steps(page), Path()
+    assert {step.kind for step in steps} >= {"command"}
+    for step in steps:
+        if step.kind == "study":
+            study = write(Path(), step)
+            load_study(study)
+        elif step.kind == "edit":
+            edit(study, step)
+            load_study(study)
+        elif step.kind == "command":
+            arguments = parsed(step)
+            if step.text.startswith("strandline init"):
+                study = write_template(arguments).parent
+            assert (arguments / "study.yaml").is_file(), f"{step.text}: no such study yet"
+        else:
+            compile(step.text, page, "exec")
+
+
+def parsed(step: Step) -> Path:
+    """Return the folder that a command is for, its options checked by the real command line.
+
+    Raises:
+        click.UsageError: an unknown option or a missing argument.
+    """
+    name, *arguments = arguments_of(step)
+    assert name in COMMANDS, step.text
+    command = importlib.import_module(f"strandline.cli.{name}").command
+    while isinstance(command, click.Group):
+        name, *arguments = arguments
+        command = command.commands[name]
+    parameters = command.make_context(name, arguments).params
+    return Path(parameters.get("study") or parameters["folder"])
+
+
+def test_an_option_that_does_not_exist_is_noticed() -> None:
+    assert parsed(Step("command", "strandline posterior check x --draws 20")) == Path("x")
+    with pytest.raises(click.UsageError):
+        parsed(Step("command", "strandline posterior check x --drawn 20"))
+
+
+SHOWN = """\
+…
+     input    unit       mean        sd     median        5 %       95 %        MAP
+         E      Pa      397.9     21.97      396.8 …
+        nu             0.2939   0.08735     0.2832      0.172     0.4242     0.2155
+log-evidence -7.289; effective samples 1248
+warning: The surrogate's leave-one-out error near the mode is 4.3 in log-likelihood (over 10
+runs; …
+E1 alone 0.25, run for 3.0 s
+"""
+PRINTED = """\
+a line before
+     input    unit       mean        sd     median        5 %       95 %        MAP
+         E      Pa      399.9     22.97      398.8      365.7      430.2        378
+        nu             0.2949   0.08835     0.2732      0.162     0.4342     0.2755
+log-evidence -7.389; effective samples 1208
+warning: The surrogate's leave-one-out error near the mode is 4.4 in log-likelihood (over 10 runs; above 0.5 the rest.
+E1 alone 0.26, run for 7.9 s
+"""
+
+
+def test_what_differs_by_the_noise_of_machines_is_the_same() -> None:
+    assert compare(SHOWN, PRINTED) == 2 + 3 + 6 + 2 + 2 + 2
+
+
+@pytest.mark.parametrize(
+    ("found", "planted"),
+    [
+        ("399.9", "406.9"),  # a mean, by 0.4 sd
+        ("22.97", "28.97"),
+        ("0.162", "0.262"),
+        ("0.2755", "0.3755"),
+        ("-7.389", "7.389"),
+        ("1208", "908"),
+        ("4.4 in", "5.4 in"),
+        ("over 10", "over 12"),
+        ("0.26", "0.29"),
+        ("E1", "E2"),
+        ("leave-one-out", "leave-two-out"),
+    ],
+)
+def test_a_wrong_figure_or_word_is_noticed(found: str, planted: str) -> None:
+    with pytest.raises(AssertionError):
+        compare(SHOWN, PRINTED.replace(found, planted))
+
+
+# With them
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_is_followed_and_shows_what_is_printed(page: str, tmp_path: Path) -> None:
+    text, compared, study = (TUTORIALS / page).read_text("utf-8"), 0, tmp_path
+    for step in page_steps(page):
+        if step.kind == "study":
+            study = write(tmp_path, step)
+        elif step.kind == "edit":
+            edit(study, step)
+        elif step.kind == "command":
+            arguments = arguments_of(step)
+            compared += compare(
+                step.shown, printed([*COMMAND, *arguments], tmp_path, fails="failed after" in step.shown)
+            )
+            study = tmp_path / arguments[1] if arguments[0] == "init" else study
+        else:
+            compared += compare(step.shown, printed([sys.executable, "-c", step.text], tmp_path))
+    assert compared >= 20
+    for name in re.findall(r"`([\w-]+/[\w/-]+\.(?:png|html|json|nc))`", text):
+        assert (tmp_path / name).is_file(), name
+
+
+def printed(command: Sequence[str], folder: Path, *, fails: bool = False) -> str:
+    """Return what `command` writes, and see that it ends as the page says."""
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=1200,
+    )
+    assert done.returncode == int(fails), done.stdout
+    return done.stdout
