@@ -89,6 +89,10 @@ CASES: dict[str, tuple[Callable[[Calibration], Calibration], str]] = {
     "deviations": (lambda c: with_quadrature(c, sd=c.posterior.sd * 1.07), "standard deviations by up to 6.5%"),
     "lower": (lambda c: moved(c, 0, 0.05, 0.01), "posterior of E reaches the lower end of its box, 300 Pa: "),
     "upper": (lambda c: moved(c, 1, 0.05, 0.99), "posterior of tilt reaches the upper end of its box, 0.04: "),
+    "three ends": (
+        lambda c: moved(moved(moved(c, 0, 0.05, 0.01), 1, 0.1, 0.01), 1, 0.04, 0.99),
+        "posterior reaches 3 ends of its box, with the mass within 2% of each: E from 300 Pa (",
+    ),
     "laplace": (indefinite, "no Laplace approximation"),
 }
 

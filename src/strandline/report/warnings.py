@@ -14,6 +14,8 @@ __all__ = ["find_warnings"]
 BOUND_SHARE = 0.02
 """A bound counts as touched where the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
 BOUND_MASS = 0.01
+MANY_BOUNDS = 3
+"""Ends of the box that are told in one sentence."""
 LOO_LIMIT = 0.5
 """Leave-one-out error near the mode, in units of log-likelihood, above which the posterior's shape is in doubt."""
 ABOVE_ZERO = 1.0
@@ -140,20 +142,34 @@ def _bounds(calibration: Calibration) -> Iterator[str]:
 
 
 def _bounds_of(posterior: Posterior, called: str, names: Sequence[str] | None = None) -> Iterator[str]:
+    touched = [end for end in _touched(posterior) if names is None or end[0].name in names]
+    if len(touched) >= MANY_BOUNDS:
+        ends = ", ".join(
+            f"{parameter.name} {'from' if side == 'lower' else 'up to'} {bound:g}{_of(parameter)} ({mass:.1%})"
+            for parameter, side, bound, mass in touched
+        )
+        yield (
+            f"The {called} reaches {len(touched)} ends of its box, with the mass within 2% of each: {ends}. "
+            "What lies beyond was excluded by the prior, not by the data."
+        )
+        return
+    for parameter, side, bound, mass in touched:
+        yield (
+            f"The {called} of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
+            f"{mass:.1%} of its mass lies within 2% of it. "
+            "What lies beyond was excluded by the prior, not by the data."
+        )
+
+
+def _touched(posterior: Posterior) -> Iterator[tuple[Parameter, str, float, float]]:
+    """Yield the ends of the box that the posterior reaches: input, lower or upper, where it is, mass next to it."""
     unit = posterior.space.to_unit(posterior.draws)
     for i, parameter in enumerate(posterior.space):
-        if names is not None and parameter.name not in names:
-            continue
         sides = {"lower": unit[:, i] < BOUND_SHARE, "upper": unit[:, i] > 1.0 - BOUND_SHARE}
-        for side, touching in sides.items():
+        for (side, touching), bound in zip(sides.items(), parameter.interval, strict=True):
             mass = float(posterior.weights @ touching)
             if mass > BOUND_MASS:
-                bound = parameter.interval[0 if side == "lower" else 1]
-                yield (
-                    f"The {called} of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
-                    f"{mass:.1%} of its mass lies within 2% of it. "
-                    "What lies beyond was excluded by the prior, not by the data."
-                )
+                yield parameter, side, bound, mass
 
 
 def _of(parameter: Parameter) -> str:
