@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
+from strandline.smc.devices import spread
 from strandline.smc.moves import (
     NARROWEST,
     BatchedLogDensity,
@@ -155,7 +156,7 @@ def _start(
 ) -> Particles:
     """Return the state at γ = 0 after checking all that can be checked."""
     require_double()
-    positions = jnp.asarray(initial, float)
+    positions = spread(jnp.asarray(initial, float))
     return checked_start(positions, jax.jit(log_likelihood)(positions), jax.jit(log_prior)(positions))
 
 

@@ -1,0 +1,22 @@
+"""Particles spread over the devices of JAX: the cores of a CPU, where JAX is told to see several, or accelerators."""
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float
+
+__all__ = ["spread"]
+
+
+def spread(positions: Float[Array, "particle dim"]) -> Float[Array, "particle dim"]:
+    """Return the same particles in equal parts on as many devices as divide them; jitted functions follow them there.
+
+    A CPU is one device unless `jax_num_cpu_devices` says otherwise before JAX is first used; the command line does.
+    """
+    devices = jax.devices()
+    count = max(n for n in range(1, len(devices) + 1) if len(positions) % n == 0)
+    if count == 1:
+        return positions
+    spreading = NamedSharding(Mesh(np.array(devices[:count]), ("particle",)), PartitionSpec("particle"))
+    spread_out: Array = jax.device_put(positions, spreading)
+    return spread_out
