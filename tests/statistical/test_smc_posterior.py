@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from strandline.smc import SMCSettings, sample, sampler
+from strandline.smc import STUDY, SMCSettings, sample, sampler
 from strandline.testing import densities
 
 TARGET = densities.banana(centre=0.5, sd=1.0, bend=0.4, width=0.3)
@@ -122,7 +122,7 @@ def test_weights_reset_without_resampling_fail(monkeypatch):
 def test_the_studys_settings_are_right_over_many_replicates():
     rng = np.random.default_rng(12)
     found = [
-        sample(jax.random.key(s), TARGET.log_likelihood, TARGET.log_prior, TARGET.draw_prior(rng, 5000))
+        sample(jax.random.key(s), TARGET.log_likelihood, TARGET.log_prior, TARGET.draw_prior(rng, 5000), settings=STUDY)
         for s in range(40)
     ]
     assert not any(step.resampled for r in found for step in r.steps)

@@ -12,6 +12,8 @@ from strandline.errors import InvalidInput, StrandlineError
 
 __all__ = ["main"]
 
+MOST_DEVICES = 8
+"""Cores that the sampler's particles are spread over at most."""
 COMMANDS = {
     "init": "Write a commented study folder that runs.",
     "check": "Validate a study and make one forward run.",
@@ -66,6 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
     os.environ.setdefault("JAX_ENABLE_X64", "1")
     os.environ.setdefault("MPLBACKEND", "Agg")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    os.environ.setdefault("JAX_NUM_CPU_DEVICES", str(min(os.cpu_count() or 1, MOST_DEVICES)))
     try:
         _call(arguments)
     except InvalidInput as error:

@@ -2,12 +2,13 @@
 
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each
 from strandline.smc.moves import BatchedLogDensity, Moved, metropolis
-from strandline.smc.records import SMCResult, SMCSettings, StepInfo
+from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo
 from strandline.smc.resampling import systematic
 from strandline.smc.sampler import Particles, sample
 from strandline.smc.tempering import effective_sample_size, next_temperature
 
 __all__ = [
+    "STUDY",
     "BatchedLogDensity",
     "ConditionalLogDensity",
     "Moved",

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 
-__all__ = ["SMCResult", "SMCSettings", "StepInfo", "require"]
+__all__ = ["STUDY", "SMCResult", "SMCSettings", "StepInfo", "require"]
 
 
 def require(right: bool, what: str, value: object, expected: str) -> None:
@@ -18,17 +18,22 @@ def require(right: bool, what: str, value: object, expected: str) -> None:
 
 @dataclass(frozen=True)
 class SMCSettings:
-    """Settings of the sampler; the defaults are the study's in two and three dimensions.
+    """Settings of the sampler.
+
+    The defaults are economical: moments as good as with the study's settings (`STUDY`) for a twentieth to a
+    thirtieth of its evaluations. What ζ near 1 buys is the evidence: over seeds its logarithm varies by 0.004 to 0.02 there, by 0.04
+    to 0.06 with the defaults and 5000 particles.
 
     Args:
         rejuvenation_steps: Metropolis-Hastings moves per particle and tempering step.
         zeta: share of the effective sample size that one tempering step keeps, in (0, 1).
-        resample_below: resample where the effective sample size falls below this share of the particles; 0: never.
+        resample_below: resample where the effective sample size falls to this share of the particles; 0: never. With
+            the defaults that is every step but the last.
         maximum_steps: tempering steps after which the sampler gives up.
     """
 
-    rejuvenation_steps: int = 20
-    zeta: float = 0.995
+    rejuvenation_steps: int = 15
+    zeta: float = 0.5
     resample_below: float = 0.5
     maximum_steps: int = 10_000
 
@@ -37,6 +42,10 @@ class SMCSettings:
         require(self.rejuvenation_steps >= 1, "rejuvenation_steps", self.rejuvenation_steps, "at least 1")
         require(0 <= self.resample_below <= 1, "resample_below", self.resample_below, "a number in [0, 1]")
         require(self.maximum_steps >= 1, "maximum_steps", self.maximum_steps, "at least 1")
+
+
+STUDY = SMCSettings(rejuvenation_steps=20, zeta=0.995)
+"""Those of Willmann et al. (2022) in two and three dimensions; in seven they are 30 and 0.998."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,9 @@ __all__ = [
     "sample",
 ]
 
-_STUDY = SMCSettings()
+_DEFAULT = SMCSettings()
+_SLACK = 1e-3
+"""Relative: an effective sample size that was asked for is met from above, and counts as met."""
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -73,7 +75,7 @@ def sample(
     log_prior: BatchedLogDensity,
     initial: Float[Array | np.ndarray, "particle dim"],
     *,
-    settings: SMCSettings = _STUDY,
+    settings: SMCSettings = _DEFAULT,
     on_step: Callable[[StepInfo], None] | None = None,
 ) -> SMCResult:
     """Draw weighted particles of the posterior ∝ L p; the same key gives the same bits.
@@ -127,7 +129,7 @@ def advance(
     increment = jax.nn.logsumexp(log_weights)
     log_weights = log_weights - increment
     ess = effective_sample_size(log_weights)
-    resample = ess < resample_below * number
+    resample = ess <= resample_below * number * (1 + _SLACK)
     chosen = jnp.where(resample, systematic(for_resampling, log_weights), jnp.arange(number))
     log_weights = jnp.where(resample, -jnp.log(number), log_weights)
     positions = state.positions[chosen]

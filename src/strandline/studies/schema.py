@@ -173,8 +173,8 @@ class SMC(_Strict):
     """Adaptive tempered Sequential Monte Carlo."""
 
     particles: Annotated[int, BeforeValidator(_number), Field(ge=10)] = 5000
-    rejuvenation_steps: Count = 20
-    zeta: Annotated[Number, Field(gt=0, lt=1)] = 0.995
+    rejuvenation_steps: Count = 15
+    zeta: Annotated[Number, Field(gt=0, lt=1)] = 0.5
 
 
 class CutReading(_Strict):

@@ -37,7 +37,7 @@ noise: {{variance: 0.0005}}
 
 design: {{sobol: {{runs: 100}}}}
 surrogate: {{log_likelihood: {{kernel: matern32}}}}
-sampler: {{smc: {{particles: 2000, rejuvenation_steps: 10, zeta: 0.95}}}}
+sampler: {{smc: {{particles: 2000, rejuvenation_steps: 15, zeta: 0.5}}}}
 executor: {{local: {{timeout: 300}}}}   # seconds; one worker process per core
 seed: 1
 """
