@@ -1,5 +1,7 @@
 """Particles spread over the devices of JAX: the cores of a CPU, where JAX is told to see several, or accelerators."""
 
+from typing import Any
+
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
@@ -17,6 +19,7 @@ def spread(positions: Float[Array, "particle dim"]) -> Float[Array, "particle di
     count = max(n for n in range(1, len(devices) + 1) if len(positions) % n == 0)
     if count == 1:
         return positions
-    spreading = NamedSharding(Mesh(np.array(devices[:count]), ("particle",)), PartitionSpec("particle"))
+    parts: Any = PartitionSpec("particle")  # type: ignore[no-untyped-call]
+    spreading = NamedSharding(Mesh(np.array(devices[:count]), ("particle",)), parts)
     spread_out: Array = jax.device_put(positions, spreading)
     return spread_out

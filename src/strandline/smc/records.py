@@ -20,9 +20,9 @@ def require(right: bool, what: str, value: object, expected: str) -> None:
 class SMCSettings:
     """Settings of the sampler.
 
-    The defaults are economical: moments as good as with the study's settings (`STUDY`) for a twentieth to a
-    thirtieth of its evaluations. What ζ near 1 buys is the evidence: over seeds its logarithm varies by 0.004 to 0.02 there, by 0.04
-    to 0.06 with the defaults and 5000 particles.
+    The defaults are economical: moments as good as with the study's settings (`STUDY`) for a twentieth to a thirtieth
+    of its evaluations. What ζ near 1 buys is the evidence: over seeds its logarithm varies by 0.004 to 0.02 there, by
+    0.04 to 0.06 with the defaults and 5000 particles.
 
     Args:
         rejuvenation_steps: Metropolis-Hastings moves per particle and tempering step.
