@@ -83,6 +83,12 @@ def test_pairs_of_seven_inputs_have_numbers_at_the_rim_only() -> None:
         assert shown == (i == 3, j == 0 and i > 0)
 
 
+def test_pairs_explain_the_ground_truth() -> None:
+    for truth, there in (({"E1": 5.0, "E2": 5.0}, True), (None, False)):
+        figure = plot_pairs(SEVEN, NAMES[:2], truth=truth)
+        assert ("ground truth" in [t.get_text() for t in figure.legends[0].get_texts()]) == there
+
+
 def test_selected_pairs_are_those_that_are_named() -> None:
     pairs = [("E2", "E1"), ("E2", "nu2"), ("E2", "V_in"), ("nu1", "nu2")]
     figure = rendered(plot_selected_pairs(SEVEN, pairs, truth={"E2": 5.0, "nu2": 1.0}))

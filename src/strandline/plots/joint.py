@@ -149,7 +149,9 @@ def plot_pairs(
             panels[i, j].set_xlabel(panels[i, j].get_xlabel() if i == count - 1 else "")
             panels[i, j].set_ylabel(panels[i, j].get_ylabel() if j == 0 and i > 0 else "")
             panels[i, j].tick_params(labelbottom=i == count - 1, labelleft=j == 0 and i > 0)
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        shown = (panels[0, 0], panels[1, 0]) if count > 1 else (panels[0, 0],)
+        entries = {label: h for ax in shown for h, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+        figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=4)
     return figure
 
 
