@@ -65,10 +65,8 @@ def _group() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; exit code 0 done, 1 numerics failed, 2 bad input, 130 interrupted."""
-    os.environ.setdefault("JAX_ENABLE_X64", "1")
-    os.environ.setdefault("MPLBACKEND", "Agg")
-    os.environ.setdefault("JAX_PLATFORMS", "cpu")
-    os.environ.setdefault("JAX_NUM_CPU_DEVICES", str(min(os.cpu_count() or 1, MOST_DEVICES)))
+    for name, value in _environment().items():
+        os.environ.setdefault(name, value)
     try:
         _call(arguments)
     except InvalidInput as error:
@@ -80,6 +78,23 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(0) from None
     except (KeyboardInterrupt, _Interrupted):
         _end("interrupted; what is finished is kept, and the same command goes on from there", 130)
+
+
+def _environment() -> dict[str, str]:
+    """Return what the libraries are told where the user has not; JAX reads it when it is first imported.
+
+    Compiled programs are kept, so that the second analysis of a study does not compile again.
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return {
+        "JAX_ENABLE_X64": "1",
+        "JAX_PLATFORMS": "cpu",
+        "JAX_NUM_CPU_DEVICES": str(min(os.cpu_count() or 1, MOST_DEVICES)),
+        "JAX_COMPILATION_CACHE_DIR": os.path.join(home, "strandline", "jax"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.02",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        "MPLBACKEND": "Agg",
+    }
 
 
 def _call(arguments: list[str] | None) -> Any:
