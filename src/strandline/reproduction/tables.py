@@ -126,7 +126,8 @@ def checks(evidence: Evidence, names: Sequence[str]) -> Table:
          "largest shift, sd"),
         tuple(rows),
         "k̂ is the shape of the Pareto distribution fitted to the largest importance weights: below 0.5 the reweighted "
-        "moments can be trusted, above 0.7 nothing can.",
+        "moments can be trusted, above 0.7 nothing can. Where nearly all draws are effective the surrogate's posterior "
+        "is the true one, and the tail that k̂ describes does not matter.",
     )  # fmt: skip
 
 
