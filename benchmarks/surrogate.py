@@ -169,16 +169,11 @@ def training(runs: int) -> tuple[np.ndarray, np.ndarray]:
 
 def accuracies() -> Iterator[Accuracy]:
     """Print and yield the errors of all kernels on functions that are smooth, kinked, or jump a little."""
-    kinked = "7 inputs, 250 runs, kinks of 0.5"
     functions: dict[str, tuple[Function, int, int]] = {
         "7 inputs, 250 runs, smooth": (seven, 7, 250),
-        kinked: (lambda u: seven(u) + 0.5 * np.abs(np.sin(25 * u[:, 0] + 10 * u[:, 1])), 7, 250),
+        "7 inputs, 250 runs, kinks of 0.5": (lambda u: seven(u) + 0.5 * np.abs(wave(u, 25, 10)), 7, 250),
         "2 inputs, 200 runs, smooth": (two, 2, 200),
-        "2 inputs, 200 runs, jumps of 0.1": (
-            lambda u: two(u) + 0.05 * np.sign(np.sin(125 * u[:, 0] + 100 * u[:, 1])),
-            2,
-            200,
-        ),
+        "2 inputs, 200 runs, jumps of 0.1": (lambda u: two(u) + 0.05 * np.sign(wave(u, 125, 100)), 2, 200),
     }
     print(f"\n{'function':<36} {'kernel':<26} {'rms error':>10} {'standardised':>13}")
     for title, (function, dim, runs) in functions.items():
@@ -203,6 +198,10 @@ def seven(u: np.ndarray) -> np.ndarray:
 
 def two(u: np.ndarray) -> np.ndarray:
     return -30 * (u[:, 0] * (1 + u[:, 1] ** 2) - 0.6) ** 2
+
+
+def wave(u: np.ndarray, a: float, b: float) -> np.ndarray:
+    return np.sin(a * u[:, 0] + b * u[:, 1])
 
 
 def rms(values: np.ndarray) -> float:

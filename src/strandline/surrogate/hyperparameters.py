@@ -1,8 +1,10 @@
 """Hyperparameters by maximum evidence, in coordinates that suit its flat ridge.
 
 On a log-likelihood the evidence rises along σ0²/l³ = const, so the coordinates are (log σ0²/l³, log l) and l is
-bounded; the nugget is given. A product kernel has a log l for each input, and l³ is that of their geometric mean: the
-ridge, on which all lengths grow together, is straight again.
+bounded; the nugget is given. With a length for each input there is a log l for each, and l³ is that of their geometric
+mean: the ridge, on which all lengths grow together, is straight again. (All this of Matérn 3/2; the ridge of a smoother
+kernel runs at another angle to these coordinates.) A function can have several maxima and flat slopes between them:
+hence two starts, and every stop is judged, the optimiser's own success too.
 """
 
 import math
@@ -66,7 +68,7 @@ class FittedHyperparameters:
     """The best accepted attempt, and all attempts.
 
     Args:
-        length_scale: l, in standard deviations of the inputs; one for each with a product kernel.
+        length_scale: l, in standard deviations of the inputs; one for each input with a kernel that has them.
         signal_variance: σ0².
         nugget: σ_n², as given.
         log_evidence: log p(y | l, σ0², σ_n²).
