@@ -2,11 +2,11 @@
 
 The floor is what LAPACK takes for the Cholesky factor and the inverse of the same covariance, once that is there. All
 get the same hyperparameters and give the same evidence, or the benchmark stops. OMP_NUM_THREADS limits LAPACK and the
-passes over the matrix alike; XLA has threads of its own. After that, the errors of all kernels on made-up functions.
+passes over the matrix alike; XLA has threads of its own.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict
 from functools import reduce
 from operator import mul
 from typing import Any
@@ -20,23 +20,10 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from strandline.design import sobol
-from strandline.surrogate import KERNELS, evidence, fit_log_likelihood
+from strandline.surrogate import KERNELS, evidence
 
 LENGTHS, VARIANCE, NUGGET = np.array([1.3, 2.5, 3.1, 4.0, 6.0, 8.0, 10.0]), 500.0, 5e-3
 USUAL, LARGE, REPEATS = 2000, 5000, 5
-
-
-Function = Callable[[np.ndarray], np.ndarray]
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """Root mean square error of a fit at other points, and that of the error over the predicted standard deviation."""
-
-    what: str
-    kernel: str
-    error: float
-    standardised: float
 
 
 def main() -> list[dict[str, Any]]:
@@ -61,7 +48,7 @@ def main() -> list[dict[str, Any]]:
             f" {result.ratio:>7.2f}",
             flush=True,
         )
-    return found + [asdict(one) for one in accuracies()]
+    return found
 
 
 def floor(name: str, runs: int) -> Comparison:
@@ -163,49 +150,9 @@ def gaussian(y: np.ndarray, alpha: np.ndarray, diagonal: np.ndarray) -> float:
 def training(runs: int) -> tuple[np.ndarray, np.ndarray]:
     """Return standardised inputs and a centred function that looks like a log-likelihood."""
     u = sobol(runs, 7)
-    y = seven(u)
-    return (u - u.mean(0)) / u.std(0), y - y.mean()
-
-
-def accuracies() -> Iterator[Accuracy]:
-    """Print and yield the errors of all kernels on functions that are smooth, kinked, or jump a little."""
-    functions: dict[str, tuple[Function, int, int]] = {
-        "7 inputs, 250 runs, smooth": (seven, 7, 250),
-        "7 inputs, 250 runs, kinks of 0.5": (lambda u: seven(u) + 0.5 * np.abs(wave(u, 25, 10)), 7, 250),
-        "2 inputs, 200 runs, smooth": (two, 2, 200),
-        "2 inputs, 200 runs, jumps of 0.1": (lambda u: two(u) + 0.05 * np.sign(wave(u, 125, 100)), 2, 200),
-    }
-    print(f"\n{'function':<36} {'kernel':<26} {'rms error':>10} {'standardised':>13}")
-    for title, (function, dim, runs) in functions.items():
-        for name in KERNELS:
-            found = accuracy(title, name, function, dim, runs)
-            print(f"{title:<36} {name:<26} {found.error:>10.2g} {found.standardised:>13.1f}", flush=True)
-            yield found
-
-
-def accuracy(title: str, name: str, function: Function, dim: int, runs: int) -> Accuracy:
-    u, new = sobol(runs, dim), sobol(400, dim, scramble=1)
-    process = fit_log_likelihood(u, function(u), kernel=name).process
-    error = process.mean(new) - function(new)
-    standardised = error / np.sqrt(process.variance(new))
-    return Accuracy(title, name, rms(error), rms(standardised))
-
-
-def seven(u: np.ndarray) -> np.ndarray:
     y = -40 * (u[:, 0] - 0.3 - 0.3 * u[:, 1] ** 2) ** 2 - 10 * (u[:, 2] * u[:, 3] - 0.2) ** 2
-    return y - 0.5 * u[:, 4] - 0.1 * u[:, 5] - np.sin(3 * u[:, 6])
-
-
-def two(u: np.ndarray) -> np.ndarray:
-    return -30 * (u[:, 0] * (1 + u[:, 1] ** 2) - 0.6) ** 2
-
-
-def wave(u: np.ndarray, a: float, b: float) -> np.ndarray:
-    return np.sin(a * u[:, 0] + b * u[:, 1])
-
-
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    y = y - 0.5 * u[:, 4] - 0.1 * u[:, 5] - np.sin(3 * u[:, 6])
+    return (u - u.mean(0)) / u.std(0), y - y.mean()
 
 
 def what(name: str, runs: int) -> str:

@@ -130,6 +130,31 @@ def test_an_abnormal_stop_elsewhere_is_an_error(monkeypatch):
         fit_hyperparameters(x, y, kernel=MATERN, nugget=1e-3)
 
 
+def test_a_stop_where_the_covariance_breaks_down_is_refused_whatever_the_optimiser_says(monkeypatch):
+    x, y = drawn(80, length=0.7, variance=2.0, nugget=1e-6, seed=3)
+    smooth, search = KERNELS["squared_exponential"], hyperparameters.minimize
+
+    def one_in_the_wall(fun, z0, **options):
+        if z0[1] < math.log(1.0):
+            return search(fun, z0, **options)
+        value, slope = fun(np.array([30.0, math.log(10.0)]))
+        return OptimizeResult(x=z0, fun=value, jac=slope, success=True, nfev=1, message="CONVERGENCE: ")
+
+    monkeypatch.setattr(hyperparameters, "minimize", one_in_the_wall)
+    fit = fit_hyperparameters(x, y, kernel=smooth, nugget=1e-6)
+    assert [a.accepted for a in fit.attempts] == [True, False]
+    assert "never positive definite" in fit.attempts[1].verdict
+    with pytest.raises(NumericsError, match="never positive definite"):
+        fit_hyperparameters(x, y, kernel=smooth, nugget=1e-6, starting_lengths=(3.0,))
+
+
+def test_the_starting_variance_leaves_a_covariance_that_can_be_factorised():
+    x, y = ridge(400)
+    objective = hyperparameters._Objective(x, y, KERNELS["squared_exponential_ard"], 1e-6 * float(np.ptp(y)))
+    found = objective.evidence(objective.starting_ratio(3.0), [math.log(3.0)] * 2)
+    assert np.isfinite(found.value)
+
+
 def unlike(number):
     """Return standardised inputs and a function of them in which the inputs matter unlike, as in a log-likelihood."""
     u = sobol(number, 7)

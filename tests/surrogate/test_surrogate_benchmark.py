@@ -1,7 +1,5 @@
 """The benchmark of the fit on few runs: every peer must give our evidence, or it stops."""
 
-import math
-
 import pytest
 from benchmarks import surrogate
 
@@ -21,9 +19,3 @@ def test_scikit_learn_has_the_same_evidence(name):
 @pytest.mark.parametrize("name", ["matern32_product", "matern52_product"])
 def test_the_automatic_derivative_has_the_same_evidence(name):
     assert surrogate.automatic(name, 60).ratio > 0
-
-
-def test_accuracy_of_a_smooth_function():
-    found = surrogate.accuracy("", "matern52", surrogate.two, 2, 60)
-    assert found.error < 1.0
-    assert math.isfinite(found.standardised)

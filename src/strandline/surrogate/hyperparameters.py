@@ -121,18 +121,19 @@ class _Objective:
         """Return log σ0²/l³ to start from at one length for all inputs: there σ0² is the variance of the targets.
 
         With several lengths that is far too small at long ones, and the optimiser's first step then leads to where all
-        lengths vanish, a local maximum. So σ0² is made to fit the targets, αᵀ σ0²C α = n, as far as the nugget allows.
+        lengths vanish, a local maximum. So σ0² is made to fit the targets, αᵀ σ0²C α = n, as far as the nugget and a
+        covariance that can be factorised allow.
         """
-        ratio = math.log(float(np.var(self.y))) - 3 * math.log(length)
-        for _ in range(_VARIANCE_STEPS if self.lengths > 1 else 0):
+        ratio = sound = math.log(float(np.var(self.y))) - 3 * math.log(length)
+        for _ in range(_VARIANCE_STEPS + 1 if self.lengths > 1 else 0):
             try:
                 self._covariance(ratio, [math.log(length)] * self.lengths)
             except NumericsError:
                 break
-            alpha = solve(self.K, self.y)
+            sound, alpha = ratio, solve(self.K, self.y)
             share = (self.y @ alpha - self.nugget * alpha @ alpha) / len(alpha)
             ratio += math.log(max(share, _SMALLEST_SHARE))
-        return ratio
+        return sound
 
     def _covariance(self, log_ratio: float, log_lengths: Sequence[float]) -> tuple[Float[np.ndarray, " length"], float]:
         """Factorise the covariance into `K`; return the inverse lengths and σ0²."""
@@ -284,7 +285,7 @@ def _judge(objective: _Objective, found: OptimizeResult, box: list[tuple[float, 
     iterations) is accepted only if small steps along all coordinates and along the gradient, inside the box, gain less
     than `_FLAT`.
     """
-    if found.fun >= 1e29:
+    if found.fun > objective.worst or math.isinf(objective.worst):  # the wall, that of another start included
         return "the covariance was never positive definite", False
     low, high = np.array(box).T
     slope = np.clip(found.x - np.asarray(found.jac), low, high) - found.x
