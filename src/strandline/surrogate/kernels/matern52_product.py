@@ -7,9 +7,11 @@ from strandline.surrogate.kernels.protocol import Array
 
 __all__ = ["MATERN52_PRODUCT"]
 
+_THIRD = 1.0 / 3.0  # NumPy divides several times slower than it multiplies
+
 
 def _polynomial(t: Array) -> Array:
-    return 1.0 + t * (1.0 + t / 3.0)
+    return 1.0 + t * (1.0 + _THIRD * t)
 
 
 def _decline(t: Array) -> Array:

@@ -134,9 +134,7 @@ class _Columns:
         return self.columns * (self.kernel.rate * inverse_lengths)[:, None]
 
     def _correlation(self, t: Float[np.ndarray, "dim column row"]) -> Float[np.ndarray, "column row"]:
-        product = self.kernel.polynomial(t[0])
-        for distance in t[1:]:
-            product *= self.kernel.polynomial(distance)
+        product = np.multiply.reduce(self.kernel.polynomial(t), axis=0)
         decay = t.sum(axis=0)
         np.negative(decay, out=decay)
         product *= np.exp(decay, out=decay)
