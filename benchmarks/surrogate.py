@@ -20,7 +20,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from strandline.design import sobol
-from strandline.surrogate import KERNELS, evidence
+from strandline.surrogate import KERNELS
+from strandline.surrogate.hyperparameters import Objective
 
 LENGTHS, VARIANCE, NUGGET = np.array([1.3, 2.5, 3.1, 4.0, 6.0, 8.0, 10.0]), 500.0, 5e-3
 USUAL, LARGE, REPEATS = 2000, 5000, 5
@@ -133,13 +134,10 @@ class Column(Matern):
 
 
 def ours(name: str, x: np.ndarray, y: np.ndarray) -> Callable[[], float]:
-    length_scale = LENGTHS if KERNELS[name].per_input else float(LENGTHS[0])
-
-    def task() -> float:
-        options = {"length_scale": length_scale, "signal_variance": VARIANCE, "nugget": NUGGET}
-        return evidence(x, y, kernel=KERNELS[name], **options).value
-
-    return task
+    """Return an evaluation as a fit makes it, dozens of times on arrays that it keeps."""
+    log_lengths = np.log(LENGTHS if KERNELS[name].per_input else LENGTHS[:1])
+    objective, log_ratio = Objective(x, y, KERNELS[name], NUGGET), np.log(VARIANCE) - 3 * log_lengths.mean()
+    return lambda: objective.evidence(float(log_ratio), log_lengths.tolist()).value
 
 
 def gaussian(y: np.ndarray, alpha: np.ndarray, diagonal: np.ndarray) -> float:

@@ -150,7 +150,7 @@ def test_a_stop_where_the_covariance_breaks_down_is_refused_whatever_the_optimis
 
 def test_the_starting_variance_leaves_a_covariance_that_can_be_factorised():
     x, y = ridge(400)
-    objective = hyperparameters._Objective(x, y, KERNELS["squared_exponential_ard"], 1e-6 * float(np.ptp(y)))
+    objective = hyperparameters.Objective(x, y, KERNELS["squared_exponential_ard"], 1e-6 * float(np.ptp(y)))
     found = objective.evidence(objective.starting_ratio(3.0), [math.log(3.0)] * 2)
     assert np.isfinite(found.value)
 

@@ -19,7 +19,15 @@ from strandline.errors import InvalidInput, NumericsError, TooFewRuns
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 from strandline.surrogate.linear_algebra import factorise, invert, solve
 
-__all__ = ["Attempt", "Evidence", "FittedHyperparameters", "evidence", "fit_hyperparameters", "require_runs"]
+__all__ = [
+    "Attempt",
+    "Evidence",
+    "FittedHyperparameters",
+    "Objective",
+    "evidence",
+    "fit_hyperparameters",
+    "require_runs",
+]
 
 SHORTEST_LENGTH = 0.01
 STARTING_LENGTHS = (0.5, 3.0)
@@ -88,7 +96,7 @@ class FittedHyperparameters:
     attempts: tuple[Attempt, ...]
 
 
-class _Objective:
+class Objective:
     """Evidence of fixed data with its n×n work arrays kept between evaluations."""
 
     def __init__(
@@ -175,7 +183,7 @@ def evidence(
     Raises:
         NumericsError: the covariance is not positive definite.
     """
-    objective = _Objective(x_std, y_centred, kernel, nugget)
+    objective = Objective(x_std, y_centred, kernel, nugget)
     log_lengths = [math.log(length) for length in as_lengths(kernel, length_scale, x_std.shape[1])]
     return objective.evidence(math.log(signal_variance) - 3 * _mean(log_lengths), log_lengths)
 
@@ -205,7 +213,7 @@ def fit_hyperparameters(
         NumericsError: constant targets, or no start that ended at a maximum.
     """
     require_runs(x_std, y_centred)
-    objective = _Objective(x_std, y_centred, kernel, nugget)
+    objective = Objective(x_std, y_centred, kernel, nugget)
     starts = [min(s, length_scale_bound) for s in starting_lengths]
     attempts = tuple(_attempt(objective, start, length_scale_bound) for start in starts)
     best = max(attempts, key=lambda a: (a.accepted, a.log_evidence))
@@ -253,7 +261,7 @@ def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) 
         )
 
 
-def _attempt(objective: _Objective, start: float, bound: float) -> Attempt:
+def _attempt(objective: Objective, start: float, bound: float) -> Attempt:
     """Run the optimiser from one length scale, judge its stop and go on from there if that is no maximum."""
     ratio = objective.starting_ratio(start)
     box = [(ratio - _WINDOW, ratio + _WINDOW)] + [(math.log(SHORTEST_LENGTH), math.log(bound))] * objective.lengths
@@ -277,7 +285,7 @@ def _attempt(objective: _Objective, start: float, bound: float) -> Attempt:
     )
 
 
-def _judge(objective: _Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
+def _judge(objective: Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
     """Return a verdict on the optimiser's stop and whether to accept it.
 
     The optimiser's own success counts where the projected gradient is small as well: it calls a step that gains little
