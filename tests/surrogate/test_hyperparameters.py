@@ -130,6 +130,85 @@ def test_an_abnormal_stop_elsewhere_is_an_error(monkeypatch):
         fit_hyperparameters(x, y, kernel=MATERN, nugget=1e-3)
 
 
+def test_a_stop_where_the_covariance_breaks_down_is_refused_whatever_the_optimiser_says(monkeypatch):
+    x, y = drawn(80, length=0.7, variance=2.0, nugget=1e-6, seed=3)
+    smooth, search = KERNELS["squared_exponential"], hyperparameters.minimize
+
+    def one_in_the_wall(fun, z0, **options):
+        if z0[1] < math.log(1.0):
+            return search(fun, z0, **options)
+        value, slope = fun(np.array([30.0, math.log(10.0)]))
+        return OptimizeResult(x=z0, fun=value, jac=slope, success=True, nfev=1, message="CONVERGENCE: ")
+
+    monkeypatch.setattr(hyperparameters, "minimize", one_in_the_wall)
+    fit = fit_hyperparameters(x, y, kernel=smooth, nugget=1e-6)
+    assert [a.accepted for a in fit.attempts] == [True, False]
+    assert "never positive definite" in fit.attempts[1].verdict
+    with pytest.raises(NumericsError, match="never positive definite"):
+        fit_hyperparameters(x, y, kernel=smooth, nugget=1e-6, starting_lengths=(3.0,))
+
+
+def test_the_starting_variance_leaves_a_covariance_that_can_be_factorised():
+    x, y = ridge(400)
+    objective = hyperparameters.Objective(x, y, KERNELS["squared_exponential_ard"], 1e-6 * float(np.ptp(y)))
+    found = objective.evidence(objective.starting_ratio(3.0), [math.log(3.0)] * 2)
+    assert np.isfinite(found.value)
+
+
+def unlike(number):
+    """Return standardised inputs and a function of them in which the inputs matter unlike, as in a log-likelihood."""
+    u = sobol(number, 7)
+    shift, scale = standardisation(u)
+    y = -40 * (u[:, 0] - 0.3 - 0.3 * u[:, 1] ** 2) ** 2 - 10 * (u[:, 2] * u[:, 3] - 0.2) ** 2
+    y = y - 0.5 * u[:, 4] - 0.1 * u[:, 5] - np.sin(3 * u[:, 6])
+    return (u - shift) / scale, y - y.mean()
+
+
+def test_a_success_of_the_optimiser_on_a_slope_is_no_maximum_and_the_search_goes_on(monkeypatch):
+    x, y = unlike(250)
+    options = {"kernel": KERNELS["matern32_product"], "nugget": 1e-5 * float(np.ptp(y)), "starting_lengths": (0.5, 3.0)}
+    found = fit_hyperparameters(x, y, **options)
+    assert [a.accepted for a in found.attempts] == [True, True]
+    assert np.ptp([a.log_evidence for a in found.attempts]) < 0.01
+    monkeypatch.setattr(hyperparameters, "_TRIES", 1)
+    short, _ = fit_hyperparameters(x, y, **options).attempts
+    assert short.message.startswith("CONVERGENCE")
+    assert short.verdict.startswith("not a maximum")
+    assert short.log_evidence < found.log_evidence - 100
+
+
+def ridge(number):
+    u = sobol(number, 2)
+    shift, scale = standardisation(u)
+    y = -2000 * (u[:, 0] * (1 + u[:, 1] ** 2) - 0.6) ** 2 - 300 * np.abs(u[:, 1] - 0.4) ** 1.5
+    return (u - shift) / scale, y - y.mean()
+
+
+def bowl(number):
+    u = sobol(number, 7)
+    shift, scale = standardisation(u)
+    y = -30 * ((u - 0.5) ** 2).sum(axis=1)
+    return (u - shift) / scale, y - y.mean()
+
+
+@pytest.mark.parametrize(
+    ("x_y", "name", "better"), [(ridge(60), "squared_exponential", 0), (bowl(50), "matern52_ard", 1)]
+)
+def test_neither_start_suffices_alone(x_y, name, better):
+    nugget = 1e-5 * float(np.ptp(x_y[1]))
+    fit = fit_hyperparameters(*x_y, kernel=KERNELS[name], nugget=nugget)
+    ends = [a.log_evidence for a in fit.attempts]
+    assert all(a.accepted for a in fit.attempts)
+    assert ends[better] > ends[1 - better] + 5
+    assert fit.log_evidence == ends[better]
+    for a in fit.attempts:
+        for factor in (0.9, 1.1):  # a maximum in the variance, and in all lengths inside their bounds
+            same = {"length_scale": a.length_scale, "signal_variance": factor * a.signal_variance}
+            moved = {**same, "length_scale": np.clip(factor * a.length_scale, 0.01, 10.0)}
+            for at in (same, moved | {"signal_variance": a.signal_variance}):
+                assert evidence(*x_y, kernel=KERNELS[name], nugget=nugget, **at).value < a.log_evidence + 1e-3
+
+
 def test_too_few_runs():
     x, y = data(3)
     with pytest.raises(TooFewRuns, match="at least 4 for 2"):

@@ -33,7 +33,7 @@ class GaussianProcess:
         alpha: (K + σ_n² I)⁻¹ (y - target_mean).
         cholesky: lower Cholesky factor of K + σ_n² I.
         kernel: the correlation function.
-        length_scale: l, in standard deviations of the inputs; one for each input with a product kernel.
+        length_scale: l, in standard deviations of the inputs; one for each input with a kernel that has them.
         signal_variance: σ0², in squared units of the target.
         nugget: σ_n², in squared units of the target.
     """
@@ -140,7 +140,7 @@ def condition(
         x: training inputs, physical.
         y: training targets.
         kernel: the correlation function.
-        length_scale: l, in standard deviations of the inputs; with a product kernel one for each input.
+        length_scale: l, in standard deviations of the inputs; one for each input with a kernel that has them.
         signal_variance: σ0².
         nugget: σ_n².
 

@@ -1,8 +1,10 @@
 """Hyperparameters by maximum evidence, in coordinates that suit its flat ridge.
 
 On a log-likelihood the evidence rises along σ0²/l³ = const, so the coordinates are (log σ0²/l³, log l) and l is
-bounded; the nugget is given. A product kernel has a log l for each input, and l³ is that of their geometric mean: the
-ridge, on which all lengths grow together, is straight again.
+bounded; the nugget is given. With a length for each input there is a log l for each, and l³ is that of their geometric
+mean: the ridge, on which all lengths grow together, is straight again. (All this of Matérn 3/2; the ridge of a smoother
+kernel runs at another angle to these coordinates.) A function can have several maxima and flat slopes between them:
+hence two starts, and every stop is judged, the optimiser's own success too.
 """
 
 import math
@@ -17,7 +19,15 @@ from strandline.errors import InvalidInput, NumericsError, TooFewRuns
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 from strandline.surrogate.linear_algebra import factorise, invert, solve
 
-__all__ = ["Attempt", "Evidence", "FittedHyperparameters", "evidence", "fit_hyperparameters", "require_runs"]
+__all__ = [
+    "Attempt",
+    "Evidence",
+    "FittedHyperparameters",
+    "Objective",
+    "evidence",
+    "fit_hyperparameters",
+    "require_runs",
+]
 
 SHORTEST_LENGTH = 0.01
 STARTING_LENGTHS = (0.5, 3.0)
@@ -25,6 +35,7 @@ _WINDOW = 40.0  # half-width of the box of log σ0²/l³ around its first guess
 _FLAT = 1e-3  # nats: a smaller change of the log evidence decides nothing
 _VARIANCE_STEPS, _SMALLEST_SHARE = 3, 1e-3  # of the search for a starting variance
 _STEP = 0.01  # perturbation of the coordinates when a stop is checked
+_TRIES = 4  # of the optimiser from one start, each from where the last one stopped short of a maximum
 
 
 @dataclass(frozen=True)
@@ -44,8 +55,8 @@ class Attempt:
         length_scale: length scale at the end.
         signal_variance: signal variance at the end.
         log_evidence: log evidence at the end.
-        evaluations: evaluations of the evidence.
-        message: the optimiser's own words.
+        evaluations: evaluations of the evidence by the optimiser.
+        message: the optimiser's own words on its last stop.
         verdict: ``converged``, or what the check of another stop found.
         accepted: whether the end is a maximum within tolerance.
     """
@@ -65,7 +76,7 @@ class FittedHyperparameters:
     """The best accepted attempt, and all attempts.
 
     Args:
-        length_scale: l, in standard deviations of the inputs; one for each with a product kernel.
+        length_scale: l, in standard deviations of the inputs; one for each input with a kernel that has them.
         signal_variance: σ0².
         nugget: σ_n², as given.
         log_evidence: log p(y | l, σ0², σ_n²).
@@ -85,7 +96,7 @@ class FittedHyperparameters:
     attempts: tuple[Attempt, ...]
 
 
-class _Objective:
+class Objective:
     """Evidence of fixed data with its n×n work arrays kept between evaluations."""
 
     def __init__(
@@ -118,18 +129,19 @@ class _Objective:
         """Return log σ0²/l³ to start from at one length for all inputs: there σ0² is the variance of the targets.
 
         With several lengths that is far too small at long ones, and the optimiser's first step then leads to where all
-        lengths vanish, a local maximum. So σ0² is made to fit the targets, αᵀ σ0²C α = n, as far as the nugget allows.
+        lengths vanish, a local maximum. So σ0² is made to fit the targets, αᵀ σ0²C α = n, as far as the nugget and a
+        covariance that can be factorised allow.
         """
-        ratio = math.log(float(np.var(self.y))) - 3 * math.log(length)
-        for _ in range(_VARIANCE_STEPS if self.lengths > 1 else 0):
+        ratio = sound = math.log(float(np.var(self.y))) - 3 * math.log(length)
+        for _ in range(_VARIANCE_STEPS + 1 if self.lengths > 1 else 0):
             try:
                 self._covariance(ratio, [math.log(length)] * self.lengths)
             except NumericsError:
                 break
-            alpha = solve(self.K, self.y)
+            sound, alpha = ratio, solve(self.K, self.y)
             share = (self.y @ alpha - self.nugget * alpha @ alpha) / len(alpha)
             ratio += math.log(max(share, _SMALLEST_SHARE))
-        return ratio
+        return sound
 
     def _covariance(self, log_ratio: float, log_lengths: Sequence[float]) -> tuple[Float[np.ndarray, " length"], float]:
         """Factorise the covariance into `K`; return the inverse lengths and σ0²."""
@@ -171,7 +183,7 @@ def evidence(
     Raises:
         NumericsError: the covariance is not positive definite.
     """
-    objective = _Objective(x_std, y_centred, kernel, nugget)
+    objective = Objective(x_std, y_centred, kernel, nugget)
     log_lengths = [math.log(length) for length in as_lengths(kernel, length_scale, x_std.shape[1])]
     return objective.evidence(math.log(signal_variance) - 3 * _mean(log_lengths), log_lengths)
 
@@ -201,7 +213,7 @@ def fit_hyperparameters(
         NumericsError: constant targets, or no start that ended at a maximum.
     """
     require_runs(x_std, y_centred)
-    objective = _Objective(x_std, y_centred, kernel, nugget)
+    objective = Objective(x_std, y_centred, kernel, nugget)
     starts = [min(s, length_scale_bound) for s in starting_lengths]
     attempts = tuple(_attempt(objective, start, length_scale_bound) for start in starts)
     best = max(attempts, key=lambda a: (a.accepted, a.log_evidence))
@@ -249,39 +261,45 @@ def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) 
         )
 
 
-def _attempt(objective: _Objective, start: float, bound: float) -> Attempt:
-    """Run the optimiser from one length scale and judge its stop."""
+def _attempt(objective: Objective, start: float, bound: float) -> Attempt:
+    """Run the optimiser from one length scale, judge its stop and go on from there if that is no maximum."""
     ratio = objective.starting_ratio(start)
     box = [(ratio - _WINDOW, ratio + _WINDOW)] + [(math.log(SHORTEST_LENGTH), math.log(bound))] * objective.lengths
-    z0 = np.array([ratio] + [math.log(start)] * objective.lengths)
-    found = minimize(objective.descent, z0, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": 200})
-    verdict, accepted = _judge(objective, found, box)
+    z, evaluations = np.array([ratio] + [math.log(start)] * objective.lengths), 0
+    for _ in range(_TRIES):
+        found = minimize(objective.descent, z, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": 200})
+        verdict, accepted = _judge(objective, found, box)
+        z, evaluations = found.x, evaluations + int(found.nfev)
+        if accepted:
+            break
     lengths = [min(math.exp(log_length), bound) for log_length in found.x[1:]]
     return Attempt(
         start=start,
         length_scale=as_length_scale(objective.kernel, np.array(lengths)),
         signal_variance=math.exp(found.x[0]) * math.prod(lengths) ** (3 / objective.lengths),
         log_evidence=-float(found.fun),
-        evaluations=int(found.nfev),
+        evaluations=evaluations,
         message=str(found.message),
         verdict=verdict,
         accepted=accepted,
     )
 
 
-def _judge(objective: _Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
+def _judge(objective: Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
     """Return a verdict on the optimiser's stop and whether to accept it.
 
-    A stop without success (line search "ABNORMAL", limit of iterations) is accepted only if small steps along all
-    coordinates and along the gradient, inside the box, gain less than `_FLAT`.
+    The optimiser's own success counts where the projected gradient is small as well: it calls a step that gains little
+    a success too, and has done so hundreds of nats below the maximum. Any other stop (line search "ABNORMAL", limit of
+    iterations) is accepted only if small steps along all coordinates and along the gradient, inside the box, gain less
+    than `_FLAT`.
     """
-    if found.fun >= 1e29:
+    if found.fun > objective.worst or math.isinf(objective.worst):  # the wall, that of another start included
         return "the covariance was never positive definite", False
-    if found.success:
-        return "converged", True
     low, high = np.array(box).T
     slope = np.clip(found.x - np.asarray(found.jac), low, high) - found.x
     norm = float(np.linalg.norm(slope))
+    if found.success and norm * _STEP < _FLAT:
+        return "converged", True
     axes = _STEP * np.eye(len(box))
     steps = [*axes, *-axes, _STEP * slope / max(norm, 1e-300)]
     gain = max(float(found.fun) - objective.descent(np.clip(found.x + step, low, high))[0] for step in steps)

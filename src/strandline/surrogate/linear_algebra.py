@@ -1,6 +1,4 @@
-"""Covariance matrices built, factorised and inverted in place; only lower triangles are touched."""
-
-from collections.abc import Callable, Iterator
+"""Covariance matrices factorised and inverted in place; only lower triangles are touched."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,29 +7,14 @@ from scipy.spatial.distance import cdist
 
 from strandline.errors import NumericsError
 
-__all__ = ["Panel", "distances", "factorise", "fill_lower", "invert", "lower_panels", "solve"]
+__all__ = ["distances", "factorise", "invert", "solve"]
 
 Matrix = Float[np.ndarray, "run run"]
-Panel = tuple[slice, slice]
-_PANEL = 64
 
 
 def distances(x: Float[np.ndarray, "run dim"]) -> Matrix:
     """Return the Euclidean distances of all pairs, in column-major order for LAPACK."""
     return np.asfortranarray(cdist(x, x))
-
-
-def lower_panels(number: int, width: int = _PANEL) -> Iterator[Panel]:
-    """Yield (rows, columns) of panels that cover the lower triangle and stay in the cache."""
-    for start in range(0, number, width):
-        yield slice(start, number), slice(start, min(start + width, number))
-
-
-def fill_lower(out: Matrix, function: Callable[[Panel], Float[np.ndarray, "row column"]], *, diagonal: float) -> None:
-    """Write function(panel) + diagonal·I into the lower triangle of `out`, panel by panel."""
-    for panel in lower_panels(len(out)):
-        out[panel] = function(panel)
-    np.einsum("ii->i", out)[:] += diagonal
 
 
 def factorise(K: Matrix) -> None:

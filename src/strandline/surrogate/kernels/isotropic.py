@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.surrogate.kernels.protocol import Array
-from strandline.surrogate.linear_algebra import Panel, distances, fill_lower, lower_panels
+from strandline.surrogate.kernels.tiles import Tile, add_over_tiles, clear_above, over_tiles
+from strandline.surrogate.linear_algebra import distances
 
 __all__ = ["Isotropic"]
 
@@ -93,10 +94,13 @@ class _Distances:
         """Write variance · c + diagonal · I into the lower triangle of `out`."""
         inverse = float(inverse_lengths[0])
 
-        def covariance(panel: Panel) -> Float[np.ndarray, "row column"]:
-            return np.asarray(variance * self.kernel.correlation(inverse * self.r[panel]))
+        def write(tile: Tile) -> None:
+            rows, columns = tile
+            s = inverse * self.r[rows, columns].T
+            np.multiply(self.kernel.correlation(s), variance, out=out[rows, columns].T)
 
-        fill_lower(out, covariance, diagonal=diagonal)
+        over_tiles(len(out), write)
+        np.einsum("ii->i", out)[:] += diagonal
 
     def by_log_lengths(
         self,
@@ -106,13 +110,16 @@ class _Distances:
         inverse_lengths: Float[np.ndarray, "1"],
     ) -> Float[np.ndarray, "1"]:
         """Return Σ_i>j (α_i α_j - P_ij) ∂c_ij / ∂log l; the diagonal adds nothing."""
-        total, inverse = 0.0, float(inverse_lengths[0])
-        for rows, columns in lower_panels(len(alpha)):
-            slope = self.kernel.by_log_length(inverse * self.r[rows, columns])
-            slope *= np.outer(alpha[rows], alpha[columns]) - precision[rows, columns]
-            square = slope[: slope.shape[1]]
-            total += slope.sum() - np.triu(square).sum()
-        return np.array([total])
+        inverse = float(inverse_lengths[0])
+
+        def part(tile: Tile) -> Float[np.ndarray, "1"]:
+            rows, columns = tile
+            slope = self.kernel.by_log_length(inverse * self.r[rows, columns].T)
+            slope *= alpha[columns, None] * alpha[rows] - precision[rows, columns].T
+            clear_above(slope, tile)
+            return np.array([slope.sum()])
+
+        return add_over_tiles(len(alpha), part)
 
 
 def _norm(offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:

@@ -10,7 +10,7 @@ exponential: c = Π_d p(t_d) · exp(-Σ_d t_d). Relative to c, and with u = (x -
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -18,11 +18,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.surrogate.kernels.protocol import Array
-from strandline.surrogate.linear_algebra import lower_panels
+from strandline.surrogate.kernels.tiles import Tile, add_over_tiles, clear_above, offsets_of_tile, over_tiles
 
 __all__ = ["Product"]
-
-_WIDTH, _TILE = 32, 256  # columns and rows of a tile whose t_d, all d, stay in the cache
 
 
 @dataclass(frozen=True)
@@ -99,8 +97,13 @@ class _Columns:
         diagonal: float,
     ) -> None:
         """Write variance · c + diagonal · I into the lower triangle of `out`."""
-        for rows, columns, t in self._tiles(inverse_lengths):
-            np.multiply(self._correlation(t), variance, out=out[rows, columns].T)
+        scaled = self._scaled(inverse_lengths)
+
+        def write(tile: Tile) -> None:
+            rows, columns = tile
+            np.multiply(self._correlation(_distances(scaled, tile)), variance, out=out[rows, columns].T)
+
+        over_tiles(len(out), write)
         np.einsum("ii->i", out)[:] += diagonal
 
     def by_log_lengths(
@@ -111,36 +114,33 @@ class _Columns:
         inverse_lengths: Float[np.ndarray, " dim"],
     ) -> Float[np.ndarray, " dim"]:
         """Return Σ_i>j (α_i α_j - P_ij) ∂c_ij / ∂log l_d; the diagonal adds nothing."""
-        total = np.zeros(len(self.columns))
-        for rows, columns, t in self._tiles(inverse_lengths):
+        scaled = self._scaled(inverse_lengths)
+
+        def part(tile: Tile) -> Float[np.ndarray, " dim"]:
+            rows, columns = tile
+            t = _distances(scaled, tile)
             weight = alpha[columns, None] * alpha[rows]
             weight -= precision[rows, columns].T
             weight *= self._correlation(t)
-            if rows.start < columns.stop:
-                weight[np.arange(columns.start, columns.stop)[:, None] >= np.arange(rows.start, rows.stop)] = 0.0
-            for d, distance in enumerate(t):
-                growth = self.kernel.decline(distance)
-                growth *= distance
-                growth *= distance
-                total[d] += np.vdot(weight, growth)
-        return total
+            clear_above(weight, tile)
+            growth = self.kernel.decline(t)
+            growth *= t
+            growth *= t
+            return np.asarray(growth.reshape(len(growth), -1) @ weight.ravel())
 
-    def _tiles(
-        self, inverse_lengths: Float[np.ndarray, " dim"]
-    ) -> Iterator[tuple[slice, slice, Float[np.ndarray, "dim column row"]]]:
-        """Yield parts of the lower triangle, (rows, columns), with their t, rows last; the next one overwrites t."""
-        scaled = self.columns * (self.kernel.rate * inverse_lengths)[:, None]
-        for rows, columns in lower_panels(scaled.shape[1], _WIDTH):
-            for start in range(rows.start, rows.stop, _TILE):
-                tile = slice(start, min(start + _TILE, rows.stop))
-                t = scaled[:, columns, None] - scaled[:, None, tile]
-                yield tile, columns, np.abs(t, out=t)
+        return add_over_tiles(len(alpha), part)
+
+    def _scaled(self, inverse_lengths: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "dim run"]:
+        return self.columns * (self.kernel.rate * inverse_lengths)[:, None]
 
     def _correlation(self, t: Float[np.ndarray, "dim column row"]) -> Float[np.ndarray, "column row"]:
-        product = self.kernel.polynomial(t[0])
-        for distance in t[1:]:
-            product *= self.kernel.polynomial(distance)
+        product = np.multiply.reduce(self.kernel.polynomial(t), axis=0)
         decay = t.sum(axis=0)
         np.negative(decay, out=decay)
         product *= np.exp(decay, out=decay)
         return np.asarray(product)
+
+
+def _distances(scaled: Float[np.ndarray, "dim run"], tile: Tile) -> Float[np.ndarray, "dim column row"]:
+    offset = offsets_of_tile(scaled, tile)
+    return np.asarray(np.abs(offset, out=offset))

@@ -98,7 +98,7 @@ def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Float[np.
             f"length scale of {kernel.name}",
             value=given.tolist(),
             expected=f"one positive number{f', or {count}' if count > 1 else ''}",
-            remedy="Give one number, or with a product kernel one for each input.",
+            remedy="Give one number; kernels named _product or _ard take one for each input as well.",
         )
     return np.array(np.broadcast_to(given, count))
 
