@@ -3,6 +3,7 @@
 import importlib
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 import click
@@ -85,12 +86,12 @@ def _environment() -> dict[str, str]:
 
     Compiled programs are kept, so that the second analysis of a study does not compile again.
     """
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     return {
         "JAX_ENABLE_X64": "1",
         "JAX_PLATFORMS": "cpu",
         "JAX_NUM_CPU_DEVICES": str(min(os.cpu_count() or 1, MOST_DEVICES)),
-        "JAX_COMPILATION_CACHE_DIR": os.path.join(home, "strandline", "jax"),
+        "JAX_COMPILATION_CACHE_DIR": str(home / "strandline" / "jax"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.02",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         "MPLBACKEND": "Agg",
