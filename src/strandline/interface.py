@@ -90,13 +90,13 @@ class Interface:
     @property
     def starts(self) -> Float[np.ndarray, "cell 2"]:
         """First node of each segment."""
-        self._require_polyline()
+        self._require(2)
         return np.asarray(self.points[self.cells[:, 0]])
 
     @property
     def ends(self) -> Float[np.ndarray, "cell 2"]:
         """Second node of each segment."""
-        self._require_polyline()
+        self._require(2)
         return np.asarray(self.points[self.cells[:, 1]])
 
     @property
@@ -107,6 +107,7 @@ class Interface:
     @property
     def areas(self) -> Float[np.ndarray, " cell"]:
         """Triangle areas, mm²."""
+        self._require(3)
         return np.asarray(np.linalg.norm(triangles.vector_areas(self.points, self.cells), axis=1))
 
     @property
@@ -182,13 +183,14 @@ class Interface:
                 remedy="Sort the points along the interface or remove the loop.",
             )
 
-    def _require_polyline(self) -> None:
-        if self.dim != 2:
+    def _require(self, dim: int) -> None:
+        if self.dim != dim:
+            has = {2: "a polyline, which has lengths, starts and ends", 3: "a surface, which has areas"}
             raise InvalidInterface(
-                "segments of an interface",
-                value="a surface",
-                expected="a polyline in the plane",
-                remedy="A surface has areas, sizes, centres and normals.",
+                "kind of interface",
+                value=has[self.dim],
+                expected={2: "a polyline in the plane", 3: "a surface in space"}[dim],
+                remedy="Either has centres, normals and sizes.",
             )
 
     def _require_dim(self) -> None:

@@ -141,7 +141,7 @@ def _with_blank(nodes: Nodes) -> Nodes:
 def _ample(length: int) -> int:
     """Return the length of an array to be handed to a compiled function: few different ones, to compile it rarely."""
     step = max(1 << max(length.bit_length() - 3, 0), _UNROLLED)
-    return -(-length // step) * step
+    return -(-max(length, 1) // step) * step
 
 
 def _in_blocks(a: Nodes, b: Nodes, batch: _Batch, width: float) -> float:

@@ -140,7 +140,7 @@ class _Tree:
 
     centres: cKDTree
     order: Int[np.ndarray, " place"]
-    levels: list[Float[np.ndarray, "2 xyz box"]]
+    levels: list[Float[np.ndarray, "2 xyz _"]]
     cylinders: "_Cylinders"
 
     def look(self, best: _Best, rows: Int[np.ndarray, " pair"], boxes: Int[np.ndarray, " pair"], level: int) -> None:
