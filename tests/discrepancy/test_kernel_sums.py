@@ -43,10 +43,13 @@ def test_tiles_give_the_sum_over_all_pairs(dim, number, width, reach):
 
 
 @pytest.mark.usefixtures("way")
-def test_many_batches_give_the_same(monkeypatch):
+@pytest.mark.parametrize(("gathered", "tiles"), [(4000, 3), (300, 5)])
+def test_many_batches_give_the_same(monkeypatch, gathered, tiles):
+    """Also where the partners alone would put more tiles into a batch than it holds."""
     a, b = nodes(700, 1), nodes(411, 2)
-    monkeypatch.setattr(kernel_sums, "_GATHERED", 4000)
-    monkeypatch.setattr(kernel_sums, "_TILES", 3)
+    b = Nodes(np.where(b.points[:, :1] < 0.3, b.points, b.points + 5.0), b.normals)
+    monkeypatch.setattr(kernel_sums, "_GATHERED", gathered)
+    monkeypatch.setattr(kernel_sums, "_TILES", tiles)
     assert kernel_sum(a, b, 0.02, reach=0.18) == pytest.approx(all_pairs(a, b, 0.02), rel=1e-11)
     assert kernel_sum(a, a, 0.02, reach=0.18) == pytest.approx(all_pairs(a, a, 0.02), rel=1e-11)
 

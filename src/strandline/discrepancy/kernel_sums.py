@@ -95,8 +95,8 @@ def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
         yield _everyone(len(a), len(b), itself=a is b)
         return
     rank = np.argsort(order)
-    group = np.maximum(np.cumsum(counts) // _GATHERED, np.arange(len(tiles)) // _TILES)
-    for some in np.split(np.arange(len(tiles)), np.flatnonzero(np.diff(group)) + 1):
+    groups = np.stack([np.cumsum(counts) // _GATHERED, np.arange(len(tiles)) // _TILES])
+    for some in np.split(np.arange(len(tiles)), np.flatnonzero(np.diff(groups).any(axis=0)) + 1):
         near = [np.array(row, int) for row in tree.query_ball_point(middles[some], radii[some])]
         weights = np.ones(len(some))
         if a is b:
