@@ -1,4 +1,4 @@
-"""`make bench`: ``python -m benchmarks [inference|surrogate|forward]``, all parts where none is named.
+"""`make bench`: ``python -m benchmarks [inference|surrogate|norms|forward]``, all parts where none is named.
 
 Each prints its figures and keeps them under its name in ``benchmarks/output/results.json``.
 """
@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-PARTS = ("inference", "surrogate", "forward")
+PARTS = ("inference", "surrogate", "norms", "forward")
 OUTPUT = Path(__file__).parent / "output" / "results.json"
 
 

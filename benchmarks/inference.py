@@ -5,17 +5,16 @@ ratio (above 1: strandline is faster). Both must give the same answer, or the be
 machine and on what else it does; ratios less so.
 """
 
-import statistics
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from benchmarks.comparison import Comparison, compare_all, compared, summarised
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
@@ -24,38 +23,16 @@ from strandline.runs import RunRequest
 from strandline.surrogate import KERNELS, batched_mean, condition, evidence
 from strandline.testing.models import Cantilever
 
-RUNS, POINTS, INTERFACES, TRIVIAL_RUNS, REPEATS = 1000, 5000, 200, 300, 7
+RUNS, POINTS, INTERFACES, TRIVIAL_RUNS = 1000, 5000, 200, 300
 LENGTH, VARIANCE, NUGGET = 1.3, 500.0, 5e-4
 WIDTH = 0.005
 PEER_NODES = 7
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Median seconds of a task, by strandline and by another program."""
-
-    what: str
-    peer_name: str
-    ours: float
-    peer: float
-    ratio: float
-    repeats: int
-
-
 def main() -> list[dict[str, Any]]:
     """Print each comparison as it is made; return them all."""
     jax.config.update("jax_enable_x64", True)
-    print(f"{'task':<52} {'peer':<26} {'ours [ms]':>10} {'peer [ms]':>10} {'ratio':>7}")
-    found = []
-    for task in (gp_fit, gp_mean, currents_centre, currents_refined, executor):
-        result = task()
-        found.append(asdict(result))
-        print(
-            f"{result.what:<52} {result.peer_name:<26} {1e3 * result.ours:>10.3g} {1e3 * result.peer:>10.3g}"
-            f" {result.ratio:>7.2f}",
-            flush=True,
-        )
-    return found
+    return compare_all(gp_fit, gp_mean, currents_centre, currents_refined, executor)
 
 
 def gp_fit() -> Comparison:
@@ -180,32 +157,6 @@ def gauss_points(one: Interface, nodes: int) -> tuple[np.ndarray, np.ndarray]:
     points = one.starts[:, None] + share[:, None] * (one.ends - one.starts)[:, None]
     normals = 0.5 * weight[:, None] * one.normals[:, None]
     return points.reshape(-1, 2), normals.reshape(-1, 2)
-
-
-def compared(
-    what: str,
-    peer_name: str,
-    ours: Callable[[], Any],
-    peer: Callable[[], Any],
-    *,
-    rtol: float,
-    atol: float = 1e-9,
-    repeats: int = REPEATS,
-) -> Comparison:
-    """Time both in turns, after a call of each whose answers must agree."""
-    np.testing.assert_allclose(ours(), peer(), rtol=rtol, atol=atol)
-    return summarised(what, peer_name, [(timed(ours), timed(peer)) for _ in range(repeats)])
-
-
-def summarised(what: str, peer_name: str, seconds: list[tuple[float, float]]) -> Comparison:
-    ours, peer = (statistics.median(column) for column in zip(*seconds, strict=True))
-    return Comparison(what, peer_name, ours, peer, peer / ours, len(seconds))
-
-
-def timed(task: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    task()
-    return time.perf_counter() - begun
 
 
 def paced(task: Callable[[], Iterator[object]]) -> float:

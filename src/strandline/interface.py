@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from strandline import triangles
 from strandline.errors import InvalidInput, InvalidInterface
 
 __all__ = ["Interface", "Observation", "Oriented", "is_condition", "oriented_like"]
@@ -26,11 +27,13 @@ class Interface:
         cells: node numbers of the segments (cell, 2) or triangles (cell, 3).
 
     Segments run along the interface, each from where the last one ends, with the solid on one constant side; the
-    order of the two nodes fixes the normal.
+    order of the two nodes fixes the normal. Triangles may come in any order, all with the solid on the same side: seen
+    from the tip of the normal, the corners run counter-clockwise.
 
     Raises:
-        InvalidInterface: fewer points than one cell needs, a value that is not finite, a cell of no extent, a cell
-            with a node that does not exist, or segments that are no chain.
+        InvalidInterface: fewer points than one cell needs, a value that is not finite, segments in space or triangles
+            in the plane, a cell of no extent, a cell with a node that does not exist, segments that are no chain, or
+            a point of a surface that belongs to no triangle.
     """
 
     points: Float[np.ndarray, "point xyz"]
@@ -52,8 +55,11 @@ class Interface:
                 expected="finite coordinates in mm",
                 remedy="Remove or correct the point.",
             )
+        self._require_dim()
         self._require_chain()
-        if self.dim == 2 and (self.lengths == 0).any():
+        if self.dim == 3:
+            self._require_areas()
+        elif (self.lengths == 0).any():
             where = int(np.argmax(self.lengths == 0))
             raise InvalidInterface(
                 f"segment {where} of the interface has no length",
@@ -71,22 +77,26 @@ class Interface:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates, 2 or 3."""
+        """Number of coordinates, 2 (a polyline) or 3 (a surface)."""
         return int(self.points.shape[1])
 
     @property
     def closed(self) -> bool:
-        """Whether a polyline returns to its first point."""
+        """Whether a polyline returns to its first point; whether a surface has no edge and faces one side."""
+        if self.dim == 3:
+            return triangles.encloses(self.points, self.cells)
         return bool(self.cells[-1, -1] == self.cells[0, 0])
 
     @property
     def starts(self) -> Float[np.ndarray, "cell 2"]:
         """First node of each segment."""
+        self._require(2)
         return np.asarray(self.points[self.cells[:, 0]])
 
     @property
     def ends(self) -> Float[np.ndarray, "cell 2"]:
         """Second node of each segment."""
+        self._require(2)
         return np.asarray(self.points[self.cells[:, 1]])
 
     @property
@@ -95,18 +105,33 @@ class Interface:
         return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
 
     @property
+    def areas(self) -> Float[np.ndarray, " cell"]:
+        """Triangle areas, mm²."""
+        self._require(3)
+        return np.asarray(np.linalg.norm(triangles.vector_areas(self.points, self.cells), axis=1))
+
+    @property
+    def sizes(self) -> Float[np.ndarray, " cell"]:
+        """Segment lengths, mm, or triangle areas, mm²."""
+        return self.areas if self.dim == 3 else self.lengths
+
+    @property
     def centres(self) -> Float[np.ndarray, "cell xyz"]:
         """Cell centres, mm."""
         return np.asarray(self.points[self.cells].mean(axis=1))
 
     @property
-    def normals(self) -> Float[np.ndarray, "cell 2"]:
-        """Segment normals times length, mm: the tangent turned by +90°."""
+    def normals(self) -> Float[np.ndarray, "cell xyz"]:
+        """Normals times size: of a segment the tangent turned by +90°, mm; of a triangle by the right hand, mm²."""
+        if self.dim == 3:
+            return triangles.vector_areas(self.points, self.cells)
         tangent = self.ends - self.starts
         return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
 
     def reversed(self) -> "Interface":
-        """Return the same polyline run through from its other end."""
+        """Return the same polyline run through from its other end, the same surface facing the other side."""
+        if self.dim == 3:
+            return Interface(self.points, np.ascontiguousarray(self.cells[:, ::-1]))
         return Interface.polyline(self.points[::-1], closed=self.closed)
 
     def resampled(self, number: int) -> "Interface":
@@ -119,11 +144,24 @@ class Interface:
         return Interface.polyline(self._at(wanted, arclength), closed=self.closed)
 
     def runs_against(self, other: "Interface") -> bool:
-        """Tell whether `other`, roughly the same polyline, is run through from its other end.
+        """Tell whether `other`, roughly the same interface, is run through from its other end or faces the other side.
 
         Open polylines are compared point by point at equal shares of their length, closed ones by the sign of the
-        area they enclose.
+        area they enclose; two closed surfaces by the sign of the volume they enclose, other surfaces by the mean cosine
+        between the normals of triangles that are near each other.
+
+        Raises:
+            InvalidInterface: a polyline and a surface.
         """
+        if self.dim != other.dim:
+            raise InvalidInterface(
+                "orientation of one interface like another",
+                value=f"points with {self.dim} and with {other.dim} coordinates",
+                expected="two polylines or two surfaces",
+                remedy="Compare like with like.",
+            )
+        if self.dim == 3:
+            return self._faces_away(other)
         if self.closed or other.closed:
             return bool(self._signed_area() * other._signed_area() < 0)
         mine, theirs = self._shares, other._shares
@@ -145,6 +183,45 @@ class Interface:
                 remedy="Sort the points along the interface or remove the loop.",
             )
 
+    def _require(self, dim: int) -> None:
+        if self.dim != dim:
+            has = {2: "a polyline, which has lengths, starts and ends", 3: "a surface, which has areas"}
+            raise InvalidInterface(
+                "kind of interface",
+                value=has[self.dim],
+                expected={2: "a polyline in the plane", 3: "a surface in space"}[dim],
+                remedy="Either has centres, normals and sizes.",
+            )
+
+    def _require_dim(self) -> None:
+        if self.dim != self.cells.shape[1] or self.dim not in (2, 3):
+            raise InvalidInterface(
+                "kind of interface",
+                value=f"points with {self.dim} coordinates, cells with {self.cells.shape[1]} corners",
+                expected="segments in the plane (2 and 2) or triangles in space (3 and 3)",
+                remedy="Project a polyline into its plane; give a plane surface a third coordinate.",
+            )
+
+    def _require_areas(self) -> None:
+        altitudes = triangles.shortest_altitudes(self.points, self.cells)
+        flat = altitudes <= _ROUNDING * float(np.abs(self.points).max())
+        if flat.any():
+            where = int(np.argmax(flat))
+            raise InvalidInterface(
+                f"triangle {where} of the interface has no area",
+                value=self.points[self.cells[where]].tolist(),
+                expected="three corners that are not on one line",
+                remedy="Remove the triangle, or merge the points that coincide.",
+            )
+        unused = np.bincount(self.cells.ravel(), minlength=len(self.points)) == 0
+        if unused.any():
+            raise InvalidInterface(
+                f"point {int(np.argmax(unused))} of the surface belongs to no triangle",
+                value=f"{int(unused.sum())} such point(s)",
+                expected="every point a corner",
+                remedy="Leave such points out and renumber the corners.",
+            )
+
     def _require_chain(self) -> None:
         if self.cells.min() < 0 or self.cells.max() >= len(self.points):
             found, wanted = (
@@ -160,8 +237,16 @@ class Interface:
             "nodes of the cells",
             value=found,
             expected=wanted,
-            remedy="Use Interface.polyline for points in their order.",
+            remedy="Use Interface.polyline for points in their order."
+            if self.cells.shape[1] == 2
+            else "Correct the corners.",
         )
+
+    def _faces_away(self, other: "Interface") -> bool:
+        if self.closed and other.closed:
+            volumes = (triangles.signed_volume(one.points, one.cells) for one in (self, other))
+            return math.prod(volumes) < 0
+        return triangles.agreement(self.centres, self.normals, other.centres, other.normals) < 0
 
     @property
     def _shares(self) -> Float[np.ndarray, "share xyz"]:

@@ -80,7 +80,7 @@ class InterfaceLikelihood:
     @property
     def unit(self) -> str:
         """Unit of d² and of the noise variances."""
-        return unit_of(self.discrepancy)
+        return unit_of(self.discrepancy, self.observations[0].interface)
 
     @property
     def constant(self) -> float | None:

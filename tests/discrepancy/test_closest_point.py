@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 import shapely
+from tests.discrepancy.surfaces import sheet
 
 from strandline.discrepancy import ClosestPoint, closest_point
-from strandline.errors import InvalidInput
+from strandline.discrepancy.nearest import squared_distances
+from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface
 
 
@@ -38,7 +40,7 @@ def test_projects_onto_segments_not_onto_nodes():
 def test_closed_target_includes_its_last_segment():
     square = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), closed=True)
     points = np.array([[-0.1, 0.5], [0.1, 0.4]])
-    assert closest_point.squared_distances(points, square) == pytest.approx([0.01, 0.01])
+    assert squared_distances(points, square) == pytest.approx([0.01, 0.01])
 
 
 @pytest.mark.parametrize("nodes", [2, 5, 66])
@@ -78,11 +80,35 @@ def test_node_weights_add_up_to_the_length():
     assert closest_point.node_weights(level(0.0, 3)) == pytest.approx([0.25, 0.5, 0.25])
 
 
-def test_blocks_do_not_change_the_result(monkeypatch):
-    simulated, observed = wavy(66, 1), wavy(40, 2)
-    whole = ClosestPoint()(simulated, observed)
-    monkeypatch.setattr(closest_point, "BLOCK", 100)
-    assert ClosestPoint()(simulated, observed) == pytest.approx(whole, rel=1e-14)
+@pytest.mark.parametrize("direction", ["to_observed", "to_simulated", "symmetric"])
+def test_parallel_sheets(direction):
+    upper, lower = sheet(5, height=0.2), sheet(5)
+    assert ClosestPoint(direction=direction)(upper, lower) == pytest.approx(25 * 0.2**2)
+    assert ClosestPoint(direction=direction, weighting="length")(upper, lower) == pytest.approx(0.2**2)
+
+
+def test_area_weighting_converges_to_the_mean_square_with_order_two():
+    """A sheet over a plane: δ² = 0.09 sin²(5x) cos²(4y), weighted by area, against fine midpoint quadrature."""
+    x, y = np.meshgrid(*2 * [(np.arange(2000) + 0.5) / 2000], indexing="ij")
+    height, slope = 0.3 * np.sin(5 * x) * np.cos(4 * y), (1.5 * np.cos(5 * x) * np.cos(4 * y)) ** 2
+    area = np.sqrt(1 + slope + (1.2 * np.sin(5 * x) * np.sin(4 * y)) ** 2)
+    exact = (area * height**2).sum() / area.sum()
+    plane, measure = sheet(2), ClosestPoint(weighting="length")
+    errors = np.array([abs(measure(sheet(n, bend=0.3), plane) - exact) for n in (33, 65, 129)])
+    assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+def test_node_weights_of_a_surface_add_up_to_its_area():
+    surface = sheet(6, bend=0.2, seed=1)
+    assert closest_point.node_weights(surface).sum() == pytest.approx(surface.areas.sum())
+    assert closest_point.node_weights(sheet(2)) == pytest.approx([1 / 3, 1 / 6, 1 / 6, 1 / 3])
+
+
+def test_orientation_does_not_matter_and_a_polyline_is_no_surface():
+    upper, lower = sheet(5, height=0.2), sheet(5)
+    assert ClosestPoint()(upper, lower.reversed()) == ClosestPoint()(upper, lower)
+    with pytest.raises(InvalidInterface, match="coordinates"):
+        ClosestPoint()(upper, level(0.0, 3))
 
 
 def test_terms_are_told_only_where_the_observation_fixes_them():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from strandline.discrepancy import Currents, kernel_integrals
+from strandline.discrepancy import Currents, kernel_integrals, kernel_sums
 from strandline.discrepancy.memo import Snapshot
 from strandline.errors import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import Interface, oriented_like
@@ -202,6 +202,7 @@ def test_blocks_do_not_change_the_result(monkeypatch):
 
     whole = products()
     monkeypatch.setattr(kernel_integrals, "BLOCK", 50)
+    monkeypatch.setattr(kernel_sums, "BLOCK", 50)
     assert products() == pytest.approx(whole, rel=1e-13)
 
 
@@ -237,11 +238,13 @@ def test_flipped_circle_is_refused():
         Currents(0.1)(circle(1.0, 20), circle(1.1, 20).reversed())
 
 
-def test_surfaces_are_refused():
+def test_a_surface_cannot_be_compared_with_a_polyline():
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     surface = Interface(corners, np.array([[0, 1, 2]]))
-    with pytest.raises(InvalidInterface, match="plane"):
-        Currents(0.1)(surface, surface)
+    with pytest.raises(InvalidInterface, match="coordinates"):
+        Currents(0.1)(surface, Interface.polyline(ARC))
+    with pytest.raises(InvalidInterface, match="coordinates"):
+        Currents(0.1).inner(Interface.polyline(ARC), surface)
 
 
 @pytest.mark.parametrize(

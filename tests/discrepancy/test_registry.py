@@ -4,13 +4,21 @@ import dataclasses
 
 import numpy as np
 import pytest
+from tests.discrepancy.surfaces import sheet
 
 import strandline.discrepancy as package
-from strandline.discrepancy import DISCREPANCIES, Discrepancy, independent_terms, unit_of
+from strandline.discrepancy import (
+    DISCREPANCIES,
+    Currents,
+    Discrepancy,
+    MeasurementLines,
+    independent_terms,
+    unit_of,
+)
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
-OPTIONS = {"currents": {"width": 0.01}}
+OPTIONS = {"currents": {"width": 0.2}}
 LINE = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]))
 
 
@@ -41,12 +49,15 @@ def test_a_plain_function_states_neither_unit_nor_terms():
     assert independent_terms(measure, LINE) is None
 
 
-@pytest.mark.parametrize("name", sorted(set(DISCREPANCIES) - {"tracked_points"}))
-def test_surfaces_are_refused(name):
-    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    surface = Interface(corners, np.array([[0, 1, 2]]))
-    with pytest.raises(InvalidInterface, match="plane"):
-        DISCREPANCIES[name](**OPTIONS.get(name, {}))(surface, surface)
+def test_all_measures_but_measurement_lines_know_surfaces(measure):
+    simulated, observed = sheet(4, height=0.1), sheet(4)
+    if isinstance(measure, MeasurementLines):
+        with pytest.raises(InvalidInterface, match="plane"):
+            measure(simulated, observed)
+    else:
+        assert measure(simulated, observed) > 0
+        assert measure(observed, observed) == pytest.approx(0.0, abs=1e-12)
+        assert unit_of(measure, observed) == ("mm⁴" if isinstance(measure, Currents) else "mm²")
 
 
 def test_public_names_exist():

@@ -6,28 +6,29 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy.protocol import require_polylines
+from strandline.discrepancy.nearest import squared_distances
+from strandline.discrepancy.protocol import require_alike
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
-__all__ = ["DIRECTIONS", "WEIGHTINGS", "ClosestPoint", "squared_distances"]
+__all__ = ["DIRECTIONS", "WEIGHTINGS", "ClosestPoint", "node_weights"]
 
 DIRECTIONS = ("to_observed", "to_simulated", "symmetric")
 WEIGHTINGS = ("sum", "length")
-BLOCK = 1 << 18
-"""Pairs of a point and a segment that are worked on at once: bounds the memory."""
 
 
 @dataclass(frozen=True)
 class ClosestPoint:
     """d² from the distances between the nodes of one interface and the closest points of the other, mm²; Eq. (7).
 
-    With δ_i the distance of node i to the closest point of the other polyline (on its segments, not its nodes):
+    With δ_i the distance of node i to the closest point of the other polyline or surface (on its segments or
+    triangles, not its nodes):
 
     - weighting ``sum``: d² = Σ_i δ_i², mm². The study's; it grows with the number of nodes.
     - weighting ``length``: d² = Σ_i w_i δ_i² / Σ_i w_i, mm², with w_i half the length of the segments at node i (the
-      trapezoidal rule): the mean over the length of the squared distance, independent of the number of nodes as the
-      mesh is refined. Against the noise variance σ_N² it weighs as *one* distance; to let it weigh as n, give σ_N²/n.
+      trapezoidal rule), on a surface a third of the area of the triangles there: the mean over the length (area) of
+      the squared distance, independent of the number of nodes as the mesh is refined. Against the noise variance σ_N²
+      it weighs as *one* distance; to let it weigh as n, give σ_N²/n.
 
     Args:
         direction: ``to_observed`` projects the simulated nodes onto the observed interface (the study's),
@@ -57,7 +58,7 @@ class ClosestPoint:
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d², mm²."""
-        require_polylines(simulated, observed)
+        require_alike(simulated, observed)
         if self.direction == "to_observed":
             return self._one_way(simulated, observed)
         if self.direction == "to_simulated":
@@ -79,26 +80,7 @@ class ClosestPoint:
         return float(weights @ squares / weights.sum())
 
 
-def squared_distances(points: Float[np.ndarray, "point 2"], target: Interface) -> Float[np.ndarray, " point"]:
-    """Return the squared distance, mm², of each point to the closest point of the polyline `target`."""
-    size = max(1, BLOCK // len(target.cells))
-    blocks = [_block_distances(points[k : k + size], target) for k in range(0, len(points), size)]
-    return np.concatenate(blocks)
-
-
 def node_weights(interface: Interface) -> Float[np.ndarray, " point"]:
-    """Return half the length of the segments that meet at each node, mm; together the length of the interface."""
-    halves = np.repeat(0.5 * interface.lengths, 2)
-    return np.bincount(interface.cells.ravel(), weights=halves, minlength=len(interface.points))
-
-
-def _block_distances(points: Float[np.ndarray, "point 2"], target: Interface) -> Float[np.ndarray, " point"]:
-    """Project each point onto each segment, the foot kept between its ends."""
-    tangent = target.ends - target.starts
-    square = np.sum(tangent**2, axis=1)
-    x = points[:, 0, None] - target.starts[:, 0]
-    y = points[:, 1, None] - target.starts[:, 1]
-    foot = np.clip((x * tangent[:, 0] + y * tangent[:, 1]) / square, 0.0, 1.0)
-    x -= foot * tangent[:, 0]
-    y -= foot * tangent[:, 1]
-    return np.asarray(np.min(x * x + y * y, axis=1))
+    """Return the length (area) of the cells at each node, shared equally among their corners; mm (mm²)."""
+    shares = np.repeat(interface.sizes / interface.dim, interface.dim)
+    return np.bincount(interface.cells.ravel(), weights=shares, minlength=len(interface.points))

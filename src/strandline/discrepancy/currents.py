@@ -7,7 +7,8 @@ from typing import ClassVar
 
 from strandline.discrepancy.kernel_integrals import centre_product, natural_scale, refined_product
 from strandline.discrepancy.memo import Snapshot
-from strandline.discrepancy.protocol import require_polylines
+from strandline.discrepancy.protocol import require_alike
+from strandline.discrepancy.surface_integrals import refined_surface_product
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface
 
@@ -21,17 +22,17 @@ _SAFETY = 1 / 50
 
 @dataclass(frozen=True)
 class Currents:
-    """d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of the simulated S and the observed T, mm²; Eqs. (10)-(11).
+    """d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of the simulated S and the observed T, mm² (of surfaces mm⁴); Eqs. (10)-(11).
 
-    ⟨S,T⟩ = ∫_S ∫_T exp(-|x-y|²/2σ_W²) n(x)·m(y) dy dx with unit normals n, m. (The other convention in the
-    literature, exp(-r²/σ²), is this one with width σ/√2.) It needs no correspondence of nodes and no projection, but
-    the same orientation: a simulated interface that runs against the observed one is refused.
+    ⟨S,T⟩ = ∫_S ∫_T exp(-|x-y|²/2σ_W²) n(x)·m(y) dy dx with unit normals n, m, over polylines or surfaces. (The other
+    convention in the literature, exp(-r²/σ²), is this one with width σ/√2.) It needs no correspondence of nodes and no
+    projection, but the same orientation: a simulated interface that runs against the observed one is refused.
 
     Args:
         width: the kernel's width σ_W, mm.
-        quadrature: ``refined`` (default) integrates both polylines, whatever their nodes, to `tolerance`. ``centre``
-            takes one point a segment as the study does: cheap, and wrong where segments are longer than the width,
-            since d² then depends on where the nodes lie along the interface.
+        quadrature: ``refined`` (default) integrates both interfaces, whatever their nodes, to `tolerance`. ``centre``
+            takes one point a segment or triangle as the study does: cheap, and wrong where these are longer than the
+            width, since d² then depends on where the nodes lie along the interface.
         tolerance: of ``refined``: error of d² relative to ⟨T,T⟩.
 
     ⟨T,T⟩ is kept for the observed interfaces used last.
@@ -45,6 +46,7 @@ class Currents:
     quadrature: str = field(default="refined", kw_only=True)
     tolerance: float = field(default=1e-6, kw_only=True)
     unit: ClassVar[str] = "mm²"
+    surface_unit: ClassVar[str] = "mm⁴"
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.width) and self.width > 0):
@@ -55,13 +57,13 @@ class Currents:
             _refuse("tolerance", self.tolerance, "a number in (0, 0.1]", "Leave it out for 1e-6.")
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
-        """Return d² ≥ 0, mm²; a difference below rounding counts as 0."""
-        require_polylines(simulated, observed)
+        """Return d² ≥ 0, mm² (mm⁴); a difference below rounding counts as 0."""
+        require_alike(simulated, observed)
         if simulated.runs_against(observed):
             raise InvalidInterface(
                 "the simulated interface runs against the observed one",
                 value="normals that point to opposite sides",
-                expected="both run through from the same end",
+                expected="both run through from the same end, or facing the same side",
                 remedy="Turn the observed interface round: oriented_like(observed, simulated).",
             )
         bound = _bound(self, Snapshot.of(observed))
@@ -70,8 +72,8 @@ class Currents:
         return max(own - 2 * cross + bound.square, 0.0)
 
     def inner(self, a: Interface, b: Interface) -> float:
-        """Return ⟨a,b⟩, mm², to `tolerance` relative to ⟨b,b⟩."""
-        require_polylines(a, b)
+        """Return ⟨a,b⟩, mm² (mm⁴), to `tolerance` relative to ⟨b,b⟩."""
+        require_alike(a, b)
         return self._product(a, b, _bound(self, Snapshot.of(b)).share)
 
     def terms(self, observed: Interface) -> None:
@@ -81,7 +83,8 @@ class Currents:
     def _product(self, a: Interface, b: Interface, share: float) -> float:
         if self.quadrature == "centre":
             return centre_product(a, b, self.width)
-        return refined_product(a, b, self.width, tolerance=share)
+        refined = refined_surface_product if a.dim == 3 else refined_product
+        return refined(a, b, self.width, tolerance=share)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The inner product of two polylines as currents: by one point a segment, or integrated to a tolerance.
+"""The inner product of two interfaces as currents by one point a cell, and of polylines integrated to a tolerance.
 
 ⟨S,T⟩ = ∫_S ∫_T K(x, y) n(x)·m(y) dy dx with the kernel K = exp(-|x-y|²/2σ²) and unit normals n, m; mm² in the plane.
 Eqs. (10)-(11) of the study; σ is its σ_W.
@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import erf
 
+from strandline.discrepancy.kernel_sums import Nodes, kernel_sum
 from strandline.errors import NumericsError
 from strandline.interface import Interface
 
@@ -22,24 +23,28 @@ PANEL = 6.0
 """Longest piece of a segment that one Gauss rule integrates over, in kernel widths."""
 BLOCK = 1 << 16
 """Pairs of pieces that are worked on at once: bounds the memory."""
+_FAR = 1e-12
 _RADII = np.geomspace(1.05, 1e4, 300)
 
 
 def centre_product(a: Interface, b: Interface, width: float) -> float:
-    """Return Σ_i Σ_j K(c_i, d_j) n_i·m_j, mm²: one point a segment (c, d centres; n, m normals times length)."""
-    centres, normals = a.centres, a.normals
-    other, other_normals = b.centres, b.normals
-    total = 0.0
-    for rows in _blocks(len(centres), len(other)):
-        r2 = (centres[rows, 0, None] - other[:, 0]) ** 2 + (centres[rows, 1, None] - other[:, 1]) ** 2
-        total += float(np.sum(normals[rows] * (np.exp(r2 * (-0.5 / width**2)) @ other_normals)))
-    return total
+    """Return Σ_i Σ_j K(c_i, d_j) n_i·m_j, mm² (mm⁴): one point a cell, c, d centres; n, m normals times length (area).
+
+    Of very many cells, those too far apart to make 1e-12 of `natural_scale(a)` together are left out.
+    """
+    size = float(a.sizes.sum())
+    reach = width * math.sqrt(2 * math.log(max(size * float(b.sizes.sum()) / natural_scale(a, width) / _FAR, 1.0)))
+    nodes = Nodes(a.centres, a.normals)
+    return kernel_sum(nodes, nodes if a is b else Nodes(b.centres, b.normals), width, reach=reach)
 
 
 def natural_scale(a: Interface, width: float) -> float:
-    """Return length · min(length, σ√2π), mm²: ⟨S,S⟩ of a straight line much longer (or shorter) than the width."""
-    length = float(a.lengths.sum())
-    return length * min(length, width * math.sqrt(2 * math.pi))
+    """Return size · min(size, (σ√2π)^k), mm² (mm⁴), of an interface of k dimensions.
+
+    ⟨S,S⟩ of a straight line or a plane much larger (or smaller) than the width.
+    """
+    size = float(a.sizes.sum())
+    return size * min(size, (width * math.sqrt(2 * math.pi)) ** (a.dim - 1))
 
 
 def refined_product(a: Interface, b: Interface, width: float, *, tolerance: float) -> float:

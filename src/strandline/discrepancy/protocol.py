@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
-__all__ = ["Discrepancy", "independent_terms", "require_polylines", "unit_of"]
+__all__ = ["Discrepancy", "independent_terms", "require_alike", "require_polylines", "unit_of"]
 
 
 @runtime_checkable
@@ -15,6 +15,7 @@ class Discrepancy(Protocol):
     A plain function of this signature serves. A measure may also state
 
     - `unit`: the unit of d², e.g. ``mm²``; the noise variance σ_N² has the same;
+    - `surface_unit`: that unit where the interfaces are surfaces, if it is another one;
     - `terms(observed)`: of how many independent Gaussian residuals d² is the sum, None where it is no such sum.
     """
 
@@ -23,9 +24,15 @@ class Discrepancy(Protocol):
         ...
 
 
-def unit_of(discrepancy: Discrepancy) -> str:
-    """Return the unit of d² that `discrepancy` states; empty where it states none."""
-    return str(getattr(discrepancy, "unit", ""))
+def unit_of(discrepancy: Discrepancy, observed: Interface | None = None) -> str:
+    """Return the unit of d² that `discrepancy` states; empty where it states none.
+
+    Without an observed interface, that of polylines.
+    """
+    unit = str(getattr(discrepancy, "unit", ""))
+    if observed is None or observed.dim == 2:
+        return unit
+    return str(getattr(discrepancy, "surface_unit", unit))
 
 
 def independent_terms(discrepancy: Discrepancy, observed: Interface) -> int | None:
@@ -46,5 +53,20 @@ def require_polylines(*interfaces: Interface) -> None:
                 "interface of a discrepancy measure",
                 value=f"points with {interface.dim} coordinates",
                 expected="a polyline in the plane",
-                remedy="This measure knows no surfaces yet; supply a plane interface.",
+                remedy="This measure knows no surfaces; choose closest_point, currents or tracked_points for them.",
             )
+
+
+def require_alike(simulated: Interface, observed: Interface) -> None:
+    """Refuse to compare a polyline with a surface.
+
+    Raises:
+        InvalidInterface: two interfaces with different numbers of coordinates.
+    """
+    if simulated.dim != observed.dim:
+        raise InvalidInterface(
+            "simulated and observed interface of a discrepancy measure",
+            value=f"points with {simulated.dim} and with {observed.dim} coordinates",
+            expected="two polylines in the plane or two surfaces in space",
+            remedy="Compare like with like.",
+        )

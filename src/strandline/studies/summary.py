@@ -11,7 +11,6 @@ import numpy as np
 
 from strandline import __version__
 from strandline.calibrate import Calibration
-from strandline.discrepancy.protocol import unit_of
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
 from strandline.posterior import Posterior, Reading
@@ -184,7 +183,7 @@ def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
     return {
         "discrepancy": name,
         "options": _described(discrepancy),
-        "unit": unit_of(discrepancy),
+        "unit": likelihood.unit,
         "noise_variance": study.noise_variance,
         "conditions": [
             {"condition": o.condition, "noise_variance": o.noise_variance, "points": len(o.interface.points)}
