@@ -138,7 +138,7 @@ def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
         ({"discrepancy": {"tracked_points": {"lines": 3}}}, ["unknown option: got lines; expected no options"]),
         ({"discrepancy": {"measurement_lines": {"reach": 0}}}, ["reach of the measurement lines: got 0.0"]),
         ({"discrepancy": [{"closest_point": {}}, {"closest_point": {}}]}, ["each measure once"]),
-        ({"surrogate": {"log_likelihood": {"kernel": "matern23"}}}, ["got matern23", "Did you mean matern32?"]),
+        ({"surrogate": {"log_likelihood": {"kernel": "mattern32"}}}, ["got mattern32", "Did you mean matern32?"]),
         ({"design": {"sobol": {"runs": 3}}}, ["design.sobol.runs: got 3", "at least 4 runs for 2 input(s)"]),
         ({"reuse": ["../nothing"]}, ["reuse: got ../nothing", "folder of another study"]),
         ({"fixed": {"load": 1, "lode": 2}}, ["fixed.lode: the model has no such input", "Did you mean load?"]),

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from strandline.errors import InvalidStudy
+from strandline.smc import SMCSettings
 from strandline.studies.parse import parse_study
 from strandline.studies.schema import Quantity
 from strandline.testing.studies import BEAM_STUDY, write_study
@@ -31,10 +32,11 @@ def refused_text(tmp_path: Path, text: str | bytes) -> InvalidStudy:
     return caught.value
 
 
-def test_defaults_are_the_published_study(tmp_path: Path) -> None:
+def test_defaults_are_the_published_kernel_and_the_economical_sampler(tmp_path: Path) -> None:
     content = parsed(tmp_path, sampler=None, executor=None, seed=None)
     smc = content.sampler.smc
-    assert (smc.particles, smc.rejuvenation_steps, smc.zeta) == (5000, 20, 0.995)
+    assert (smc.particles, smc.rejuvenation_steps, smc.zeta) == (5000, 15, 0.5)
+    assert (SMCSettings().rejuvenation_steps, SMCSettings().zeta) == (smc.rejuvenation_steps, smc.zeta)
     assert content.surrogate.log_likelihood.kernel == "matern32"
     assert content.design.sobol.scramble is None
     assert content.seed == 1
