@@ -24,10 +24,11 @@ SMALL: dict[str, Any] = {
 }
 SLOW_MODEL = """
 import time
+from pathlib import Path
 from strandline.testing.studies import undeclared_beam
 
 def slow(inputs, workdir):
-    time.sleep(0.15)
+    time.sleep(0.0 if Path(__file__).with_name("hurry").exists() else 1.0)
     return undeclared_beam(inputs, workdir)
 """
 
@@ -177,6 +178,7 @@ def test_run_interrupted_run_status_and_report(
     assert 3 <= kept < 32
     assert f"{kept} of 32 runs" in printed(capsys, "status", str(folder))
 
+    (tmp_path / "hurry").touch()
     main(["run", str(folder), "--workers", "1"])
     shown = capsys.readouterr()
     assert f"beam: 32 forward runs ok, 0 failed ({32 - kept} new, {kept} reused)" in shown.out
