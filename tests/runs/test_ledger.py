@@ -16,7 +16,8 @@ import pytest
 from strandline.errors import LedgerError
 from strandline.interface import Interface
 from strandline.models.protocol import fingerprint
-from strandline.runs import Counts, InProcess, Ledger, RunRecord, RunRequest, run_campaign, run_key, schema
+from strandline.runs import Counts, InProcess, Ledger, RunRecord, RunRequest, run_campaign, run_key, tables
+from strandline.runs.plans import Plan, read_plan
 from strandline.testing.executors import requests_for, same_outcome
 from strandline.testing.models import Cantilever, TwoLoads
 
@@ -124,11 +125,20 @@ def test_each_write_is_synchronised(path):
 
 
 @pytest.mark.parametrize(
-    "verb", ["UPDATE outcomes SET state = 'ok'", "DELETE FROM starts", "DELETE FROM outcomes", "DELETE FROM arrays"]
+    "verb",
+    [
+        "UPDATE outcomes SET state = 'ok'",
+        "DELETE FROM starts",
+        "DELETE FROM outcomes",
+        "DELETE FROM arrays",
+        "UPDATE plans SET planned = 0",
+        "DELETE FROM plans",
+    ],
 )
 def test_nothing_is_ever_changed(path, verb):
     with Ledger.open(path, model="m") as ledger:
         put(ledger, records()[0])
+        ledger.plan(Plan("digest", "beam", "m", ("E",), False, 1, (("two",),)))
         with pytest.raises(sqlite3.IntegrityError, match="append-only"):
             ledger._connection.execute(verb)
 
@@ -216,7 +226,7 @@ def test_ledger_of_another_model_is_refused_with_both_names(path):
 
 def test_newer_version_is_refused(path):
     Ledger.open(path, model="m").close()
-    tamper(path, f"UPDATE meta SET value = '{schema.VERSION + 1}' WHERE key = 'schema_version'")
+    tamper(path, f"UPDATE meta SET value = '{tables.VERSION + 1}' WHERE key = 'schema_version'")
     with pytest.raises(LedgerError, match="newer strandline"):
         Ledger.open(path, model="m")
 
@@ -282,7 +292,7 @@ def test_folder_that_cannot_be_written_is_refused_but_can_be_read():
 
 
 def test_failure_while_creating_leaves_no_ledger(path, monkeypatch):
-    monkeypatch.setattr("strandline.runs.schema.TABLES", "CREATE TABLE broken (")
+    monkeypatch.setattr("strandline.runs.tables.TABLES", "CREATE TABLE broken (")
     with pytest.raises(LedgerError):
         Ledger.open(path, model="m")
     assert not [file for file in path.parent.iterdir() if file.suffix != ".lock"]
@@ -400,9 +410,9 @@ def content(path):
     """Return version, tables, and all rows of the tables of version 1 but for the sessions."""
     with closing(sqlite3.connect(path)) as connection:
         (version,) = connection.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchone()
-        tables = {row[0] for row in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+        names = {row[0] for row in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
         rows = [connection.execute(f"SELECT * FROM {table}").fetchall() for table in ("starts", "outcomes")]
-    return version, tables, rows
+    return version, names, rows
 
 
 def test_reading_version_1_gives_an_unnamed_condition_and_changes_nothing(tmp_path):
@@ -419,14 +429,14 @@ def test_reading_version_1_gives_an_unnamed_condition_and_changes_nothing(tmp_pa
 
 def test_a_driver_upgrades_version_1_and_touches_no_row(tmp_path):
     path = old_ledger(tmp_path)
-    version, tables, rows = content(path)
-    assert (version, "arrays" in tables) == ("1", False)
+    version, names, rows = content(path)
+    assert (version, {"arrays", "plans"} & names) == ("1", set())
     model = Cantilever(nodes=9).fingerprint
     with pytest.raises(LedgerError, match="another model"):
         Ledger.open(path, model="m")
     assert content(path)[0] == "1"
     Ledger.open(path, model=model).close()
-    assert content(path) == ("2", tables | {"arrays"}, rows)
+    assert content(path) == (str(tables.VERSION), names | {"arrays", "plans"}, rows)
     with Ledger.open(path, model=model) as ledger:
         put(ledger, records()[0])
         assert exact(ledger.latest(["two"])["two"]) == exact(records()[0])
@@ -443,19 +453,19 @@ def definitions(path):
 def test_an_upgrade_that_fails_leaves_version_1(tmp_path, monkeypatch):
     path = old_ledger(tmp_path)
     before = content(path)
-    monkeypatch.setattr(schema, "ARRAYS", schema.ARRAYS + "CREATE TABLE broken (")
+    monkeypatch.setitem(tables.ADDED, "plans", tables.ADDED["plans"] + "CREATE TABLE broken (")
     with pytest.raises(LedgerError):
         Ledger.open(path, model=Cantilever(nodes=9).fingerprint)
     assert content(path) == before
     monkeypatch.undo()
     Ledger.open(path, model=Cantilever(nodes=9).fingerprint).close()
-    assert content(path)[0] == "2"
+    assert content(path)[0] == str(tables.VERSION)
 
 
 def test_a_reader_of_version_1_sees_what_an_upgrading_driver_writes(tmp_path):
     path = old_ledger(tmp_path)
     model = Cantilever(nodes=9).fingerprint
-    with closing(schema.connect(path)), Ledger.open(path, model=None, read_only=True) as reader:
+    with closing(tables.connect(path)), Ledger.open(path, model=None, read_only=True) as reader:
         assert len(list(reader)) == 4
         with Ledger.open(path, model=model) as driver:
             put(driver, records()[0])
@@ -479,6 +489,63 @@ def test_ledger_of_version_2_still_opens(tmp_path):
         for name in model.conditions:
             slope = model(steep.inputs, tmp_path).sensitivities[name]["load"]
             np.testing.assert_allclose(steep.sensitivities[name]["load"], slope, rtol=1e-12)
+
+
+def stored(name, folder):
+    path = Path(shutil.copy(DATA / name, folder / "ledger.sqlite"))
+    path.chmod(0o644)
+    return path
+
+
+def array_rows(path):
+    with closing(sqlite3.connect(path)) as connection:
+        return connection.execute("SELECT * FROM arrays").fetchall()
+
+
+@pytest.mark.parametrize("name", ["ledger-v2.sqlite", "ledger-v2-study.sqlite"])
+def test_a_driver_upgrades_version_2_and_touches_no_row(tmp_path, name):
+    path = stored(name, tmp_path)
+    with closing(sqlite3.connect(path)) as connection:
+        (model,) = connection.execute("SELECT value FROM meta WHERE key = 'model'").fetchone()
+    (version, names, rows), arrays = content(path), array_rows(path)
+    assert (version, "plans" in names) == ("2", False)
+    Ledger.open(path, model=model).close()
+    assert content(path) == (str(tables.VERSION), names | {"plans"}, rows)
+    assert array_rows(path) == arrays
+    fresh = tmp_path / "fresh.sqlite"
+    Ledger.open(fresh, model=model).close()
+    assert definitions(path) == definitions(fresh)
+
+
+def test_an_upgrade_that_fails_leaves_version_2(tmp_path, monkeypatch):
+    path = stored("ledger-v2-study.sqlite", tmp_path)
+    before = content(path)
+    monkeypatch.setitem(tables.ADDED, "plans", tables.ADDED["plans"] + "CREATE TABLE broken (")
+    with pytest.raises(LedgerError):
+        Ledger.open(path, model="test:beam-1")
+    assert content(path) == before
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_ledger_of_a_study_still_opens(tmp_path, version):
+    """Four runs ok, four failed, one more at the inputs of the synthetic observation."""
+    path = stored(f"ledger-v{version}-study.sqlite", tmp_path)
+    with Ledger.open(path, model="test:beam-1") as ledger:
+        assert ledger.counts() == Counts(ok=5, failed=4)
+        for record in ledger:
+            tip = 4 * record.inputs["load"] * 1e6 / record.inputs["E"] + record.inputs["tilt"]  # F L³ / (3 E I)
+            assert record.diagnostics["tip"] == pytest.approx(tip)
+            assert record.ok == (tip <= 1)
+            assert record.failure_kind == (None if record.ok else "large_deflection")
+
+
+def test_the_plan_of_version_3_is_read(tmp_path):
+    with closing(sqlite3.connect(stored("ledger-v3-study.sqlite", tmp_path))) as connection:
+        ((digest,),) = connection.execute("SELECT study_sha256 FROM plans").fetchall()
+        keys = [row[0] for row in connection.execute("SELECT key FROM starts ORDER BY attempt")]
+        plan = read_plan(connection, digest)
+    assert (plan.name, plan.model, plan.inputs) == ("old", "test:beam-1", ("E", "tilt"))
+    assert (plan.sensitivities, plan.planned, plan.keys) == (False, 8, keys[1:])
 
 
 def test_equal_outcomes_are_told_from_different_ones():

@@ -20,6 +20,7 @@ COMMANDS = {
     "check": "Validate a study and make one forward run.",
     "run": "Do the whole study; go on where it was stopped.",
     "status": "Tell how many runs are done, and how the others ended.",
+    "runs": "List the runs of a study, show one in full, export them.",
     "report": "Make posterior, figures and report anew from finished runs.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "forward": "Make one forward run at chosen inputs.",

@@ -1,26 +1,82 @@
 """`strandline status`: how far a study is."""
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-__all__ = ["command"]
+if TYPE_CHECKING:
+    from strandline.studies.progress import RunTold, StudyProgress
+
+__all__ = ["command", "lines_of"]
 
 RESULTS = {"none": "not yet", "current": "written", "outdated": "of an earlier study.yaml"}
+LINE = 160
 
 
 @click.command("status")
 @click.argument("study", type=click.Path(path_type=Path))
-def command(study: Path) -> None:
-    """Count the runs of STUDY by how they ended; it may be running meanwhile."""
-    from strandline.studies import load_study
-    from strandline.studies.progress import progress_of
+@click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON object.")
+def command(study: Path, as_json: bool) -> None:
+    """Count the runs of STUDY by how they ended; tell the pace, the slowest run, and why runs failed.
 
-    state = progress_of(load_study(study))
-    click.echo(f"{state.name}: {state.ok + state.failed} of {state.planned} runs of the design done")
-    click.echo(f"  ok {state.ok}, failed {state.failed}, under way (or lost) {state.open}, to do {state.to_do}")
-    for kind, count in state.by_kind.items():
-        click.echo(f"  {kind}: {count}; e.g. {state.examples[kind]}")
+    It may be running meanwhile.
+    """
+    from strandline.studies.progress import progress_in
+
+    state = progress_in(study)
+    if as_json:
+        click.echo(json.dumps(state.as_dict()))
+    else:
+        click.echo("\n".join(lines_of(state)))
+
+
+def lines_of(state: "StudyProgress") -> Iterator[str]:
+    """Yield what is told of `state` to a person."""
+    unsure = state.driver is not None and state.driver.at_work is None
+    yield f"{state.name}: {state.done} of {state.planned} runs of the design done"
+    lost = f", {state.lost} of them lost with their driver" if state.lost else ""
+    under_way = "under way (or lost)" if unsure else "under way"
+    yield f"  ok {state.ok}, failed {state.failed}, {under_way} {state.open}, to do {state.to_do}{lost}"
+    if state.driver is not None:
+        yield f"  {_driver(state)}"
+    for kind, some in state.failures.items():
+        example = some.example
+        yield f"  {kind}: {some.count}; e.g. {_inputs(example)}: {example.message or 'no message'}"
+        for line in example.log:
+            yield f"    | {line if len(line) <= LINE else line[: LINE - 1] + '…'}"
     if state.median_seconds is not None and state.slowest is not None:
-        click.echo(f"  median {state.median_seconds:.2f} s a run, slowest {state.slowest:.2f} s")
-    click.echo(f"  results: {RESULTS[state.results]}")
+        slowest = f"slowest {state.slowest.seconds:.2f} s at {_inputs(state.slowest)}"
+        yield f"  median {state.median_seconds:.2f} s a run, {slowest}"
+    yield f"  results: {RESULTS[state.results]}"
+
+
+def _driver(state: "StudyProgress") -> str:
+    """Return who is at work, and how quickly."""
+    driver = state.driver
+    if driver is None:
+        return "no driver yet"
+    who = f"process {driver.pid} on {driver.host}"
+    pace = "" if state.rate is None else f"{_figure(state.rate)} runs a minute"
+    if driver.at_work is None:
+        return f"driver {who}; from here it cannot be told whether it is at work" + (f"; {pace}" if pace else "")
+    if not driver.at_work:
+        return "no driver at work" + (f"; the last made {pace}" if pace else "")
+    left = "" if not state.seconds_left else f", about {_time(state.seconds_left)} left"
+    return f"driver at work, {who}" + (f": {pace}{left}" if pace else "")
+
+
+def _inputs(run: "RunTold") -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in run.inputs.items())
+
+
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

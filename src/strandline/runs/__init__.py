@@ -1,9 +1,13 @@
 """Forward runs: records, the ledger that keeps them, executors, campaigns."""
 
-from strandline.runs.campaign import Progress, run_campaign
-from strandline.runs.executors import Executor, InProcess, LocalProcesses
-from strandline.runs.ledger import Counts, Ledger
-from strandline.runs.record import RunRecord, RunRequest, attempt, run_key
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from strandline.runs.campaign import Progress, run_campaign
+    from strandline.runs.executors import Executor, InProcess, LocalProcesses
+    from strandline.runs.ledger import Counts, Ledger
+    from strandline.runs.record import RunRecord, RunRequest, attempt, run_key
 
 __all__ = [
     "Counts",
@@ -18,3 +22,18 @@ __all__ = [
     "run_campaign",
     "run_key",
 ]
+
+_NAMES_OF = {
+    "campaign": "Progress run_campaign",
+    "executors": "Executor InProcess LocalProcesses",
+    "ledger": "Counts Ledger",
+    "record": "RunRecord RunRequest attempt run_key",
+}
+_HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is asked for: to tell how far a ledger is takes no numerics."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

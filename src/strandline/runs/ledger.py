@@ -3,9 +3,9 @@
 A run is STARTED before it is handed out and gets an outcome when it ends; STARTED without an outcome means running
 while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each write is
 on the disk when the call returns (write-ahead log, full synchronisation). Arrays are stored as raw little-endian
-numbers and each outcome carries a checksum; nothing is pickled. A ledger of version 1 is read as it is and becomes one
-of version 2, in one transaction that touches none of its rows, when a driver opens it. The file must lie on a disk of
-the driving machine or on a file system with working locks.
+numbers and each outcome carries a checksum; nothing is pickled. A ledger of an earlier version is read as it is and
+becomes one of the present version, in one transaction that touches none of its rows, when a driver opens it. The file
+must lie on a disk of the driving machine or on a file system with working locks.
 """
 
 import contextlib
@@ -22,13 +22,14 @@ from typing import Any
 from filelock import BaseFileLock, FileLock, Timeout
 
 from strandline.errors import LedgerError
-from strandline.runs import schema
+from strandline.runs import schema, tables
+from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
+from strandline.runs.plans import Plan, read_plan, rows_to_write
 from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.tables import INTERRUPTED, translated
 
-__all__ = ["Counts", "Ledger"]
+__all__ = ["INTERRUPTED", "Counts", "Ledger"]
 
-INTERRUPTED = "interrupted"
-"""Failure kind of a run that its own driver stopped: it is no attempt at the run."""
 COPIED_STATES = frozenset({"ok", "failed", "invalid"})
 """What the model itself decided; a timeout or a vanished process says something about the other machine only."""
 KEYS_PER_QUERY = 500
@@ -97,20 +98,20 @@ class Ledger:
 
     @classmethod
     def _for_reading(cls, path: Path, model: str | None) -> "Ledger":
-        ledger = cls(path, _connected_for_reading(path), None)
+        ledger = cls(path, tables.opened_for_reading(path), None)
         ledger._checked(model)
         return ledger
 
     @classmethod
     def _for_writing(cls, path: Path, model: str, description: str, lock: BaseFileLock) -> "Ledger":
-        with _translated(path):
+        with translated(path):
             if not path.exists():
-                schema.create(path, model=model, description=description)
-            connection = schema.connect(path)
+                tables.create(path, model=model, description=description)
+            connection = tables.connect(path)
         ledger = cls(path, connection, lock)
         ledger._checked(model)
-        with ledger._closed_on_error(), _translated(path):
-            schema.upgrade(connection)
+        with ledger._closed_on_error(), translated(path):
+            tables.upgrade(connection)
             columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
             row = connection.execute(
                 f"INSERT INTO sessions {columns}", (os.getpid(), socket.gethostname(), time.time())
@@ -119,15 +120,10 @@ class Ledger:
         return ledger
 
     def _checked(self, model: str | None) -> None:
-        with self._closed_on_error(), _translated(self.path):
-            schema.require_version(self.path, self._connection)
-            if model is not None and model != self.model:
-                raise LedgerError(
-                    f"{self.path} keeps the runs of another model",
-                    value=f"{self.model} in the ledger, {model} now",
-                    expected="one and the same model",
-                    remedy=f"Move {self.path.name} away or use a new study folder for the changed model.",
-                )
+        with self._closed_on_error(), translated(self.path):
+            tables.require_version(self.path, self._connection)
+            if model is not None:
+                tables.require_model(self.path, self._connection, model)
 
     @contextlib.contextmanager
     def _closed_on_error(self) -> Iterator[None]:
@@ -244,12 +240,25 @@ class Ledger:
                 self._finish(number, record, origin=record.origin or str(other))
         return len(taken)
 
+    def plan(self, plan: Plan) -> None:
+        """Note which runs a study asks for; nothing is written where that is known already.
+
+        Rounds of refinement that follow from runs not made yet are added by a later call.
+        """
+        session = self._writing_session()
+        with translated(self.path):
+            rows = rows_to_write(plan, read_plan(self._connection, plan.study_sha256))
+        if rows:
+            with self._transaction(), translated(self.path):
+                sql = f"INSERT INTO plans (session, planned_at, {PLAN_COLUMNS}) VALUES (?, ?{', ?' * len(rows[0])})"
+                self._connection.executemany(sql, [(session, time.time(), *row) for row in rows])
+
     def _meta(self, key: str) -> str:
         return str(self._rows("SELECT value FROM meta WHERE key = ?", (key,))[0][0])
 
     def _start(self, request: RunRequest, at: float) -> int:
         row = (self._writing_session(), request.key, schema.inputs_text(request.inputs), at)
-        with _translated(self.path):
+        with translated(self.path):
             sql = "INSERT INTO starts (session, key, inputs, started_at) VALUES (?, ?, ?, ?)"
             return int(self._connection.execute(sql, row).lastrowid or 0)
 
@@ -258,7 +267,7 @@ class Ledger:
         outcome, arrays = schema.rows_of(record, origin or record.origin)
         row = (number, *outcome, time.time())
         alone = not arrays or self._connection.in_transaction
-        with contextlib.nullcontext() if alone else self._transaction(), _translated(self.path):
+        with contextlib.nullcontext() if alone else self._transaction(), translated(self.path):
             sql = f"INSERT INTO outcomes (attempt, {schema.OUTCOME_COLUMNS}, finished_at) VALUES ({schema.MARKS})"
             self._connection.execute(sql, row)
             sql = f"INSERT INTO arrays (attempt, {schema.ARRAY_COLUMNS}) VALUES ({schema.ARRAY_MARKS})"
@@ -277,23 +286,23 @@ class Ledger:
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
         """Make all writes inside one: all of them last, or none."""
-        with _translated(self.path):
+        with translated(self.path):
             self._connection.execute("BEGIN IMMEDIATE")
         try:
             yield
         except BaseException:
             self._connection.execute("ROLLBACK")
             raise
-        with _translated(self.path):
+        with translated(self.path):
             self._connection.execute("COMMIT")
 
     def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
         sql = f"""SELECT attempt, key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)
             WHERE attempt IN ({attempts}) ORDER BY attempt"""
-        with _translated(self.path):
+        with translated(self.path):
             extended = False
             for number, *row in self._connection.execute(sql, values):
-                extended = extended or schema.has_arrays(self._connection)
+                extended = extended or tables.has_table(self._connection, "arrays")
                 yield schema.record_of(self.path, tuple(row), self._arrays(number) if extended else [])
 
     def _arrays(self, number: int) -> list[Any]:
@@ -301,7 +310,7 @@ class Ledger:
         return self._connection.execute(sql, (number,)).fetchall()
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:
-        with _translated(self.path):
+        with translated(self.path):
             return self._connection.execute(sql, values).fetchall()
 
 
@@ -331,41 +340,8 @@ def _locked(path: Path) -> BaseFileLock:
 def _last_driver(path: Path) -> str:
     """Return process id and host of the driver that opened the ledger last."""
     try:
-        with contextlib.closing(_connected_for_reading(path)) as connection:
+        with contextlib.closing(tables.opened_for_reading(path)) as connection:
             row = connection.execute("SELECT pid, host FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
     except (LedgerError, sqlite3.Error):
         row = None
     return f"process {row[0]} on {row[1]}" if row else "process unknown"
-
-
-def _connected_for_reading(path: Path) -> sqlite3.Connection:
-    if not path.is_file():
-        raise LedgerError(
-            f"ledger {path}",
-            value="no such file",
-            expected="a ledger",
-            remedy="Run the study first, or correct the path.",
-        )
-    with _translated(path):
-        return schema.connect_read_only(path)
-
-
-@contextlib.contextmanager
-def _translated(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite and of the file system into a `LedgerError` that names the file and the remedy."""
-    try:
-        yield
-    except (sqlite3.OperationalError, OSError) as error:
-        raise LedgerError(
-            f"ledger {path} cannot be read or written",
-            value=str(error),
-            expected="a readable file in a folder that can be written, with room on the disk",
-            remedy="Correct permissions or disk space and run again: finished runs stay.",
-        ) from error
-    except sqlite3.DatabaseError as error:
-        raise LedgerError(
-            f"ledger {path} is damaged or no ledger",
-            value=str(error),
-            expected="a SQLite file written by strandline",
-            remedy="Restore it from a backup, or move it away and run again.",
-        ) from error

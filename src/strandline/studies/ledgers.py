@@ -7,6 +7,8 @@ from strandline.design import sobol
 from strandline.errors import InvalidStudy
 from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, run_key
+from strandline.runs.plans import Plan
+from strandline.runs.tables import ATTEMPTS
 from strandline.studies.folder import REFINEMENT, write_json
 from strandline.studies.study import Study
 
@@ -15,6 +17,7 @@ __all__ = [
     "design_keys",
     "known_runs",
     "needed_keys",
+    "plan_of",
     "planned_runs",
     "refinement_keys",
     "require_finished",
@@ -22,9 +25,6 @@ __all__ = [
     "take_over",
     "write_round",
 ]
-
-ATTEMPTS = 3
-"""Starts after which a campaign gives up a run whose process vanishes each time."""
 
 
 def design_keys(study: Study) -> list[str]:
@@ -61,6 +61,19 @@ def planned_runs(study: Study) -> int:
     begun = refinement_keys(study)
     left = study.settings.refine.rounds - len(begun)
     return study.settings.runs + sum(len(keys) for keys in begun) + left * study.settings.refine.runs
+
+
+def plan_of(study: Study) -> Plan:
+    """Return what `study` asks of its ledger, as far as it is known yet."""
+    return Plan(
+        study_sha256=study.text_digest,
+        name=study.name,
+        model=fingerprint(study.model),
+        inputs=tuple(study.space.names),
+        sensitivities=study.sensitivities,
+        planned=planned_runs(study),
+        parts=(tuple(design_keys(study)), *(tuple(keys) for keys in refinement_keys(study))),
+    )
 
 
 def needed_keys(study: Study) -> list[str]:

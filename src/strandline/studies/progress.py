@@ -1,37 +1,69 @@
-"""How far a study is, read from its ledger while it may be running."""
+"""How far a study is, read from its ledger while it may be running.
 
+What a driver has noted of the study in the ledger is enough: then no model is loaded and nothing numerical imported.
+"""
+
+import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import median
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from strandline.models.protocol import fingerprint
-from strandline.runs import Ledger, RunRecord
-from strandline.studies.folder import SUMMARY
-from strandline.studies.ledgers import design_keys, planned_runs, refinement_keys, settled
-from strandline.studies.study import Study
+from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
+from strandline.runs.plans import Plan
+from strandline.runs.tables import INTERRUPTED
+from strandline.studies.folder import LEDGER, STUDY, SUMMARY
 
-__all__ = ["StudyProgress", "progress_of", "results_of"]
+if TYPE_CHECKING:
+    from strandline.studies.study import Study
+
+__all__ = ["Failures", "RunTold", "StudyProgress", "progress_in", "progress_of", "recorded_plan", "results_of"]
 
 Results = Literal["none", "current", "outdated"]
+RATE_RUNS = 50
+"""The pace is that of so many runs, the last to end."""
+LOG_LINES = 2
+
+
+@dataclass(frozen=True)
+class RunTold:
+    """A run to be shown: its key, its unknown inputs, its seconds, the first line of its message, its log's last."""
+
+    key: str
+    inputs: Mapping[str, float]
+    seconds: float
+    message: str = ""
+    log: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Failures:
+    """The failures of one kind: their number, and the first to be started."""
+
+    count: int
+    example: RunTold
 
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """Counts of the planned runs by how they ended, and examples of failures.
+    """Counts of the planned runs by what came of them, each in one of ok, failed, open, to do.
 
     Args:
         name: of the study.
         planned: runs of the design and of all rounds of refinement.
         ok: those that gave an interface.
         failed: those that did not and will not be tried again.
-        open: runs started and not ended: under way if a driver is at work, lost otherwise.
-        by_kind: number of failures by kind.
-        examples: for each kind, inputs and message of its first failure.
+        open: runs started and not ended, of a driver that is at work or may be.
+        lost: runs started and not ended whose driver is gone; they are to do.
+        failures: by kind, the commonest first.
+        rate: runs per minute, of the last driver that ended any.
+        seconds_left: estimated time to the last run that is planned, where a driver is at work.
         median_seconds: of the finished runs.
-        slowest: seconds of the slowest one.
+        slowest: of the finished runs.
+        driver: who opened the ledger last, and whether it is at work.
         results: whether summary.json is there, and of study.yaml as it is now.
     """
 
@@ -40,56 +72,208 @@ class StudyProgress:
     ok: int = 0
     failed: int = 0
     open: int = 0
-    by_kind: Mapping[str, int] = field(default_factory=dict)
-    examples: Mapping[str, str] = field(default_factory=dict)
+    lost: int = 0
+    failures: Mapping[str, Failures] = field(default_factory=dict)
+    rate: float | None = None
+    seconds_left: float | None = None
     median_seconds: float | None = None
-    slowest: float | None = None
+    slowest: RunTold | None = None
+    driver: Driver | None = None
     results: Results = "none"
+
+    @property
+    def done(self) -> int:
+        """Runs that will not be tried again."""
+        return self.ok + self.failed
 
     @property
     def to_do(self) -> int:
         """Runs neither done nor under way."""
-        return max(self.planned - self.ok - self.failed - self.open, 0)
+        return max(self.planned - self.done - self.open, 0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all that is told, as JSON knows it."""
+        driver = self.driver
+        return {
+            "name": self.name,
+            "planned": self.planned,
+            "done": self.done,
+            "ok": self.ok,
+            "failed": self.failed,
+            "open": self.open,
+            "lost": self.lost,
+            "to_do": self.to_do,
+            "driver": None
+            if driver is None
+            else {"pid": driver.pid, "host": driver.host, "since": driver.opened_at, "at_work": driver.at_work},
+            "runs_per_minute": self.rate,
+            "seconds_left": self.seconds_left,
+            "median_seconds": self.median_seconds,
+            "slowest": None if self.slowest is None else _as_dict(self.slowest),
+            "failures": {
+                kind: {"count": some.count, "example": _as_dict(some.example)} for kind, some in self.failures.items()
+            },
+            "results": self.results,
+        }
 
 
-def progress_of(study: Study) -> StudyProgress:
+def progress_in(folder: Path) -> StudyProgress:
+    """Return how far the study in `folder` is: by the plan in its ledger if there is one, else by loading the study.
+
+    A model that has changed since, study.yaml being the same, is not noticed by the plan.
+
+    Raises:
+        InvalidStudy: no plan, and a study that cannot be loaded.
+        LedgerError: a ledger that cannot be used.
+    """
+    plan = recorded_plan(folder)
+    if plan is not None:
+        return _progress(folder, plan)
+    from strandline.studies.study import load_study
+
+    return progress_of(load_study(folder))
+
+
+def progress_of(study: "Study") -> StudyProgress:
     """Return how far `study` is; reads the ledger without the lock of its driver."""
-    keys = [*design_keys(study), *(key for some in refinement_keys(study) for key in some)]
-    results, planned = results_of(study), planned_runs(study)
-    if not study.ledger_path.is_file():
-        return StudyProgress(study.name, planned, results=results)
-    with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-        records = settled(ledger, keys, sensitivities=study.sensitivities)
-        open_runs = ledger.counts().open
-    failed = [record for record in records if not record.ok]
-    seconds = [record.seconds for record in records]
-    return StudyProgress(
-        study.name,
-        planned,
-        ok=len(records) - len(failed),
-        failed=len(failed),
-        open=open_runs,
-        by_kind=dict(Counter(_kind(record) for record in failed).most_common()),
-        examples={_kind(record): _example(record, study) for record in reversed(failed)},
-        median_seconds=median(seconds) if seconds else None,
-        slowest=max(seconds, default=None),
-        results=results,
-    )
+    from strandline.studies.ledgers import plan_of
+
+    return _progress(study.folder, plan_of(study))
 
 
-def results_of(study: Study) -> Results:
-    """Tell whether the study has results, and whether they are of study.yaml as it is."""
+def recorded_plan(folder: Path) -> Plan | None:
+    """Return what a driver has noted of study.yaml as it is; None where none has, or where there is no such file."""
     try:
-        summary = json.loads((study.folder / SUMMARY).read_text(encoding="utf-8"))
+        text = (folder / STUDY).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None
+    if not (folder / LEDGER).is_file():
+        return None
+    with Overview(folder / LEDGER) as ledger:
+        return ledger.plan(hashlib.sha256(text.encode()).hexdigest())
+
+
+def results_of(study: "Study") -> Results:
+    """Tell whether the study has results, and whether they are of study.yaml as it is."""
+    return _results(study.folder, study.text_digest)
+
+
+def _progress(folder: Path, plan: Plan) -> StudyProgress:
+    results, path = _results(folder, plan.study_sha256), folder / LEDGER
+    if not path.is_file():
+        return StudyProgress(plan.name, plan.planned, results=results)
+    with Overview(path, model=plan.model) as ledger:
+        wanted, driver = frozenset(plan.keys), ledger.driver()
+        runs = [run for run in ledger.runs() if run.key in wanted]
+        return _Counted(plan, driver, runs).told(ledger, results)
+
+
+class _Counted:
+    """The planned runs that were started, sorted by what came of them."""
+
+    def __init__(self, plan: Plan, driver: Driver | None, runs: Sequence[Run]) -> None:
+        self.plan, self.driver, self.runs = plan, driver, runs
+        self.ok: list[Attempt] = []
+        self.failed: list[Attempt] = []
+        self.open = self.lost = 0
+        self.keys = {attempt.number: run.key for run in runs for attempt in run.attempts}
+        for run in runs:
+            self._count(run)
+
+    def _count(self, run: Run) -> None:
+        if run.last.state == OPEN and self._may_be_under_way(run.last):
+            self.open += 1
+        elif run.outcome is not None and run.settled(sensitivities=self.plan.sensitivities):
+            (self.ok if run.outcome.state == "ok" else self.failed).append(run.outcome)
+        elif run.last.state == OPEN:
+            self.lost += 1
+
+    def _may_be_under_way(self, start: Attempt) -> bool:
+        driver = self.driver
+        return driver is not None and driver.at_work is not False and start.session == driver.session
+
+    def told(self, ledger: Overview, results: Results) -> StudyProgress:
+        """Return the counts, with examples from the ledger."""
+        ended = [*self.ok, *self.failed]
+        slowest = max(ended, key=_seconds, default=None)
+        rate, left = self._pace()
+        return StudyProgress(
+            self.plan.name,
+            self.plan.planned,
+            ok=len(self.ok),
+            failed=len(self.failed),
+            open=self.open,
+            lost=self.lost,
+            failures=self._failures(ledger),
+            rate=rate,
+            seconds_left=left,
+            median_seconds=median(map(_seconds, ended)) if ended else None,
+            slowest=None if slowest is None else self._shown(slowest),
+            driver=self.driver,
+            results=results,
+        )
+
+    def _failures(self, ledger: Overview) -> dict[str, Failures]:
+        failed = sorted(self.failed, key=lambda attempt: attempt.number)
+        counts = Counter(attempt.kind or attempt.state for attempt in failed).most_common()
+        examples = {attempt.kind or attempt.state: attempt for attempt in reversed(failed)}
+        return {kind: Failures(count, self._explained(examples[kind], ledger)) for kind, count in counts}
+
+    def _shown(self, attempt: Attempt, message: str = "", log: tuple[str, ...] = ()) -> RunTold:
+        known = json.loads(attempt.inputs)
+        inputs = {name: known[name] for name in self.plan.inputs}
+        return RunTold(self.keys[attempt.number], inputs, _seconds(attempt), message, log)
+
+    def _explained(self, attempt: Attempt, ledger: Overview) -> RunTold:
+        details = ledger.details([attempt.number])[attempt.number]
+        log = [line.rstrip() for line in details.log.splitlines() if line.strip()][-LOG_LINES:]
+        return self._shown(attempt, next(iter(details.message.splitlines()), ""), tuple(log))
+
+    def _pace(self) -> tuple[float | None, float | None]:
+        """Return the runs per minute of the last driver that ended any, and the seconds left at its pace."""
+        made = [
+            attempt
+            for run in self.runs
+            for attempt in run.attempts
+            if attempt.finished_at is not None and attempt.origin is None and attempt.kind != INTERRUPTED
+        ]
+        session = max((attempt.session for attempt in made), default=None)
+        rate = _per_minute([attempt for attempt in made if attempt.session == session])
+        left = self.plan.planned - len(self.ok) - len(self.failed)
+        at_work = self.driver is not None and self.driver.at_work and self.driver.session == session
+        return rate, 60.0 * left / rate if rate and at_work else None
+
+
+def _per_minute(made: Sequence[Attempt]) -> float | None:
+    """Return the pace of the last `RATE_RUNS` of the runs that one driver has made.
+
+    The time of the first ones begins with the first start: runs side by side may all end at once.
+    """
+    ends = sorted(attempt.finished_at or 0.0 for attempt in made)
+    if not ends:
+        return None
+    number = min(len(ends), RATE_RUNS)
+    begun = min(attempt.started_at for attempt in made) if number == len(ends) else ends[-number - 1]
+    return 60.0 * number / (ends[-1] - begun) if ends[-1] > begun else None
+
+
+def _results(folder: Path, study_sha256: str) -> Results:
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return "none"
-    return "current" if summary.get("study_sha256") == study.text_digest else "outdated"
+    return "current" if summary.get("study_sha256") == study_sha256 else "outdated"
 
 
-def _kind(record: RunRecord) -> str:
-    return record.failure_kind or record.state
+def _seconds(attempt: Attempt) -> float:
+    return attempt.seconds or 0.0
 
 
-def _example(record: RunRecord, study: Study) -> str:
-    inputs = ", ".join(f"{name} = {record.inputs[name]:.6g}" for name in study.space.names)
-    return f"{inputs}: {(record.message or '').splitlines()[0] if record.message else 'no message'}"
+def _as_dict(run: RunTold) -> dict[str, Any]:
+    return {
+        "key": run.key,
+        "inputs": dict(run.inputs),
+        "seconds": run.seconds,
+        "message": run.message,
+        "log": list(run.log),
+    }

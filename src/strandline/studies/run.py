@@ -17,7 +17,7 @@ from strandline.report import write_report
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
-from strandline.studies.ledgers import check_ledgers, take_over, write_round
+from strandline.studies.ledgers import check_ledgers, plan_of, take_over, write_round
 from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
@@ -52,6 +52,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     check_ledgers(study)
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
+        ledger.plan(plan_of(study))
         take_over(study, ledger)
         observed = _observe(study, ledger, executor, observer)
         observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
@@ -73,6 +74,7 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
 
     def draws(inputs: Sequence[Mapping[str, float]]) -> None:
         write_round(study, next(numbers), inputs)
+        ledger.plan(plan_of(study))
         take_over(study, ledger)
         observer.draws(inputs)
 

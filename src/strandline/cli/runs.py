@@ -1,0 +1,156 @@
+"""`strandline runs`: the runs of a study, one line each, one in full, or as a table for other programs."""
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from strandline.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from strandline.runs.overview import Overview, Run
+
+__all__ = ["command"]
+
+SHORT = 12
+"""Characters of a key in the list; a key may be given by so few of its first ones as are unique."""
+SUFFIXES = (".csv", ".nc")
+
+
+@click.command("runs")
+@click.argument("study", type=click.Path(path_type=Path))
+@click.option("--state", help="Only runs of this state: ok, failed, timeout, killed, invalid or open.")
+@click.option("--kind", help="Only runs that failed for this reason.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N, the last to be started.")
+@click.option("--show", metavar="KEY", help="Show one run in full; the first characters of its key are enough.")
+@click.option(
+    "--export", type=click.Path(path_type=Path), metavar="FILE", help="Write them to FILE.csv or FILE.nc instead."
+)
+def command(
+    study: Path, state: str | None, kind: str | None, limit: int | None, show: str | None, export: Path | None
+) -> None:
+    """List the runs in the ledger of STUDY in the order of their start; it may be running meanwhile.
+
+    State `open`: started and not ended, under way or lost. FILE.csv has a row per run, FILE.nc the interfaces too.
+    """
+    from strandline.runs.overview import Overview
+    from strandline.studies.folder import LEDGER
+
+    _require_known(state)
+    _require_target(export)
+    with Overview(study / LEDGER) as ledger:
+        runs = ledger.runs()
+        if show is not None:
+            _require_alone(state, kind, limit, export)
+            click.echo("\n".join(_in_full(_found(show, runs), ledger)))
+            return
+        chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
+        chosen = chosen[-limit:] if limit else chosen
+        if export is None:
+            click.echo("\n".join((*_table(chosen), f"{len(chosen)} of {len(runs)} runs")))
+        else:
+            _export(export, chosen, ledger)
+
+
+def _require_known(state: str | None) -> None:
+    from strandline.runs.overview import STATES
+
+    if state is not None and state not in STATES:
+        raise InvalidInput("--state", value=state, expected=f"one of {', '.join(STATES)}", remedy="Correct the option.")
+
+
+def _require_target(export: Path | None) -> None:
+    """Refuse a file that cannot be made, before anything is read."""
+    if export is None:
+        return
+    if export.suffix not in SUFFIXES:
+        raise InvalidInput(
+            "--export",
+            value=str(export),
+            expected=f"a file name that ends with {' or '.join(SUFFIXES)}",
+            remedy="Choose one of the two formats.",
+        )
+    if export.is_dir() or not export.parent.is_dir():
+        raise InvalidInput(
+            "--export",
+            value=str(export),
+            expected="a file in a folder that exists",
+            remedy="Correct the path, or make the folder.",
+        )
+
+
+def _require_alone(*others: object) -> None:
+    if any(other is not None for other in others):
+        raise InvalidInput(
+            "--show",
+            value="another option beside it",
+            expected="--show KEY alone",
+            remedy="Leave out --state, --kind, --limit and --export.",
+        )
+
+
+def _found(key: str, runs: Sequence["Run"]) -> "Run":
+    """Return the run whose key begins with `key`."""
+    matching = [run for run in runs if key and run.key.startswith(key)]
+    if len(matching) != 1:
+        raise InvalidInput(
+            "--show",
+            value=key,
+            expected="the beginning of the key of one run"
+            + (f", not of {len(matching)}" if matching else f"; there is none among {len(runs)} that begins so"),
+            remedy="Give more of its characters." if matching else "See `strandline runs STUDY` for the keys.",
+        )
+    return matching[0]
+
+
+def _table(runs: Sequence["Run"]) -> Iterator[str]:
+    """Yield a heading and a line for each run, in columns."""
+    inputs = [run.inputs for run in runs]
+    names = list(dict.fromkeys(name for some in inputs for name in some))
+    rows = [("key", "state", "kind", "seconds", *names)]
+    for run, some in zip(runs, inputs, strict=True):
+        seconds = "-" if run.last.seconds is None else f"{run.last.seconds:.3f}"
+        values = (f"{some[name]:.6g}" if name in some else "-" for name in names)
+        rows.append((run.key[:SHORT], run.last.state, run.last.kind or "-", seconds, *values))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        left, right = row[:3], row[3:]
+        cells = [text.ljust(width) for text, width in zip(left, widths, strict=False)]
+        yield "  ".join([*cells, *(text.rjust(width) for text, width in zip(right, widths[3:], strict=True))])
+
+
+def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
+    """Yield all that is known of a run but its interface; of its last end where it is open again."""
+    ended = run.outcome
+    started = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.last.started_at))
+    yield f"key: {run.key}"
+    yield f"state: {run.last.state}" + (f", {run.last.kind}" if run.last.kind else "")
+    yield f"started: {started}" + (f" (start {len(run.attempts)} of this run)" if len(run.attempts) > 1 else "")
+    yield from (f"{name} = {value!r}" for name, value in run.inputs.items())
+    if ended is None:
+        return
+    details = ledger.details([ended.number])[ended.number]
+    if ended is not run.last:
+        yield f"before: {ended.state}" + (f", {ended.kind}" if ended.kind else "")
+    yield f"seconds: {ended.seconds:.6g}"
+    if ended.origin:
+        yield f"copied from: {ended.origin}"
+    yield from (f"{name}: {value:.6g}" for name, value in details.diagnostics.items())
+    for title, text in (("message", details.message), ("log", details.log)):
+        if text.strip():
+            yield f"{title}:"
+            yield from (f"  {line}" for line in text.splitlines())
+
+
+def _export(path: Path, runs: Sequence["Run"], ledger: "Overview") -> None:
+    """Write the runs to `path` and say so."""
+    from strandline.studies.export import write_csv, write_netcdf
+
+    if not runs:
+        raise InvalidInput(
+            "--export", value="no run", expected="at least one run", remedy="Change --state and --kind, or run first."
+        )
+    note = write_csv(path, runs, ledger) if path.suffix == ".csv" else write_netcdf(path, runs, ledger)
+    click.echo(f"wrote {path}: {len(runs)} runs{note}")

@@ -1,0 +1,226 @@
+"""What a ledger tells of its runs without a look at their interfaces: standard library alone, and quick.
+
+It reads beside a driver at work and takes no lock. Checksums are not compared: who needs the interfaces opens the
+ledger with `Ledger.open`.
+"""
+
+import contextlib
+import json
+import os
+import socket
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from strandline.runs import tables
+from strandline.runs.plans import Plan, read_plan
+from strandline.runs.tables import ATTEMPTS, INTERRUPTED, translated
+
+__all__ = ["OPEN", "STATES", "Attempt", "Details", "Driver", "Overview", "Run", "is_at_work"]
+
+OPEN = "open"
+"""State of a run that was started and has not ended: under way, or lost with its driver."""
+STATES = ("ok", "failed", "timeout", "killed", "invalid", OPEN)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One start of a run and how it ended; `seconds` and `finished_at` are None where it has not.
+
+    Args:
+        number: counts the starts of the whole ledger.
+        session: of the driver that started it.
+        inputs: by name, as JSON.
+        started_at: seconds since 1970.
+        state: one of `STATES`.
+        kind: short reason where it did not end ``ok``.
+        seconds: that it took.
+        origin: the ledger that it was copied from.
+        finished_at: seconds since 1970.
+        sensitivities: whether it yielded them.
+    """
+
+    number: int
+    session: int
+    inputs: str
+    started_at: float
+    state: str
+    kind: str | None = None
+    seconds: float | None = None
+    origin: str | None = None
+    finished_at: float | None = None
+    sensitivities: bool = False
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run with all its starts, in their order."""
+
+    key: str
+    attempts: tuple[Attempt, ...]
+
+    @property
+    def last(self) -> Attempt:
+        """Its last start."""
+        return self.attempts[-1]
+
+    @property
+    def outcome(self) -> Attempt | None:
+        """The last start that has ended."""
+        return next((attempt for attempt in reversed(self.attempts) if attempt.state != OPEN), None)
+
+    @property
+    def inputs(self) -> Mapping[str, float]:
+        """Its inputs by name."""
+        inputs: dict[str, float] = json.loads(self.last.inputs)
+        return inputs
+
+    def settled(self, *, sensitivities: bool) -> bool:
+        """Tell whether it will not be tried again, given whether `sensitivities` are wanted."""
+        ended = self.outcome
+        if ended is None:
+            return False
+        lacking = sensitivities and ended.state == "ok" and not ended.sensitivities
+        return (ended.state != "killed" and not lacking) or self._tries() >= ATTEMPTS
+
+    def _tries(self) -> int:
+        """Return how often it was tried since it last ended for good; what its driver interrupted is no try."""
+        ends = [attempt.number for attempt in self.attempts if attempt.state not in ("killed", OPEN)]
+        since = max(ends, default=0)
+        return sum(attempt.number > since and attempt.kind != INTERRUPTED for attempt in self.attempts)
+
+
+@dataclass(frozen=True)
+class Details:
+    """What is told of one start at length."""
+
+    message: str
+    log: str
+    diagnostics: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Who opened the ledger last to make runs; `at_work` is None where that cannot be told from here."""
+
+    session: int
+    pid: int
+    host: str
+    opened_at: float
+    at_work: bool | None
+
+
+class Overview:
+    """A ledger, opened for a look at its runs; a context manager."""
+
+    def __init__(self, path: Path, *, model: str | None = None) -> None:
+        """Open the ledger at `path`, of `model` where one is given.
+
+        Raises:
+            LedgerError: missing, damaged, of a newer version, or of another model.
+        """
+        self.path = path
+        self._connection = tables.opened_for_reading(path)
+        try:
+            with translated(path):
+                tables.require_version(path, self._connection)
+                if model is not None:
+                    tables.require_model(path, self._connection, model)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def __enter__(self) -> "Overview":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def plan(self, study_sha256: str) -> Plan | None:
+        """Return what the study with this digest asks for; None where no driver has noted it."""
+        with translated(self.path):
+            return read_plan(self._connection, study_sha256)
+
+    def runs(self) -> list[Run]:
+        """Return all distinct runs, in the order of their last starts."""
+        found: dict[str, list[Attempt]] = {}
+        with translated(self.path):
+            for key, attempt in self._attempts():
+                found.setdefault(key, []).append(attempt)
+        runs = [Run(key, tuple(attempts)) for key, attempts in found.items()]
+        return sorted(runs, key=lambda run: run.last.number)
+
+    def details(self, numbers: Iterable[int]) -> dict[int, Details]:
+        """Return message, log and figures of these starts, as far as they have ended."""
+        sql = "SELECT message, log, diagnostics FROM outcomes WHERE attempt = ?"
+        found = {}
+        with translated(self.path):
+            for number in numbers:
+                for message, log, diagnostics in self._connection.execute(sql, (number,)):
+                    found[number] = Details(message or "", log, json.loads(diagnostics))
+        return found
+
+    def driver(self) -> Driver | None:
+        """Return who opened the ledger last to make runs; None where nobody has."""
+        sql = "SELECT session, pid, host, opened_at FROM sessions ORDER BY session DESC LIMIT 1"
+        with translated(self.path):
+            row = self._connection.execute(sql).fetchone()
+        if row is None:
+            return None
+        session, pid, host, opened_at = row
+        return Driver(session, pid, host, opened_at, is_at_work(pid, host, self.path.with_suffix(".lock")))
+
+    def _attempts(self) -> Iterator[tuple[str, Attempt]]:
+        with_plans = tables.has_table(self._connection, "plans")
+        hint = "INDEXED BY outcomes_told" if with_plans else ""  # or each row is read past its interface
+        sql = f"""SELECT key, attempt, session, inputs, started_at, state, kind, seconds, origin, finished_at
+            FROM starts LEFT JOIN outcomes {hint} USING (attempt) ORDER BY attempt"""
+        slopes = self._with_sensitivities()
+        for key, number, session, inputs, start, state, kind, seconds, origin, end in self._connection.execute(sql):
+            sensitivities = number in slopes
+            yield (
+                key,
+                Attempt(number, session, inputs, start, state or OPEN, kind, seconds, origin, end, sensitivities),
+            )
+
+    def _with_sensitivities(self) -> frozenset[int]:
+        if not tables.has_table(self._connection, "arrays"):
+            return frozenset()
+        sql = "SELECT DISTINCT attempt FROM arrays INDEXED BY arrays_by_attempt WHERE role = 'sensitivity'"
+        return frozenset(row[0] for row in self._connection.execute(sql))
+
+
+def is_at_work(pid: int, host: str, lock: Path) -> bool | None:
+    """Tell whether the process `pid` on `host` holds the file `lock`, without touching it; None from another host.
+
+    The lock is held as long as the file is open. Where the system does not tell who has it open, a process that is
+    alive counts.
+    """
+    if host != socket.gethostname() or os.name != "posix":
+        return None
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    try:
+        held = lock.stat()
+    except FileNotFoundError:
+        return False
+    try:
+        descriptors = list(Path(f"/proc/{pid}/fd").iterdir())
+    except OSError:
+        return True
+    for descriptor in descriptors:
+        with contextlib.suppress(OSError):
+            if os.path.samestat(descriptor.stat(), held):
+                return True
+    return False

@@ -1,0 +1,75 @@
+"""What a study asks of its ledger, as its driver noted it there: enough to tell how far the study is without it."""
+
+import json
+import sqlite3
+from dataclasses import dataclass
+
+from strandline.runs.tables import has_table
+
+__all__ = ["COLUMNS", "Plan", "read_plan", "rows_to_write"]
+
+COLUMNS = "study_sha256, part, name, model, inputs, sensitivities, planned, keys"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The runs that a study asks for, as far as they are known.
+
+    Args:
+        study_sha256: of the text of study.yaml.
+        name: of the study.
+        model: fingerprint of its model.
+        inputs: names of the unknown inputs.
+        sensitivities: whether the runs are to yield them.
+        planned: number of runs of the design and of all rounds of refinement, those to come included.
+        parts: keys of the runs of the design, then of each round of refinement that has begun.
+    """
+
+    study_sha256: str
+    name: str
+    model: str
+    inputs: tuple[str, ...]
+    sensitivities: bool
+    planned: int
+    parts: tuple[tuple[str, ...], ...]
+
+    @property
+    def keys(self) -> list[str]:
+        """Keys of all its runs, each once."""
+        return list(dict.fromkeys(key for part in self.parts for key in part))
+
+
+def read_plan(connection: sqlite3.Connection, study_sha256: str) -> Plan | None:
+    """Return the plan of the study with this digest; None where no driver has noted one.
+
+    Each row stands for one part and takes the place of that part and of those behind it.
+    """
+    if not has_table(connection, "plans"):
+        return None
+    plan = None
+    sql = f"SELECT {COLUMNS} FROM plans WHERE study_sha256 = ? ORDER BY plan"
+    for digest, part, name, model, inputs, sensitivities, planned, keys in connection.execute(sql, (study_sha256,)):
+        parts = (*(plan.parts if plan else ())[:part], tuple(json.loads(keys)))
+        plan = Plan(digest, name, model, tuple(json.loads(inputs)), bool(sensitivities), planned, parts)
+    return plan
+
+
+def rows_to_write(plan: Plan, known: Plan | None) -> list[tuple[object, ...]]:
+    """Return the rows, values of `COLUMNS`, that make `plan` of the `known` one; none where it is part of that."""
+    first = 0
+    if known is not None and _facts(known) == _facts(plan):
+        first = _equal_parts(plan, known)
+    facts = (plan.name, plan.model, json.dumps(plan.inputs), int(plan.sensitivities), plan.planned)
+    return [(plan.study_sha256, part, *facts, json.dumps(plan.parts[part])) for part in range(first, len(plan.parts))]
+
+
+def _equal_parts(plan: Plan, known: Plan) -> int:
+    """Return how many parts the two have in common, from the first on."""
+    for number, (one, other) in enumerate(zip(plan.parts, known.parts, strict=False)):
+        if one != other:
+            return number
+    return min(len(plan.parts), len(known.parts))
+
+
+def _facts(plan: Plan) -> tuple[object, ...]:
+    return plan.name, plan.model, plan.inputs, plan.sensitivities

@@ -1,0 +1,256 @@
+"""The ledger's file: its tables and versions, how it is made, opened and brought up to date; standard library alone."""
+
+import contextlib
+import os
+import sqlite3
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from strandline.errors import LedgerError
+
+__all__ = [
+    "ATTEMPTS",
+    "INTERRUPTED",
+    "VERSION",
+    "connect",
+    "connect_read_only",
+    "create",
+    "has_table",
+    "opened_for_reading",
+    "require_model",
+    "require_version",
+    "translated",
+    "upgrade",
+]
+
+VERSION = 3
+"""1: one unnamed interface per outcome. 2: a table of further arrays: named conditions, sensitivities. 3: plans."""
+INTERRUPTED = "interrupted"
+"""Failure kind of a run that its own driver stopped: it is no attempt at the run."""
+ATTEMPTS = 3
+"""Starts after which a campaign gives up a run whose process vanishes each time."""
+APPEND_ONLY = ("sessions", "starts", "outcomes")
+TABLES = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE sessions (
+    session INTEGER PRIMARY KEY,
+    pid INTEGER NOT NULL,
+    host TEXT NOT NULL,
+    opened_at REAL NOT NULL
+);
+CREATE TABLE starts (
+    attempt INTEGER PRIMARY KEY,
+    session INTEGER NOT NULL REFERENCES sessions,
+    key TEXT NOT NULL,
+    inputs TEXT NOT NULL,
+    started_at REAL NOT NULL
+);
+CREATE INDEX starts_by_key ON starts (key);
+CREATE TABLE outcomes (
+    attempt INTEGER PRIMARY KEY REFERENCES starts,
+    state TEXT NOT NULL,
+    points BLOB, points_shape TEXT,
+    cells BLOB, cells_shape TEXT,
+    diagnostics TEXT NOT NULL,
+    seconds REAL NOT NULL,
+    kind TEXT, message TEXT, log TEXT NOT NULL, origin TEXT,
+    checksum TEXT NOT NULL,
+    finished_at REAL NOT NULL
+);
+"""
+ARRAYS = """
+CREATE TABLE arrays (
+    attempt INTEGER NOT NULL REFERENCES outcomes,
+    role TEXT NOT NULL CHECK (role IN ('points', 'cells', 'sensitivity')),
+    condition TEXT NOT NULL,
+    input TEXT NOT NULL,
+    shape TEXT NOT NULL,
+    data BLOB NOT NULL
+);
+CREATE UNIQUE INDEX arrays_by_attempt ON arrays (attempt, role, condition, input);
+"""
+"""What version 2 adds; a run of one unnamed condition without sensitivities is stored as in version 1."""
+PLANS = """
+CREATE TABLE plans (
+    plan INTEGER PRIMARY KEY,
+    session INTEGER NOT NULL REFERENCES sessions,
+    study_sha256 TEXT NOT NULL,
+    part INTEGER NOT NULL,
+    name TEXT NOT NULL,
+    model TEXT NOT NULL,
+    inputs TEXT NOT NULL,
+    sensitivities INTEGER NOT NULL,
+    planned INTEGER NOT NULL,
+    keys TEXT NOT NULL,
+    planned_at REAL NOT NULL
+);
+CREATE INDEX plans_by_study ON plans (study_sha256);
+CREATE INDEX outcomes_told ON outcomes (attempt, state, kind, seconds, origin, finished_at);
+"""
+"""What version 3 adds: which runs a study asks for, and how runs ended without a look past their interfaces."""
+ADDED = {"arrays": ARRAYS, "plans": PLANS}
+"""The tables that came after version 1, in order, with what makes them."""
+
+
+def create(path: Path, *, model: str, description: str) -> None:
+    """Write an empty ledger at `path`: it appears there complete or not at all."""
+    draft = path.with_name(path.name + ".new")
+    try:
+        for stale in (draft, *(draft.with_name(draft.name + end) for end in ("-journal", "-wal", "-shm"))):
+            stale.unlink(missing_ok=True)
+        with contextlib.closing(sqlite3.connect(draft, isolation_level=None)) as connection:
+            _fill(connection, model, description)
+        draft.replace(path)
+        _synchronise(path.parent)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Return a connection that writes durably: each statement is on the disk when it returns."""
+    connection = sqlite3.connect(path, isolation_level=None, timeout=30.0)
+    try:
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA foreign_keys = ON")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def connect_read_only(path: Path) -> sqlite3.Connection:
+    """Return a connection that cannot write.
+
+    Where no write-ahead log lies beside the file nobody is writing it, and it is taken as it is: SQLite would otherwise
+    make a log's index that a reader cannot remove, or fail in a folder that cannot be written.
+    """
+    being_written = path.with_name(path.name + "-wal").exists()
+    address = path.resolve().as_uri() + ("?mode=ro" if being_written else "?mode=ro&immutable=1")
+    connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=30.0)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_schema")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def opened_for_reading(path: Path) -> sqlite3.Connection:
+    """Return a connection that cannot write to the ledger at `path`.
+
+    Raises:
+        LedgerError: there is no such file, or it cannot be read.
+    """
+    if not path.is_file():
+        raise LedgerError(
+            f"ledger {path}",
+            value="no such file",
+            expected="a ledger",
+            remedy="Run the study first, or correct the path.",
+        )
+    with translated(path):
+        return connect_read_only(path)
+
+
+def require_version(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse a file of a newer version, or one that is no ledger."""
+    row = connection.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchone()
+    version = int(row[0]) if row and str(row[0]).isdigit() else None
+    if version is None or version > VERSION:
+        raise LedgerError(
+            f"version of the ledger {path}",
+            value=version,
+            expected=f"at most {VERSION}",
+            remedy="Install a newer strandline, or start a new ledger.",
+        )
+
+
+def require_model(path: Path, connection: sqlite3.Connection, model: str) -> None:
+    """Refuse a ledger that keeps the runs of another model."""
+    (kept,) = connection.execute("SELECT value FROM meta WHERE key = 'model'").fetchone()
+    if model != kept:
+        raise LedgerError(
+            f"{path} keeps the runs of another model",
+            value=f"{kept} in the ledger, {model} now",
+            expected="one and the same model",
+            remedy=f"Move {path.name} away or use a new study folder for the changed model.",
+        )
+
+
+def has_table(connection: sqlite3.Connection, name: str) -> bool:
+    """Tell whether the ledger has this table; a writer may upgrade it while it is being read."""
+    sql = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?"
+    return bool(connection.execute(sql, (name,)).fetchone()[0])
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Make a ledger of an earlier version one of this, in one transaction; no row that it holds is touched."""
+    missing = [table for table in ADDED if not has_table(connection, table)]
+    if not missing:
+        return
+    try:
+        connection.executescript(
+            f"BEGIN IMMEDIATE;\n{_added(missing)}"
+            f"UPDATE meta SET value = '{VERSION}' WHERE key = 'schema_version';\nCOMMIT;"
+        )
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
+
+
+@contextlib.contextmanager
+def translated(path: Path) -> Iterator[None]:
+    """Turn errors of SQLite and of the file system into a `LedgerError` that names the file and the remedy."""
+    try:
+        yield
+    except (sqlite3.OperationalError, OSError) as error:
+        raise LedgerError(
+            f"ledger {path} cannot be read or written",
+            value=str(error),
+            expected="a readable file in a folder that can be written, with room on the disk",
+            remedy="Correct permissions or disk space and run again: finished runs stay.",
+        ) from error
+    except sqlite3.DatabaseError as error:
+        raise LedgerError(
+            f"ledger {path} is damaged or no ledger",
+            value=str(error),
+            expected="a SQLite file written by strandline",
+            remedy="Restore it from a backup, or move it away and run again.",
+        ) from error
+
+
+def _added(tables: Sequence[str]) -> str:
+    """Return the statements that make these tables and guard their rows."""
+    return "".join(ADDED[table] + _guards([table]) for table in tables)
+
+
+def _guards(tables: Sequence[str]) -> str:
+    """Return the triggers that keep rows of these tables as they are."""
+    return "".join(
+        f"CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table} "
+        f"BEGIN SELECT RAISE(ABORT, 'the ledger is append-only'); END;\n"
+        for table in tables
+        for verb in ("UPDATE", "DELETE")
+    )
+
+
+def _fill(connection: sqlite3.Connection, model: str, description: str) -> None:
+    """Create tables and guards in one transaction and switch to the write-ahead log."""
+    connection.executescript(f"BEGIN;\n{TABLES}{_guards(APPEND_ONLY)}{_added(list(ADDED))}COMMIT;")
+    facts = {"schema_version": VERSION, "model": model, "description": description, "created_at": time.time()}
+    connection.executemany("INSERT INTO meta VALUES (?, ?)", [(key, str(value)) for key, value in facts.items()])
+    connection.execute("PRAGMA journal_mode = WAL")
+
+
+def _synchronise(folder: Path) -> None:
+    """Put the folder's own entries on the disk, where the platform can."""
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

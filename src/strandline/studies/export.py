@@ -1,0 +1,160 @@
+"""The runs of a ledger as a table for other programs: CSV, or netCDF with the interfaces."""
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from strandline.errors import InvalidInput
+from strandline.runs.overview import Details, Overview, Run
+from strandline.studies.folder import whole_file
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from strandline.interface import Interface
+
+__all__ = ["write_csv", "write_netcdf"]
+
+
+def write_csv(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
+    """Write a row for each run, whole or not at all; return what there is to say of it.
+
+    Columns: key, state, kind, seconds, message (its first line), then ``input.NAME`` and ``diagnostic.NAME``; empty
+    where a run has none.
+
+    Raises:
+        InvalidInput: the file cannot be written.
+    """
+    details = _details(runs, ledger)
+    inputs, figures = [run.inputs for run in runs], [_figures(run, details) for run in runs]
+    names, labels = _names(inputs), _names(figures)
+    heading = ["key", "state", "kind", "seconds", "message"]
+    heading += [f"input.{name}" for name in names] + [f"diagnostic.{name}" for name in labels]
+    with _told(path), whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(heading)
+        for run, given, found in zip(runs, inputs, figures, strict=True):
+            facts = (run.key, run.last.state, run.last.kind, run.last.seconds, _message(run, details))
+            table.writerow([*facts, *(given.get(name) for name in names), *(found.get(name) for name in labels)])
+    return ""
+
+
+def write_netcdf(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
+    """Write the runs with their interfaces, whole or not at all; return what there is to say of it.
+
+    Variables by run: state, kind, message, seconds, inputs (run, input), diagnostics (run, diagnostic) and for each
+    condition the interface (run, point, xyz) in mm, NaN where the run is not ok. It is left out where the runs have
+    different numbers of points; the cells are there where they are those of all runs.
+
+    Raises:
+        InvalidInput: the file cannot be written.
+        LedgerError: a stored outcome does not match its checksum.
+    """
+    content, missing = _dataset(runs, ledger)
+    with _told(path), whole_file(path) as partial:
+        content.to_netcdf(partial, engine="h5netcdf")
+    if not missing:
+        return ""
+    which = ", ".join(name or "the interface" for name in missing)
+    return f"; left out, as the numbers of points differ: {which}"
+
+
+def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[str]]:
+    """Return all as one data set, and the conditions whose interfaces do not fit into one array."""
+    import numpy as np
+    import xarray as xr
+
+    from strandline import __version__
+
+    details = _details(runs, ledger)
+    figures = [_figures(run, details) for run in runs]
+    seconds = [math.nan if run.last.seconds is None else run.last.seconds for run in runs]
+    content = xr.Dataset(
+        {
+            "state": ("run", np.array([run.last.state for run in runs], dtype=object)),
+            "kind": ("run", np.array([run.last.kind or "" for run in runs], dtype=object)),
+            "message": ("run", np.array([_message(run, details) for run in runs], dtype=object)),
+            "seconds": ("run", np.array(seconds, dtype=float), {"units": "s"}),
+            "inputs": _by_name("input", [run.inputs for run in runs]),
+        },
+        coords={"run": np.array([run.key for run in runs], dtype=object)},
+        attrs={"created_by": f"strandline {__version__}"},
+    )
+    if _names(figures):
+        content["diagnostics"] = _by_name("diagnostic", figures)
+    return _with_interfaces(content, runs, ledger.path)
+
+
+def _by_name(dim: str, rows: Sequence[Mapping[str, float]]) -> "xr.DataArray":
+    """Return a table of rows, NaN where a row lacks a name."""
+    import numpy as np
+    import xarray as xr
+
+    names = _names(rows)
+    values = np.array([[row.get(name, math.nan) for name in names] for row in rows], dtype=float)
+    return xr.DataArray(values, dims=("run", dim), coords={dim: np.array(names, dtype=object)})
+
+
+def _with_interfaces(content: "xr.Dataset", runs: Sequence[Run], ledger: Path) -> tuple["xr.Dataset", list[str]]:
+    from strandline.runs import Ledger
+
+    with Ledger.open(ledger, model=None, read_only=True) as source:
+        records = source.latest(run.key for run in runs if run.last.state == "ok")
+    missing = []
+    for condition in dict.fromkeys(name for record in records.values() for name in record.interfaces):
+        found = {key: record.interfaces[condition] for key, record in records.items() if record.ok}
+        if len({interface.points.shape for interface in found.values()}) == 1:
+            content = content.assign(dict(_interfaces(condition, runs, found)))
+        else:
+            missing.append(condition)
+    return content, missing
+
+
+def _interfaces(
+    condition: str, runs: Sequence[Run], found: Mapping[str, "Interface"]
+) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Yield the points of one condition, and the cells where they are the same in all runs."""
+    import numpy as np
+
+    end, first = f"_{condition}" if condition else "", next(iter(found.values()))
+    points = np.full((len(runs), *first.points.shape), np.nan)
+    for number, run in enumerate(runs):
+        if run.key in found:
+            points[number] = found[run.key].points
+    yield f"interface{end}", (("run", f"point{end}", "xyz"), points, {"units": "mm"})
+    if all(np.array_equal(interface.cells, first.cells) for interface in found.values()):
+        yield f"cells{end}", ((f"cell{end}", f"corner{end}"), first.cells)
+
+
+def _details(runs: Sequence[Run], ledger: Overview) -> dict[int, Details]:
+    return ledger.details(run.last.number for run in runs)
+
+
+def _figures(run: Run, details: Mapping[int, Details]) -> Mapping[str, float]:
+    return details[run.last.number].diagnostics if run.last.number in details else {}
+
+
+def _message(run: Run, details: Mapping[int, Details]) -> str:
+    text = details[run.last.number].message if run.last.number in details else ""
+    return next(iter(text.splitlines()), "")
+
+
+def _names(rows: Iterable[Mapping[str, float]]) -> list[str]:
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn the system's refusal to write `path` into one clear line."""
+    try:
+        yield
+    except OSError as error:
+        raise InvalidInput(
+            "--export",
+            value=f"{path}: {error.strerror or error}",
+            expected="a file name in a folder that can be written to",
+            remedy="Choose another path, or make room on the disk.",
+        ) from error
