@@ -209,7 +209,8 @@ def test_status_tells_of_failures(tmp_path: Path, capsys: pytest.CaptureFixture[
         main(["run", str(folder), "--quiet"])
     capsys.readouterr()
     shown = printed(capsys, "status", str(folder))
-    assert "ok 0, failed 4, under way (or lost) 0, to do 0" in shown
+    assert "ok 0, failed 4, under way 0, to do 0\n" in shown
+    assert "no driver at work" in shown
     assert "large_deflection: 4; e.g. E = 300, tilt = 0: the tip would move by" in shown
     assert "results: not yet" in shown
 

@@ -1,12 +1,16 @@
 """`--help` is quick because it loads no numerics."""
 
+import hashlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from strandline import __version__
 from strandline.cli.main import COMMANDS
+from strandline.runs import Ledger, RunRecord, RunRequest
+from strandline.runs.plans import Plan
 
 HEAVY = {"numpy", "scipy", "jax", "matplotlib", "ngsolve", "netgen", "pydantic", "yaml", "rich", "xarray", "jinja2"}
 PROBE = """
@@ -53,6 +57,30 @@ def test_init_loads_no_numerics(tmp_path: object) -> None:
     code, names, _ = loaded_by("init", f"{tmp_path}/study")
     assert code == 0
     assert names.isdisjoint(HEAVY)
+
+
+def test_status_and_runs_load_no_numerics_once_a_driver_has_noted_the_plan(tmp_path: Path) -> None:
+    """In a folder whose model is not there any more, so that nothing could be loaded if it were tried."""
+    folder, path = tmp_path, tmp_path / "ledger.sqlite"
+    (folder / "study.yaml").write_text("model: {python: {function: gone:away}}\n")
+    digest = hashlib.sha256((folder / "study.yaml").read_bytes()).hexdigest()
+    with Ledger.open(path, model="m") as ledger:
+        ledger.plan(Plan(digest, "beam", "m", ("E",), False, 2, (("first", "second"),)))
+        ledger.started(RunRequest("first", {"E": 2.0}))
+        ledger.finished(RunRecord("first", {"E": 2.0}, "failed", {}, {}, 1.5, "stalled", "no end", "the log"))
+    for options in ([], ["--json"]):
+        code, names, shown = loaded_by("status", str(folder), *options)
+        assert (code, "stalled" in shown) == (0, True)
+        assert names.isdisjoint(HEAVY)
+    assert "beam: 1 of 2 runs" in loaded_by("status", str(folder))[2]
+    for arguments in ([], ["--state", "failed"], ["--show", "fir"]):
+        code, names, shown = loaded_by("runs", str(folder), *arguments)
+        assert (code, "stalled" in shown) == (0, True)
+        assert names.isdisjoint(HEAVY)
+    (folder / "study.yaml").write_text("model: {python: {function: gone:again}}\n")
+    code, names, _ = loaded_by("status", str(folder))
+    assert code == 2
+    assert {"numpy", "pydantic", "yaml"} <= names
 
 
 def test_help_names_every_command() -> None:
