@@ -36,7 +36,7 @@ from strandline.posterior import (
 )
 from strandline.quadrature import QuadratureResult, integrate
 from strandline.refinement import Learnt, Refinement, Round, refine
-from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
+from strandline.runs import Executor, FailurePolicy, Ledger, Progress, RunRecord, run_campaign
 from strandline.smc import (
     SMCResult,
     SMCSettings,
@@ -81,6 +81,7 @@ class Settings:
         seed: of every random number after the design.
         nuisance_values: values of the nuisance inputs, where there are any, that stand for their prior in the cut
             reading of the posterior under uncertainty.
+        failures: what is done about forward runs that fail.
     """
 
     runs: int = 1000
@@ -91,6 +92,7 @@ class Settings:
     smc: SMCSettings = field(default_factory=SMCSettings)
     seed: int = 1
     nuisance_values: int = 32
+    failures: FailurePolicy = field(default_factory=FailurePolicy)
 
     @property
     def planned_runs(self) -> int:
@@ -157,6 +159,7 @@ def calibrate(
 
     Raises:
         InvalidInput: an observed condition that the model does not have; raised before any run.
+        CampaignStopped: as `settings.failures` says; what is finished is in the ledger.
         TooFewRuns: fewer successful runs than the Gaussian process needs.
     """
     require_conditions((o.condition for o in problem.observations), problem.model)
@@ -169,7 +172,14 @@ def calibrate(
         with watch("forward", tell):
             if known is not None:
                 tell.draws(inputs)
-            records = run_campaign(problem.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
+            records = run_campaign(
+                problem.model,
+                inputs,
+                ledger=ledger,
+                executor=executor,
+                on_record=tell.run,
+                policy=settings.failures,
+            )
         with watch("surrogate", tell):
             if known is not None:
                 points, records = np.concatenate([known.design, points]), (*known.records, *records)

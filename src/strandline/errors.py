@@ -8,6 +8,7 @@ StrandlineError
 │   ├── LedgerError         a ledger that is locked, foreign, unreadable or of a newer version
 │   └── TooFewRuns          not enough successful forward runs to go on
 ├── ForwardModelError       one forward run failed: data, never the end of a campaign
+├── CampaignStopped         a campaign ended before its last run, as its failure policy says
 └── NumericsError           a numerical method could not deliver what it promises
 ```
 """
@@ -69,6 +70,10 @@ class ForwardModelError(StrandlineError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ForwardModelError, (self.kind, self.message, self.evidence)
+
+
+class CampaignStopped(StrandlineError):
+    """A campaign ended before its last run, as its failure policy says; the message tells why and what to do."""
 
 
 class NumericsError(StrandlineError):

@@ -19,6 +19,7 @@ COMMANDS = {
     "init": "Write a commented study folder that runs.",
     "check": "Validate a study and make one forward run.",
     "run": "Do the whole study; go on where it was stopped.",
+    "retry": "Make failed runs again, then the rest of the study.",
     "status": "Tell how many runs are done, and how the others ended.",
     "runs": "List the runs of a study, show one in full, export them.",
     "report": "Make posterior, figures and report anew from finished runs.",

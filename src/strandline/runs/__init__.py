@@ -6,16 +6,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from strandline.runs.campaign import Progress, run_campaign
     from strandline.runs.executors import Executor, InProcess, LocalProcesses
+    from strandline.runs.failures import FailurePolicy, Retry
     from strandline.runs.ledger import Counts, Ledger
     from strandline.runs.record import RunRecord, RunRequest, attempt, run_key
 
 __all__ = [
     "Counts",
     "Executor",
+    "FailurePolicy",
     "InProcess",
     "Ledger",
     "LocalProcesses",
     "Progress",
+    "Retry",
     "RunRecord",
     "RunRequest",
     "attempt",
@@ -26,6 +29,7 @@ __all__ = [
 _NAMES_OF = {
     "campaign": "Progress run_campaign",
     "executors": "Executor InProcess LocalProcesses",
+    "failures": "FailurePolicy Retry",
     "ledger": "Counts Ledger",
     "record": "RunRecord RunRequest attempt run_key",
 }

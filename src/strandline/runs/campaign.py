@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from strandline.errors import InvalidInput, LedgerError, NumericsError
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.executors import Executor
+from strandline.runs.failures import FailurePolicy, aborted
 from strandline.runs.ledger import INTERRUPTED, Ledger
 from strandline.runs.record import RunRecord, RunRequest, run_key
 
@@ -50,11 +51,13 @@ def run_campaign(
     executor: Executor,
     on_record: Callable[[RunRecord, Progress], None] | None = None,
     maximum_attempts: int = 3,
+    policy: FailurePolicy | None = None,
 ) -> tuple[RunRecord, ...]:
     """Return one record per entry of `inputs`, in that order; only what the ledger lacks is run.
 
     A run whose process vanished, or that was lost with its driver, is tried again up to `maximum_attempts` times in
-    all; every other end is final. Equal inputs are run once. A run that does not end ``ok`` is data: look at `state`.
+    all; every other end is final, unless `policy` says otherwise. Equal inputs are run once. A run that does not end
+    ``ok`` is data: look at `state`.
     Where the model is asked for sensitivities, a run that the ledger holds without them is run again, and its new
     outcome replaces the old one.
 
@@ -65,11 +68,13 @@ def run_campaign(
         executor: where the runs are made.
         on_record: called with each record as it comes, the killed ones that will be tried again too.
         maximum_attempts: how often a run may take its process down.
+        policy: what is done about failed runs.
 
     Raises:
+        CampaignStopped: as `policy` says; what is finished is in the ledger.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
-    campaign = _Campaign(model, inputs, ledger, executor, on_record, maximum_attempts)
+    campaign = _Campaign(model, inputs, ledger, executor, on_record, maximum_attempts, policy or FailurePolicy())
     while campaign.pending:
         campaign.run_pending()
     return campaign.results()
@@ -86,7 +91,9 @@ class _Campaign:
         executor: Executor,
         on_record: Callable[[RunRecord, Progress], None] | None,
         maximum_attempts: int,
+        policy: FailurePolicy,
     ) -> None:
+        self.policy = policy
         self.model, self.ledger, self.executor, self.on_record = model, ledger, executor, on_record
         self.maximum_attempts, self.began = _at_least_one(maximum_attempts), time.monotonic()
         identity = fingerprint(model)
@@ -95,8 +102,15 @@ class _Campaign:
         self.requests = {key: RunRequest(key, dict(entry)) for key, entry in zip(self.order, inputs, strict=True)}
         known = ledger.latest(self.requests)
         asked = asks_sensitivities(model)
-        self.settled = {key: record for key, record in known.items() if record.settles(sensitivities=asked)}
+        anew = {key for key, record in known.items() if policy.tries_again(record)}
+        self.before = {key: (ledger.attempts(key), ledger.open_attempts(key)) for key in anew}
+        self.settled = {
+            key: record
+            for key, record in known.items()
+            if key not in anew and record.settles(sensitivities=asked) and not self._deserves_another(record)
+        }
         self.reused = len(self.settled)
+        self.made: list[RunRecord] = []
         self.pending: list[RunRequest] = []
         self._plan(list(self.requests.values()))
 
@@ -127,10 +141,18 @@ class _Campaign:
                 self._settle(record)
                 if self.on_record is not None:
                     self.on_record(record, self._progress())
+                self._heed(record)
 
     def _settle(self, record: RunRecord) -> None:
-        if record.final or self._attempts_spent(record.key):
+        if not self._deserves_another(record):
             self.settled[record.key] = record
+            self.made.append(record)
+
+    def _heed(self, record: RunRecord) -> None:
+        """Stop the campaign where the policy wants that."""
+        if self.policy.aborts(record):
+            raise aborted(record)
+        self.policy.require_worth_going_on(self.made)
 
     def _plan(self, candidates: Iterable[RunRequest]) -> None:
         """Keep as pending what may be tried (again); settle what has used up its attempts."""
@@ -138,14 +160,31 @@ class _Campaign:
         for request in candidates:
             if request.key in self.settled:
                 continue
-            if self._attempts_spent(request.key):
+            if self._given_up_on(request.key):
                 self.settled[request.key] = self._given_up(request)
             else:
                 pending.append(request)
         self.pending = pending
 
-    def _attempts_spent(self, key: str) -> bool:
-        return self.ledger.open_attempts(key) >= self.maximum_attempts
+    def _deserves_another(self, record: RunRecord) -> bool:
+        """Tell whether a run that ended like this is to be tried again."""
+        allowed = self.policy.attempts(record, killed=self.maximum_attempts)
+        return not record.ok and self._attempts(record.key, since_final=record.state == "killed") < allowed
+
+    def _attempts(self, key: str, *, since_final: bool) -> int:
+        """Return how often a run was tried, since it last ended for good or ever; what is run anew starts at none."""
+        before = self.before.get(key, (0, 0))
+        if since_final:
+            return max(self.ledger.open_attempts(key) - before[1], 0)
+        return self.ledger.attempts(key) - before[0]
+
+    def _given_up_on(self, key: str) -> bool:
+        """Tell whether a run without a final end, killed or lost, has used up its attempts."""
+        attempts, allowed = self._attempts(key, since_final=True), self.maximum_attempts
+        known = self.ledger.latest([key]).get(key) if attempts else None
+        if known is not None and known.state == "killed" and known.failure_kind != INTERRUPTED:
+            allowed = self.policy.attempts(known, killed=allowed)
+        return attempts >= allowed
 
     def _given_up(self, request: RunRequest) -> RunRecord:
         """Return the record of a run that was killed or lost too often, in this campaign or before."""

@@ -16,12 +16,14 @@ from strandline.models import MODELS
 from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs, with_sensitivities
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
+from strandline.runs import FailurePolicy, Retry
 from strandline.studies.observed import TO_MM, read_points
-from strandline.studies.schema import Input, Quantity, Refine, StudyFile
+from strandline.studies.schema import Failures, Input, Quantity, Refine, StudyFile
 from strandline.surrogate import KERNELS
 
 __all__ = [
     "build_discrepancies",
+    "build_failures",
     "build_fixed",
     "build_model",
     "build_space",
@@ -88,6 +90,14 @@ def build_discrepancies(
             )
         result[name] = _construct(_entry(DISCREPANCIES, name, "discrepancy"), options, f"discrepancy.{name}")
     return result
+
+
+def build_failures(given: Failures) -> FailurePolicy:
+    """Return what is done about failed runs."""
+    actions = {kind: action if isinstance(action, str) else Retry(action) for kind, action in given.kinds.items()}
+    if given.stop is None:
+        return FailurePolicy(actions, stop_share=2.0)
+    return FailurePolicy(actions, stop_after=given.stop.after, stop_share=given.stop.share)
 
 
 def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSpace:

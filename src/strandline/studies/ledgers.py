@@ -15,6 +15,7 @@ from strandline.studies.study import Study
 __all__ = [
     "check_ledgers",
     "design_keys",
+    "failure_kinds",
     "known_runs",
     "needed_keys",
     "plan_of",
@@ -101,6 +102,15 @@ def known_runs(study: Study) -> int:
             with Ledger.open(path, model=fingerprint(study.model), read_only=True) as ledger:
                 known.update(record.key for record in settled(ledger, keys, sensitivities=study.sensitivities))
     return len(known)
+
+
+def failure_kinds(study: Study) -> set[str]:
+    """Return the kinds and states with which runs of the study ended that are not ok."""
+    if not study.ledger_path.is_file():
+        return set()
+    with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
+        failed = [record for record in ledger.latest(needed_keys(study)).values() if not record.ok]
+    return {word for record in failed for word in (record.failure_kind, record.state) if word}
 
 
 def check_ledgers(study: Study) -> None:

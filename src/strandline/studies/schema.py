@@ -203,6 +203,39 @@ class ExecutorChoice(_Strict):
     local: Local = Local()
 
 
+def _action(value: Any) -> Any:
+    """Return `continue`, `abort`, or the number of retries."""
+    if value in ("continue", "abort"):
+        return value
+    times = value.get("retry") if isinstance(value, dict) and len(value) == 1 else None
+    if isinstance(times, int) and not isinstance(times, bool) and times >= 1:
+        return times
+    raise ValueError("continue, abort, or {retry: N} with N at least 1")
+
+
+class Stop(_Strict):
+    """When a campaign nearly all of whose runs fail is stopped."""
+
+    share: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    after: Count = 20
+
+
+def _stop(value: Any) -> Any:
+    """Return None for `never`, and refuse other words."""
+    if isinstance(value, str):
+        if value != "never":
+            raise ValueError("never, or {share: 0.95, after: 20}")
+        return None
+    return value
+
+
+class Failures(_Strict):
+    """What is done about forward runs that fail, by kind or state."""
+
+    kinds: dict[str, Annotated[str | int, BeforeValidator(_action)]] = {}
+    stop: Annotated[Stop | None, BeforeValidator(_stop)] = Stop()
+
+
 class StudyFile(_Strict):
     """The whole of study.yaml."""
 
@@ -218,6 +251,7 @@ class StudyFile(_Strict):
     surrogate: Surrogate = Surrogate()
     sampler: Sampler = Sampler()
     executor: ExecutorChoice = ExecutorChoice()
+    failures: Failures = Failures()
     sensitivities: Annotated[bool, Field(strict=True)] = False
     reuse: list[str] = []
     seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] = 1

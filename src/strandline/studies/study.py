@@ -121,6 +121,7 @@ def _settings(content: StudyFile) -> Settings:
         smc=SMCSettings(rejuvenation_steps=smc.rejuvenation_steps, zeta=smc.zeta),
         seed=content.seed,
         nuisance_values=content.sampler.cut.values,
+        failures=build.build_failures(content.failures),
     )
 
 

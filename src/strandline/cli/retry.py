@@ -1,0 +1,45 @@
+"""`strandline retry`: failed runs once more."""
+
+from pathlib import Path
+
+import click
+
+__all__ = ["command"]
+
+
+@click.command("retry")
+@click.argument("study", type=click.Path(path_type=Path))
+@click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    required=True,
+    metavar="KIND",
+    help="Kind of failure, or a state: failed, timeout, killed, invalid. May be given several times.",
+)
+@click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
+@click.option("--quiet", is_flag=True, help="Tell only the result.")
+def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: bool) -> None:
+    """Make the runs of STUDY that failed with KIND once more, then what else is missing, and the results anew.
+
+    The earlier outcomes stay in the ledger; the last one of each run counts.
+    """
+    from dataclasses import replace
+
+    from strandline.cli.progress import observing
+    from strandline.cli.results import show
+    from strandline.runs import LocalProcesses
+    from strandline.runs.failures import require_kinds
+    from strandline.studies import load_study, run_study
+    from strandline.studies.ledgers import failure_kinds
+
+    loaded = load_study(study)
+    require_kinds(kinds, failure_kinds(loaded))
+    policy = replace(loaded.settings.failures, again=frozenset(kinds))
+    loaded = replace(loaded, settings=replace(loaded.settings, failures=policy))
+    executor = loaded.executor
+    if workers is not None and isinstance(executor, LocalProcesses):
+        executor = replace(executor, workers=workers)
+    with observing(quiet=quiet) as observer:
+        outcome = run_study(loaded, executor=executor, observer=observer)
+    show(outcome.summary, outcome.report)

@@ -1,0 +1,153 @@
+"""What a campaign does about runs that fail, by the kind of the failure.
+
+The words are those of the field (Dakota's failure capturing): `abort` ends the campaign, `retry` tries again,
+`continue` leaves the run out. Its fourth, `recover`, would put a number in the place of an interface; there is none.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from strandline.errors import CampaignStopped, InvalidInput
+from strandline.runs.record import RunRecord
+
+__all__ = ["FailurePolicy", "Retry", "aborted", "require_kinds"]
+
+LINES_SHOWN = 6
+
+
+@dataclass(frozen=True)
+class Retry:
+    """Try again, up to `times` times more.
+
+    Raises:
+        InvalidInput: fewer than one.
+    """
+
+    times: int = 1
+
+    def __post_init__(self) -> None:
+        if self.times < 1:
+            raise InvalidInput(
+                "retry of a failed run", value=self.times, expected="at least 1", remedy="Use `continue` for none."
+            )
+
+
+@dataclass(frozen=True)
+class FailurePolicy:
+    """What is done about failed runs: by default they are data, and only a vanished process is tried again, twice.
+
+    Args:
+        actions: by failure kind (``timeout``, ``exit_code``, …) or, for kinds without an entry, by state (``failed``,
+            ``invalid``, …): ``"continue"``, ``"abort"`` or a `Retry`.
+        stop_after: the campaign is stopped where of at least so many of its runs …
+        stop_share: … this share and more failed; above 1 never.
+        again: kinds and states whose earlier failures are not taken as final: they are run once more.
+
+    Raises:
+        InvalidInput: an unknown action, or bounds that make no sense.
+    """
+
+    actions: Mapping[str, "str | Retry"] = field(default_factory=dict)
+    stop_after: int = 20
+    stop_share: float = 0.95
+    again: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        for kind, action in self.actions.items():
+            if not isinstance(action, Retry) and action not in ("continue", "abort"):
+                raise InvalidInput(
+                    f"what is done about {kind}",
+                    value=action,
+                    expected="continue, abort, or {retry: N}",
+                    remedy="Correct the action.",
+                )
+        if self.stop_after < 1 or not self.stop_share > 0:
+            raise InvalidInput(
+                "when a failing campaign is stopped",
+                value=f"share {self.stop_share:g} after {self.stop_after} runs",
+                expected="a share above 0 and at least 1 run",
+                remedy="Correct the numbers; a share above 1 never stops it.",
+            )
+
+    def attempts(self, record: RunRecord, *, killed: int) -> int:
+        """Return how often a run that ended like `record` may be tried in all; `killed` where its process vanished."""
+        action = self._action(record)
+        if isinstance(action, Retry):
+            return 1 + action.times
+        return killed if action is None and record.state == "killed" else 1
+
+    def aborts(self, record: RunRecord) -> bool:
+        """Tell whether this end of a run ends the campaign."""
+        return not record.ok and self._action(record) == "abort"
+
+    def tries_again(self, record: RunRecord) -> bool:
+        """Tell whether a failure of an earlier campaign is not taken as final: it ended that, or it is asked for."""
+        wanted = bool(self.again & {record.failure_kind, record.state})
+        return not record.ok and (wanted or self.aborts(record))
+
+    def require_worth_going_on(self, made: Sequence[RunRecord]) -> None:
+        """Stop a campaign nearly all of whose runs fail.
+
+        Args:
+            made: the runs that this campaign has settled so far.
+
+        Raises:
+            CampaignStopped: with the commonest kind and the last lines of one of its logs.
+        """
+        failed = [record for record in made if not record.ok]
+        if len(made) >= self.stop_after and len(failed) >= self.stop_share * len(made):
+            raise _mostly_failed(failed, len(made))
+
+    def _action(self, record: RunRecord) -> "str | Retry | None":
+        return self.actions.get(record.failure_kind or "", self.actions.get(record.state))
+
+
+def aborted(record: RunRecord) -> CampaignStopped:
+    """Return the error that ends a campaign with `record`."""
+    kind = record.failure_kind or record.state
+    return CampaignStopped(
+        f"a run ended with {kind}, upon which this study is to stop (failures.kinds.{kind}: abort)\n"
+        f"{_told(record)}\n"
+        "All finished runs are kept. Mend the cause and start again: this run is tried anew."
+    )
+
+
+def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
+    kinds = Counter(record.failure_kind or record.state for record in failed)
+    (commonest, _), *_ = kinds.most_common()
+    example = next(record for record in failed if (record.failure_kind or record.state) == commonest)
+    shown = ", ".join(f"{kind}: {count}" for kind, count in kinds.most_common(4))
+    return CampaignStopped(
+        f"stopped, for {len(failed)} of {made} runs failed ({shown})\n{_told(example)}\n"
+        "All runs are kept. Mend the cause; `strandline retry` runs failed ones again, `strandline run` goes on with "
+        "the others. `failures: {stop: never}` lets the study go on by itself."
+    )
+
+
+def _told(record: RunRecord) -> str:
+    """Return inputs and reason of a run, and how its log ends."""
+    inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    lines = (record.message or "no message").splitlines()
+    return "\n".join([f"at {inputs}: {lines[0]}", *(f"  {line}" for line in _last(lines[1:]))])
+
+
+def _last(lines: Iterable[str]) -> list[str]:
+    return [line.rstrip() for line in lines if line.strip()][-LINES_SHOWN:]
+
+
+def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse to try again what no run has ended with.
+
+    Raises:
+        InvalidInput: with the kinds there are.
+    """
+    present = sorted(set(known))
+    for kind in again:
+        if kind not in present:
+            raise InvalidInput(
+                "kind of failure to run again",
+                value=kind,
+                expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
+                remedy="`strandline status` tells the kinds and how many there are.",
+            )
