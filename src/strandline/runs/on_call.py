@@ -32,6 +32,7 @@ class OnCall:
         self._setup.write_bytes(pickle.dumps((None, pickle.dumps(model))))
         self._worker: Worker | None = None
         self._launched = 0
+        self._closed = False
 
     def __call__(self, request: RunRequest) -> RunRecord:
         """Return the record of the run, whatever becomes of it.
@@ -46,12 +47,15 @@ class OnCall:
             worker.send(request, workdir, self._timeout)
             return self._heard(worker)
         except (EOFError, OSError):
+            if self._closed:
+                return _stopped(request)
             return self._lost(worker, worker.vanished())
         finally:
             shutil.rmtree(workdir, ignore_errors=True)
 
     def close(self) -> None:
-        """End the process, now."""
+        """End the process, now, and with it a run that another thread is waiting for."""
+        self._closed = True
         if self._worker is not None:
             self._worker.hang_up()
             self._worker.end()
@@ -87,7 +91,7 @@ class OnCall:
                     return record
             elif worker.overdue():
                 return self._lost(worker, worker.out_of_time(self._timeout or 0.0))
-            elif worker.gone():
+            elif worker.gone() and not self._closed:
                 return self._lost(worker, worker.vanished())
 
     def _lost(self, worker: Worker, record: RunRecord | None) -> RunRecord:
@@ -98,3 +102,7 @@ class OnCall:
     def _drop(self, worker: Worker) -> None:
         worker.end()
         self._worker = None
+
+
+def _stopped(request: RunRequest) -> RunRecord:
+    return RunRecord(request.key, request.inputs, "killed", failure_kind="stopped", message="stopped with its process")
