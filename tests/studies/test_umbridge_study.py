@@ -1,6 +1,7 @@
 """A study served by UM-Bridge, and the same study calibrated through it."""
 
 import contextlib
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 import umbridge
+import yaml
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
@@ -28,6 +30,7 @@ from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest
 
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
 LOAD = 1e-5
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "umbridge.md"
 
 
 @contextlib.contextmanager
@@ -88,27 +91,56 @@ def test_values_that_the_model_does_not_take_are_the_callers_mistake(two_loads: 
     assert "E (Young's modulus) in (0, inf] Pa" in response.json()["error"]["message"]
 
 
-def test_a_study_calibrated_through_um_bridge_is_the_same_study(tmp_path: Path) -> None:
-    sampler = {"smc": {"particles": 400, "rejuvenation_steps": 3, "zeta": 0.6}}
-    small: dict[str, Any] = {"design": {"sobol": {"runs": 24}}, "sampler": sampler}
-    local = write_study(tmp_path / "local", **small)
-    with serving(local) as (url, told):
-        assert told[1:] == [
-            "  inputs: [E [Pa], tilt]\n",
-            "  interface: 34 numbers; Evaluate\n",
-            "  log_likelihood: 1 number; Evaluate\n",
-        ]
-        options = {"url": url, "name": "interface", "inputs": [{"E": "Pa"}, {"tilt": 1}]}
-        synthetic = {"synthetic": {"E": 400, "tilt": 0.02}}
-        remote = write_study(
-            tmp_path / "remote", model={"umbridge": options}, fixed=None, observation=synthetic, **small
-        )
-        other = run_study(load_study(remote), executor=InProcess()).summary
-    own = run_study(load_study(local), executor=InProcess()).summary
+SMALL: dict[str, Any] = {
+    "design": {"sobol": {"runs": 24}},
+    "sampler": {"smc": {"particles": 400, "rejuvenation_steps": 3, "zeta": 0.6}},
+}
+
+
+@pytest.fixture(scope="module")
+def bent(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, list[str]]]:
+    """Folder, address and announcement of a served study."""
+    folder = write_study(tmp_path_factory.mktemp("bent"), **SMALL)
+    with serving(folder) as (url, told):
+        yield folder, url, told
+
+
+def test_a_served_study_announces_what_it_serves(bent: tuple[Path, str, list[str]]) -> None:
+    assert bent[2][1:] == [
+        "  inputs: [E [Pa], tilt]\n",
+        "  interface: 34 numbers; Evaluate\n",
+        "  log_likelihood: 1 number; Evaluate\n",
+    ]
+    assert "".join(bent[2][1:]) in GUIDE.read_text("utf-8")
+
+
+def test_a_study_calibrated_through_um_bridge_is_the_same_study(
+    bent: tuple[Path, str, list[str]], tmp_path: Path
+) -> None:
+    options = {"url": bent[1], "name": "interface", "inputs": [{"E": "Pa"}, {"tilt": 1}]}
+    observation = {"synthetic": {"E": 400, "tilt": 0.02}}
+    remote = write_study(tmp_path, model={"umbridge": options}, fixed=None, observation=observation, **SMALL)
+    other = run_study(load_study(remote), executor=InProcess()).summary
+    own = run_study(load_study(bent[0]), executor=InProcess()).summary
     for name in ("E", "tilt"):
         for figure in ("mean", "sd", "median"):
             assert other["inputs"][name][figure] == own["inputs"][name][figure]
     assert own["inputs"]["E"]["mean"] == pytest.approx(400, rel=0.1)
+
+
+def test_the_pieces_of_the_guide_work(bent: tuple[Path, str, list[str]], tmp_path: Path) -> None:
+    guide = GUIDE.read_text("utf-8")
+    (piece,) = re.findall(r"```yaml\n(.*?)```", guide, re.DOTALL)
+    content: dict[str, Any] = yaml.safe_load(piece)
+    study = load_study(write_study(tmp_path, **content, observation={"synthetic": {"E": 400, "nu": 0.3}}))
+    assert study.space.names == ("E", "nu")
+    programs = re.findall(r"```python\n(.*?)```", guide, re.DOTALL)
+    assert len(programs) == 2
+    shown: dict[str, Any] = {}
+    exec("\n".join(programs).replace("http://127.0.0.1:4242", bent[1]), shown)
+    tip = beam({"E": 400.0, "tilt": 0.02, "load": LOAD}, Path()).interface.points
+    points = beam({"E": 410.0, "tilt": 0.02, "load": LOAD}, Path()).interface.points
+    assert shown["value"] == pytest.approx(-0.5 * np.sum((points - tip) ** 2) / 0.003**2, rel=1e-9)
 
 
 def test_a_served_study_without_its_server_is_told_by_check(tmp_path: Path) -> None:
