@@ -25,6 +25,7 @@ COMMANDS = {
     "report": "Make posterior, figures and report anew from finished runs.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "forward": "Make one forward run at chosen inputs.",
+    "serve": "Serve a study's model to other programs, by UM-Bridge.",
     "reproduce": "Run the published study, whole, and judge its claims.",
 }
 

@@ -3,5 +3,6 @@
 MODELS = {
     "biofilm": "strandline.models.biofilm.model:Biofilm",
     "python": "strandline.models.python:PythonModel",
+    "umbridge": "strandline.models.umbridge.model:UMBridge",
 }
 """Names in study files → ``module:class``, imported only where it is used."""

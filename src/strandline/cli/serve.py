@@ -1,0 +1,75 @@
+"""`strandline serve`: a study's model for other programs, by UM-Bridge."""
+
+import dataclasses
+import ipaddress
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from strandline.models.umbridge.server import UMBridgeServer
+    from strandline.studies import Study
+    from strandline.studies.serve import Solver
+
+__all__ = ["command"]
+
+
+@click.command("serve")
+@click.argument("study", type=click.Path(path_type=Path))
+@click.option("--port", type=click.IntRange(0, 65535), default=4242, help="To listen on; 0 takes any free one. [4242]")
+@click.option("--host", default="127.0.0.1", help="Address to listen on. [127.0.0.1, this machine alone]")
+@click.option("--workers", type=click.IntRange(1), default=1, metavar="N", help="Runs made at the same time. [1]")
+def command(study: Path, port: int, host: str, workers: int) -> None:
+    """Serve STUDY's model and its log-likelihood by UM-Bridge, until Ctrl-C; nothing is written.
+
+    `interface` takes the unknown inputs and yields the interface's points in mm, `log_likelihood` the log-likelihood
+    of the study's observation by the true model. There is no password: whoever reaches the port can make runs.
+    """
+    from strandline.models.umbridge.server import UMBridgeServer
+    from strandline.studies import load_study
+    from strandline.studies.serve import served_models
+
+    loaded = load_study(study)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    solvers = _solvers(loaded, workers)
+    try:
+        with UMBridgeServer((), host, port) as server:
+            server.models = served_models(loaded, *solvers)
+            _announce(loaded, server, host)
+            server.serve_forever()
+    except KeyboardInterrupt:
+        click.echo("stopped", err=True)
+    finally:
+        for solver in solvers:
+            solver.close()
+
+
+def _solvers(study: "Study", workers: int) -> list["Solver"]:
+    """Return what makes plain runs, and what makes those with sensitivities where the model has them."""
+    from strandline.studies.serve import Solver, differentiating
+
+    model: Any = study.model
+    plain = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model
+    models = [plain, differentiating(plain)]
+    timeout = getattr(study.executor, "timeout", None)
+    return [Solver(model, workers=workers, timeout=timeout) for model in models if model is not None]
+
+
+def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
+    if not _is_local(host):
+        click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)
+    click.echo(f"{study.name}: serving {server.url}")
+    click.echo(f"  inputs: [{', '.join(parameter.label() for parameter in study.space)}]")
+    for model in server.models:
+        sizes = " and ".join(str(size) for size in model.output_sizes)
+        features = ", ".join(name for name, offered in model.support.items() if offered)
+        click.echo(f"  {model.name}: {sizes} number{'s' if sizes != '1' else ''}; {features}")
+
+
+def _is_local(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,202 @@
+"""The server's side of UM-Bridge 1.0 as a function of the request: what is asked → status and JSON object."""
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.models.umbridge.client import PROTOCOL_VERSION
+
+__all__ = ["Answer", "Blocks", "Refused", "ServedModel", "answer"]
+
+Blocks = list[list[float]]
+
+
+@dataclass(frozen=True)
+class ServedModel:
+    """A model as the protocol sees it: blocks of numbers in, blocks of numbers out.
+
+    Whatever the functions raise becomes an answer: `InvalidInput` the caller's mistake, all else the model's failure.
+
+    Args:
+        name: of the model.
+        input_sizes: numbers in each input block.
+        output_sizes: numbers in each output block.
+        evaluate: input blocks → output blocks.
+        gradient: (out, in, input blocks, weights) → weights times the Jacobian of block out by block in; None where it
+            is not offered.
+        apply_jacobian: (out, in, input blocks, vector) → the Jacobian times vector; None where it is not offered.
+    """
+
+    name: str
+    input_sizes: tuple[int, ...]
+    output_sizes: tuple[int, ...]
+    evaluate: Callable[[Blocks], Blocks]
+    gradient: Callable[[int, int, Blocks, list[float]], list[float]] | None = None
+    apply_jacobian: Callable[[int, int, Blocks, list[float]], list[float]] | None = None
+
+    @property
+    def support(self) -> dict[str, bool]:
+        """The features of the protocol that it offers."""
+        return {
+            "Evaluate": True,
+            "Gradient": self.gradient is not None,
+            "ApplyJacobian": self.apply_jacobian is not None,
+            "ApplyHessian": False,
+        }
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An HTTP status and the object that goes with it as JSON."""
+
+    status: int
+    content: Mapping[str, Any]
+
+
+class Refused(Exception):
+    """A request that gets an error of the protocol as its answer."""
+
+    def __init__(self, kind: str, message: str, status: int = 400) -> None:
+        self.kind, self.status = kind, status
+        super().__init__(message)
+
+    @property
+    def answer(self) -> Answer:
+        """The error as the protocol writes it."""
+        return Answer(self.status, {"error": {"type": self.kind, "message": str(self)}})
+
+
+def answer(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> Answer:
+    """Return the answer to a request; whatever is wrong with it, or goes wrong with the model, is an answer too."""
+    try:
+        return Answer(200, _answered(models, method, path, body))
+    except Refused as refused:
+        return refused.answer
+    except InvalidInput as error:
+        return Refused("InvalidInput", str(error)).answer
+    except ForwardModelError as error:
+        return Refused("ModelError", str(error), 500).answer
+    except Exception as error:
+        return Refused("ModelError", f"{type(error).__name__}: {error}", 500).answer
+
+
+def _answered(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> dict[str, Any]:
+    if path == "/Info":
+        _require_method(method, "GET", path)
+        return {"protocolVersion": PROTOCOL_VERSION, "models": [model.name for model in models]}
+    if path not in ENDPOINTS:
+        raise Refused("NotFound", f"no endpoint {path[:80]}; there are /Info, {', '.join(ENDPOINTS)}", 404)
+    _require_method(method, "POST", path)
+    asked = _object(body)
+    model = next((model for model in models if model.name == asked.get("name")), None)
+    if model is None:
+        known = ", ".join(model.name for model in models)
+        raise Refused("ModelNotFound", f"no model {_shown(asked.get('name'))}; there are {known}")
+    if not model.support.get(path[1:], True):
+        raise Refused("UnsupportedFeature", f"{model.name} does not support {path[1:]}")
+    if asked.get("config") not in (None, {}):
+        raise Refused("InvalidInput", f"config: got {_shown(asked['config'])}; expected none, the study has it all")
+    return ENDPOINTS[path](model, asked)
+
+
+def _evaluate(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
+    output = model.evaluate(_inputs(model, asked))
+    sizes = tuple(len(block) for block in output)
+    if sizes != model.output_sizes:
+        raise Refused("InvalidOutput", f"{model.name} yields {sizes} numbers here; {model.output_sizes} declared", 500)
+    return {"output": [_finite(model, block) for block in output]}
+
+
+def _gradient(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
+    out, into = _index(asked, "outWrt", model.output_sizes), _index(asked, "inWrt", model.input_sizes)
+    weights = _vector(asked.get("sens"), model.output_sizes[out], "sens")
+    assert model.gradient is not None
+    return {"output": _finite(model, model.gradient(out, into, _inputs(model, asked), weights))}
+
+
+def _apply_jacobian(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
+    out, into = _index(asked, "outWrt", model.output_sizes), _index(asked, "inWrt", model.input_sizes)
+    vector = _vector(asked.get("vec"), model.input_sizes[into], "vec")
+    assert model.apply_jacobian is not None
+    return {"output": _finite(model, model.apply_jacobian(out, into, _inputs(model, asked), vector))}
+
+
+def _no_hessian(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
+    raise Refused("UnsupportedFeature", f"{model.name} does not support ApplyHessian")
+
+
+ENDPOINTS: Mapping[str, Callable[[ServedModel, Mapping[str, Any]], dict[str, Any]]] = {
+    "/ModelInfo": lambda model, asked: {"support": model.support},
+    "/InputSizes": lambda model, asked: {"inputSizes": list(model.input_sizes)},
+    "/OutputSizes": lambda model, asked: {"outputSizes": list(model.output_sizes)},
+    "/Evaluate": _evaluate,
+    "/Gradient": _gradient,
+    "/ApplyJacobian": _apply_jacobian,
+    "/ApplyHessian": _no_hessian,
+}
+"""Path → what answers it, given the model that the request names; /Info names none."""
+
+
+def _require_method(method: str, right: str, path: str) -> None:
+    if method != right:
+        raise Refused("InvalidInput", f"{method} {path}: expected {right}", 405)
+
+
+def _object(body: bytes) -> dict[str, Any]:
+    try:
+        asked = json.loads(body.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise Refused("InvalidInput", f"the request is no JSON: {error}") from None
+    if not isinstance(asked, dict):
+        raise Refused("InvalidInput", f"the request is {_shown(asked)}; expected a JSON object")
+    return asked
+
+
+def _inputs(model: ServedModel, asked: Mapping[str, Any]) -> Blocks:
+    blocks, sizes = asked.get("input"), model.input_sizes
+    if not isinstance(blocks, list) or len(blocks) != len(sizes):
+        found = f"{len(blocks)} blocks" if isinstance(blocks, list) else _shown(blocks)
+        raise Refused("InvalidInput", f"input: got {found}; expected a list of {len(sizes)} block(s)")
+    return [_vector(block, size, f"input block {k}") for k, (block, size) in enumerate(zip(blocks, sizes, strict=True))]
+
+
+def _vector(values: object, size: int, what: str) -> list[float]:
+    """Return `size` finite numbers."""
+    if not isinstance(values, list) or len(values) != size:
+        found = f"{len(values)} numbers" if isinstance(values, list) else _shown(values)
+        raise Refused("InvalidInput", f"{what}: got {found}; expected a list of {size} number(s)")
+    return [_number(value, what) for value in values]
+
+
+def _number(value: object, what: str) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise Refused("InvalidInput", f"{what}: got {_shown(value)}; expected finite numbers")
+    return number
+
+
+def _index(asked: Mapping[str, Any], name: str, sizes: tuple[int, ...]) -> int:
+    value = asked.get(name)
+    if type(value) is not int or not 0 <= value < len(sizes):
+        raise Refused(
+            "InvalidInput", f"{name}: got {_shown(value)}; expected a whole number from 0 to {len(sizes) - 1}"
+        )
+    return value
+
+
+def _finite(model: ServedModel, values: Sequence[float]) -> list[float]:
+    numbers = [float(value) for value in values]
+    if not all(map(math.isfinite, numbers)):
+        raise Refused("InvalidOutput", f"{model.name} yields numbers that are not finite", 500)
+    return numbers
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:80]}…"

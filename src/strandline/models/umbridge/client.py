@@ -1,0 +1,262 @@
+"""The client's side of UM-Bridge 1.0: one request at a time, a limit on everything, and a kind for every mishap.
+
+The kinds of `ForwardModelError`: ``connection`` (no server, or it hung up), ``timeout``, ``protocol`` (an answer that
+is none of UM-Bridge's, or not of this model), ``model_error`` (the server says that its model failed), ``non_finite``.
+"""
+
+import contextlib
+import json
+import re
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import ForwardModelError, InvalidInput
+
+if TYPE_CHECKING:
+    import httpx
+
+__all__ = ["LARGEST_ANSWER", "PROTOCOL_VERSION", "Client", "Description"]
+
+PROTOCOL_VERSION = 1.0
+LARGEST_ANSWER = 64 * 2**20
+"""Bytes of an answer; a million points in space take 60 MB."""
+SHOWN_CHARACTERS = 200
+NUMBERS_OF_PYTHON = re.compile(r"(?<![\w\"])-?(nan|inf)(?![\w\"])")
+"""What `repr` makes of numbers that are not finite; servers that build JSON from it send this."""
+BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature")
+
+Vector = Float[np.ndarray, " number"]
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a server says of one model: sizes of its input and output blocks, and the features that it supports."""
+
+    input_sizes: tuple[int, ...]
+    output_sizes: tuple[int, ...]
+    support: Mapping[str, bool]
+
+
+@dataclass(frozen=True)
+class Client:
+    """Calls one model of one server.
+
+    Every call has a connection of its own, so that a load balancer can spread calls; redirects, proxies and .netrc
+    are not followed.
+
+    Args:
+        url: of the server.
+        name: of the model.
+        config: passed on with every call.
+        timeout: seconds that a call may take from its beginning to the last byte of the answer.
+    """
+
+    url: str
+    name: str
+    config: Mapping[str, Any] = field(default_factory=dict)
+    timeout: float = 600.0
+
+    def __post_init__(self) -> None:
+        parts = urlsplit(self.url)
+        if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
+            raise InvalidInput(
+                "url", value=self.url, expected="e.g. http://127.0.0.1:4242", remedy="Give the server's own address."
+            )
+        if not 0 < self.timeout < threading.TIMEOUT_MAX:
+            raise InvalidInput(
+                "timeout", value=self.timeout, expected="seconds above 0", remedy="Leave it out for 10 minutes."
+            )
+
+    def describe(self) -> Description:
+        """Return what the server says of the model.
+
+        Raises:
+            ForwardModelError: no server, another protocol or version, no such model, or one without Evaluate.
+        """
+        info = self._mapping("Info", None)
+        version, models = info.get("protocolVersion"), info.get("models")
+        if not _is_number(version) or version != PROTOCOL_VERSION:
+            raise self._breach(f"speaks version {_short(version)} of the protocol; expected {PROTOCOL_VERSION}")
+        if not isinstance(models, list) or self.name not in models:
+            raise self._breach(f"has no model called {self.name!r}; it offers {_short(models)}")
+        support = self._mapping("ModelInfo", {}).get("support")
+        if not isinstance(support, dict) or support.get("Evaluate") is not True:
+            raise self._breach(f"says that {self.name!r} cannot be evaluated: support is {_short(support)}")
+        return Description(
+            self._sizes("InputSizes", "inputSizes"),
+            self._sizes("OutputSizes", "outputSizes"),
+            {str(feature): offered is True for feature, offered in support.items()},
+        )
+
+    def evaluate(self, blocks: Sequence[Sequence[float]], sizes: Sequence[int]) -> list[Vector]:
+        """Return the output blocks, of the `sizes` that the server declared."""
+        output = self._mapping("Evaluate", {"input": blocks}).get("output")
+        if not isinstance(output, list) or len(output) != len(sizes):
+            raise self._breach(f"answered Evaluate with {_short(output)}; expected a list of {len(sizes)} blocks")
+        return [self._vector(block, size, "Evaluate") for block, size in zip(output, sizes, strict=True)]
+
+    def apply_jacobian(
+        self, out: int, into: int, blocks: Sequence[Sequence[float]], vector: Sequence[float], size: int
+    ) -> Vector:
+        """Return the Jacobian of output block `out`, of `size` numbers, by input block `into`, times `vector`."""
+        asked = {"outWrt": out, "inWrt": into, "input": blocks, "vec": vector}
+        return self._vector(self._mapping("ApplyJacobian", asked).get("output"), size, "ApplyJacobian")
+
+    def gradient(
+        self, out: int, into: int, blocks: Sequence[Sequence[float]], weights: Sequence[float], size: int
+    ) -> Vector:
+        """Return `weights` times the Jacobian of output block `out` by input block `into`, which has `size` inputs."""
+        asked = {"outWrt": out, "inWrt": into, "input": blocks, "sens": weights}
+        return self._vector(self._mapping("Gradient", asked).get("output"), size, "Gradient")
+
+    def _sizes(self, endpoint: str, key: str) -> tuple[int, ...]:
+        sizes = self._mapping(endpoint, {}).get(key)
+        if not isinstance(sizes, list) or not all(type(size) is int and size >= 0 for size in sizes):
+            raise self._breach(f"answered {endpoint} with {key} {_short(sizes)}; expected a list of whole numbers")
+        return tuple(sizes)
+
+    def _vector(self, values: object, size: int, endpoint: str) -> Vector:
+        """Return `size` finite numbers."""
+        if not isinstance(values, list) or len(values) != size:
+            length = f"{len(values)} numbers" if isinstance(values, list) else _short(values)
+            raise self._breach(f"answered {endpoint} with a block of {length}; expected {size} numbers")
+        numbers = [float("nan") if value is None else value for value in values]  # C++ servers write NaN as null
+        bad = next((value for value in numbers if not _is_number(value)), None)
+        if bad is not None:
+            raise self._breach(f"answered {endpoint} with {_short(bad)} among the numbers")
+        try:
+            array = np.array(numbers, dtype=np.float64)
+        except OverflowError:
+            array = np.full(size, np.inf)
+        if not np.isfinite(array).all():
+            wrong = int(np.count_nonzero(~np.isfinite(array)))
+            raise ForwardModelError("non_finite", f"{wrong} of {size} numbers of {endpoint} are not finite")
+        return array
+
+    def _mapping(self, endpoint: str, content: Mapping[str, Any] | None) -> dict[str, Any]:
+        """Return the JSON object that the server answers; `content` None asks by GET."""
+        asked = None if content is None else {"name": self.name, "config": dict(self.config), **content}
+        status, body = self._exchange(endpoint, asked)
+        answer = _parsed(body)
+        error = answer.get("error") if isinstance(answer, dict) else None
+        if isinstance(error, dict):
+            kind = "protocol" if error.get("type") in BLAMES_THE_CALL else "model_error"
+            raise ForwardModelError(kind, f"the server says {_short(error.get('type'))}: {_told(error.get('message'))}")
+        if status >= 500:
+            raise ForwardModelError("model_error", f"HTTP {status} without a reason: {_told(body)}")
+        if not 200 <= status < 300:
+            raise self._breach(f"answered {endpoint} with HTTP {status}: {_told(body)}")
+        if not isinstance(answer, dict):
+            raise self._breach(f"answered {endpoint} with no JSON object: {_told(body)}")
+        return answer
+
+    def _exchange(self, endpoint: str, asked: Mapping[str, Any] | None) -> tuple[int, bytes]:
+        """Return status and body of one request, made within `timeout` seconds in all."""
+        import httpx
+
+        method, place = ("GET", "Info") if asked is None else ("POST", endpoint)
+        verify = ssl.create_default_context() if self.url.startswith("https:") else False
+        begun = time.monotonic()
+        try:
+            with (
+                _deadline(self.timeout) as trace,
+                httpx.Client(verify=verify, timeout=self.timeout, follow_redirects=False, trust_env=False) as client,
+                client.stream(
+                    method,
+                    f"{self.url.rstrip('/')}/{place}",
+                    json=asked,
+                    headers={"Accept-Encoding": "identity"},
+                    extensions={"trace": trace},
+                ) as response,
+            ):
+                return response.status_code, self._body(response, endpoint)
+        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
+            raise self._mishap(error, time.monotonic() - begun) from None
+
+    def _body(self, response: "httpx.Response", endpoint: str) -> bytes:
+        if response.has_redirect_location:
+            raise self._breach(f"redirects {endpoint} to {_short(response.headers['location'])}, which is not followed")
+        chunks, size = [], 0
+        for chunk in response.iter_bytes():
+            chunks.append(chunk)
+            size += len(chunk)
+            if size > LARGEST_ANSWER:
+                raise self._breach(f"answers {endpoint} with more than {LARGEST_ANSWER // 2**20} MB")
+        return b"".join(chunks)
+
+    def _mishap(self, error: Exception, seconds: float) -> ForwardModelError:
+        import httpx
+
+        if isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.UnsupportedProtocol | httpx.InvalidURL):
+            message = f"no UM-Bridge server answers at {self.url} ({_told(str(error)) or 'in time'})"
+            return ForwardModelError("connection", f"{message}: start it, or correct `url`")
+        if isinstance(error, httpx.TimeoutException) or seconds >= self.timeout:
+            return ForwardModelError("timeout", f"no answer of {self.url} within {self.timeout:g} s")
+        if isinstance(error, httpx.DecodingError):
+            return self._breach(f"sends what cannot be unpacked: {_told(str(error))}")
+        return ForwardModelError("connection", f"{self.url} broke off: {_told(str(error)) or type(error).__name__}")
+
+    def _breach(self, what: str) -> ForwardModelError:
+        return ForwardModelError("protocol", f"the server at {self.url} {what}")
+
+
+@contextlib.contextmanager
+def _deadline(seconds: float) -> Iterator[Any]:
+    """Yield a listener for the connection's events; after `seconds` the connection that it has seen is cut.
+
+    The client's own limits are for each reading from the socket, and a server that drips never exceeds them.
+    """
+    opened: list[socket.socket] = []
+
+    def trace(event: str, info: Mapping[str, Any]) -> None:
+        if event == "connection.connect_tcp.complete":
+            opened.append(info["return_value"].get_extra_info("socket"))
+
+    def cut() -> None:
+        for connection in opened:
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(seconds, cut)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield trace
+    finally:
+        timer.cancel()
+
+
+def _parsed(body: bytes) -> Any:
+    """Return the JSON in `body`, that with Python's nan and inf included; None where it is none."""
+    text = body.decode("utf-8", "replace")
+    for candidate in (text, NUMBERS_OF_PYTHON.sub("NaN", text)):
+        with contextlib.suppress(ValueError, RecursionError):
+            return json.loads(candidate)
+    return None
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _told(text: object) -> str:
+    """Return text of a stranger, tags of HTML left out, on one short line."""
+    plain = text[: 20 * SHOWN_CHARACTERS].decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
+    return _cut(" ".join(re.sub(r"<[^<>]*>", " ", plain).split()))
+
+
+def _short(value: object) -> str:
+    return _cut(repr(value))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}…"

@@ -1,0 +1,192 @@
+"""A study's forward model and its likelihood as models that others can call by UM-Bridge."""
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from functools import partial
+from queue import LifoQueue
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
+from strandline.interface import Interface, Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.models.protocol import ForwardModel, with_sensitivities
+from strandline.models.umbridge.answers import Blocks, ServedModel
+from strandline.models.umbridge.layout import flattened
+from strandline.runs import RunRecord, RunRequest, run_key
+from strandline.runs.on_call import OnCall
+from strandline.studies.build import check_values
+from strandline.studies.observed import noisy
+from strandline.studies.study import Study
+
+__all__ = ["Solver", "differentiating", "served_models"]
+
+REMEMBERED = 64
+
+Solve = Callable[[Mapping[str, float]], RunRecord]
+
+
+class Solver:
+    """Makes runs of a model for several threads, each run in one of `workers` processes; the last runs are remembered.
+
+    A crash, or more than `timeout` seconds, costs the one run. The processes start when they are needed.
+    """
+
+    def __init__(self, model: ForwardModel, *, workers: int = 1, timeout: float | None = None) -> None:
+        self._all = [OnCall(model, timeout=timeout) for _ in range(workers)]
+        self._idle: LifoQueue[OnCall] = LifoQueue()
+        for process in self._all:
+            self._idle.put(process)
+        self._known: dict[str, Future[RunRecord]] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, inputs: Mapping[str, float]) -> RunRecord:
+        """Return the record of the run: made now, being made for another caller, or remembered where it ended well.
+
+        Raises:
+            InvalidInput: the model cannot be loaded in a process of its own.
+        """
+        request = RunRequest(run_key("", inputs), dict(inputs))
+        with self._lock:
+            future = self._known.get(request.key)
+            mine = future is None
+            if future is None:
+                future = self._known[request.key] = Future()
+                while len(self._known) > REMEMBERED:
+                    self._known.pop(next(iter(self._known)))
+        if mine:
+            self._make(request, future)
+        return future.result()
+
+    def close(self) -> None:
+        """End the processes, with the runs that they are making."""
+        for process in self._all:
+            process.close()
+
+    def _make(self, request: RunRequest, future: Future[RunRecord]) -> None:
+        process = self._idle.get()
+        try:
+            future.set_result(process(request))
+        except BaseException as error:
+            future.set_exception(error)
+        finally:
+            self._idle.put(process)
+        if future.exception() is not None or not future.result().ok:
+            with self._lock:
+                self._known.pop(request.key, None)
+
+
+@dataclass(frozen=True)
+class _Served:
+    """The models' functions: the unknown inputs of `study` are the one block of inputs."""
+
+    study: Study
+    solve: Solve
+    differentiate: Solve | None
+    likelihood: InterfaceLikelihood
+
+    def models(self, example: RunRecord) -> Iterator[ServedModel]:
+        """Yield a model of each condition's interface, of the sizes of `example`, and the likelihood."""
+        dim = (self.study.space.dim,)
+        for condition, interface in example.interfaces.items():
+            sizes = tuple(len(block) for block in flattened(interface))
+            name = f"interface:{condition}" if condition else "interface"
+            model = ServedModel(name, dim, sizes, partial(self.interface, condition))
+            if self.differentiate is not None:
+                gradient, product = partial(self.gradient, condition), partial(self.apply_jacobian, condition)
+                model = replace(model, gradient=gradient, apply_jacobian=product)
+            yield model
+        yield ServedModel("log_likelihood", dim, (1,), self.log_likelihood)
+
+    def interface(self, condition: str, blocks: Blocks) -> Blocks:
+        """Return the interface, mm."""
+        return flattened(self._run(blocks, self.solve).interfaces[condition])
+
+    def log_likelihood(self, blocks: Blocks) -> Blocks:
+        """Return log L."""
+        return [[self.likelihood(self._run(blocks, self.solve).interfaces)]]
+
+    def gradient(self, condition: str, out: int, into: int, blocks: Blocks, weights: list[float]) -> list[float]:
+        """Return weights · d(block)/d(inputs); a surface's triangles, its second block, do not move."""
+        jacobian = self._jacobian(condition, blocks)
+        product: list[float] = (np.array(weights) @ jacobian if out == 0 else 0.0 * jacobian[0]).tolist()
+        return product
+
+    def apply_jacobian(self, condition: str, out: int, into: int, blocks: Blocks, vector: list[float]) -> list[float]:
+        """Return d(block)/d(inputs) · vector; zeros for a surface's triangles."""
+        if out > 0:
+            return [0.0] * len(self.interface(condition, blocks)[out])
+        product: list[float] = (self._jacobian(condition, blocks) @ np.array(vector)).tolist()
+        return product
+
+    def _jacobian(self, condition: str, blocks: Blocks) -> Float[np.ndarray, "number input"]:
+        """Return d(coordinates of the points)/d(unknown inputs), mm per unit of the input."""
+        assert self.differentiate is not None
+        slopes = self._run(blocks, self.differentiate).sensitivities[condition]
+        return np.stack([slopes[name].ravel() for name in self.study.space.names], axis=1)
+
+    def _run(self, blocks: Blocks, solve: Solve) -> RunRecord:
+        values = dict(zip(self.study.space.names, blocks[0], strict=True))
+        check_values(values, self.study.model, "input")
+        record = solve({**self.study.fixed, **values})
+        if not record.ok:
+            raise ForwardModelError(record.failure_kind or record.state, _first_line(record))
+        return record
+
+
+def served_models(study: Study, solve: Solve, differentiate: Solve | None = None) -> tuple[ServedModel, ...]:
+    """Return the models `interface`, or ``interface:CONDITION`` for each condition, and `log_likelihood`.
+
+    One run is made at the medians of the priors, which tells the sizes of the outputs, and one for a synthetic
+    observation. All take one block, the study's unknown inputs in its order. `interface` yields the coordinates x0,
+    y0, x1, y1, … of the points, mm, and of a surface its triangles as a second block; `log_likelihood` log L of the
+    first measure by the true model, without the constant.
+
+    Args:
+        study: from `load_study`.
+        solve: makes a run; called by several threads at once.
+        differentiate: makes a run with sensitivities; None where the model has none.
+
+    Raises:
+        InvalidStudy: one of these runs fails.
+    """
+    medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
+    example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
+    likelihood = InterfaceLikelihood(_observations(study, solve), next(iter(study.discrepancies.values())))
+    return tuple(_Served(study, solve, differentiate, likelihood).models(example))
+
+
+def differentiating(model: ForwardModel) -> ForwardModel | None:
+    """Return `model` asked for sensitivities; None where it has none."""
+    try:
+        asked: ForwardModel = with_sensitivities(model)
+    except InvalidInput:
+        return None
+    return asked
+
+
+def _observations(study: Study, solve: Solve) -> tuple[Observation, ...]:
+    observed: Mapping[str, Interface] = study.observed
+    if study.truth is not None:
+        observed = noisy(
+            _required(solve(study.truth), "of the synthetic observation").interfaces, study.synthetic_noise
+        )
+    return tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+
+
+def _required(record: RunRecord, what: str) -> RunRecord:
+    if record.ok:
+        return record
+    raise InvalidStudy(
+        f"the forward run {what} failed",
+        value=f"{record.failure_kind or record.state}: {_first_line(record)}",
+        expected="a run that ends with an interface",
+        remedy="Look at the simulator, or move the priors to where it runs.",
+    )
+
+
+def _first_line(record: RunRecord) -> str:
+    return (record.message or "no message").partition("\n")[0]

@@ -1,0 +1,315 @@
+"""A study served by UM-Bridge, and the same study calibrated through it."""
+
+import contextlib
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import umbridge
+import yaml
+
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.interface import Interface
+from strandline.models.protocol import Simulation
+from strandline.models.umbridge.answers import ServedModel, answer
+from strandline.runs import InProcess, Ledger, RunRecord, RunRequest, attempt
+from strandline.studies import Study, load_study, run_study
+from strandline.studies.ledgers import needed_keys
+from strandline.studies.serve import Solver, differentiating, served_models
+from strandline.testing.models import Cantilever, Counted, Faulty, Slow, TwoLoads
+from strandline.testing.studies import TWO_LOADS_STUDY, beam, write_study
+from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest
+
+COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
+LOAD = 1e-5
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "umbridge.md"
+
+
+@contextlib.contextmanager
+def serving(folder: Path, *options: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield address and announcement of `strandline serve`; it must end at Ctrl-C with one line."""
+    process = subprocess.Popen(
+        [*COMMAND, "serve", str(folder), "--port", "0", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        told = [process.stdout.readline()]
+        while told[-1] and not told[-1].startswith("  log_likelihood"):
+            told.append(process.stdout.readline())
+        yield told[0].split()[-1], told
+        process.send_signal(signal.SIGINT)
+        out, error = process.communicate(timeout=30)
+        assert (process.returncode, out, error) == (0, "", "stopped\n")
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture(scope="module")
+def two_loads(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with serving(write_study(tmp_path_factory.mktemp("served"), **TWO_LOADS_STUDY), "--workers", "2") as (url, _):
+        yield url
+
+
+@pytest.mark.parametrize("name", ["interface:light", "interface:heavy", "log_likelihood"])
+def test_a_served_study_conforms(two_loads: str, name: str) -> None:
+    model = ModelUnderTest(two_loads, name, [[410.0]])
+    for check in (*CHECKS.values(), *STRICT_CHECKS.values()):
+        check(model)
+
+
+def test_the_reference_client_gets_the_studys_numbers(two_loads: str) -> None:
+    heavy, light = (umbridge.HTTPModel(two_loads, f"interface:{name}") for name in ("heavy", "light"))
+    run = TwoLoads(sensitivities=True)({"E": 410.0, "load": LOAD}, Path())
+    assert heavy([[410.0]])[0] == run.interfaces["heavy"].points.ravel().tolist()
+    assert light([[410.0]])[0] == run.interfaces["light"].points.ravel().tolist()
+    slope = run.sensitivities["heavy"]["E"].ravel()
+    np.testing.assert_allclose(heavy.apply_jacobian(0, 0, [[410.0]], [2.0]), 2.0 * slope, rtol=1e-14)
+    np.testing.assert_allclose(heavy.gradient(0, 0, [[410.0]], [1.0] * slope.size), [slope.sum()], rtol=1e-12)
+    truth = TwoLoads()({"E": 400.0, "load": LOAD}, Path())
+    squares = [np.sum((run.interfaces[c].points - truth.interfaces[c].points) ** 2) for c in TwoLoads.conditions]
+    (value,) = umbridge.HTTPModel(two_loads, "log_likelihood")([[410.0]])
+    np.testing.assert_allclose(value, [-0.5 * sum(squares) / 0.01**2], rtol=1e-10)
+
+
+def test_values_that_the_model_does_not_take_are_the_callers_mistake(two_loads: str) -> None:
+    response = ModelUnderTest(two_loads, "log_likelihood", [[0.0]]).post(
+        "Evaluate", {"name": "log_likelihood", "input": [[-1.0]]}
+    )
+    assert response.status_code == 400
+    assert "E (Young's modulus) in (0, inf] Pa" in response.json()["error"]["message"]
+
+
+SMALL: dict[str, Any] = {
+    "design": {"sobol": {"runs": 24}},
+    "sampler": {"smc": {"particles": 400, "rejuvenation_steps": 3, "zeta": 0.6}},
+}
+
+
+@pytest.fixture(scope="module")
+def bent(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, list[str]]]:
+    """Folder, address and announcement of a served study."""
+    folder = write_study(tmp_path_factory.mktemp("bent"), **SMALL)
+    with serving(folder) as (url, told):
+        yield folder, url, told
+
+
+def test_a_served_study_announces_what_it_serves(bent: tuple[Path, str, list[str]]) -> None:
+    assert bent[2][1:] == [
+        "  inputs: [E [Pa], tilt]\n",
+        "  interface: 34 numbers; Evaluate\n",
+        "  log_likelihood: 1 number; Evaluate\n",
+    ]
+    assert "".join(bent[2][1:]) in GUIDE.read_text("utf-8")
+
+
+def test_a_study_calibrated_through_um_bridge_is_the_same_study(
+    bent: tuple[Path, str, list[str]], tmp_path: Path
+) -> None:
+    options = {"url": bent[1], "name": "interface", "inputs": [{"E": "Pa"}, {"tilt": 1}]}
+    observation = {"synthetic": {"E": 400, "tilt": 0.02}}
+    remote = write_study(tmp_path, model={"umbridge": options}, fixed=None, observation=observation, **SMALL)
+    study = load_study(remote)
+    summary = run_study(study, executor=InProcess()).summary
+    with Ledger.open(study.ledger_path, model=study.model.fingerprint, read_only=True) as ledger:
+        records = list(ledger.latest(needed_keys(study)).values())
+    assert len(records) == 25
+    for record in records:
+        own = beam({**record.inputs, "load": LOAD}, Path()).interface
+        np.testing.assert_array_equal(record.interfaces[""].points, own.points)
+    assert summary["inputs"]["E"]["mean"] == pytest.approx(400, rel=0.1)
+    assert summary["inputs"]["tilt"]["mean"] == pytest.approx(0.02, abs=0.01)
+
+
+def test_the_pieces_of_the_guide_work(bent: tuple[Path, str, list[str]], tmp_path: Path) -> None:
+    guide = GUIDE.read_text("utf-8")
+    (piece,) = re.findall(r"```yaml\n(.*?)```", guide, re.DOTALL)
+    content: dict[str, Any] = yaml.safe_load(piece)
+    study = load_study(write_study(tmp_path, **content, observation={"synthetic": {"E": 400, "nu": 0.3}}))
+    assert study.space.names == ("E", "nu")
+    programs = re.findall(r"```python\n(.*?)```", guide, re.DOTALL)
+    assert len(programs) == 2
+    shown: dict[str, Any] = {}
+    exec("\n".join(programs).replace("http://127.0.0.1:4242", bent[1]), shown)
+    tip = beam({"E": 400.0, "tilt": 0.02, "load": LOAD}, Path()).interface.points
+    points = beam({"E": 410.0, "tilt": 0.02, "load": LOAD}, Path()).interface.points
+    assert shown["value"] == pytest.approx(-0.5 * np.sum((points - tip) ** 2) / 0.003**2, rel=1e-9)
+
+
+def test_a_served_study_without_its_server_is_told_by_check(tmp_path: Path) -> None:
+    options = {"url": "http://127.0.0.1:9", "name": "interface", "inputs": ["E", "tilt"]}
+    study = write_study(
+        tmp_path, model={"umbridge": options}, fixed=None, observation={"synthetic": {"E": 400, "tilt": 0}}
+    )
+    ended = subprocess.run([*COMMAND, "check", str(study)], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert "no UM-Bridge server answers at http://127.0.0.1:9" in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "what"),
+    [(["--port", "70000"], 2, "70000"), (["--host", "nowhere.invalid"], 2, "address to serve on")],
+)
+def test_addresses_that_cannot_be_served_are_refused(tmp_path: Path, options: list[str], code: int, what: str) -> None:
+    command = [*COMMAND, "serve", str(write_study(tmp_path)), *options]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stderr.count("\n")) == (code, 1)
+    assert what in ended.stderr
+
+
+def local(model: Any) -> Any:
+    return lambda inputs: attempt(model, RunRequest("", dict(inputs)), Path())
+
+
+def evaluate(models: tuple[ServedModel, ...], name: str, *values: float) -> tuple[int, Any]:
+    body = f'{{"name": "{name}", "input": [{list(values)}]}}'.encode()
+    given = answer(models, "POST", "/Evaluate", body)
+    return given.status, given.content
+
+
+class TestServedModels:
+    @pytest.fixture
+    def study(self, tmp_path: Path) -> Study:
+        return load_study(write_study(tmp_path))
+
+    def test_a_failing_solve_is_a_model_error(self, study: Study) -> None:
+        models = served_models(study, local(beam))
+        status, content = evaluate(models, "interface", 0.001, 0.0)
+        assert status == 500
+        assert content["error"]["type"] == "ModelError"
+        assert content["error"]["message"].startswith("large_deflection: the tip would move by")
+
+    def test_a_study_whose_model_fails_is_not_served(self, study: Study) -> None:
+        def failing(inputs: Mapping[str, float]) -> RunRecord:
+            return RunRecord("", inputs, "failed", failure_kind="singular", message="no pivot")
+
+        with pytest.raises(InvalidStudy, match="medians of the priors failed: got singular: no pivot"):
+            served_models(study, failing)
+
+    def test_noise_of_the_observation_is_part_of_the_likelihood(self, tmp_path: Path) -> None:
+        noise = {"synthetic": {"E": 400, "tilt": 0.02, "load": LOAD}, "noise": {"sd": 0.001, "seed": 3}}
+        models = served_models(load_study(write_study(tmp_path, observation=noise)), local(beam))
+        status, content = evaluate(models, "log_likelihood", 400.0, 0.02)
+        expected = np.sum((0.001 * np.random.default_rng([3]).standard_normal((17, 2))) ** 2) / 0.003**2 / -2
+        assert status == 200
+        np.testing.assert_allclose(content["output"], [[expected]], rtol=1e-9)
+
+    def test_a_surface_has_its_triangles_as_a_block_that_does_not_move(self, tmp_path: Path) -> None:
+        sheet = Sheet(sensitivities=True)
+        models = served_models(load_study(surface(tmp_path)), local(Sheet()), local(sheet))
+        assert models[0].output_sizes == (12, 6)
+        assert evaluate(models, "interface", 2.0)[1]["output"][1] == [0, 1, 2, 0, 2, 3]
+        assert models[0].apply_jacobian is not None
+        assert models[0].gradient is not None
+        assert models[0].apply_jacobian(0, 0, [[2.0]], [3.0])[2::3] == [0, 3, 3, 0]
+        assert models[0].apply_jacobian(1, 0, [[2.0]], [3.0]) == [0.0] * 6
+        assert models[0].gradient(1, 0, [[2.0]], [1.0] * 6) == [0.0]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A square whose right side is at the height E."""
+
+    sensitivities: bool = False
+    fingerprint: ClassVar[str] = "test:sheet"
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+        lifted = np.array([0.0, 1.0, 1.0, 0.0])
+        points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+        points[:, 2] = inputs["E"] * lifted
+        slope = np.zeros_like(points)
+        slope[:, 2] = lifted
+        sheet = Interface(points, np.array([[0, 1, 2], [0, 2, 3]]))
+        return Simulation.of(sheet, {}, {"E": slope} if self.sensitivities else None)
+
+
+sheet = Sheet()
+
+
+def surface(folder: Path) -> Path:
+    sys.modules.setdefault("sheet_of_tests", sys.modules[__name__])
+    return write_study(
+        folder,
+        model={"python": {"function": "sheet_of_tests:sheet"}},
+        fixed=None,
+        inputs={"E": {"prior": {"uniform": [1, 3]}}},
+        observation={"synthetic": {"E": 2}},
+    )
+
+
+class TestSolver:
+    def ask(self, solver: Solver, modulus: float) -> RunRecord:
+        return solver({"E": modulus, "load": LOAD})
+
+    def test_runs_of_several_callers_are_their_own_and_made_once(self, tmp_path: Path) -> None:
+        solver = Solver(Counted(str(tmp_path), Slow(Cantilever(), seconds=0.05)), workers=2)
+        stiffness = [300.0, 400.0, 300.0, 500.0, 400.0, 300.0]
+        try:
+            with ThreadPoolExecutor(6) as pool:
+                records = list(pool.map(lambda e: self.ask(solver, e), stiffness))
+            again = self.ask(solver, 400.0)
+        finally:
+            solver.close()
+        for modulus, record in zip([*stiffness, 400.0], [*records, again], strict=True):
+            np.testing.assert_array_equal(record.interfaces[""].points, Cantilever().outline(modulus, LOAD).points)
+        lines = (tmp_path / "calls").read_text("utf-8").splitlines()
+        assert len(lines) == 3
+        assert len({line.split()[0] for line in lines}) <= 2
+
+    @pytest.mark.parametrize(
+        ("fault", "state", "kind"),
+        [("segfault", "killed", "worker_died"), ("hang", "timeout", "timeout"), ("exception", "failed", "exception")],
+    )
+    def test_a_run_that_goes_wrong_costs_itself(self, fault: str, state: str, kind: str) -> None:
+        solver = Solver(Faulty(fault=fault), timeout=1.5)
+        try:
+            records = [self.ask(solver, modulus) for modulus in (400.0, 600.0, 410.0)]
+        finally:
+            solver.close()
+        assert [record.ok for record in records] == [True, False, True]
+        assert (records[1].state, records[1].failure_kind) == (state, kind)
+
+    def test_a_model_that_cannot_be_loaded_is_told_each_time(self) -> None:
+        solver = Solver(Unloadable())
+        try:
+            for _ in range(2):
+                with pytest.raises(InvalidInput, match="could not load the model"):
+                    self.ask(solver, 400.0)
+        finally:
+            solver.close()
+
+    def test_what_has_sensitivities_can_be_asked_for_them(self) -> None:
+        assert differentiating(Cantilever()) is None
+        asked: Any = differentiating(TwoLoads())
+        assert asked.sensitivities is True
+
+    def test_closing_ends_a_run_that_is_being_made(self) -> None:
+        solver = Solver(Faulty(fault="hang"))
+        with ThreadPoolExecutor(1) as pool:
+            asked = pool.submit(self.ask, solver, 600.0)
+            time.sleep(2.0)
+            solver.close()
+            assert not asked.result(timeout=10).ok
+
+
+class Unloadable:
+    """A model that a fresh interpreter cannot make."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return int, ("no number",)
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        raise NotImplementedError
