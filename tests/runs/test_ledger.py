@@ -162,6 +162,29 @@ def test_damage_to_a_run_is_noticed_and_the_run_named(path, damage):
         ledger.latest(["line"])
 
 
+def test_a_run_that_cannot_be_found_any_more_is_noticed(path):
+    """SQLite skips rows behind a damaged page, without an error: 64 bytes overwritten at 60 places."""
+    keys = [f"run {k}" for k in range(40)]
+    with Ledger.open(path, model="m") as ledger:
+        for key in keys:
+            put(ledger, replace(records()[2], key=key))
+    sound, rng, refused = path.read_bytes(), np.random.default_rng(3), []
+    for _ in range(60):
+        spoilt, place = bytearray(sound), int(rng.integers(4096, len(sound) - 64))
+        spoilt[place : place + 64] = rng.bytes(64)
+        path.write_bytes(spoilt)
+        try:
+            with Ledger.open(path, model="m") as ledger:
+                found = ledger.latest(keys)
+        except LedgerError as error:
+            refused.append(str(error))
+        else:
+            assert list(found) == keys
+            assert all(exact(found[key])[3] == exact(records()[2])[3] for key in keys)
+    assert 10 < len(refused) < 60
+    assert all("damaged" in said for said in refused)
+
+
 @pytest.mark.parametrize(
     "damage",
     [

@@ -111,6 +111,7 @@ class Ledger:
         ledger = cls(path, connection, lock)
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
+            tables.require_sound(path, connection)
             tables.upgrade(connection)
             columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
             row = connection.execute(

@@ -19,6 +19,7 @@ __all__ = [
     "has_table",
     "opened_for_reading",
     "require_model",
+    "require_sound",
     "require_version",
     "translated",
     "upgrade",
@@ -155,6 +156,16 @@ def opened_for_reading(path: Path) -> sqlite3.Connection:
         return connect_read_only(path)
 
 
+def require_sound(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse a damaged file: SQLite skips rows that it cannot find any more, and does not tell.
+
+    Each run's contents have a checksum of their own, but a run that is not found has none.
+    """
+    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if found != "ok":
+        raise _damaged(path, " ".join(str(found).replace("***", "").split()))
+
+
 def require_version(path: Path, connection: sqlite3.Connection) -> None:
     """Refuse a file of a newer version, or one that is no ledger."""
     row = connection.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchone()
@@ -208,19 +219,25 @@ def translated(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.OperationalError, OSError) as error:
+        if "decode" in str(error):  # a text that is none any more
+            raise _damaged(path, str(error)) from error
         raise LedgerError(
             f"ledger {path} cannot be read or written",
             value=str(error),
             expected="a readable file in a folder that can be written, with room on the disk",
             remedy="Correct permissions or disk space and run again: finished runs stay.",
         ) from error
-    except sqlite3.DatabaseError as error:
-        raise LedgerError(
-            f"ledger {path} is damaged or no ledger",
-            value=str(error),
-            expected="a SQLite file written by strandline",
-            remedy="Restore it from a backup, or move it away and run again.",
-        ) from error
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        raise _damaged(path, str(error)) from error
+
+
+def _damaged(path: Path, how: str) -> LedgerError:
+    return LedgerError(
+        f"ledger {path} is damaged or no ledger",
+        value=how,
+        expected="a SQLite file written by strandline",
+        remedy="Restore it from a backup, or move it away and run again.",
+    )
 
 
 def _added(tables: Sequence[str]) -> str:
