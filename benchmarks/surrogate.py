@@ -1,20 +1,22 @@
 """The fit of the surrogate beside its own floor and beside other programs: evidence and gradient, seven inputs.
 
 The floor is what LAPACK takes for the Cholesky factor and the inverse of the same covariance, once that is there. All
-get the same hyperparameters and give the same evidence, or the benchmark stops. OMP_NUM_THREADS limits LAPACK and the
-passes over the matrix alike; XLA has threads of its own.
+get the same hyperparameters and give the same evidence, or the benchmark stops. OMP_NUM_THREADS limits LAPACK, the
+passes over the matrix and scikit-learn alike. JAX, GPJax and GPyTorch run in processes of their own, and strandline in
+another, all kept on the same number of cores.
 """
 
+import sys
 from collections.abc import Callable
-from dataclasses import asdict
-from functools import reduce
+from functools import partial, reduce
 from operator import mul
+from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from benchmarks.comparison import Comparison, compared
+from benchmarks.comparison import Comparison, NotMeasured, compare_all, compared, unmeasured
+from benchmarks.workers import PEERS_PYTHON, core_counts, cores_case, versus
 from scipy.linalg import lapack
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
@@ -25,31 +27,27 @@ from strandline.surrogate.hyperparameters import Objective
 
 LENGTHS, VARIANCE, NUGGET = np.array([1.3, 2.5, 3.1, 4.0, 6.0, 8.0, 10.0]), 500.0, 5e-3
 USUAL, LARGE, REPEATS = 2000, 5000, 5
+PEERS = (
+    ("JAX, autodiff of a Cholesky", "evidence_jax.py", Path(sys.executable)),
+    ("GPJax", "evidence_gpjax.py", PEERS_PYTHON),
+    ("GPyTorch", "evidence_gpytorch.py", PEERS_PYTHON),
+)
+"""Name, script and environment."""
 
 
 def main() -> list[dict[str, Any]]:
     """Print each comparison as it is made; return them all."""
     jax.config.update("jax_enable_x64", True)
-    print(f"{'task':<52} {'peer':<30} {'ours [ms]':>10} {'peer [ms]':>10} {'ratio':>7}")
-    found = []
-    for task, name, runs in (
-        (floor, "matern32", USUAL),
-        (floor, "matern32_ard", USUAL),
-        (floor, "matern32_product", USUAL),
-        (floor, "matern52_product", USUAL),
-        (floor, "matern32_product", LARGE),
-        (scikit_learn, "matern32_ard", USUAL),
-        (scikit_learn, "matern32_product", USUAL),
-        (automatic, "matern32_product", USUAL),
-    ):
-        result = task(name, runs)
-        found.append(asdict(result))
-        print(
-            f"{result.what:<52} {result.peer_name:<30} {1e3 * result.ours:>10.4g} {1e3 * result.peer:>10.4g}"
-            f" {result.ratio:>7.2f}",
-            flush=True,
-        )
-    return found
+    return compare_all(
+        partial(floor, "matern32", USUAL),
+        partial(floor, "matern32_ard", USUAL),
+        partial(floor, "matern32_product", USUAL),
+        partial(floor, "matern52_product", USUAL),
+        partial(floor, "matern32_product", LARGE),
+        partial(scikit_learn, "matern32_ard", USUAL),
+        partial(scikit_learn, "matern32_product", USUAL),
+        *(partial(in_processes, *peer, cores=cores) for cores in core_counts() for peer in PEERS),
+    )
 
 
 def floor(name: str, runs: int) -> Comparison:
@@ -89,30 +87,16 @@ def scikit_learn(name: str, runs: int) -> Comparison:
     return compared(what(name, runs), "scikit-learn", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
 
 
-def automatic(name: str, runs: int) -> Comparison:
-    """Return the comparison with the same evidence written in JAX and differentiated by JAX."""
-    x, y = training(runs)
-    correlation = KERNELS[name].of_columns
-
-    @jax.jit
-    @jax.value_and_grad
-    def negative(theta: jax.Array) -> jax.Array:
-        u = (x / jnp.exp(theta[1:])).T
-        K = jnp.exp(theta[0]) * correlation(list(u[:, :, None] - u[:, None, :])) + NUGGET * jnp.eye(runs)
-        L = jnp.linalg.cholesky(K)
-        alpha = jax.scipy.linalg.cho_solve((L, True), y)
-        return 0.5 * y @ alpha + jnp.log(jnp.diagonal(L)).sum() + 0.5 * runs * jnp.log(2 * jnp.pi)
-
-    theta = jnp.log(jnp.array([VARIANCE, *LENGTHS]))
-
-    def theirs() -> float:
-        value, slope = negative(theta)
-        jax.block_until_ready(slope)
-        return -float(value)
-
-    return compared(
-        what(name, runs), "JAX, autodiff of a Cholesky", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS
-    )
+def in_processes(peer_name: str, script: str, python: Path, *, cores: int) -> Comparison:
+    """Return the comparison with a peer in a process, and an environment, of its own; gradients must agree as well."""
+    x, y = training(USUAL)
+    content = {"x": x, "y": y, "lengths": LENGTHS, "variance": VARIANCE, "nugget": NUGGET}
+    scripts = ("evidence_strandline.py", script)
+    task = what("matern32_product", USUAL)
+    try:
+        return versus(task, peer_name, scripts, content, cores=cores, python=python, repeats=REPEATS)
+    except NotMeasured as why:
+        return unmeasured(task, peer_name, why, case=cores_case(cores))
 
 
 class Column(Matern):
