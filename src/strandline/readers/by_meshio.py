@@ -1,4 +1,4 @@
-"""What meshio reads: STL, PLY, legacy VTK and Gmsh files."""
+"""What meshio reads: STL, PLY and legacy VTK files."""
 
 import contextlib
 import importlib
@@ -14,14 +14,39 @@ from strandline.readers.options import Reading
 
 __all__ = ["converted", "imported", "read_by_meshio"]
 
-MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh"}
+MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk"}
+READS_AT_END = 100
+"""Attempts to read behind the end after which a PLY file counts as cut off; its reader would go on for ever."""
 
 
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     """Return what a file of one time holds."""
     meshio = imported(name)
     with contextlib.redirect_stdout(io.StringIO()):
-        return converted(getattr(meshio, MODULES[how.suffix]).read(str(path)))
+        source = _Whole(path.read_bytes()) if how.suffix == ".ply" else str(path)
+        return converted(getattr(meshio, MODULES[how.suffix]).read(source))
+
+
+class _Whole(io.BytesIO):
+    """The bytes of a file, which refuses to be read behind its end again and again."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(content)
+        self.at_end = 0
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        """Return the next line."""
+        return self._counted(super().readline(-1 if size is None else size))
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return the next bytes."""
+        return self._counted(super().read(size))
+
+    def _counted(self, found: bytes) -> bytes:
+        self.at_end = 0 if found else self.at_end + 1
+        if self.at_end > READS_AT_END:
+            raise EOFError("the file is cut off")
+        return found
 
 
 def imported(name: str) -> Any:

@@ -55,7 +55,7 @@ class Reading:
     delimiter: str | None = None
     sort: str | None = None
     field: str | tuple[str | int, ...] | None = None
-    time: str | Mapping[str, float] | None = None
+    time: str | Mapping[str, Any] | None = None
     block: int | str | None = None
     cells: Mapping[str, Any] | None = None
     points: Mapping[str, Any] | None = None

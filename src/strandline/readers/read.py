@@ -1,6 +1,7 @@
 """A file → the interface in it."""
 
 import stat
+import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -38,7 +39,6 @@ READERS: Mapping[str, str] = {
     ".stl": _MESH,
     ".ply": _MESH,
     ".vtk": _MESH,
-    ".msh": _MESH,
 }
 """Suffixes of files → ``module:function`` that reads them; others are read as text."""
 
@@ -77,7 +77,9 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
     module, _, function = READERS.get(how.suffix, _TABLE).partition(":")
     reader: Callable[[Path, Reading, str], Contents] = getattr(import_module(module), function)
     try:
-        contents = reader(path, how, name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            contents = reader(path, how, name)
         _require_whole(contents)
     except InvalidInput:
         raise

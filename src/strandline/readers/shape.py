@@ -155,7 +155,7 @@ def _kept(
     places: Float[np.ndarray, "point xyz"],
     how: Reading,
     name: str,
-) -> Int[np.ndarray, "part node"]:
+) -> Int[np.ndarray, "kept node"]:
     """Return the edges or triangles all of whose nodes are in the box and have the point data asked for."""
     good = np.ones(len(places), dtype=bool)
     for key, wanted in (how.points or {}).items():

@@ -166,4 +166,4 @@ def _parts(kind: int, nodes: Any) -> tuple[str, list[Any]]:
     name = KINDS.get(kind) or OF_ORDER.get((kind, len(nodes)))
     if name is None:
         raise ValueError(f"a cell of VTK's type {kind} with {len(nodes)} nodes, which is not read")
-    return name, [nodes]
+    return name, [nodes[[0, 2, 1, 3, 5, 4]] if name == "wedge" else nodes]  # VTK's base faces outwards
