@@ -22,9 +22,17 @@ READS_AT_END = 100
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     """Return what a file of one time holds."""
     meshio = imported(name)
+    if how.suffix == ".stl":
+        _require_end(path.read_bytes())
     with contextlib.redirect_stdout(io.StringIO()):
         source = _Whole(path.read_bytes()) if how.suffix == ".ply" else str(path)
         return converted(getattr(meshio, MODULES[how.suffix]).read(source))
+
+
+def _require_end(content: bytes) -> None:
+    """Refuse an STL file in ASCII that is cut off, of which meshio would take the rest."""
+    if content.startswith(b"solid") and b"facet" in content[:1000] and b"endsolid" not in content[-1000:]:
+        raise EOFError("the file is cut off")
 
 
 class _Whole(io.BytesIO):

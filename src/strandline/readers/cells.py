@@ -66,7 +66,7 @@ def boundary_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
         ring = block.nodes[:, RINGS[block.kind]]
         found.append(np.stack([ring, np.roll(ring, -1, axis=1)], axis=2).reshape(-1, 2))
     edges = np.concatenate(found)
-    return edges[_once(edges)]
+    return np.asarray(edges[_once(edges)])
 
 
 def surface_triangles(blocks: Sequence[Block]) -> Int[np.ndarray, "cell 3"]:

@@ -162,7 +162,7 @@ def _kept(
         good &= _is_one_of(_data(contents.data, key, f"{name} has no point data", key), wanted)
     if how.select is not None:
         good &= _inside(places, how.select)
-    kept = parts[good[parts].all(axis=1)]
+    kept = np.asarray(parts[good[parts].all(axis=1)])
     if not len(kept):
         raise refused(f"{name} holds no interface", "nothing in the selection", "a part of the mesh", "Widen it.")
     return kept
