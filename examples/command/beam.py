@@ -1,4 +1,4 @@
-"""A small simulator that knows nothing of strandline: a cantilever under a dead load at its tip, bent as far as it goes.
+"""A small simulator that knows nothing of strandline: a cantilever under a dead load at its tip, bent far.
 
 It reads beam.json and writes axis.csv, the bent axis in mm. Elastica: B θ'' = -P cos θ with θ(0) = 0 and θ'(L) = 0,
 integrated by Runge-Kutta from the tip, whose angle is found by bisection.

@@ -62,11 +62,11 @@ class CommandModel:
     command: Any
     result: Any = None
     results: Any = None
-    templates: Mapping[str, str] = field(default_factory=dict)
-    files: tuple[str, ...] | list[str] = field(default_factory=list)
-    shell: bool = False
+    templates: Any = field(default_factory=dict)
+    files: Any = field(default_factory=list)
+    shell: Any = False
     post: Any = field(default_factory=list)
-    environment: Mapping[str, Any] = field(default_factory=dict)
+    environment: Any = field(default_factory=dict)
     timeout: float | None = None
     grace: float = 5.0
     exit_codes: Any = field(default_factory=lambda: [0])
