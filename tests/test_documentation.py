@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from pydantic import BaseModel
+from validation.command_faults import FAULTS
 
 import strandline as sl
 from strandline.cli.main import COMMANDS
@@ -25,10 +26,11 @@ from strandline.models import MODELS
 from strandline.models.biofilm.outline import Outline
 from strandline.posterior import SobolIndices
 from strandline.priors import PRIORS
+from strandline.readers import READERS, Reading, read_interface
 from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior
 from strandline.studies.build import build_model
-from strandline.studies.schema import StudyFile
+from strandline.studies.schema import ObservationFile, StudyFile
 from strandline.surrogate import KERNELS
 from strandline.testing.studies import BEAM_STUDY, write_study
 
@@ -91,10 +93,14 @@ def test_every_key_of_a_study_is_described_with_its_default() -> None:
     assert described == dict(keys_of(StudyFile))
 
 
+GIVEN = ("sensitivities", "folder")
+"""Fields of models that are no options of theirs: a key of the study, and the study folder."""
+
+
 def test_every_option_of_models_and_measures_is_described_with_its_default() -> None:
     classes = {name: getattr(*located(target)) for name, target in MODELS.items()} | DISCREPANCIES
-    known = {(name, f.name): default_of(f) for name, c in classes.items() for f in dataclasses.fields(c) if f.init}
-    known = {place: default for place, default in known.items() if place[1] != "sensitivities"}  # the study's own key
+    fields = {name: [f for f in dataclasses.fields(c) if f.init and f.name not in GIVEN] for name, c in classes.items()}
+    known = {(name, f.name): default_of(f) for name, some in fields.items() for f in some}
     tables = [*rows("reference/study.md", "model"), *rows("reference/study.md", "measure")]
     described = {(code(r[0])[0], code(r[1])[0]): (code(r[2]) or [r[2]])[0] for r in tables if r[1]}
     assert described == known
@@ -113,6 +119,8 @@ def located(target: str) -> tuple[Any, str]:
 
 
 def default_of(field: Any) -> str:
+    if field.default_factory is not dataclasses.MISSING:
+        return written(field.default_factory())
     if field.default is dataclasses.MISSING:
         return "required"
     nested = dataclasses.is_dataclass(field.default) or field.default == ()
@@ -168,7 +176,7 @@ def test_the_numbers_on_quadratures_are_those_of_the_outline() -> None:
 
 
 def test_the_beam_of_the_guide_is_that_of_the_example() -> None:
-    (block,) = blocks("how-to/own-simulator.md", "python")
+    block = next(block for block in blocks("how-to/own-simulator.md", "python") if "def beam" in block)
     shown: dict[str, Any] = {"np": np, "sl": sl}
     exec(block, shown)
     inputs = {"E": 310.0, "q": 0.25}
@@ -208,7 +216,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     home: Path = tmp_path_factory.mktemp("home")
     folder = home / "studies" / "biofilm-uniform"
     folder.mkdir(parents=True)
-    (study,) = blocks("how-to/own-simulator.md", "yaml")
+    study = next(block for block in blocks("how-to/own-simulator.md", "yaml") if "{python:" in block)
     smaller = "sampler: {smc: {particles: 400, rejuvenation_steps: 3, zeta: 0.8}}\n"
     (folder / "study.yaml").write_text(study + smaller, encoding="utf-8")
     example("own_model")
@@ -333,3 +341,29 @@ def test_models_of_the_guide_to_an_own_flow_cell_are_built(tmp_path: Path) -> No
     for page in pages:
         (options,) = yaml.safe_load(page)["model"].values()
         assert build_model({"biofilm": options}, tmp_path)
+
+
+def test_the_study_of_the_guide_is_that_of_the_example() -> None:
+    shown = next(block for block in blocks("how-to/own-simulator.md", "yaml") if "command:" in block)
+    assert shown == (ROOT / "examples" / "command" / "study.yaml").read_text("utf-8")
+
+
+def test_the_ends_of_runs_in_the_guide_are_those_of_the_faults() -> None:
+    described = {(code(row[0])[0], kind) for row in rows("how-to/own-simulator.md", "state") for kind in code(row[1])}
+    assert {(fault.state, fault.kind) for fault in FAULTS if fault.kind} <= described
+
+
+def test_the_table_of_the_guide_on_abaqus_is_read(tmp_path: Path) -> None:
+    result = next(block for block in blocks("how-to/own-simulator.md", "yaml") if block.startswith("result:"))
+    (script,) = blocks("how-to/own-simulator.md", "text")
+    compile(script, "extract.py", "exec")
+    (tmp_path / "interface.csv").write_text("x,y,ux,uy\n1.0,0.0,0.0,0.5\n0.0,0.0,0.0,0.0\n")
+    reading = Reading.from_options(yaml.safe_load(result)["result"], "result")
+    assert read_interface(tmp_path / reading.file, reading).points.tolist() == [[0.0, 0.0], [1.0, 0.5]]
+
+
+def test_every_option_of_reading_and_every_format_is_described() -> None:
+    described = {name for row in rows("reference/study.md", "reading") for name in code(row[0])}
+    assert described == {f.name for f in dataclasses.fields(Reading)}
+    assert {suffix for row in rows("reference/study.md", "files") for suffix in code(row[0])} == set(READERS)
+    assert set(ObservationFile.model_fields) - {"synthetic", "noise"} == described

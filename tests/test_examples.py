@@ -4,6 +4,7 @@ import ast
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -12,6 +13,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_bvp
+
+from strandline.runs import LocalProcesses
+from strandline.studies import load_study, run_study
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -120,3 +125,33 @@ def assert_biofilm(printed: str) -> None:
         mean, sd = found(printed, name)
         assert abs(mean - truth) < 2 * sd
         assert 0 < sd < widest
+
+
+@pytest.fixture(scope="module")
+def command_example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("example") / "command"
+    shutil.copytree(ROOT / "examples" / "command", folder)
+    return folder
+
+
+def test_the_command_example_finds_the_truth(command_example: Path) -> None:
+    study = load_study(command_example)
+    found = run_study(study, executor=LocalProcesses(workers=1)).summary["inputs"]["E"]
+    assert abs(found["mean"] - 400.0) < 3 * found["sd"] < 100.0
+    length = sum(len(path.read_text("utf-8").splitlines()) for path in (ROOT / "examples" / "command").iterdir())
+    assert length <= 80
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 0.5, 5.0])
+def test_the_beam_of_the_command_example_is_an_elastica(ratio: float) -> None:
+    states = np.array(module_of(ROOT / "examples" / "command" / "beam.py").axis(ratio, 1.0, 1.0, 40))
+    s = np.linspace(0.0, 1.0, 41)
+    solved = solve_bvp(
+        lambda t, y: np.stack([y[1], -ratio * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]),
+        lambda a, b: np.array([a[0], b[1], a[2], a[3]]),
+        s,
+        np.stack([0.3 * s, 0.3 + 0 * s, s, 0 * s]),
+        tol=1e-9,
+        max_nodes=10_000,
+    )
+    np.testing.assert_allclose(states[:, :2], solved.sol(s)[2:].T, atol=1e-6)

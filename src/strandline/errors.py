@@ -14,7 +14,7 @@ StrandlineError
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 
 class StrandlineError(Exception):
@@ -62,14 +62,27 @@ class ForwardModelError(StrandlineError):
         kind: short machine-readable reason, e.g. ``newton_stalled``.
         message: one sentence for a person.
         evidence: figures that support the kind, e.g. the load reached.
+        state: how the run ended: ``failed`` | ``timeout`` | ``invalid``, with a result that cannot be used. Left out,
+            ``timeout`` where the kind is, else ``failed``.
+        log: tail of what the simulator printed.
     """
 
-    def __init__(self, kind: str, message: str, evidence: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        kind: str,
+        message: str,
+        evidence: Mapping[str, float] | None = None,
+        *,
+        state: Literal["failed", "timeout", "invalid"] | None = None,
+        log: str = "",
+    ) -> None:
         self.kind, self.message, self.evidence = kind, message, dict(evidence or {})
+        self.state: Literal["failed", "timeout", "invalid"] = state or ("timeout" if kind == "timeout" else "failed")
+        self.log = log
         super().__init__(f"{kind}: {message}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return ForwardModelError, (self.kind, self.message, self.evidence)
+        return _rebuild_failure, (self.kind, self.message, self.evidence, self.state, self.log)
 
 
 class CampaignStopped(StrandlineError):
@@ -82,6 +95,16 @@ class NumericsError(StrandlineError):
 
 def _rebuild_invalid(kind: type[InvalidInput], what: str, value: object, expected: str, remedy: str) -> InvalidInput:
     return kind(what, value=value, expected=expected, remedy=remedy)
+
+
+def _rebuild_failure(
+    kind: str,
+    message: str,
+    evidence: Mapping[str, float],
+    state: Literal["failed", "timeout", "invalid"],
+    log: str,
+) -> ForwardModelError:
+    return ForwardModelError(kind, message, evidence, state=state, log=log)
 
 
 def _shown(value: object) -> str:

@@ -7,7 +7,9 @@ import pytest
 
 from strandline.errors import InvalidStudy
 from strandline.interface import Interface
+from strandline.studies import load_study
 from strandline.studies.observed import read_points, require_plausible
+from strandline.testing.studies import write_study
 
 POINTS = np.array([[0.0, 0.0], [0.5, 0.25], [1.0, -0.125]])
 
@@ -84,3 +86,16 @@ def test_a_wrong_unit_shows_in_the_size(scale: float, fits: bool) -> None:
     else:
         with pytest.raises(InvalidStudy, match=r"o\.csv, read in mm: got .* mm across; expected about 1 mm"):
             require_plausible(Path("o.csv"), observed, model, unit="mm")
+
+
+def test_options_of_reading_reach_the_observation(tmp_path: Path) -> None:
+    (tmp_path / "o.csv").write_text("b,a\n0.12,1\n0.0,0\n")
+    observation = {"file": "o.csv", "unit": "mm", "columns": ["a", "b"], "sort": "x"}
+    study = load_study(write_study(tmp_path, observation=observation))
+    np.testing.assert_array_equal(study.observed[""].points, [[0.0, 0.0], [1.0, 0.12]])
+    with pytest.raises(InvalidStudy, match=r"observation o\.csv has no column c: got b, a"):
+        load_study(write_study(tmp_path, observation=observation | {"columns": ["a", "c"]}))
+    with pytest.raises(InvalidStudy, match=r"observation\.sort: got z"):
+        load_study(write_study(tmp_path, observation=observation | {"sort": "z"}))
+    with pytest.raises(InvalidStudy, match="beside a `file` only"):
+        load_study(write_study(tmp_path, observation={"synthetic": {"E": 400}, "sort": "x"}))

@@ -14,6 +14,7 @@ __all__ = ["command"]
 
 FAR_APART = 0.05
 """Share of the interface's length."""
+LOG_LINES = 20
 
 
 @click.command("check")
@@ -82,6 +83,10 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     if not record.ok:
         message = (record.message or "").partition("\n")[0]
+        if record.log:
+            click.echo(
+                "\n".join(["last lines of the simulator's log:", *record.log.splitlines()[-LOG_LINES:]]), err=True
+            )
         raise InvalidStudy(
             "the forward run at the medians of the priors failed",
             value=f"{record.failure_kind or record.state} at {shown}: {message}",

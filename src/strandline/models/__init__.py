@@ -2,6 +2,7 @@
 
 MODELS = {
     "biofilm": "strandline.models.biofilm.model:Biofilm",
+    "command": "strandline.models.command.model:CommandModel",
     "python": "strandline.models.python:PythonModel",
     "umbridge": "strandline.models.umbridge.model:UMBridge",
 }

@@ -101,20 +101,21 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
 
     `KeyboardInterrupt` is the driver's own and does.
     """
-    begin = time.perf_counter()
+    begin, log = time.perf_counter(), ""
     try:
         with _working_directory_kept():
             returned = model(dict(request.inputs), workdir)
         ending = _accepted(request, returned, model)
     except ForwardModelError as error:
-        ending = _ended(request, "failed", error.kind, error.message, error.evidence)
+        ending, log = _ended(request, error.state, error.kind, error.message, error.evidence), error.log
     except InvalidResult as error:
         ending = _ended(request, "invalid", error.kind, str(error))
     except InvalidInterface as error:
         ending = _ended(request, "invalid", "invalid_interface", str(error))
     except (Exception, SystemExit) as error:
         ending = _ended(request, "failed", "exception", _told(error))
-    return replace(ending, seconds=time.perf_counter() - begin)
+    ending = _retained(replace(ending, seconds=time.perf_counter() - begin), model, workdir)
+    return with_log(ending, log)
 
 
 def with_log(record: RunRecord, log: str) -> RunRecord:
@@ -126,6 +127,20 @@ def with_log(record: RunRecord, log: str) -> RunRecord:
     return replace(
         record, log=log, message=_short(f"{record.message or record.state}\nlast lines of its log:\n{lines}")
     )
+
+
+def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecord:
+    """Let a model that has a method `retain` keep the folder of the run; where it does, the message says where."""
+    retain = getattr(model, "retain", None)
+    if retain is None:
+        return record
+    try:
+        kept = retain(workdir, record.key, ok=record.ok)
+    except Exception as error:
+        kept = f"not kept: {error}"
+    if record.ok or kept is None:
+        return record
+    return replace(record, message=f"{record.message}\nits folder: {kept}")
 
 
 @contextlib.contextmanager

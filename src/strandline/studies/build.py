@@ -43,7 +43,8 @@ def build_model(
 ) -> ForwardModel:
     """Return the forward model that the study names, asked for `sensitivities` where the study wants them.
 
-    An option `{file: …, unit: …}` is replaced by the points of that file in `folder`, as an outline in mm.
+    An option `{file: …, unit: …}` is replaced by the points of that file in `folder`, as an outline in mm; a model with
+    a field `folder` is given the study's instead, and reads files itself.
     """
     (name, options) = next(iter(choice.items()))
     if "sensitivities" in (options or {}):
@@ -55,9 +56,18 @@ def build_model(
         )
     target = _entry(MODELS, name, "model")
     module, _, attribute = target.partition(":")
-    options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
-    model: ForwardModel = _construct(getattr(importlib.import_module(module), attribute), options, f"model.{name}")
+    factory = getattr(importlib.import_module(module), attribute)
+    if wants_folder(factory):
+        model: ForwardModel = _construct(factory, options, f"model.{name}", folder=folder)
+    else:
+        options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
+        model = _construct(factory, options, f"model.{name}")
     return _sensitive(model) if sensitivities else model
+
+
+def wants_folder(factory: Any) -> bool:
+    """Tell whether a model is to be told the study folder: it has a field `folder`, which is no option then."""
+    return any(f.name == "folder" and f.init for f in dataclasses.fields(factory))
 
 
 def _with_points(name: str, value: Any, folder: Path) -> Any:
@@ -119,6 +129,7 @@ def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSp
 def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
     """Return the known inputs; together with the unknown ones they must be all that the model takes."""
     declared = {item.name: item for item in declared_inputs(model)}
+    _require_names(study, model)
     fixed = {name: _fixed_value(name, given, declared) for name, given in study.fixed.items()}
     check_values(fixed, model, "fixed")
     for name in fixed:
@@ -138,6 +149,17 @@ def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
             remedy=f"Add e.g. `fixed: {{{missing[0]}: …}}`.",
         )
     return fixed
+
+
+def _require_names(study: StudyFile, model: ForwardModel) -> None:
+    """Let a model that has a method `require_names` refuse inputs and fixed quantities of other names than it uses."""
+    require = getattr(model, "require_names", None)
+    if require is None:
+        return
+    try:
+        require(study.inputs, study.fixed)
+    except InvalidInput as error:
+        raise InvalidStudy(error.what, value=error.value, expected=error.expected, remedy=error.remedy) from None
 
 
 def check_values(values: Mapping[str, float], model: ForwardModel, place: str) -> None:
@@ -316,9 +338,12 @@ def _suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
     return f"Did you mean {close[0]}?" if close else otherwise
 
 
-def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> Any:
-    """Call a frozen dataclass, or its `from_options`, with options from the study; wrong names are told."""
-    fields = {f.name: f for f in dataclasses.fields(factory) if f.init}
+def _construct(factory: Any, options: Mapping[str, Any] | None, place: str, **given: Any) -> Any:
+    """Call a frozen dataclass, or its `from_options`, with options from the study; wrong names are told.
+
+    What is `given` is no option.
+    """
+    fields = {f.name: f for f in dataclasses.fields(factory) if f.init and f.name not in given}
     values = {}
     for name, value in dict(options or {}).items():
         if name not in fields:
@@ -336,7 +361,7 @@ def _construct(factory: Any, options: Mapping[str, Any] | None, place: str) -> A
                 f"{place}.{name}", value=None, expected="this option", remedy=f"Add `{name}: …` to {place}."
             )
     try:
-        return getattr(factory, "from_options", factory)(**values)
+        return getattr(factory, "from_options", factory)(**values, **given)
     except InvalidInput as error:
         raise InvalidStudy(
             f"{place}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy

@@ -3,15 +3,17 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
+from strandline.readers import Reading, read_interface
+from strandline.readers.options import TO_MM
 
 __all__ = ["TO_MM", "SyntheticNoise", "noisy", "read_points", "require_plausible"]
 
-TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
 LARGEST_RATIO = 10.0
 """An observed interface that differs from the undeformed one by more than this factor in size has another unit."""
 
@@ -57,39 +59,33 @@ def _disturbed(interface: Interface, condition: str, noise: SyntheticNoise) -> I
     return moved
 
 
-def read_points(path: Path, unit: str, *, what: str = "observation") -> Interface:
-    """Return the open polyline through the points of a text file, in mm.
+def read_points(
+    path: Path, unit: str, *, what: str = "observation", options: Mapping[str, Any] | None = None
+) -> Interface:
+    """Return the interface in a file, in mm; of a text file without `options`, the open polyline of its points.
 
-    Each line holds x and y, separated by a comma, a semicolon or blanks; a first line of column names and lines that
-    begin with # are passed over. The points stand in order along the interface.
+    Each line of such a file holds x and y, separated by a comma, a semicolon or blanks; a first line of column names
+    and lines that begin with # are passed over. The points stand in order along the interface.
 
     Args:
         path: of the file.
         unit: of its numbers, a key of `TO_MM`.
         what: the points are, for messages.
+        options: how to read it, see `strandline.readers.Reading`.
 
     Raises:
-        InvalidStudy: the file is missing, empty or no table of numbers, or its points form no simple polyline.
+        InvalidStudy: the file is missing, empty or damaged, or holds no simple interface.
     """
-    name = f"{what} {path.name}"
-    rows = [(number, _fields(line)) for number, line in enumerate(_lines(path, name), 1)]
-    rows = [(number, fields) for number, fields in rows if fields and not fields[0].startswith("#")]
-    if rows and not any(_is_number(field) for field in rows[0][1]):
-        rows = rows[1:]
-    if not rows:
-        raise _refused(name, "holds no points", None, "two columns x, y with one point a line")
-    points = np.array([_point(name, number, fields) for number, fields in rows]) * TO_MM[unit]
     try:
-        interface = Interface.polyline(points)
-        interface.require_simple()
+        reading = Reading.from_options({**(options or {}), "file": path.name, "unit": unit}, what)
+        return read_interface(path, reading, name=f"{what} {path.name}")
     except InvalidInput as error:
         raise InvalidStudy(
-            f"{name}: {error.what}",
+            error.what,
             value=error.value,
             expected=error.expected,
             remedy=error.remedy,
         ) from None
-    return interface
 
 
 def require_plausible(path: Path, observed: Interface, undeformed: Interface, *, unit: str) -> None:
@@ -106,39 +102,3 @@ def require_plausible(path: Path, observed: Interface, undeformed: Interface, *,
             expected=f"about {expected:.3g} mm, the size of the model's interface",
             remedy="Correct observation.unit (mm, um or m) or the file.",
         )
-
-
-def _lines(path: Path, name: str) -> list[str]:
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise _refused(name, "is missing", str(path), "a file with two columns x, y") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise _refused(name, "cannot be read", str(error), "a readable text file") from None
-
-
-def _fields(line: str) -> list[str]:
-    return line.replace(",", " ").replace(";", " ").split()
-
-
-def _point(name: str, number: int, fields: list[str]) -> tuple[float, float]:
-    if len(fields) != 2 or not all(_is_number(field) for field in fields):
-        raise _refused(name, f"has no point in line {number}", " ".join(fields), "two numbers x, y")
-    return float(fields[0]), float(fields[1])
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _refused(name: str, problem: str, value: str | None, expected: str) -> InvalidStudy:
-    return InvalidStudy(
-        f"{name} {problem}",
-        value=value,
-        expected=expected,
-        remedy="Correct the name of the file in study.yaml, or the file.",
-    )

@@ -64,10 +64,27 @@ class ObservationNoise(_Strict):
 
 
 class ObservationFile(_Strict):
-    """Where the observed interface comes from: a file of points, or a run of the model itself."""
+    """Where the observed interface comes from: a file, or a run of the model itself.
+
+    What stands between `unit` and `synthetic` is how the file is read; `strandline.readers` checks it.
+    """
 
     file: str | None = None
     unit: Literal["mm", "um", "µm", "m"] | None = None
+    columns: Any = None
+    delimiter: Any = None
+    sort: Any = None
+    field: Any = None
+    time: Any = None
+    block: Any = None
+    cells: Any = None
+    points: Any = None
+    select: Any = None
+    near: Any = None
+    keep: Any = None
+    start: Any = None
+    plane: Any = None
+    count: Any = None
     synthetic: dict[str, Number] | None = None
     noise: ObservationNoise | None = None
 
@@ -75,6 +92,8 @@ class ObservationFile(_Strict):
     def _one_source(self) -> "ObservationFile":
         if (self.file is None) == (self.synthetic is None):
             raise ValueError("either `file` with its `unit`, or `synthetic`")
+        if self.file is None and self.reading:
+            raise ValueError(f"`{next(iter(self.reading))}` beside a `file` only, which it says how to read")
         if self.file is not None and self.unit is None:
             raise ValueError("the unit of the coordinates too: `unit: mm` (or um, m)")
         if self.file is not None and self.noise is not None:
@@ -82,6 +101,12 @@ class ObservationFile(_Strict):
                 "`noise` with `synthetic` only: a file holds its own; σ_N stands under the study's `noise`"
             )
         return self
+
+    @property
+    def reading(self) -> Options:
+        """How the file is to be read."""
+        others = {"file", "unit", "synthetic", "noise", "condition"}
+        return {name: value for name, value in self if name not in others and value is not None}
 
 
 def _condition(name: str) -> str:

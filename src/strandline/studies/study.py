@@ -178,7 +178,7 @@ def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
 def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> tuple[Interface, bool]:
     """Return an observed interface, run through as the model's is, and whether it was turned for that."""
     path = folder / str(source.file)
-    interface = read_points(path, str(source.unit))
+    interface = read_points(path, str(source.unit), options=source.reading)
     undeformed = getattr(model, "undeformed", None)
     if undeformed is None:
         return interface, False

@@ -1,0 +1,40 @@
+"""The folders of runs, kept in the study where they are wanted."""
+
+import contextlib
+import shutil
+from pathlib import Path
+
+from strandline.errors import InvalidInput
+
+__all__ = ["KEPT", "RUNS", "kept_folder", "require_keep"]
+
+KEPT = ("all", "failed", "none")
+RUNS = "runs"
+
+
+def require_keep(keep: object) -> None:
+    """Refuse another word than all, failed or none.
+
+    Raises:
+        InvalidInput: with the word.
+    """
+    if keep not in KEPT:
+        raise InvalidInput("keep", value=keep, expected=f"one of {', '.join(KEPT)}", remedy="Choose one of them.")
+
+
+def kept_folder(workdir: Path, study: Path, key: str) -> Path:
+    """Move what is in the folder of a run into the study's runs/KEY-ATTEMPT, a new one, and return that."""
+    parent = study / RUNS
+    parent.mkdir(exist_ok=True)
+    attempt = 1
+    while True:
+        target = parent / f"{key[:12] or 'trial'}-{attempt}"
+        try:
+            target.mkdir()
+        except FileExistsError:
+            attempt += 1
+            continue
+        for item in workdir.iterdir():
+            with contextlib.suppress(shutil.SpecialFileError):  # a pipe or a socket, of no use without its process
+                shutil.move(item, target / item.name)
+        return target

@@ -1,0 +1,279 @@
+"""A simulator that is run as a command, with templates for its input and a file for its result."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.models.command.keep import kept_folder, require_keep
+from strandline.models.command.names import SourceFile, file_in, relative_name
+from strandline.models.command.options import commands_of, declared_by, exit_codes_of, seconds, texts_of
+from strandline.models.command.process import Ended, supervised
+from strandline.models.command.results import LogText, read_results, readings_of
+from strandline.models.command.templates import Template
+from strandline.models.protocol import ModelInput, Simulation
+from strandline.readers import Reading
+
+__all__ = ["CommandModel"]
+
+PYTHON = "python"
+"""A variable that every template knows: the interpreter that runs strandline."""
+LOG = "command.log"
+
+
+@dataclass(frozen=True)
+class CommandModel:
+    """The simulator that a command starts in a fresh folder for each run.
+
+    Templates are rendered into the folder, files copied there, the command and what `post` adds are run in it without
+    a shell, and the interface is read from the result file. Success is a result that is there, newer than the start,
+    whole and finite; the exit code alone is not trusted. No process that the command started outlives the run.
+
+    Args:
+        command: program and arguments; with `shell` one text.
+        result: the file that holds the interface and how it is read, see `strandline.readers.Reading`.
+        results: instead, one such mapping for each condition.
+        templates: files in the study folder → names in the folder of the run.
+        files: of the study folder, copied beside.
+        shell: whether the command is a text for /bin/sh.
+        post: a command, or a list of commands, run after it.
+        environment: variables of the environment, added to those of strandline.
+        timeout: seconds for all commands of a run; None for never.
+        grace: seconds between SIGTERM and SIGKILL.
+        exit_codes: that count as success, or ``any``.
+        success: ``{log: TEXT}`` that a good run prints, or writes into ``file``.
+        keep: which folders of runs are kept in the study's folder `runs`: ``all``, ``failed`` or ``none``.
+        version: of the simulator; it counts for what runs are the same.
+        inputs: as they are declared; empty where nothing is known of units and ranges.
+        folder: of the study.
+
+    Raises:
+        InvalidInput: an option that cannot be, a file that is not there or lies elsewhere, a mistake in a template.
+    """
+
+    command: Any
+    result: Any = None
+    results: Any = None
+    templates: Any = field(default_factory=dict)
+    files: Any = field(default_factory=list)
+    shell: Any = False
+    post: Any = field(default_factory=list)
+    environment: Any = field(default_factory=dict)
+    timeout: float | None = None
+    grace: float = 5.0
+    exit_codes: Any = field(default_factory=lambda: [0])
+    success: Any = None
+    keep: str = "failed"
+    version: str = ""
+    inputs: tuple[ModelInput, ...] = ()
+    folder: Path = Path()
+    _parts: "_Parts" = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", self.folder.resolve())
+        object.__setattr__(self, "_parts", _Parts.of(self))
+
+    @classmethod
+    def from_options(cls, **options: Any) -> "CommandModel":
+        """Return the model of a study file."""
+        return cls(**{**options, "inputs": declared_by(options.get("inputs", {}))})
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Those of which there is a result; a single unnamed one by default."""
+        return tuple(self._parts.readings)
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with templates, files, commands, environment, the reading of results and `version`."""
+        parts = self._parts
+        text = json.dumps(
+            [
+                1,
+                sorted([target, template.text] for target, template in parts.templates),
+                sorted([file.name, file.digest] for file in parts.files),
+                [[item.text for item in command] for command in parts.commands],
+                self.shell,
+                sorted((name, item.text) for name, item in parts.environment.items()),
+                [[name, sorted(reading.given.items())] for name, reading in parts.readings.items()],
+                None if parts.exit_codes is None else sorted(parts.exit_codes),
+                None if parts.success is None else dataclasses.astuple(parts.success),
+                self.version,
+            ]
+        )
+        return "command:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
+        """Refuse templates with variables that are no input, and unknown inputs that stand nowhere.
+
+        Raises:
+            InvalidInput: with the variable, its file and line.
+        """
+        unknown = list(unknown)
+        known = {*unknown, *fixed, PYTHON}
+        for template in self._parts.every_template():
+            template.require_known(known)
+        used = frozenset[str]().union(*(template.names for template in self._parts.every_template()))
+        for name in unknown:
+            if name not in used:
+                raise InvalidInput(
+                    f"the input {name} stands in no template and in no command",
+                    value="an input without effect",
+                    expected=f"{{{{ {name} }}}} somewhere",
+                    remedy=f"Put it there, or remove {name} from inputs.",
+                )
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+        """Run the command in `workdir` and return the interfaces that it left.
+
+        Raises:
+            ForwardModelError: with the kind, the state, and the last lines that the command printed.
+        """
+        values: dict[str, Any] = {name: float(value) for name, value in inputs.items()} | {PYTHON: sys.executable}
+        parts = self._parts
+        self._fill(workdir, values)
+        environment = {**os.environ, **{name: item.rendered(values) for name, item in parts.environment.items()}}
+        started = _now(workdir)
+        deadline = None if self.timeout is None else time.monotonic() + self.timeout
+        log = ""
+        try:
+            for number, command in enumerate(parts.commands):
+                arguments = [item.rendered(values) for item in command]
+                ended = supervised(
+                    ["/bin/sh", "-c", *arguments] if self.shell and number == 0 else arguments,
+                    folder=workdir,
+                    environment=environment,
+                    timeout=None if deadline is None else max(0.0, deadline - time.monotonic()),
+                    grace=self.grace,
+                    log=workdir / (LOG if number == 0 else f"post-{number}.log"),
+                )
+                log = ended.tail or log
+                self._require_success(ended, arguments[0])
+            if parts.success is not None:
+                parts.success.require(workdir, workdir / LOG)
+            return Simulation(read_results(parts.readings, workdir, started))
+        except ForwardModelError as error:
+            error.log = error.log or log
+            raise
+
+    def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
+        """Keep the folder of the run `key` where `keep` says so, and return where."""
+        if self.keep == "none" or (self.keep == "failed" and ok):
+            return None
+        return kept_folder(workdir, self.folder, key)
+
+    def _fill(self, workdir: Path, values: Mapping[str, Any]) -> None:
+        """Put templates and files into the folder of a run."""
+        for target, template in self._parts.templates:
+            path = workdir / target
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(template.rendered(values), encoding="utf-8", newline="")
+        for file in self._parts.files:
+            file.require_unchanged()
+            path = workdir / file.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(file.path, path)
+
+    def _require_success(self, ended: Ended, program: str) -> None:
+        if ended.problem:
+            raise ForwardModelError("command_not_found", f"{program} cannot be started: {ended.problem}")
+        if ended.timed_out:
+            message = f"still running after {self.timeout:g} s, and ended with all its processes"
+            raise ForwardModelError("timeout", message, {"seconds": ended.seconds})
+        codes, code = self._parts.exit_codes, ended.exit_code
+        if code is None or (codes is not None and code not in codes):
+            raise ForwardModelError(
+                "exit_code", f"{program} ended with {ended.how}", {} if code is None else {"exit_code": float(code)}
+            )
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """What the options come to, the templates read: a study folder that changes later changes no campaign."""
+
+    templates: tuple[tuple[str, Template], ...]
+    files: tuple[SourceFile, ...]
+    commands: tuple[tuple[Template, ...], ...]
+    environment: Mapping[str, Template]
+    readings: Mapping[str, Reading]
+    exit_codes: frozenset[int] | None
+    success: LogText | None
+
+    @classmethod
+    def of(cls, model: CommandModel) -> "_Parts":
+        """Return the checked options of a model."""
+        require_keep(model.keep)
+        for name, value in (("timeout", model.timeout), ("grace", model.grace)):
+            seconds(name, value)
+        if not isinstance(model.shell, bool):
+            raise InvalidInput("shell", value=model.shell, expected="true or false", remedy="Correct it.")
+        targets = [relative_name(target, "templates") for target in texts_of(model.templates, "templates").values()]
+        files = [SourceFile.of(model.folder, name, "files") for name in _listed(model.files)]
+        _require_distinct([*targets, *(relative_name(file.name, "files") for file in files)])
+        sources = [(_read(model.folder, name), target) for name, target in zip(model.templates, targets, strict=True)]
+        return cls(
+            templates=tuple((target, template) for template, target in sources),
+            files=tuple(files),
+            commands=commands_of(model.command, model.post, shell=model.shell),
+            environment={
+                name: Template(f"environment.{name}", value)
+                for name, value in texts_of(model.environment, "environment").items()
+            },
+            readings=readings_of(model.result, model.results),
+            exit_codes=exit_codes_of(model.exit_codes),
+            success=None if model.success is None else LogText.of(model.success),
+        )
+
+    def every_template(self) -> Iterator[Template]:
+        """Yield all texts into which inputs may be put."""
+        yield from (template for _, template in self.templates)
+        yield from (item for command in self.commands for item in command)
+        yield from self.environment.values()
+
+
+def _read(folder: Path, name: str) -> Template:
+    path = file_in(folder, name, "templates")
+    try:
+        return Template(name, path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(
+            f"the template {name} cannot be read",
+            value=str(error),
+            expected="a text file in UTF-8",
+            remedy="Correct the file.",
+        ) from None
+
+
+def _listed(files: object) -> list[object]:
+    if not isinstance(files, list | tuple):
+        raise InvalidInput("files", value=files, expected="a list of names", remedy="Write `files: [mesh.msh]`.")
+    return list(files)
+
+
+def _require_distinct(targets: list[str]) -> None:
+    reserved = {LOG} | {f"post-{number}.log" for number in range(1, 10)}
+    for k, target in enumerate(targets):
+        if target in targets[:k] or target in reserved:
+            raise InvalidInput(
+                "templates and files",
+                value=f"{target} {'for the second time' if target in targets[:k] else 'is written by strandline'}",
+                expected="each name in the folder of the run once",
+                remedy="Choose another name.",
+            )
+
+
+def _now(workdir: Path) -> int:
+    """Return the time by the clock of the folder's file system, in nanoseconds."""
+    stamp = workdir / ".started"
+    stamp.touch()
+    now = stamp.stat().st_mtime_ns
+    stamp.unlink()
+    return now

@@ -1,0 +1,115 @@
+"""The worker's end of a command: have it run under a supervisor, hear how it ended."""
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from strandline.errors import ForwardModelError
+
+__all__ = ["Ended", "supervised"]
+
+SUPERVISOR = Path(__file__).with_name("supervisor.py")
+LOG_LIMIT = 1_000_000
+"""Bytes kept of the beginning, and of the end, of what a command prints."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended.
+
+    Args:
+        exit_code: minus the number of the signal where one ended it; None where it never started.
+        timed_out: whether it was ended because its time was up.
+        seconds: wall-clock time.
+        tail: the last that it printed.
+        problem: why it could not be started; "" where it could.
+    """
+
+    exit_code: int | None
+    timed_out: bool
+    seconds: float
+    tail: str
+    problem: str = ""
+
+    @property
+    def how(self) -> str:
+        """Exit code or signal, for a person."""
+        if self.exit_code is None or self.exit_code >= 0:
+            return f"exit code {self.exit_code}"
+        with contextlib.suppress(ValueError):
+            return f"signal {signal.Signals(-self.exit_code).name}"
+        return f"signal {-self.exit_code}"
+
+
+def supervised(
+    arguments: Sequence[str],
+    *,
+    folder: Path,
+    environment: Mapping[str, str],
+    timeout: float | None,
+    grace: float,
+    log: Path,
+) -> Ended:
+    """Run a command in `folder` to its end; no process that it started is left then, whatever it did.
+
+    Args:
+        arguments: the program and its arguments; no shell.
+        folder: its working directory.
+        environment: all of it.
+        timeout: seconds after which it is ended; None for never.
+        grace: seconds between SIGTERM and SIGKILL.
+        log: file for what it prints, of at most twice `LOG_LIMIT` bytes.
+
+    Raises:
+        ForwardModelError: ``supervisor_died``.
+    """
+    asked = {
+        "arguments": list(arguments),
+        "environment": dict(environment),
+        "timeout": timeout,
+        "grace": grace,
+        "log": str(log),
+        "log_limit": LOG_LIMIT,
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-S", str(SUPERVISOR)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=folder,
+        env=dict(environment),
+        start_new_session=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    with process.stdin, process.stdout:
+        try:
+            with contextlib.suppress(BrokenPipeError):
+                process.stdin.write(json.dumps(asked).encode() + b"\n")
+                process.stdin.flush()
+            answer = process.stdout.read()
+        finally:
+            with contextlib.suppress(BrokenPipeError):
+                process.stdin.close()
+            process.wait()
+    return _ended(answer, process.returncode)
+
+
+def _ended(answer: bytes, code: int) -> Ended:
+    if not answer:
+        raise ForwardModelError(
+            "supervisor_died", f"the process that watches over the simulator ended with exit code {code}"
+        )
+    told: dict[str, Any] = json.loads(answer)
+    if "error" in told:
+        return Ended(None, False, 0.0, "", told["error"])
+    if told["left"]:
+        raise ForwardModelError(
+            "processes_left", f"{told['left']} process(es) of the simulator survive SIGKILL", log=told["tail"]
+        )
+    return Ended(told["exit_code"], told["timeout"], told["seconds"], told["tail"])

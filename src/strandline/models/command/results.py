@@ -1,0 +1,119 @@
+"""What a run must have left, looked at closely before it is believed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.interface import Interface
+from strandline.models.command.names import relative_name
+from strandline.readers import Reading, Unreadable, read_interface
+
+__all__ = ["LogText", "read_results", "readings_of"]
+
+
+@dataclass(frozen=True)
+class LogText:
+    """A text that a run which went well has written.
+
+    Args:
+        text: that must be there.
+        file: in which; "" for what the command printed.
+    """
+
+    text: str
+    file: str = ""
+
+    @classmethod
+    def of(cls, options: object) -> "LogText":
+        """Return what the option `success` says.
+
+        Raises:
+            InvalidInput: anything else.
+        """
+        fits = isinstance(options, Mapping) and set(options) <= {"log", "file"} and "log" in options
+        if not (fits and isinstance(options, Mapping) and isinstance(options["log"], str) and options["log"]):
+            raise InvalidInput(
+                "success",
+                value=options,
+                expected="{log: TEXT}, or {log: TEXT, file: NAME} for a log that the simulator writes itself",
+                remedy="Correct `success`.",
+            )
+        return cls(options["log"], relative_name(options["file"], "success.file") if "file" in options else "")
+
+    def require(self, folder: Path, log: Path) -> None:
+        """Refuse a run whose log lacks the text.
+
+        Raises:
+            ForwardModelError: ``no_success``.
+        """
+        path = folder / self.file if self.file else log
+        try:
+            found = self.text.encode() in path.read_bytes()
+        except OSError as error:
+            raise ForwardModelError("no_success", f"{path.name} cannot be read: {error.strerror}") from None
+        if not found:
+            raise ForwardModelError("no_success", f"{path.name} does not say {self.text!r}")
+
+
+def readings_of(result: object, results: object) -> dict[str, Reading]:
+    """Return how the result of each condition is read; "" is the name of an only one.
+
+    Raises:
+        InvalidInput: both or none of the two options, or one that cannot be.
+    """
+    if (result is None) == (results is None):
+        raise InvalidInput(
+            "result",
+            value="`result` and `results`" if result is not None else None,
+            expected="either result: {file: …, unit: …}, or results: {CONDITION: {file: …, unit: …}, …}",
+            remedy="Name the file that holds the interface.",
+        )
+    if results is None:
+        given: Mapping[object, object] = {"": result}
+    elif isinstance(results, Mapping) and results and all(isinstance(name, str) and name for name in results):
+        given = results
+    else:
+        raise InvalidInput(
+            "results", value=results, expected="{CONDITION: {file: …, unit: …}, …}", remedy="Correct it."
+        )
+    readings = {}
+    for condition, options in given.items():
+        place = f"results.{condition}" if condition else "result"
+        reading = Reading.from_options(options, place)
+        relative_name(reading.file, f"{place}.file")
+        readings[str(condition)] = reading
+    return readings
+
+
+def read_results(readings: Mapping[str, Reading], folder: Path, started: int) -> dict[str, Interface]:
+    """Return the interfaces by condition.
+
+    Args:
+        readings: of the result files.
+        folder: of the run.
+        started: when the command was, in nanoseconds of the folder's file system.
+
+    Raises:
+        ForwardModelError: of the state ``invalid``, with the kind.
+    """
+    return {condition: _read(reading, folder, started) for condition, reading in readings.items()}
+
+
+def _read(reading: Reading, folder: Path, started: int) -> Interface:
+    path = folder / reading.file
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ForwardModelError(
+            "result_unreadable", f"{reading.file} is a link that leads out of the run's folder", state="invalid"
+        )
+    if path.exists() and path.stat().st_mtime_ns < started:
+        raise ForwardModelError("result_old", f"{reading.file} is older than the run", state="invalid")
+    try:
+        return read_interface(path, reading, name=reading.file)
+    except Unreadable as error:
+        raise ForwardModelError(error.kind, _told(error, folder), state="invalid") from None
+
+
+def _told(error: InvalidInput, folder: Path) -> str:
+    """Return the message without the name of a folder that will be gone."""
+    return str(error).replace(f"{folder}/", "")

@@ -1,0 +1,91 @@
+"""Text with the inputs put in: Jinja2, sandboxed, with every variable known before the first run."""
+
+import functools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jinja2
+from jinja2 import meta, nodes
+from jinja2.sandbox import ImmutableSandboxedEnvironment
+
+from strandline.errors import ForwardModelError, InvalidInput
+
+__all__ = ["Template"]
+
+
+@dataclass(frozen=True)
+class Template:
+    """A text in which inputs stand as ``{{ name }}``; numbers are written with all their digits.
+
+    Args:
+        place: for messages, e.g. the name of the file.
+        text: of the template.
+
+    Raises:
+        InvalidInput: a mistake in it, with the line.
+    """
+
+    place: str
+    text: str
+
+    def __post_init__(self) -> None:
+        try:
+            _compiled(self.text)
+        except jinja2.TemplateSyntaxError as error:
+            raise InvalidInput(
+                f"{self.place}, line {error.lineno}",
+                value=error.message,
+                expected="a Jinja2 template",
+                remedy="Correct the line; {% raw %}…{% endraw %} keeps braces as they are.",
+            ) from None
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variables that must be given."""
+        return frozenset(meta.find_undeclared_variables(_environment().parse(self.text)) - set(_environment().globals))
+
+    def require_known(self, names: Iterable[str]) -> None:
+        """Refuse variables other than `names`.
+
+        Raises:
+            InvalidInput: with the first of them and its line.
+        """
+        known = set(names)
+        for name in sorted(self.names - known):
+            found = _environment().parse(self.text).find_all(nodes.Name)
+            line = min((node.lineno for node in found if node.name == name), default=1)
+            raise InvalidInput(
+                f"{self.place}, line {line}: unknown variable",
+                value=name,
+                expected=f"one of {', '.join(sorted(known))}",
+                remedy=f"Correct the name, or add {name} to inputs or fixed.",
+            )
+
+    def rendered(self, values: Mapping[str, Any]) -> str:
+        """Return the text with `values` put in.
+
+        Raises:
+            ForwardModelError: ``template``.
+        """
+        try:
+            return _compiled(self.text).render(values)
+        except Exception as error:
+            raise ForwardModelError("template", f"{self.place}: {type(error).__name__}: {error}") from None
+
+
+@functools.cache
+def _environment() -> ImmutableSandboxedEnvironment:
+    return ImmutableSandboxedEnvironment(
+        undefined=jinja2.StrictUndefined, keep_trailing_newline=True, autoescape=False, finalize=_written
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _compiled(text: str) -> jinja2.Template:
+    return _environment().from_string(text)
+
+
+def _written(value: Any) -> Any:
+    """Return a number with all its digits."""
+    return repr(float(value)) if isinstance(value, float) else value

@@ -1,0 +1,95 @@
+"""Cells of meshes: their edges, faces and boundaries."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from strandline.readers.contents import Block
+
+__all__ = ["boundary_edges", "boundary_triangles", "dimension", "line_edges", "surface_triangles"]
+
+LINES = {"line": (0, 1), "line3": (0, 2, 1)}
+"""Nodes in their order along the cell."""
+RINGS = {
+    "triangle": (0, 1, 2),
+    "triangle6": (0, 3, 1, 4, 2, 5),
+    "quad": (0, 1, 2, 3),
+    "pixel": (0, 1, 3, 2),
+    "quad8": (0, 4, 1, 5, 2, 6, 3, 7),
+    "quad9": (0, 4, 1, 5, 2, 6, 3, 7),
+}
+"""Nodes in their order around the cell."""
+FACES = {
+    "tetra": ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
+    "tetra10": ((0, 6, 2, 5, 1, 4), (0, 4, 1, 8, 3, 7), (1, 5, 2, 9, 3, 8), (2, 6, 0, 7, 3, 9)),
+    "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+    "hexahedron20": (
+        (0, 11, 3, 10, 2, 9, 1, 8),
+        (4, 12, 5, 13, 6, 14, 7, 15),
+        (0, 8, 1, 17, 5, 12, 4, 16),
+        (1, 9, 2, 18, 6, 13, 5, 17),
+        (2, 10, 3, 19, 7, 14, 6, 18),
+        (3, 11, 0, 16, 4, 15, 7, 19),
+    ),
+    "wedge": ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    "pyramid": ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
+}
+"""Rings of nodes, seen from outside counter-clockwise."""
+PIECES: dict[int, tuple[tuple[int, int, int], ...]] = {
+    3: ((0, 1, 2),),
+    4: ((0, 1, 2), (0, 2, 3)),
+    6: ((0, 1, 5), (1, 2, 3), (3, 4, 5), (1, 3, 5)),
+    8: ((7, 0, 1), (1, 2, 3), (3, 4, 5), (5, 6, 7), (1, 3, 5), (1, 5, 7)),
+}
+"""Triangles of a ring, by its number of nodes."""
+
+
+def dimension(kind: str) -> int | None:
+    """Return how many dimensions cells of a kind have; None where it is not known."""
+    return next((k for k, known in enumerate((set(LINES), set(RINGS), set(FACES)), 1) if kind in known), None)
+
+
+def line_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
+    """Return the edges of line cells, those of quadratic ones through their middle node."""
+    found = []
+    for block in blocks:
+        chain = block.nodes[:, LINES[block.kind]]
+        found.append(np.stack([chain[:, :-1], chain[:, 1:]], axis=2).reshape(-1, 2))
+    return np.concatenate(found)
+
+
+def boundary_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
+    """Return the edges that belong to one of the plane cells only, the cell on their left if it is well numbered."""
+    found = []
+    for block in blocks:
+        ring = block.nodes[:, RINGS[block.kind]]
+        found.append(np.stack([ring, np.roll(ring, -1, axis=1)], axis=2).reshape(-1, 2))
+    edges = np.concatenate(found)
+    return np.asarray(edges[_once(edges)])
+
+
+def surface_triangles(blocks: Sequence[Block]) -> Int[np.ndarray, "cell 3"]:
+    """Return plane cells as triangles."""
+    return np.concatenate([_triangles(block.nodes[:, RINGS[block.kind]]) for block in blocks])
+
+
+def boundary_triangles(blocks: Sequence[Block]) -> Int[np.ndarray, "cell 3"]:
+    """Return the faces that belong to one of the solid cells only, as triangles that face outwards."""
+    rings: dict[int, list[Int[np.ndarray, "face node"]]] = {}
+    for block in blocks:
+        for face in FACES[block.kind]:
+            rings.setdefault(len(face), []).append(block.nodes[:, face])
+    faces = [np.concatenate(group) for group in rings.values()]
+    return np.concatenate([_triangles(ring[_once(ring)]) for ring in faces])
+
+
+def _triangles(ring: Int[np.ndarray, "face node"]) -> Int[np.ndarray, "cell 3"]:
+    triangles: Int[np.ndarray, "cell 3"] = ring[:, np.array(PIECES[ring.shape[1]])].reshape(-1, 3)
+    return triangles
+
+
+def _once(rings: Int[np.ndarray, "face node"]) -> Bool[np.ndarray, " face"]:
+    """Tell which of the rings of nodes appear only once, whatever their direction."""
+    _, inverse, counts = np.unique(np.sort(rings, axis=1), axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(counts[inverse.reshape(-1)] == 1)

@@ -1,0 +1,212 @@
+"""How a file is to be read: the options of `observation` and of a command's `result`."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import PurePosixPath
+from typing import Any
+
+from strandline.errors import InvalidInput
+
+__all__ = ["SERIES", "TABLES", "TO_MM", "Reading"]
+
+TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".npy")
+"""Suffixes of files that hold points in their order."""
+SERIES = (".pvd", ".xdmf", ".xmf")
+"""Suffixes of files that hold several times."""
+COMMON = {"file", "unit", "field", "select", "count"}
+OF_TABLES = COMMON | {"columns", "delimiter", "sort"}
+OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
+PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A file and how to read it; places in mm, before `field` is added.
+
+    Args:
+        file: its name; the suffix tells the format.
+        unit: of lengths in it, a key of `TO_MM`.
+        columns: of a table: two names, or two numbers from 1.
+        delimiter: of a text table; left out, commas, semicolons and blanks.
+        sort: points of a table by ``x`` or ``y``, where they are not in order along the interface.
+        field: displacement to be added: of a mesh the name of its point data, of a table two columns.
+        time: ``last``, ``{index: 3}`` or ``{value: 0.5}`` of a series.
+        block: of cells, by number from 0 or by kind.
+        cells: ``{name: value}`` of cell data: those cells only.
+        points: ``{name: value}`` of point data: cells with such points only.
+        select: ``{x: [low, high], y: …}``: what lies within.
+        near: of several pieces, the one that comes nearest to this place.
+        keep: ``longest`` of several pieces.
+        start: an open polyline begins at its end nearest to this place, a closed one at its nearest node.
+        plane: the two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
+        count: how many points there must be.
+
+    Raises:
+        InvalidInput: an option that cannot be, or one that the format of the file does not take.
+    """
+
+    file: str
+    unit: str
+    columns: tuple[str | int, ...] | None = None
+    delimiter: str | None = None
+    sort: str | None = None
+    field: str | tuple[str | int, ...] | None = None
+    time: str | Mapping[str, Any] | None = None
+    block: int | str | None = None
+    cells: Mapping[str, Any] | None = None
+    points: Mapping[str, Any] | None = None
+    select: Mapping[str, tuple[float, float]] | None = None
+    near: tuple[float, ...] | None = None
+    keep: str | None = None
+    start: tuple[float, ...] | None = None
+    plane: str = "xy"
+    count: int | None = None
+
+    @classmethod
+    def from_options(cls, options: object, place: str) -> "Reading":
+        """Return the reading that a study file asks for at `place`."""
+        if not isinstance(options, Mapping):
+            raise _unfit(place, options, "keys with values, e.g. {file: interface.csv, unit: mm}")
+        known = [f.name for f in dataclasses.fields(cls)]
+        for name in options:
+            if name not in known:
+                close = get_close_matches(str(name), known, n=1)
+                hint = f"Did you mean {close[0]}?" if close else f"Remove {name}."
+                raise _unfit(f"{place}: unknown option", name, f"one of {', '.join(known)}", hint)
+        for name in ("file", "unit"):
+            if options.get(name) is None:
+                raise _unfit(f"{place}.{name}", None, "this option", f"Add `{name}: …` to {place}.")
+        values = {name: _frozen(value) for name, value in options.items() if value is not None}
+        reading = _checked_types(values, place)
+        reading.require_sound(place)
+        return reading
+
+    @property
+    def suffix(self) -> str:
+        """Of the file, in small letters."""
+        return PurePosixPath(self.file).suffix.lower()
+
+    @property
+    def axes(self) -> tuple[int, int]:
+        """Numbers of the two coordinates of a polyline."""
+        return PLANES[self.plane]
+
+    @property
+    def factor(self) -> float:
+        """Unit of the file in mm."""
+        return TO_MM[self.unit]
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The options that are not left at their defaults, as plain data."""
+        return {f.name: v for f in dataclasses.fields(self) if (v := getattr(self, f.name)) != f.default}
+
+    def require_sound(self, place: str) -> None:
+        """Refuse options that contradict the format."""
+        if self.unit not in TO_MM:
+            raise _unfit(f"{place}.unit", self.unit, f"one of {', '.join(TO_MM)}")
+        if self.plane not in PLANES:
+            raise _unfit(f"{place}.plane", self.plane, f"one of {', '.join(PLANES)}")
+        if self.near is not None and self.keep is not None:
+            raise _unfit(place, "near and keep", "one of the two")
+        allowed = OF_TABLES if self.suffix in TABLES else OF_MESHES
+        if self.suffix in SERIES:
+            allowed = allowed | {"time"}
+        for name in self.given:
+            if name not in allowed:
+                raise _unfit(
+                    f"{place}.{name}", self.given[name], f"no such option for a {self.suffix or 'nameless'} file"
+                )
+        if self.field is not None and isinstance(self.field, str) == (self.suffix in TABLES):
+            raise _unfit(
+                f"{place}.field",
+                self.field,
+                "two columns, e.g. [ux, uy]" if self.suffix in TABLES else "the name of point data",
+            )
+
+
+def _checked_types(values: dict[str, Any], place: str) -> Reading:
+    """Return the reading, each option of its type."""
+    for name in ("file", "unit", "delimiter", "plane"):
+        if not isinstance(values.get(name, ""), str):
+            raise _unfit(f"{place}.{name}", values[name], "a text")
+    for name, words in (("sort", ("x", "y")), ("keep", ("longest",))):
+        if name in values and values[name] not in words:
+            raise _unfit(f"{place}.{name}", values[name], " or ".join(words))
+    if "delimiter" in values and len(values["delimiter"]) != 1:
+        raise _unfit(f"{place}.delimiter", values["delimiter"], "one character")
+    _check_columns(values, "columns", place)
+    if not isinstance(values.get("field", ""), str):
+        _check_columns(values, "field", place)
+    for name in ("near", "start"):
+        if name in values:
+            values[name] = _numbers(values[name], f"{place}.{name}", (2, 3))
+    for name in ("cells", "points"):
+        found = values.get(name, {"": 0})
+        if not (isinstance(found, Mapping) and len(found) == 1 and all(_is_value(v) for v in found.values())):
+            raise _unfit(f"{place}.{name}", found, "the name of data with a number, e.g. {region: 3}")
+    if not (isinstance(values.get("block", 0), int | str) and not isinstance(values.get("block"), bool)):
+        raise _unfit(f"{place}.block", values["block"], "a number from 0, or a kind of cells such as line")
+    if not (type(values.get("count", 2)) is int and values.get("count", 2) >= 2):
+        raise _unfit(f"{place}.count", values["count"], "a number of points, at least 2")
+    if "select" in values:
+        values["select"] = _box(values["select"], f"{place}.select")
+    if "time" in values:
+        _check_time(values["time"], f"{place}.time")
+    return Reading(**values)
+
+
+def _check_columns(values: Mapping[str, Any], name: str, place: str) -> None:
+    found = values.get(name, (1, 2))
+    fits = isinstance(found, tuple) and len(found) == 2 and found[0] != found[1]
+    if not fits or not all(isinstance(c, str) or (type(c) is int and c >= 1) for c in found):
+        raise _unfit(f"{place}.{name}", found, "two columns, by name or by number from 1, e.g. [x, y] or [1, 2]")
+
+
+def _check_time(found: object, place: str) -> None:
+    if found == "last":
+        return
+    if isinstance(found, Mapping) and len(found) == 1:
+        (name, value) = next(iter(found.items()))
+        if (name == "index" and type(value) is int and value >= 0) or (name == "value" and _is_number(value)):
+            return
+    raise _unfit(place, found, "last, {index: 0} or {value: 0.5}")
+
+
+def _box(found: object, place: str) -> dict[str, tuple[float, float]]:
+    if not (isinstance(found, Mapping) and found and set(found) <= set("xyz")):
+        raise _unfit(place, found, "intervals of x, y or z, e.g. {x: [0, 1]}")
+    box = {name: _numbers(interval, f"{place}.{name}", (2,)) for name, interval in found.items()}
+    for name, (low, high) in box.items():
+        if not low < high:
+            raise _unfit(f"{place}.{name}", [low, high], "[low, high]")
+    return {name: (low, high) for name, (low, high) in box.items()}
+
+
+def _numbers(found: object, place: str, lengths: tuple[int, ...]) -> tuple[float, ...]:
+    if not (isinstance(found, tuple) and len(found) in lengths and all(_is_number(v) for v in found)):
+        raise _unfit(place, found, f"{' or '.join(map(str, lengths))} numbers")
+    return tuple(float(v) for v in found)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_value(value: object) -> bool:
+    return _is_number(value) or (isinstance(value, tuple) and bool(value) and all(_is_number(v) for v in value))
+
+
+def _frozen(value: object) -> Any:
+    """Return lists as tuples."""
+    if isinstance(value, list | tuple):
+        return tuple(_frozen(item) for item in value)
+    return {k: _frozen(v) for k, v in value.items()} if isinstance(value, Mapping) else value
+
+
+def _unfit(what: str, value: object, expected: str, remedy: str = "") -> InvalidInput:
+    return InvalidInput(what, value=value, expected=expected, remedy=remedy or f"Correct {what.partition(':')[0]}.")

@@ -1,0 +1,117 @@
+"""A file → the interface in it."""
+
+import stat
+import warnings
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from strandline.errors import InvalidInput
+from strandline.interface import Interface
+from strandline.readers.contents import Contents
+from strandline.readers.options import Reading
+from strandline.readers.problems import Unreadable, refused
+from strandline.readers.shape import interface_of
+from strandline.readers.tables import missing
+
+__all__ = ["READERS", "read_interface"]
+
+_TABLE = "strandline.readers.tables:read_text"
+_MESH = "strandline.readers.by_meshio:read_by_meshio"
+_VTK = "strandline.readers.vtk_xml:read_vtk_xml"
+_XDMF = "strandline.readers.series:read_xdmf"
+
+READERS: Mapping[str, str] = {
+    ".csv": _TABLE,
+    ".tsv": _TABLE,
+    ".txt": _TABLE,
+    ".dat": _TABLE,
+    ".npy": "strandline.readers.tables:read_npy",
+    ".vtu": _VTK,
+    ".vtp": _VTK,
+    ".pvtu": _VTK,
+    ".pvtp": _VTK,
+    ".pvd": "strandline.readers.series:read_pvd",
+    ".xdmf": _XDMF,
+    ".xmf": _XDMF,
+    ".stl": _MESH,
+    ".ply": _MESH,
+    ".vtk": _MESH,
+}
+"""Suffixes of files → ``module:function`` that reads them; others are read as text."""
+
+
+def read_interface(path: Path, how: Reading, *, name: str = "") -> Interface:
+    """Return the interface in the file at `path`, in mm.
+
+    Args:
+        path: of the file.
+        how: to read it.
+        name: for messages.
+
+    Raises:
+        Unreadable: the file is missing, cut off, garbage, not finite, or holds no interface that can be told.
+        InvalidInput: an optional package is missing.
+    """
+    name = name or path.name
+    contents = _contents(path, how, name)
+    try:
+        return interface_of(contents, how, name)
+    except Unreadable:
+        raise
+    except InvalidInput as error:
+        raise Unreadable(
+            f"{name}: {error.what}",
+            value=error.value,
+            expected=error.expected,
+            remedy=error.remedy,
+            kind="invalid_interface",
+        ) from None
+
+
+def _contents(path: Path, how: Reading, name: str) -> Contents:
+    """Return what is in the file, whatever it is that a damaged one makes its reader raise."""
+    _require_file(path, name)
+    module, _, function = READERS.get(how.suffix, _TABLE).partition(":")
+    reader: Callable[[Path, Reading, str], Contents] = getattr(import_module(module), function)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            contents = reader(path, how, name)
+        _require_whole(contents)
+    except InvalidInput:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise refused(
+            f"{name} cannot be read", reason, f"a whole {how.suffix} file", "Look at the file, or at what writes it."
+        ) from None
+    return contents
+
+
+def _require_file(path: Path, name: str) -> None:
+    """Refuse what is no file; a pipe would never end."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise missing(path, name) from None
+    except OSError as error:
+        raise refused(f"{name} cannot be read", str(error), "a readable file") from None
+    if not stat.S_ISREG(mode):
+        raise refused(f"{name} cannot be read", f"{path} is no file", "a readable text file")
+
+
+def _require_whole(contents: Contents) -> None:
+    """Refuse data that do not belong to the points and cells."""
+    number = len(contents.points)
+    for block in contents.blocks:
+        if block.nodes.min() < 0 or block.nodes.max() >= number:
+            raise ValueError("cells with points that do not exist")
+        if any(len(values) != len(block.nodes) for values in block.data.values()):
+            raise ValueError("cell data that are not one row a cell")
+    if any(len(values) != number for values in contents.data.values()):
+        raise ValueError("point data that are not one row a point")
+    if contents.points.ndim != 2 or not np.issubdtype(contents.points.dtype, np.floating):
+        raise ValueError("points that are no table of numbers")

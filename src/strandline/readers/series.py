@@ -1,0 +1,58 @@
+"""Files of several times: PVD, and XDMF by way of meshio."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from strandline.readers.by_meshio import converted, imported
+from strandline.readers.contents import Contents
+from strandline.readers.options import Reading
+from strandline.readers.problems import refused
+from strandline.readers.vtk_xml import beside, joined, read_vtk_xml
+
+__all__ = ["read_pvd", "read_xdmf"]
+
+
+def read_pvd(path: Path, how: Reading, name: str) -> Contents:
+    """Return what the files hold that a PVD file names for one time, its parts joined."""
+    found = [
+        (float(item.get("timestep", "0")), item.attrib["file"])
+        for item in ElementTree.fromstring(path.read_bytes()).iter("DataSet")
+    ]
+    times = sorted({time for time, _ in found})
+    chosen = times[chosen_time(times, how, name)]
+    return joined([read_vtk_xml(beside(path, file), how, name) for time, file in found if time == chosen])
+
+
+def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
+    """Return what an XDMF file, or one time of it, holds."""
+    meshio = imported(name)
+    if "CollectionType" not in path.read_text(encoding="utf-8", errors="replace"):
+        return converted(meshio.xdmf.read(str(path)))
+    with meshio.xdmf.TimeSeriesReader(str(path)) as series:
+        points, cells = series.read_points_cells()
+        times = [float(step.find("Time").attrib["Value"]) for step in series.collection]
+        _, point_data, cell_data = series.read_data(chosen_time(times, how, name))
+    return converted(meshio.Mesh(points, cells, point_data=point_data, cell_data=cell_data))
+
+
+def chosen_time(times: Sequence[float], how: Reading, name: str) -> int:
+    """Return the place of the time that is asked for; the last one where none is.
+
+    Raises:
+        Unreadable: there is no such time, or none at all.
+    """
+    if not times:
+        raise refused(f"{name} holds no times", None, "one time or more")
+    if how.time is None or isinstance(how.time, str):
+        return int(np.argmax(times))
+    (kind, value) = next(iter(how.time.items()))
+    if kind == "index" and value < len(times):
+        return int(value)
+    nearest = int(np.argmin(np.abs(np.asarray(times) - value)))
+    if kind == "value" and abs(times[nearest] - value) <= 1e-6 * max(abs(value), abs(times[-1] - times[0])):
+        return nearest
+    shown = f"{len(times)} times from {times[0]:g} to {times[-1]:g}"
+    raise refused(f"{name} has no time of {kind} {value:g}", shown, "one of its times", "Correct `time`.")

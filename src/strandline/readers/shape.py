@@ -1,0 +1,234 @@
+"""Points and cells of a file → the interface that the options choose."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from strandline.interface import Interface
+from strandline.readers import cells
+from strandline.readers.chains import Chain, chains, chosen_chain
+from strandline.readers.contents import Block, Contents
+from strandline.readers.options import Reading
+from strandline.readers.problems import refused
+
+__all__ = ["interface_of"]
+
+FLATNESS = 1e-9
+"""Share of the extent by which points may leave a plane."""
+SURFACES = (".stl", ".ply")
+"""Suffixes of files that hold surfaces, be they plane."""
+
+
+def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
+    """Return the interface, in mm.
+
+    Raises:
+        Unreadable: the file does not hold what the options ask for.
+        InvalidInterface: the points form none.
+    """
+    places, moved = _places(contents, how, name)
+    found = _of_cells(contents, places, moved, how, name) if contents.blocks else _of_table(places, moved, how, name)
+    if how.count is not None and len(found.points) != how.count:
+        raise refused(
+            f"{name}: number of points", len(found.points), f"{how.count}", "Look at what writes the file, or `count`."
+        )
+    return found
+
+
+def _places(
+    contents: Contents, how: Reading, name: str
+) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, "point xyz"]]:
+    """Return the points as they lie in the file and with the displacement, mm."""
+    places, displacement = contents.points, contents.displacement
+    if isinstance(how.field, str):
+        displacement = np.asarray(_data(contents.data, how.field, f"{name} has no point data", how.field), float)
+        if displacement.ndim != 2 or not 2 <= displacement.shape[1] <= 3:
+            raise refused(f"{name}: point data {how.field}", f"the shape {displacement.shape}", "a vector a point")
+    if displacement is None:
+        return places * how.factor, places * how.factor
+    width = places.shape[1]
+    moved = np.zeros_like(places)
+    moved[:, : min(width, displacement.shape[1])] = displacement[:, :width]
+    return places * how.factor, (places + moved) * how.factor
+
+
+def _of_table(
+    places: Float[np.ndarray, "point xyz"], moved: Float[np.ndarray, "point xyz"], how: Reading, name: str
+) -> Interface:
+    if places.shape[1] != 2:
+        raise refused(f"{name} holds points and no cells", f"{len(places)} points", "lines or faces between them")
+    order = np.arange(len(places))
+    if how.select is not None:
+        order = order[_inside(places, how.select)]
+    if how.sort is not None:
+        order = order[np.argsort(places[order, "xy".index(how.sort)], kind="stable")]
+    elif (np.diff(order) != 1).any():
+        gap = places[order[int(np.argmax(np.diff(order) != 1))]]
+        raise refused(
+            f"{name}: the box of `select` cuts the interface into pieces",
+            f"the first one ends at {np.round(gap, 6).tolist()} mm",
+            "one piece",
+            "Choose a box that the interface enters once.",
+        )
+    _require_finite(moved[order], name)
+    polyline = Interface.polyline(moved[order])
+    polyline.require_simple()
+    return polyline
+
+
+def _of_cells(
+    contents: Contents,
+    places: Float[np.ndarray, "point xyz"],
+    moved: Float[np.ndarray, "point xyz"],
+    how: Reading,
+    name: str,
+) -> Interface:
+    blocks = _chosen(contents, how, name)
+    used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
+    _require_finite(places[used], name)
+    _require_finite(moved[used], name)
+    lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
+    flat = _is_flat(places[used], how.axes) and _is_flat(moved[used], how.axes)
+    if lowest == 3 or (lowest == 2 and (not flat or how.suffix in SURFACES)):
+        parts = cells.boundary_triangles(blocks) if lowest == 3 else cells.surface_triangles(blocks)
+        return _surface(_kept(parts, contents, places, how, name), moved, places)
+    parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
+    if not flat:
+        raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", "Choose `plane`.")
+    edges = _merged(_kept(parts, contents, places, how, name), places)
+    plane = places[:, how.axes]
+    found = chains(edges, plane, name)
+    chain = chosen_chain(found, plane, name, near=how.near, longest=how.keep is not None)
+    return _polyline(chain, plane, moved[:, how.axes], how.start)
+
+
+def _chosen(contents: Contents, how: Reading, name: str) -> list[Block]:
+    """Return the cells that block, cell data and dimension leave: those of the lowest dimension."""
+    blocks = list(contents.blocks)
+    if isinstance(how.block, int):
+        if how.block >= len(blocks):
+            raise refused(f"{name} has no block {how.block}", f"{len(blocks)} blocks", "a number from 0")
+        blocks = [blocks[how.block]]
+    elif how.block is not None:
+        kinds = ", ".join(dict.fromkeys(block.kind for block in blocks))
+        blocks = [block for block in blocks if block.kind == how.block]
+        if not blocks:
+            raise refused(f"{name} has no cells of the kind {how.block}", kinds, "one of them", "Correct `block`.")
+    for key, wanted in (how.cells or {}).items():
+        blocks = [_where(block, key, wanted, name) for block in blocks]
+    blocks = [block for block in blocks if len(block.nodes)]
+    if not blocks:
+        shown = ", ".join(f"{key} = {value}" for key, value in (how.cells or {}).items())
+        raise refused(f"{name} has no such cells", shown, "cells that form the interface", "Correct `cells`.")
+    unknown = [block.kind for block in blocks if cells.dimension(block.kind) is None]
+    if unknown:
+        raise refused(f"{name} has cells that are not read", unknown[0], "lines, faces or solids up to second order")
+    lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
+    return [block for block in blocks if cells.dimension(block.kind) == lowest]
+
+
+def _where(block: Block, key: str, wanted: Any, name: str) -> Block:
+    """Return the cells of a block whose data are as wanted."""
+    chosen = _is_one_of(_data(block.data, key, f"{name} has no cell data", key), wanted)
+    return Block(block.kind, block.nodes[chosen], {k: values[chosen] for k, values in block.data.items()})
+
+
+def _data(
+    known: Mapping[str, Shaped[np.ndarray, "..."]], key: str, what: str, wanted: str
+) -> Shaped[np.ndarray, "..."]:
+    if key not in known:
+        raise refused(f"{what} {wanted}", ", ".join(known) or "none", "one of its names", "Correct the name.")
+    return known[key]
+
+
+def _is_one_of(values: Shaped[np.ndarray, "..."], wanted: Any) -> Bool[np.ndarray, " row"]:
+    several = wanted if isinstance(wanted, tuple) else (wanted,)
+    found: Bool[np.ndarray, " row"] = np.isin(values.reshape(len(values), -1)[:, 0], several)
+    return found
+
+
+def _kept(
+    parts: Int[np.ndarray, "part node"],
+    contents: Contents,
+    places: Float[np.ndarray, "point xyz"],
+    how: Reading,
+    name: str,
+) -> Int[np.ndarray, "kept node"]:
+    """Return the edges or triangles all of whose nodes are in the box and have the point data asked for."""
+    good = np.ones(len(places), dtype=bool)
+    for key, wanted in (how.points or {}).items():
+        good &= _is_one_of(_data(contents.data, key, f"{name} has no point data", key), wanted)
+    if how.select is not None:
+        good &= _inside(places, how.select)
+    kept = np.asarray(parts[good[parts].all(axis=1)])
+    if not len(kept):
+        raise refused(f"{name} holds no interface", "nothing in the selection", "a part of the mesh", "Widen it.")
+    return kept
+
+
+def _inside(places: Float[np.ndarray, "point xyz"], box: Mapping[str, Sequence[float]]) -> Bool[np.ndarray, " point"]:
+    good = np.ones(len(places), dtype=bool)
+    for axis, (low, high) in box.items():
+        column = places[:, "xyz".index(axis)] if "xyz".index(axis) < places.shape[1] else np.zeros(len(places))
+        good &= (low <= column) & (column <= high)
+    return good
+
+
+def _merged(
+    parts: Int[np.ndarray, "part node"], places: Float[np.ndarray, "point xyz"]
+) -> Int[np.ndarray, "part node"]:
+    """Return the parts with points that coincide under one number."""
+    _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(first[inverse.reshape(-1)][parts])
+
+
+def _polyline(
+    chain: Chain, places: Float[np.ndarray, "point 2"], moved: Float[np.ndarray, "point 2"], start: Any
+) -> Interface:
+    """Return a chain as an interface, from `start` on; a closed one counter-clockwise."""
+    nodes = chain.nodes
+    if chain.closed and _area(places[nodes]) < 0:
+        nodes = nodes[::-1]
+    if start is not None:
+        distance = np.linalg.norm(places[nodes] - np.asarray(start)[:2], axis=1)
+        if chain.closed:
+            nodes = np.roll(nodes, -int(np.argmin(distance)))
+        elif distance[-1] < distance[0]:
+            nodes = nodes[::-1]
+    polyline = Interface.polyline(moved[nodes], closed=chain.closed)
+    polyline.require_simple()
+    return polyline
+
+
+def _area(ring: Float[np.ndarray, "point 2"]) -> float:
+    after = np.roll(ring, -1, axis=0)
+    return float((ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum())
+
+
+def _surface(
+    triangles: Int[np.ndarray, "cell 3"], moved: Float[np.ndarray, "point xyz"], places: Float[np.ndarray, "point xyz"]
+) -> Interface:
+    triangles = _merged(triangles, places)
+    used, corners = np.unique(triangles, return_inverse=True)
+    return Interface(np.ascontiguousarray(moved[used]), corners.reshape(-1, 3).astype(np.int64))
+
+
+def _is_flat(points: Float[np.ndarray, "point xyz"], axes: tuple[int, int]) -> bool:
+    others = [k for k in range(points.shape[1]) if k not in axes]
+    extent = float(np.ptp(points, axis=0).max())
+    return all(float(np.ptp(points[:, k])) <= FLATNESS * extent for k in others)
+
+
+def _require_finite(points: Float[np.ndarray, "point xyz"], name: str) -> None:
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        where = int(np.argmin(finite))
+        raise refused(
+            f"{name}: point {where} of the interface is not finite",
+            points[where].tolist(),
+            "finite coordinates in mm",
+            "Remove or correct the point.",
+            kind="non_finite",
+        )

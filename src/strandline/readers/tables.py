@@ -1,0 +1,121 @@
+"""Points in their order: text of two columns or more, and arrays of NumPy."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.readers.contents import Contents
+from strandline.readers.options import Reading
+from strandline.readers.problems import Unreadable, refused
+
+__all__ = ["read_npy", "read_text"]
+
+Row = tuple[int, list[str]]
+"""Number of a line, and its fields."""
+
+
+def read_text(path: Path, how: Reading, name: str) -> Contents:
+    """Return the points of a text file, one a line.
+
+    A line of column names and lines that begin with # are passed over. Without `columns` each line holds x and y.
+    """
+    rows = [(number, _fields(line, how.delimiter)) for number, line in enumerate(_lines(path, name), 1)]
+    comments = [fields for _, fields in rows if fields and fields[0].startswith("#")]
+    rows = [(number, fields) for number, fields in rows if any(fields) and not fields[0].startswith("#")]
+    header = [[field.lstrip("# ") for field in fields if field != "#"] for fields in comments[-1:]]
+    if rows and not any(_is_number(field) for field in rows[0][1]):
+        header, rows = [rows[0][1]], rows[1:]
+    if not rows:
+        raise refused(f"{name} holds no points", None, "two columns x, y with one point a line")
+    titles = header[0] if header else []
+    if how.columns is None and how.field is None:
+        return Contents(np.array([_point(name, number, fields) for number, fields in rows]))
+    points = _columns(name, rows, titles, how.columns or (1, 2))
+    moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
+    return Contents(points, displacement=moved)
+
+
+def read_npy(path: Path, how: Reading, name: str) -> Contents:
+    """Return the points of an array of numbers (point, column); pickled objects are not read."""
+    try:
+        array = np.load(path, allow_pickle=False, mmap_mode=None)
+    except (ValueError, EOFError, OSError, MemoryError) as error:
+        raise refused(f"{name} cannot be read", str(error), "an array of numbers saved by numpy.save") from None
+    if not (isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "fiu" and len(array)):
+        found = f"{array.dtype} of the shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise refused(f"{name} holds no points", found, "an array of numbers (point, 2)")
+    if how.columns is None and array.shape[1] != 2 and how.field is None:
+        expected = "two columns, or `columns: [1, 2]` to choose two"
+        raise refused(f"{name} holds no points", f"the shape {array.shape}", expected)
+    points = _of_array(name, array.astype(float), how.columns or (1, 2))
+    moved = None if how.field is None else _of_array(name, array.astype(float), tuple(how.field))
+    return Contents(points, displacement=moved)
+
+
+def _of_array(
+    name: str, array: Float[np.ndarray, "point column"], columns: Sequence[str | int]
+) -> Float[np.ndarray, "point 2"]:
+    for column in columns:
+        if isinstance(column, str) or column > array.shape[1]:
+            raise refused(f"{name} has no column {column}", f"{array.shape[1]} columns", "columns by number from 1")
+    return np.ascontiguousarray(array[:, [int(column) - 1 for column in columns]])
+
+
+def _columns(
+    name: str, rows: Sequence[Row], titles: Sequence[str], columns: Sequence[str | int]
+) -> Float[np.ndarray, "point 2"]:
+    """Return two columns of a table."""
+    chosen = [_place(name, column, titles) for column in columns]
+    for number, fields in rows:
+        if len(fields) <= max(chosen) or not all(_is_number(fields[k]) for k in chosen):
+            raise refused(
+                f"{name} has no point in line {number}",
+                " ".join(fields),
+                f"numbers in the columns {', '.join(map(str, columns))}",
+            )
+    return np.array([[float(fields[k]) for k in chosen] for _, fields in rows])
+
+
+def _place(name: str, column: str | int, titles: Sequence[str]) -> int:
+    if isinstance(column, int):
+        return column - 1
+    if list(titles).count(column) != 1:
+        shown = ", ".join(titles) or "no line of column names"
+        raise refused(f"{name} has no column {column}", shown, f"one column called {column}")
+    return titles.index(column)
+
+
+def _lines(path: Path, name: str) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise missing(path, name) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise refused(f"{name} cannot be read", str(error), "a readable text file") from None
+
+
+def missing(path: Path, name: str) -> Unreadable:
+    """Return the error of a file that is not there."""
+    return refused(f"{name} is missing", str(path), "a file with two columns x, y", kind="result_missing")
+
+
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is not None:
+        return [field.strip().strip('"') for field in line.split(delimiter)] if line.strip() else []
+    return line.replace(",", " ").replace(";", " ").split()
+
+
+def _point(name: str, number: int, fields: list[str]) -> tuple[float, float]:
+    if len(fields) != 2 or not all(_is_number(field) for field in fields):
+        raise refused(f"{name} has no point in line {number}", " ".join(fields), "two numbers x, y")
+    return float(fields[0]), float(fields[1])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

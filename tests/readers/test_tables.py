@@ -1,0 +1,168 @@
+"""Points in text files and arrays."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from strandline.errors import InvalidInput
+from strandline.interface import Interface
+from strandline.readers import Reading, Unreadable, read_interface
+
+POINTS = np.array([[0.0, 0.0], [0.5, 0.25], [1.0, -0.125]])
+TABLE = "node, x coord, U1, y coord, U2\n7,0,0,0,0\n8,500,1,250,2\n9,1000,3,-125,4\n"
+
+
+def read(path: Path, **options: Any) -> Interface:
+    return read_interface(path, Reading.from_options({"file": path.name, "unit": "mm", **options}, "result"))
+
+
+def written(tmp_path: Path, text: str | bytes, name: str = "points.csv") -> Path:
+    path = tmp_path / name
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+@pytest.mark.parametrize("columns", [["x coord", "y coord"], [2, 4]])
+def test_columns_by_name_and_number_in_another_unit(tmp_path: Path, columns: list[Any]) -> None:
+    found = read(written(tmp_path, TABLE), columns=columns, delimiter=",", unit="um")
+    np.testing.assert_allclose(found.points, POINTS, rtol=1e-15)
+
+
+def test_displacements_are_added(tmp_path: Path) -> None:
+    found = read(written(tmp_path, TABLE), columns=["x coord", "y coord"], field=["U1", "U2"], delimiter=",", unit="um")
+    np.testing.assert_allclose(found.points, POINTS + np.array([[0, 0], [1, 2], [3, 4]]) / 1000, rtol=1e-15)
+
+
+@pytest.mark.parametrize("header", ["a b c", "# a b c", "#a b c"])
+def test_names_stand_in_a_line_of_their_own_or_in_a_comment(tmp_path: Path, header: str) -> None:
+    text = header + "\n" + "\n".join(f"{y!r} 9 {x!r}" for x, y in POINTS.tolist())
+    np.testing.assert_array_equal(read(written(tmp_path, text, "points.dat"), columns=["c", "a"]).points, POINTS)
+
+
+def test_points_in_the_order_of_the_nodes_are_sorted(tmp_path: Path) -> None:
+    text = "\n".join(f"{x},{y}" for x, y in POINTS[[1, 2, 0]].tolist())
+    np.testing.assert_array_equal(read(written(tmp_path, text), sort="x").points, POINTS)
+
+
+def test_a_box_selects_before_the_displacement(tmp_path: Path) -> None:
+    text = "x,y,u,v\n0,0,9,0\n1,0,9,0\n2,0,9,0\n3,0,9,0\n"
+    found = read(written(tmp_path, text), columns=["x", "y"], field=["u", "v"], select={"x": [0.5, 2.5]})
+    np.testing.assert_array_equal(found.points, [[10.0, 0.0], [11.0, 0.0]])
+
+
+def test_a_box_that_cuts_a_piece_out_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "0,0\n1,0\n2,5\n3,0\n4,0\n")
+    with pytest.raises(Unreadable, match=r"cuts the interface into pieces: got the first one ends at \[1.0, 0.0\] mm"):
+        read(path, select={"y": [-1, 1]})
+
+
+def test_arrays(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", POINTS.astype(np.float32))
+    np.testing.assert_array_equal(read(tmp_path / "a.npy").points, POINTS)
+    np.save(tmp_path / "b.npy", np.column_stack([np.arange(3), POINTS]))
+    np.testing.assert_array_equal(read(tmp_path / "b.npy", columns=[2, 3]).points, POINTS)
+
+
+class Trap:
+    """An object whose pickle makes a file when it is read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.path,)
+
+
+def test_a_pickle_is_never_read(tmp_path: Path) -> None:
+    trap = np.array([[Trap(tmp_path / "sprung"), 1.0]], dtype=object)
+    np.save(tmp_path / "trap.npy", trap, allow_pickle=True)
+    with pytest.raises(Unreadable, match=r"trap\.npy cannot be read"):
+        read(tmp_path / "trap.npy")
+    assert not (tmp_path / "sprung").exists()
+    np.load(tmp_path / "trap.npy", allow_pickle=True)
+    assert (tmp_path / "sprung").exists()  # the trap works
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "words", "kind"),
+    [
+        ("x,y\n0,0\n1,", {"columns": ["x", "y"]}, "no point in line 3", "result_unreadable"),
+        ("x,y\n0,0\n1,1\n", {"columns": ["x", "z"]}, "no column z", "result_unreadable"),
+        ("0,0\n1,1\n", {"columns": ["x", "y"]}, "no line of column names", "result_unreadable"),
+        ("x,x\n0,0\n1,1\n", {"columns": ["x", 2]}, "one column called x", "result_unreadable"),
+        ("0,0\n1,1\n", {"columns": [1, 3]}, "no point in line 1", "result_unreadable"),
+        ("0,0\n1,1\n", {"count": 3}, "got 2; expected 3", "result_unreadable"),
+        ("0,0\n1,inf\n", {}, "point 1 of the interface is not finite", "non_finite"),
+        (b"\x00\xff\xfe" * 100, {}, "cannot be read", "result_unreadable"),
+        (b"\x00" * 100, {}, "holds no points", "result_unreadable"),
+        ("", {}, "holds no points", "result_unreadable"),
+        ("0,0\n0,0\n", {}, "no length", "invalid_interface"),
+    ],
+    ids=range(11),
+)
+def test_bad_text(tmp_path: Path, text: str | bytes, options: dict[str, Any], words: str, kind: str) -> None:
+    with pytest.raises(Unreadable, match=r"points\.csv") as caught:
+        read(written(tmp_path, text), **options)
+    assert words in str(caught.value)
+    assert caught.value.kind == kind
+
+
+@pytest.mark.parametrize("cut", [0, 5, 60, 127, 130, 170])
+def test_a_truncated_array(tmp_path: Path, cut: int) -> None:
+    np.save(tmp_path / "a.npy", POINTS)
+    whole = (tmp_path / "a.npy").read_bytes()
+    assert len(whole) == 176
+    (tmp_path / "a.npy").write_bytes(whole[:cut])
+    with pytest.raises(Unreadable, match=r"a\.npy cannot be read"):
+        read(tmp_path / "a.npy")
+
+
+def test_arrays_that_hold_no_points(tmp_path: Path) -> None:
+    for number, array in enumerate([np.zeros(4), np.zeros((3, 3)), np.array([["a", "b"]]), np.zeros((0, 2))]):
+        np.save(tmp_path / f"{number}.npy", array)
+        with pytest.raises(Unreadable, match="holds no points"):
+            read(tmp_path / f"{number}.npy")
+
+
+def test_what_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(Unreadable, match="is missing") as caught:
+        read(tmp_path / "none.npy")
+    assert caught.value.kind == "result_missing"
+    with pytest.raises(Unreadable, match="is no file"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("result.csv", "expected keys with values"),
+        ({"unit": "mm"}, "result.file: got nothing"),
+        ({"file": "a.csv"}, "result.unit: got nothing"),
+        ({"file": "a.csv", "unit": "inch"}, "one of mm, um"),
+        ({"file": "a.csv", "unit": "mm", "colums": [1, 2]}, "Did you mean columns?"),
+        ({"file": "a.csv", "unit": "mm", "columns": [0, 1]}, "by number from 1"),
+        ({"file": "a.csv", "unit": "mm", "columns": [True, 2]}, "by number from 1"),
+        ({"file": "a.csv", "unit": "mm", "columns": ["x"]}, "two columns"),
+        ({"file": "a.csv", "unit": "mm", "time": "last"}, "no such option for a .csv file"),
+        ({"file": "a.csv", "unit": "mm", "field": "u"}, "two columns"),
+        ({"file": "a.vtu", "unit": "mm", "field": ["u", "v"]}, "the name of point data"),
+        ({"file": "a.vtu", "unit": "mm", "time": "last"}, "no such option for a .vtu file"),
+        ({"file": "a.pvd", "unit": "mm", "time": "first"}, "last, {index: 0} or {value: 0.5}"),
+        ({"file": "a.pvd", "unit": "mm", "time": {"index": -1}}, "last, {index: 0} or {value: 0.5}"),
+        ({"file": "a.vtu", "unit": "mm", "cells": {"a": "b"}}, "e.g. {region: 3}"),
+        ({"file": "a.vtu", "unit": "mm", "near": [0, 0], "keep": "longest"}, "one of the two"),
+        ({"file": "a.vtu", "unit": "mm", "keep": "shortest"}, "longest"),
+        ({"file": "a.vtu", "unit": "mm", "select": {"x": [1, 0]}}, "[low, high]"),
+        ({"file": "a.vtu", "unit": "mm", "select": {"r": [0, 1]}}, "intervals of x, y or z"),
+        ({"file": "a.vtu", "unit": "mm", "block": True}, "a number from 0"),
+        ({"file": "a.vtu", "unit": "mm", "plane": "zx"}, "one of xy, xz, yz"),
+        ({"file": "a.csv", "unit": "mm", "count": 1}, "at least 2"),
+    ],
+)
+def test_options_that_cannot_be(options: Any, words: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        Reading.from_options(options, "result")
+    assert words in str(caught.value)
+    assert str(caught.value).startswith("result")
