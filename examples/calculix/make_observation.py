@@ -1,4 +1,4 @@
-"""How observed-half.csv and observed-full.csv were made: a run on a finer mesh, seen at 50 places with noise.
+"""How observed-half.csv and observed-full.csv were made: a run on a finer mesh, seen at 50 places along it, with noise.
 
 The truth is mu = 22 kPa, stiffening = 0.25, p = 2.04 kPa. Run it in this folder: python make_observation.py
 """
@@ -30,7 +30,7 @@ def main() -> None:
         for load in ("half", "full"):
             outline = np.loadtxt(folder / f"{load}.csv", delimiter=",", skiprows=1)
             length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1)))
-            seen = np.sort(rng.uniform(0.0, length[-1], PLACES))
+            seen = np.linspace(0.0, length[-1], PLACES)
             points = np.stack([np.interp(seen, length, column) for column in outline.T], axis=1)
             points += NOISE * rng.normal(size=points.shape)
             np.savetxt(here / f"observed-{load}.csv", points, delimiter=",", header="r,z", comments="", fmt="%.4f")
