@@ -1,0 +1,40 @@
+"""How observed-half.csv and observed-full.csv were made: a run on a finer mesh, seen at 50 places along it, with noise.
+
+The truth is mu = 22 kPa, stiffening = 0.25, p = 2.04 kPa. Run it in this folder: python make_observation.py
+"""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+
+TRUTH = {"mu": 22.0, "stiffening": 0.25, "p": 2.04}
+NOISE, PLACES, SEED = 0.02, 50, 1
+
+
+def main() -> None:
+    here = Path(__file__).parent
+    template = (here / "bulge.inp.j2").read_text(encoding="utf-8").replace("10.0, 1.0, 40, 2", "10.0, 1.0, 80, 4")
+    environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    rng = np.random.default_rng(SEED)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "bulge.inp").write_text(environment.from_string(template).render(**TRUTH), encoding="ascii")
+        shutil.copy(here / "extract.py", folder)
+        subprocess.run(["ccx", "-i", "bulge"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([sys.executable, "extract.py"], cwd=folder, check=True)
+        for load in ("half", "full"):
+            outline = np.loadtxt(folder / f"{load}.csv", delimiter=",", skiprows=1)
+            length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1)))
+            seen = np.linspace(0.0, length[-1], PLACES)
+            points = np.stack([np.interp(seen, length, column) for column in outline.T], axis=1)
+            points += NOISE * rng.normal(size=points.shape)
+            np.savetxt(here / f"observed-{load}.csv", points, delimiter=",", header="r,z", comments="", fmt="%.4f")
+
+
+if __name__ == "__main__":
+    main()
