@@ -73,9 +73,24 @@ def test_nodes_without_a_partner_in_reach_count_nothing():
 
 def test_power_of_two_is_exact_to_2e_14_and_vanishes_where_it_should():
     x = np.concatenate([np.linspace(0.0, 60.0, 100_001), [899.0, 1e4, 1e300]])
-    found = np.asarray(jax.jit(kernel_sums._exp2)(x, kernel_sums._WHOLE))
+    power = jax.jit(kernel_sums._exp2, static_argnames="bounded")
+    found = np.asarray(power(x, kernel_sums._WHOLE, bounded=False))
+    assert np.array_equal(power(x[:-3], kernel_sums._WHOLE, bounded=True), found[:-3])
     assert found[:-3] == pytest.approx(np.exp2(-x[:-3]), rel=2e-14)
     assert (found[-3:] < 1e-270).all()
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e6])
+@pytest.mark.parametrize("width", [0.5, 0.06, 0.05])
+def test_each_pair_counts_to_1e_13_wherever_the_nodes_lie(monkeypatch, shift, width):
+    """One node against many far and near, close enough for x·y (0.5, 0.06) and not (0.05), around 0 and far from it."""
+    monkeypatch.setattr(kernel_sums, "SMALL", 0)
+    places = np.linspace(0.0, 1.0, 257)
+    for place in places:
+        one = Nodes(np.array([[0.0, 0.0], [1.0, 0.0]]) + shift, np.array([[1.0, 0.0], [0.0, 0.0]]))
+        other = Nodes(np.array([[place, 0.0]]) + shift, np.array([[1.0, 0.0]]))
+        exact = np.exp(-0.5 * ((other.points[0, 0] - one.points[0, 0]) / width) ** 2)
+        assert kernel_sum(one, other, width, reach=np.inf) == pytest.approx(exact, rel=1e-13, abs=1e-200)
 
 
 @pytest.mark.parametrize(("width", "reach"), [(0.4, np.inf), (0.02, 0.18)])

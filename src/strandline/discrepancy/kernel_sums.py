@@ -25,8 +25,8 @@ BLOCK = 1 << 16
 """Pairs that NumPy works on at once: bounds the memory."""
 SMALL = 1 << 20
 """Pairs up to which the blocks are quicker than finding neighbours and compiling."""
-_TILE, _FULL_TILE = 128, 2048
-"""Nodes in a tile, where a tree chooses their partners and where all are."""
+_TILE, _FULL_TILE = 128, 5120
+"""Nodes in a tile, where a tree chooses their partners and, at most, where all are."""
 _TILES = 256
 """Tiles, at most, in one compiled call where a tree chooses the partners."""
 _UNROLLED = 8
@@ -37,6 +37,8 @@ _POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Pol
 """Coefficients of 2**t on |t| ≤ 1/2, to 2e-14 of it."""
 _WHOLE = 1.5 * 2.0**52
 """Added to a number, it leaves the nearest whole one in the last bits."""
+_CLOSE = 300.0
+"""|x|² + |y|², times log₂e/2σ², up to which |x - y|² may be had from x·y: to 1e-13 of the kernel, which is no 0 yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +69,7 @@ def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float) -> float:
     if len(a) * len(b) <= SMALL:
         return _blocked(a, b, width)
     summed = _compiled if double() else _in_blocks
-    task = partial(summed, _with_blank(a), _with_blank(b), width=width)
-    return math.fsum(side_by_side(task, _batches(a, b, reach)))
+    return math.fsum(side_by_side(summed(_with_blank(a), _with_blank(b), width), _batches(a, b, reach)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +120,14 @@ def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
 
 def _everyone(number: int, others: int, *, itself: bool) -> Iterator[_Batch]:
     """Yield every pair of nodes, in their order, tile by tile."""
-    tiles = _cut(np.arange(number), _FULL_TILE, blank=number)
+    step = _FULL_TILE // 8
+    size = -(-number // (-(-number // _FULL_TILE) * step)) * step
+    tiles = _cut(np.arange(number), size, blank=number)
     partners = _cut(np.arange(others), _UNROLLED, blank=others).ravel()
-    first = np.arange(len(tiles)) * _FULL_TILE
+    first = np.arange(len(tiles)) * size
     begin, end, weights = 0 * first, np.full(len(tiles), len(partners)), np.ones(len(tiles))
     if itself:
-        behind = np.minimum(first + _FULL_TILE, len(partners))
+        behind = np.minimum(first + size, len(partners))
         begin, end = np.concatenate([first, behind]), np.concatenate([behind, end])
         tiles, weights = np.tile(tiles, (2, 1)), np.concatenate([weights, 2 * weights])
     spare = ample(len(partners), multiple=_UNROLLED) - len(partners)
@@ -143,11 +146,16 @@ def _with_blank(nodes: Nodes) -> Nodes:
     return Nodes(np.pad(nodes.points, ((0, 1), (0, 0)), mode="edge"), np.pad(nodes.normals, ((0, 1), (0, 0))))
 
 
-def _in_blocks(a: Nodes, b: Nodes, batch: _Batch, width: float) -> float:
-    rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
-    return math.fsum(
-        weight * _blocked(a[tile], b[batch.partners[first:last]], width) for tile, first, last, weight in rows
-    )
+def _in_blocks(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+    """Return what sums a batch with NumPy."""
+
+    def sums(batch: _Batch) -> float:
+        rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
+        return math.fsum(
+            weight * _blocked(a[tile], b[batch.partners[first:last]], width) for tile, first, last, weight in rows
+        )
+
+    return sums
 
 
 def _blocked(a: Nodes, b: Nodes, width: float) -> float:
@@ -160,11 +168,20 @@ def _blocked(a: Nodes, b: Nodes, width: float) -> float:
     return total
 
 
-def _compiled(a: Nodes, b: Nodes, batch: _Batch, width: float) -> float:
-    scale = math.sqrt(0.5 / math.log(2)) / width
-    x, n = (np.moveaxis(column[batch.tiles], 2, 0) for column in (a.points * scale, a.normals))
-    others = np.hstack([b.points * scale, b.normals])[batch.partners]
-    return float(_tile_sums()(x, n, others, batch.begin, batch.end, batch.weights, _WHOLE))
+def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+    """Return what sums a batch by the compiled loop."""
+    middle, scale = 0.5 * (a.points.min(axis=0) + a.points.max(axis=0)), math.sqrt(0.5 / math.log(2)) / width
+    x, y = ((one.points - middle) * scale for one in (a, b))
+    squares = (y**2).sum(axis=1)
+    others = np.hstack([y, b.normals, squares[:, None]])
+    close = bool((x**2).sum(axis=1).max() + squares.max() <= _CLOSE)
+
+    def sums(batch: _Batch) -> float:
+        rows = (np.moveaxis(column[batch.tiles], 2, 1) for column in (x, a.normals))
+        found = _tile_sums()(*rows, others[batch.partners], batch.begin, batch.end, batch.weights, _WHOLE, close=close)
+        return float(found)
+
+    return sums
 
 
 @lru_cache(maxsize=1)
@@ -173,37 +190,42 @@ def _tile_sums() -> Callable[..., Any]:
     import jax
     import jax.numpy as jnp
 
-    def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array, whole: jax.Array) -> Any:
+    def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array, whole: jax.Array, close: bool) -> Any:
         x, n, first, last, weight = row
         dim = len(x)
+        squares, twice = (x**2).sum(axis=0), -2 * x
+
+        def square(y: jax.Array) -> Any:
+            if close:
+                return sum((twice[i] * y[i] for i in range(dim)), squares + y[2 * dim])
+            return sum((x[i] - y[i]) ** 2 for i in range(dim))
 
         def step(k: jax.Array, sums: jax.Array) -> jax.Array:
-            some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim))
-            for j in range(_UNROLLED):
-                r2 = sum((x[i] - some[j, i]) ** 2 for i in range(dim))
-                sums = sums + _exp2(r2, whole) * sum(n[i] * some[j, dim + i] for i in range(dim))
+            some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim + 1))
+            for y in some:
+                sums = sums + _exp2(square(y), whole, bounded=close) * sum(n[i] * y[dim + i] for i in range(dim))
             return sums
 
         sums = jax.lax.fori_loop(0, (last - first) // _UNROLLED, step, jnp.zeros(x.shape[1]))
         return total + weight * sums.sum(), None
 
-    @partial(jax.jit, compiler_options=WIDEST)
-    def tile_sums(x, n, others, begin, end, weights, whole):  # type: ignore[no-untyped-def]
-        rows = jnp.moveaxis(x, 1, 0), jnp.moveaxis(n, 1, 0), begin, end, weights
-        return jax.lax.scan(partial(one_tile, others=others, whole=whole), 0.0, rows)[0]
+    @partial(jax.jit, compiler_options=WIDEST, static_argnames="close")
+    def tile_sums(x, n, others, begin, end, weights, whole, close):  # type: ignore[no-untyped-def]
+        task = partial(one_tile, others=others, whole=whole, close=close)
+        return jax.lax.scan(task, 0.0, (x, n, begin, end, weights))[0]
 
     return tile_sums
 
 
-def _exp2(x: Any, whole: Any) -> Any:
+def _exp2(x: Any, whole: Any, *, bounded: bool) -> Any:
     """Return 2**-x for x ≥ 0, to 2e-14 of it, and less than 1e-270 where it is less: half the time of `jnp.exp2`.
 
     The nearest whole number goes into the exponent of the result, the rest through a polynomial. `whole` is `_WHOLE`,
-    handed in so that the compiler cannot cancel it.
+    handed in so that the compiler cannot cancel it. A `bounded` x is less than 1000.
     """
     from jax import lax
 
-    x = lax.min(x, 900.0)
+    x = x if bounded else lax.min(x, 900.0)
     shifted = whole - x
     share = (whole - shifted) - x
     power = _POWERS[-1]
