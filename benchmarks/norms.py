@@ -1,7 +1,9 @@
 """Distances between large interfaces: against NumPy on the same task, and how long the largest take.
 
 The surfaces are bent sheets of a square millimetre, the points lie around them. A wide kernel couples all facets, a
-narrow one those within some edges of each other. Times depend on the machine and on what else it does.
+narrow one those within some edges of each other. NumPy does each task twice: over all pairs at once, as one writes it
+first, and in blocks that fit the cache. Times depend on the machine and on what else it does, ours of large tasks also
+on ``OMP_NUM_THREADS``.
 """
 
 import statistics
@@ -19,20 +21,25 @@ from benchmarks.forward import Figure, peak_memory
 
 from strandline import Currents, Interface
 from strandline.discrepancy.nearest import squared_distances
+from strandline.reproduction.batch import batch_currents
 
 WIDE, NARROW = 0.3, 0.01
 NODES, MANY_NODES, TARGET_NODES = 72, 225, 201
 """Nodes along an edge of a sheet: 10 082, 100 352 and 80 000 triangles."""
 POINTS_2D, SEGMENTS, POINTS_3D = 6600, 2000, 10_000
 BLOCK = 1 << 16
-REPEATS = 5
+REPEATS, ALL_AT_ONCE_REPEATS = 5, 3
+INTERFACES, NODES_2D = 1000, 67
+"""Simulated polylines of 66 segments against one observed, as in a campaign."""
 
 
 def main() -> list[dict[str, Any]]:
     """Print each comparison and figure as it is made; return them all."""
     jax.config.update("jax_enable_x64", True)
     wide, narrow = partial(currents, WIDE), partial(currents, NARROW)
-    found = compare_all(inner_product, wide, narrow, closest_on_polyline)
+    naive = partial(inner_product, at_once=True), partial(closest_on_polyline, at_once=True)
+    many = (partial(many_polylines, width, batched=batched) for width in (0.005, 0.05) for batched in (False, True))
+    found = compare_all(inner_product, wide, narrow, closest_on_polyline, *naive, *many)
     print(f"\n{'task':<42} {'case':<22} {'value':>9}")
     for figure in [closest_on_surface(0.01), closest_on_surface(0.3), *large(NARROW), *large(WIDE, repeats=1)]:
         found.append(asdict(figure))
@@ -40,17 +47,21 @@ def main() -> list[dict[str, Any]]:
     return found
 
 
-def inner_product() -> Comparison:
+def inner_product(*, at_once: bool = False) -> Comparison:
     """Return one inner product of two surfaces, every facet with every other."""
     one, other = sheet(NODES, bend=0.20), sheet(NODES, bend=0.21)
     measure = Currents(WIDE, quadrature="centre")
     measure.inner(other, other)
 
-    def theirs() -> float:
-        return all_pairs(one, other, WIDE)
-
     what = f"currents: inner product, {len(one.cells)}² triangles"
-    return compared(what, "all pairs in NumPy, blocks", partial(measure.inner, one, other), theirs, rtol=1e-9)
+    name, repeats = _peer(at_once)
+    theirs = partial(all_pairs_at_once if at_once else all_pairs, one, other, WIDE)
+    return compared(what, name, partial(measure.inner, one, other), theirs, rtol=1e-9, repeats=repeats)
+
+
+def _peer(at_once: bool) -> tuple[str, int]:
+    """Return what NumPy does, and how often to let it."""
+    return ("all pairs in NumPy, at once", ALL_AT_ONCE_REPEATS) if at_once else ("all pairs in NumPy, blocks", 7)
 
 
 def currents(width: float) -> Comparison:
@@ -66,15 +77,40 @@ def currents(width: float) -> Comparison:
     return compared(what, "all pairs in NumPy, blocks", partial(measure, simulated, observed), theirs, rtol=1e-6)
 
 
-def closest_on_polyline() -> Comparison:
+def closest_on_polyline(*, at_once: bool = False) -> Comparison:
     """Return the distances of points to a polyline."""
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 2.0, SEGMENTS + 1)
     target = Interface.polyline(np.stack([x, 0.3 * np.sin(3 * x) + 0.01 * rng.normal(size=x.size)], axis=1))
     points = np.stack([rng.uniform(0.0, 2.0, POINTS_2D), rng.uniform(-0.5, 0.5, POINTS_2D)], axis=1)
     what = f"closest points: {POINTS_2D} to {SEGMENTS} segments"
-    ours, theirs = partial(squared_distances, points, target), partial(every_segment, points, target)
-    return compared(what, "all pairs in NumPy, blocks", ours, theirs, rtol=1e-9, atol=1e-15)
+    name, repeats = _peer(at_once)
+    block = len(points) * len(target.cells) if at_once else 4 * BLOCK
+    ours, theirs = partial(squared_distances, points, target), partial(every_segment, points, target, block)
+    return compared(what, name, ours, theirs, rtol=1e-9, atol=1e-15, repeats=repeats)
+
+
+def many_polylines(width: float, *, batched: bool) -> Comparison:
+    """Return d² of a campaign's polylines by the centre rule: one by one, and as a batch."""
+    t = np.linspace(0.0, np.pi, NODES_2D)
+    bends = 0.05 * np.random.default_rng(2).random((INTERFACES, 1)) * np.sin(t)
+    arch = np.stack([1.0 - 0.43 * np.cos(t), 0.47 * np.sin(t)], axis=1)
+    observed, shapes = Interface.polyline(arch), arch + np.stack([bends, 0 * bends], axis=2)
+    simulated = [Interface.polyline(points) for points in shapes]
+    measure = Currents(width, quadrature="centre")
+    known = all_pairs_at_once(observed, observed, width)
+
+    def ours() -> np.ndarray:
+        if batched:
+            return batch_currents(measure, shapes, observed)
+        return np.array([measure(one, observed) for one in simulated])
+
+    def theirs() -> np.ndarray:
+        pairs = ((all_pairs_at_once(one, one, width), all_pairs_at_once(one, observed, width)) for one in simulated)
+        return np.array([own - 2 * cross + known for own, cross in pairs])
+
+    what = f"currents: d², {INTERFACES} × {NODES_2D - 1} segments, width {width}{', batch' if batched else ''}"
+    return compared(what, "each at once in NumPy", ours, theirs, rtol=1e-6)
 
 
 def closest_on_surface(spread: float) -> Figure:
@@ -129,12 +165,18 @@ def all_pairs(a: Interface, b: Interface, width: float) -> float:
     return total
 
 
-def every_segment(points: np.ndarray, target: Interface) -> np.ndarray:
-    """Return squared distances by projecting each point onto each segment, in blocks."""
+def all_pairs_at_once(a: Interface, b: Interface, width: float) -> float:
+    """Return the same by one expression."""
+    r2 = sum((a.centres[:, i, None] - b.centres[:, i]) ** 2 for i in range(a.dim))
+    return float(np.sum(np.exp(-r2 / (2 * width**2)) * (a.normals @ b.normals.T)))
+
+
+def every_segment(points: np.ndarray, target: Interface, block: int = 4 * BLOCK) -> np.ndarray:
+    """Return squared distances by projecting each point onto each segment, as many pairs at once as `block` says."""
     tangent = target.ends - target.starts
     square = np.sum(tangent**2, axis=1)
     found = []
-    for k in range(0, len(points), size := max(1, 4 * BLOCK // len(tangent))):
+    for k in range(0, len(points), size := max(1, block // len(tangent))):
         x, y = (points[k : k + size, i, None] - target.starts[:, i] for i in range(2))
         foot = np.clip((x * tangent[:, 0] + y * tangent[:, 1]) / square, 0.0, 1.0)
         x -= foot * tangent[:, 0]

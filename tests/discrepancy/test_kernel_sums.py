@@ -71,11 +71,39 @@ def test_nodes_without_a_partner_in_reach_count_nothing():
     assert kernel_sum(a, far, 0.02, reach=0.2) == 0.0
 
 
-def test_power_of_two_is_exact_to_rounding_and_vanishes_where_it_should():
-    x = -np.concatenate([np.linspace(0.0, 60.0, 100_001), [899.0, 1e4, 1e300]])
-    found = np.asarray(jax.jit(kernel_sums._exp2)(x))
-    assert found[:-3] == pytest.approx(np.exp2(x[:-3]), rel=1e-15)
+def test_power_of_two_is_exact_to_2e_14_and_vanishes_where_it_should():
+    x = np.concatenate([np.linspace(0.0, 60.0, 100_001), [899.0, 1e4, 1e300]])
+    power = jax.jit(kernel_sums._exp2, static_argnames="bounded")
+    found = np.asarray(power(x, kernel_sums._WHOLE, bounded=False))
+    assert np.array_equal(power(x[:-3], kernel_sums._WHOLE, bounded=True), found[:-3])
+    assert found[:-3] == pytest.approx(np.exp2(-x[:-3]), rel=2e-14)
     assert (found[-3:] < 1e-270).all()
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e6])
+@pytest.mark.parametrize("width", [0.5, 0.06, 0.05])
+def test_each_pair_counts_to_1e_13_wherever_the_nodes_lie(monkeypatch, shift, width):
+    """One node against many far and near, close enough for x·y (0.5, 0.06) and not (0.05), around 0 and far from it."""
+    monkeypatch.setattr(kernel_sums, "SMALL", 0)
+    places = np.linspace(0.0, 1.0, 257)
+    for place in places:
+        one = Nodes(np.array([[0.0, 0.0], [1.0, 0.0]]) + shift, np.array([[1.0, 0.0], [0.0, 0.0]]))
+        other = Nodes(np.array([[place, 0.0]]) + shift, np.array([[1.0, 0.0]]))
+        exact = np.exp(-0.5 * ((other.points[0, 0] - one.points[0, 0]) / width) ** 2)
+        assert kernel_sum(one, other, width, reach=np.inf) == pytest.approx(exact, rel=1e-13, abs=1e-200)
+
+
+@pytest.mark.parametrize(("width", "reach"), [(0.4, np.inf), (0.02, 0.18)])
+@pytest.mark.parametrize("double", [False, True])
+def test_the_number_of_threads_does_not_change_a_bit(monkeypatch, width, reach, double):
+    a, b = nodes(3000, 1), nodes(2000, 2)
+    found = []
+    for threads in ("1", "2", "3"):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        with jax.enable_x64(double):
+            found.append([kernel_sum(a, other, width, reach=reach) for other in (a, b)])
+    assert found[0] == found[1] == found[2]
+    assert found[0][1] == pytest.approx(all_pairs(a, b, width), rel=1e-11)
 
 
 def test_memory_does_not_grow_as_the_pairs(monkeypatch):

@@ -167,6 +167,78 @@ def test_the_nearest_vertex_is_not_the_closest_point():
     assert vertices > 1.0
 
 
+def loops(number: int) -> Interface:
+    """Return a closed polyline that runs twice through the same points: each segment has a twin."""
+    angle = 4 * np.pi * np.arange(2 * number) / (2 * number)
+    return Interface.polyline(np.stack([np.cos(angle), 0.5 * np.sin(angle)], axis=1), closed=True)
+
+
+POLYLINES = {
+    "huge and tiny segments": wave(2000, 8),
+    "ring": Interface.polyline(wave(1001, 9).points, closed=True),
+    "twins": loops(700),
+    "far from the origin": Interface.polyline(wave(900, 10).points + np.array([3e5, -2e10])),
+    "tiny": Interface.polyline(1e-9 * wave(900, 11).points),
+    "too short": Interface.polyline(np.array([[1.0, 0.0], [0.0, 1e-150], [0.0, 2e-150], [-1.0, 0.5]])),
+    "one segment": Interface.polyline(np.array([[0.0, 0.0], [1e-3, 2.0]])),
+}
+
+
+@pytest.fixture
+def sieved(monkeypatch):
+    """Let the sieve do all, and count the points that it leaves to the tree."""
+    left = []
+    monkeypatch.setattr(nearest, "MANY", 0)
+    monkeypatch.setattr(nearest, "SMALL", 0)
+    go_down = nearest._go_down
+    monkeypatch.setattr(nearest, "_go_down", lambda *found: left.append(len(found[2])) or go_down(*found))
+    return left
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "3"])
+@pytest.mark.parametrize("target", POLYLINES.values(), ids=POLYLINES)
+def test_the_sieve_gives_what_trying_every_segment_gives_to_the_last_bit(monkeypatch, sieved, target, threads):
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    extent = np.ptp(target.points, axis=0).max()
+    offsets = extent * np.random.default_rng(1).normal(size=(400, 2)) * np.geomspace(1e-12, 1e5, 400)[:, None]
+    points = np.concatenate([around(target, 300, 0), target.points[:1] + offsets])
+    found, expected = closest_points(points, target), brute_force(points, target)
+    assert np.array_equal(found.squares, expected.squares)
+    assert np.array_equal(found.cells, expected.cells)
+    assert np.array_equal(found.points, expected.points)
+    assert 0 < sieved[0] < len(points)
+
+
+def test_the_sieve_lets_all_segments_through_that_are_as_far(sieved):
+    """From the middle of a circle every segment may be the closest one, and rounding decides."""
+    angle = 2 * np.pi * np.arange(5000) / 5000
+    target = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+    points = 1e-9 * np.random.default_rng(2).normal(size=(30, 2))
+    found, expected = closest_points(points, target), brute_force(points, target)
+    assert np.array_equal(found.squares, expected.squares)
+    assert np.array_equal(found.cells, expected.cells)
+    assert sieved == [0]
+
+
+def test_the_sieve_keeps_most_segments_back(sieved):
+    target = wave(4000, 8)
+    points = np.random.default_rng(2).uniform([0.0, -0.5], [1.0, 0.5], (500, 2))
+    groups = list(nearest.near_groups(points, nearest.Snapshot.of(target)))
+    assert sum(len(rows) for rows, _ in groups) < 3 * len(points)
+
+
+def test_large_tasks_in_the_plane_go_through_the_sieve(monkeypatch):
+    calls = []
+    sift = nearest._sift
+    monkeypatch.setattr(nearest, "_sift", lambda *found: calls.append(1) or sift(*found))
+    points = np.random.default_rng(3).random((1100, 2))
+    assert np.array_equal(squared_distances(points, wave(1000, 1)), brute_force(points, wave(1000, 1)).squares)
+    assert calls == [1]
+    squared_distances(points[:100], wave(1000, 1))
+    squared_distances(np.random.default_rng(3).random((1100, 3)), sheet(25))
+    assert calls == [1]
+
+
 @pytest.mark.parametrize("block", [50, 1000])
 def test_blocks_do_not_change_the_result(monkeypatch, block):
     target = TARGETS["sheet"]

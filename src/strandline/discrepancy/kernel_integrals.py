@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import erf
 
-from strandline.discrepancy.kernel_sums import Nodes, kernel_sum
+from strandline.discrepancy.kernel_sums import SMALL, Nodes, kernel_sum
 from strandline.errors import NumericsError
 from strandline.interface import Interface
 
@@ -32,10 +32,14 @@ def centre_product(a: Interface, b: Interface, width: float) -> float:
 
     Of very many cells, those too far apart to make 1e-12 of `natural_scale(a)` together are left out.
     """
-    size = float(a.sizes.sum())
-    reach = width * math.sqrt(2 * math.log(max(size * float(b.sizes.sum()) / natural_scale(a, width) / _FAR, 1.0)))
     nodes = Nodes(a.centres, a.normals)
+    reach = math.inf if len(a.cells) * len(b.cells) <= SMALL else _reach(a, b, width)
     return kernel_sum(nodes, nodes if a is b else Nodes(b.centres, b.normals), width, reach=reach)
+
+
+def _reach(a: Interface, b: Interface, width: float) -> float:
+    sizes = float(a.sizes.sum()) * float(b.sizes.sum())
+    return width * math.sqrt(2 * math.log(max(sizes / natural_scale(a, width) / _FAR, 1.0)))
 
 
 def natural_scale(a: Interface, width: float) -> float:

@@ -2,6 +2,7 @@
 
 Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j. No matrix of all pairs is ever held: few pairs are summed in blocks; many, by a
 compiled loop over the y of each tile of neighbouring x. Where the kernel is short, a tree tells which y a tile needs.
+Threads share the batches of tiles; which tiles make a batch does not depend on their number, and neither does the sum.
 """
 
 import math
@@ -15,22 +16,29 @@ from jaxtyping import Float, Int
 from numpy.polynomial import Chebyshev, Polynomial
 from scipy.spatial import cKDTree
 
+from strandline.discrepancy.compiled import WIDEST, ample
+from strandline.discrepancy.threads import double, side_by_side
+
 __all__ = ["Nodes", "kernel_sum"]
 
 BLOCK = 1 << 16
 """Pairs that NumPy works on at once: bounds the memory."""
 SMALL = 1 << 20
 """Pairs up to which the blocks are quicker than finding neighbours and compiling."""
-_TILE, _FULL_TILE = 128, 2048
-"""Nodes in a tile, where a tree chooses their partners and where all are."""
+_TILE, _FULL_TILE = 128, 5120
+"""Nodes in a tile, where a tree chooses their partners and, at most, where all are."""
 _TILES = 256
 """Tiles, at most, in one compiled call where a tree chooses the partners."""
 _UNROLLED = 8
 """Partners that one step of the loop takes."""
 _GATHERED = 1 << 20
 """Partners, of all tiles together, in one compiled call."""
-_POWERS = Chebyshev.interpolate(np.exp2, 10, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
-"""Coefficients of 2**t on |t| ≤ 1/2, to rounding."""
+_POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
+"""Coefficients of 2**t on |t| ≤ 1/2, to 2e-14 of it."""
+_WHOLE = 1.5 * 2.0**52
+"""Added to a number, it leaves the nearest whole one in the last bits."""
+_CLOSE = 300.0
+"""|x|² + |y|², times log₂e/2σ², up to which |x - y|² may be had from x·y: to 1e-13 of the kernel, which is no 0 yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +68,8 @@ def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float) -> float:
     """
     if len(a) * len(b) <= SMALL:
         return _blocked(a, b, width)
-    import jax.numpy as jnp
-
-    summed = _compiled if jnp.zeros(()).dtype == np.float64 else _in_blocks
-    batches = _batches(a, b, reach)
-    a, b = _with_blank(a), _with_blank(b)
-    return math.fsum(summed(a, b, batch, width) for batch in batches)
+    summed = _compiled if double() else _in_blocks
+    return math.fsum(side_by_side(summed(_with_blank(a), _with_blank(b), width), _batches(a, b, reach)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +96,7 @@ def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
     tree = cKDTree(b.points)
     counts = tree.query_ball_point(middles, radii, return_length=True)
     if 2 * counts.sum() > len(tiles) * len(b):
-        yield _everyone(len(a), len(b), itself=a is b)
+        yield from _everyone(len(a), len(b), itself=a is b)
         return
     rank = np.argsort(order)
     groups = np.stack([np.cumsum(counts) // _GATHERED, np.arange(len(tiles)) // _TILES])
@@ -107,25 +111,29 @@ def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
         spare = 0, (2 if a is b else 1) * _TILES - len(some)
         yield _Batch(
             np.pad(tiles[some], (spare, (0, 0)), constant_values=len(a)),
-            np.pad(partners, (0, _ample(len(partners)) - len(partners)), constant_values=len(b)),
+            np.pad(partners, (0, ample(len(partners), multiple=_UNROLLED) - len(partners)), constant_values=len(b)),
             np.pad(np.concatenate([[0], end[:-1]]), spare),
             np.pad(end, spare),
             np.pad(weights, spare),
         )
 
 
-def _everyone(number: int, others: int, *, itself: bool) -> _Batch:
-    """Return every pair of nodes, in their order."""
-    tiles = _cut(np.arange(number), _FULL_TILE, blank=number)
+def _everyone(number: int, others: int, *, itself: bool) -> Iterator[_Batch]:
+    """Yield every pair of nodes, in their order, tile by tile."""
+    step = _FULL_TILE // 8
+    size = -(-number // (-(-number // _FULL_TILE) * step)) * step
+    tiles = _cut(np.arange(number), size, blank=number)
     partners = _cut(np.arange(others), _UNROLLED, blank=others).ravel()
-    first = np.arange(len(tiles)) * _FULL_TILE
+    first = np.arange(len(tiles)) * size
     begin, end, weights = 0 * first, np.full(len(tiles), len(partners)), np.ones(len(tiles))
     if itself:
-        behind = np.minimum(first + _FULL_TILE, len(partners))
+        behind = np.minimum(first + size, len(partners))
         begin, end = np.concatenate([first, behind]), np.concatenate([behind, end])
         tiles, weights = np.tile(tiles, (2, 1)), np.concatenate([weights, 2 * weights])
-    spare = _ample(len(partners)) - len(partners)
-    return _Batch(tiles, np.pad(partners, (0, spare), constant_values=others), begin, end, weights)
+    spare = ample(len(partners), multiple=_UNROLLED) - len(partners)
+    partners = np.pad(partners, (0, spare), constant_values=others)
+    for k in range(len(tiles)):
+        yield _Batch(tiles[k : k + 1], partners, begin[k : k + 1], end[k : k + 1], weights[k : k + 1])
 
 
 def _cut(order: Int[np.ndarray, " node"], size: int, *, blank: int) -> Int[np.ndarray, "tile {size}"]:
@@ -138,17 +146,16 @@ def _with_blank(nodes: Nodes) -> Nodes:
     return Nodes(np.pad(nodes.points, ((0, 1), (0, 0)), mode="edge"), np.pad(nodes.normals, ((0, 1), (0, 0))))
 
 
-def _ample(length: int) -> int:
-    """Return the length of an array to be handed to a compiled function: few different ones, to compile it rarely."""
-    step = max(1 << max(length.bit_length() - 3, 0), _UNROLLED)
-    return -(-max(length, 1) // step) * step
+def _in_blocks(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+    """Return what sums a batch with NumPy."""
 
+    def sums(batch: _Batch) -> float:
+        rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
+        return math.fsum(
+            weight * _blocked(a[tile], b[batch.partners[first:last]], width) for tile, first, last, weight in rows
+        )
 
-def _in_blocks(a: Nodes, b: Nodes, batch: _Batch, width: float) -> float:
-    rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
-    return math.fsum(
-        weight * _blocked(a[tile], b[batch.partners[first:last]], width) for tile, first, last, weight in rows
-    )
+    return sums
 
 
 def _blocked(a: Nodes, b: Nodes, width: float) -> float:
@@ -161,11 +168,20 @@ def _blocked(a: Nodes, b: Nodes, width: float) -> float:
     return total
 
 
-def _compiled(a: Nodes, b: Nodes, batch: _Batch, width: float) -> float:
-    scale = math.sqrt(0.5 / math.log(2)) / width
-    x, n = (np.moveaxis(column[batch.tiles], 2, 0) for column in (a.points * scale, a.normals))
-    others = np.hstack([b.points * scale, b.normals])[batch.partners]
-    return float(_tile_sums()(x, n, others, batch.begin, batch.end, batch.weights))
+def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+    """Return what sums a batch by the compiled loop."""
+    middle, scale = 0.5 * (a.points.min(axis=0) + a.points.max(axis=0)), math.sqrt(0.5 / math.log(2)) / width
+    x, y = ((one.points - middle) * scale for one in (a, b))
+    squares = (y**2).sum(axis=1)
+    others = np.hstack([y, b.normals, squares[:, None]])
+    close = bool((x**2).sum(axis=1).max() + squares.max() <= _CLOSE)
+
+    def sums(batch: _Batch) -> float:
+        rows = (np.moveaxis(column[batch.tiles], 2, 1) for column in (x, a.normals))
+        found = _tile_sums()(*rows, others[batch.partners], batch.begin, batch.end, batch.weights, _WHOLE, close=close)
+        return float(found)
+
+    return sums
 
 
 @lru_cache(maxsize=1)
@@ -174,40 +190,46 @@ def _tile_sums() -> Callable[..., Any]:
     import jax
     import jax.numpy as jnp
 
-    def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array) -> Any:
+    def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array, whole: jax.Array, close: bool) -> Any:
         x, n, first, last, weight = row
         dim = len(x)
+        squares, twice = (x**2).sum(axis=0), -2 * x
+
+        def square(y: jax.Array) -> Any:
+            if close:
+                return sum((twice[i] * y[i] for i in range(dim)), squares + y[2 * dim])
+            return sum((x[i] - y[i]) ** 2 for i in range(dim))
 
         def step(k: jax.Array, sums: jax.Array) -> jax.Array:
-            some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim))
-            for j in range(_UNROLLED):
-                r2 = sum((x[i] - some[j, i]) ** 2 for i in range(dim))
-                sums = sums + _exp2(-r2) * sum(n[i] * some[j, dim + i] for i in range(dim))
+            some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim + 1))
+            for y in some:
+                sums = sums + _exp2(square(y), whole, bounded=close) * sum(n[i] * y[dim + i] for i in range(dim))
             return sums
 
         sums = jax.lax.fori_loop(0, (last - first) // _UNROLLED, step, jnp.zeros(x.shape[1]))
         return total + weight * sums.sum(), None
 
-    @jax.jit
-    def tile_sums(x, n, others, begin, end, weights):  # type: ignore[no-untyped-def]
-        rows = jnp.moveaxis(x, 1, 0), jnp.moveaxis(n, 1, 0), begin, end, weights
-        return jax.lax.scan(partial(one_tile, others=others), 0.0, rows)[0]
+    @partial(jax.jit, compiler_options=WIDEST, static_argnames="close")
+    def tile_sums(x, n, others, begin, end, weights, whole, close):  # type: ignore[no-untyped-def]
+        task = partial(one_tile, others=others, whole=whole, close=close)
+        return jax.lax.scan(task, 0.0, (x, n, begin, end, weights))[0]
 
     return tile_sums
 
 
-def _exp2(x: Any) -> Any:
-    """Return 2**x for x ≤ 0, to rounding, and less than 1e-270 where it is less: half the time of `jnp.exp2`.
+def _exp2(x: Any, whole: Any, *, bounded: bool) -> Any:
+    """Return 2**-x for x ≥ 0, to 2e-14 of it, and less than 1e-270 where it is less: half the time of `jnp.exp2`.
 
-    The nearest whole number goes into the exponent of the result, the rest through a polynomial.
+    The nearest whole number goes into the exponent of the result, the rest through a polynomial. `whole` is `_WHOLE`,
+    handed in so that the compiler cannot cancel it. A `bounded` x is less than 1000.
     """
     from jax import lax
 
-    x = lax.max(x, -900.0)
-    whole = lax.round(x, lax.RoundingMethod.TO_NEAREST_EVEN)
-    share = x - whole
+    x = x if bounded else lax.min(x, 900.0)
+    shifted = whole - x
+    share = (whole - shifted) - x
     power = _POWERS[-1]
     for coefficient in _POWERS[-2::-1]:
         power = power * share + coefficient
-    bits = lax.bitcast_convert_type(whole + 1.5 * 2.0**52, np.dtype(np.int64)) << 52
+    bits = lax.bitcast_convert_type(shifted, np.dtype(np.int64)) << 52
     return lax.bitcast_convert_type(lax.bitcast_convert_type(power, np.dtype(np.int64)) + bits, np.dtype(np.float64))

@@ -3,6 +3,7 @@
 The distance to the cell with the nearest centre is an upper bound of the distance to the interface. A tree of boxes
 around the cells is then gone down for all points at once; a box farther away than the bound holds nothing closer. What
 is left is looked at, so that the answer is that of trying every cell, to the last bit, whatever the sizes of the cells.
+Where a polyline is not very long, a sieve that tries all of its segments is quicker than the tree.
 """
 
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from strandline.discrepancy.memo import Snapshot
+from strandline.discrepancy.sieve import GROUP, near_groups
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
@@ -23,6 +25,8 @@ BLOCK = 1 << 15
 """Pairs of a point and a cell that are worked on at once: bounds the memory."""
 SMALL = 1 << 14
 """Pairs of a point and a cell up to which trying all of them is quicker than the tree."""
+MANY, SHORT = 1 << 20, 1 << 14
+"""Pairs of a point and a segment from which the sieve is worth compiling; segments up to which it beats the tree."""
 _LEAF = 3
 """Cells in the lowest boxes of the tree, at least; less than twice as many at most."""
 _GUESS = 0.02
@@ -74,11 +78,10 @@ def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface) ->
         )
     if len(points) * len(target.cells) <= SMALL:
         return brute_force(points, target)
-    tree, best = _tree(Snapshot.of(target)), _Best(points, target)
-    for first in range(0, len(points), BLOCK):
-        rows = np.arange(first, min(first + BLOCK, len(points)))
-        best.look_at(rows, tree.centres.query(points[rows], eps=_GUESS)[1])
-        tree.look(best, rows, np.zeros_like(rows), 0)
+    best, snapshot = _Best(points, target), Snapshot.of(target)
+    if target.dim == 2 and len(target.cells) <= SHORT and len(points) * len(target.cells) >= MANY:
+        _sift(best, snapshot)
+    _go_down(best, snapshot, np.flatnonzero(best.cells < 0))
     return best.found()
 
 
@@ -86,7 +89,7 @@ def brute_force(points: Float[np.ndarray, "point xyz"], target: Interface) -> Cl
     """Return the closest points by trying every cell for every point."""
     best = _Best(points, target)
     size = max(1, BLOCK // len(target.cells))
-    cells = _corners(target.points, target.cells[None])
+    cells = _corners(target, np.arange(len(target.cells))[None])
     for first in range(0, len(points), size):
         block = slice(first, first + size)
         squares = _squares(points[block].T[:, :, None], cells)
@@ -95,24 +98,43 @@ def brute_force(points: Float[np.ndarray, "point xyz"], target: Interface) -> Cl
     return best.found()
 
 
+def _sift(best: "_Best", snapshot: Snapshot) -> None:
+    """Look at the segments that the sieve lets through; points too far away for it keep none."""
+    size = max(1, BLOCK // GROUP)
+    for rows, groups in near_groups(best.points, snapshot):
+        for k in range(0, len(rows), size):
+            cells = GROUP * groups[k : k + size, None] + np.arange(GROUP)
+            best.look_at(np.repeat(rows[k : k + size], GROUP), np.minimum(cells.ravel(), len(best.target.cells) - 1))
+
+
+def _go_down(best: "_Best", snapshot: Snapshot, rows: Int[np.ndarray, " point"]) -> None:
+    """Search the tree for the points of these rows."""
+    for some in np.split(rows, range(BLOCK, len(rows), BLOCK)):
+        if some.size:
+            tree = _tree(snapshot)
+            best.look_at(some, tree.centres.query(best.points[some], eps=_GUESS)[1])
+            tree.look(best, some, np.zeros_like(some), 0)
+
+
 class _Best:
     """The closest cell found so far for each point, and its squared distance."""
 
     def __init__(self, points: Float[np.ndarray, "point xyz"], target: Interface) -> None:
         self.points, self.target = points, target
+        self.columns = np.ascontiguousarray(points.T)
         self.cells = np.full(len(points), -1)
         self.squares = np.full(len(points), np.inf)
         self.rounding = _SLACK[1] * max(float(np.abs(x).max(initial=0.0)) for x in (points, target.points))
 
     def reach(self, rows: Int[np.ndarray, " pair"]) -> Float[np.ndarray, " pair"]:
         """Return the square of the distance within which something closer may be found, a little more for rounding."""
-        return np.asarray((np.sqrt(self.squares[rows]) * (1 + _SLACK[0]) + self.rounding) ** 2)
+        return np.asarray((np.sqrt(self.squares.take(rows)) * (1 + _SLACK[0]) + self.rounding) ** 2)
 
     def look_at(self, rows: Int[np.ndarray, " pair"], cells: Int[np.ndarray, " pair"]) -> None:
         """Try these pairs of a point and a cell, `rows` in ascending order; of equal cells, the first is kept."""
         if rows.size == 0:
             return
-        squares = _squares(self.points[rows].T, _corners(self.target.points, self.target.cells[cells]))
+        squares = _squares(self.columns.take(rows, axis=1), _corners(self.target, cells))
         first = np.flatnonzero(np.diff(rows, prepend=-1))
         least = np.minimum.reduceat(squares, first)
         counts = np.diff(first, append=len(rows))
@@ -122,8 +144,8 @@ class _Best:
         self.squares[rows[better]], self.cells[rows[better]] = least[better], cell[better]
 
     def found(self) -> ClosestPoints:
-        corners = _corners(self.target.points, self.target.cells[self.cells])
-        return ClosestPoints(_closest(self.points.T, corners).T.copy(), self.cells, self.squares)
+        corners = _corners(self.target, self.cells)
+        return ClosestPoints(_closest(self.columns, corners).T.copy(), self.cells, self.squares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +175,7 @@ class _Tree:
         near = self._within(best, rows, boxes, level)
         rows, boxes = rows[near], boxes[near]
         if level == len(self.levels) - 2:
-            squares = self.cylinders.squares(best.points[rows].T, boxes)
+            squares = self.cylinders.squares(best.columns.take(rows, axis=1), boxes)
             self._tighten(best, rows, boxes, squares)
             near = squares <= best.reach(rows)
             rows, boxes = rows[near], boxes[near]
@@ -187,8 +209,8 @@ class _Tree:
         low, high = self.levels[level]
         square = np.zeros(len(rows))
         for k in range(len(low)):
-            x = best.points[rows, k]
-            apart = np.maximum(np.maximum(low[k, boxes] - x, x - high[k, boxes]), 0.0)
+            x = best.columns[k].take(rows)
+            apart = np.maximum(np.maximum(low[k].take(boxes) - x, x - high[k].take(boxes)), 0.0)
             square += apart * apart
         return np.asarray(square <= best.reach(rows))
 
@@ -216,9 +238,9 @@ class _Cylinders:
 
     def squares(self, p: Vectors, boxes: Int[np.ndarray, " pair"]) -> Float[np.ndarray, " pair"]:
         """Return the squared distances of points (xyz, pair) to cylinders."""
-        up, off = _split(p - self.centres[:, boxes], self.axes[:, boxes])
-        above = np.maximum(np.abs(up) - self.heights[boxes], 0.0)
-        beside = np.maximum(np.sqrt(off) - self.radii[boxes], 0.0)
+        up, off = _split(p - self.centres.take(boxes, axis=1), self.axes.take(boxes, axis=1))
+        above = np.maximum(np.abs(up) - self.heights.take(boxes), 0.0)
+        beside = np.maximum(np.sqrt(off) - self.radii.take(boxes), 0.0)
         return np.asarray(above * above + beside * beside)
 
 
@@ -236,7 +258,7 @@ def _tree(snapshot: Snapshot) -> _Tree:
     leaf = -(-number // 2**halvings)
     centres = target.centres
     order = cKDTree(centres, leafsize=leaf).indices[np.arange(leaf * 2**halvings) * number // (leaf * 2**halvings)]
-    corners = _corners(target.points, target.cells[order])
+    corners = _corners(target, order)
     levels = [np.stack([reduce(np.minimum, corners), reduce(np.maximum, corners)])]
     for parts in [leaf] + [2] * (halvings % 2) + [4] * (halvings // 2):
         low, high = levels[0]
@@ -250,11 +272,10 @@ def _tree(snapshot: Snapshot) -> _Tree:
     return _Tree(cKDTree(centres), order, levels, flat)
 
 
-def _corners(
-    points: Float[np.ndarray, "point xyz"], cells: Int[np.ndarray, "*#pair corner"]
-) -> list[Float[np.ndarray, "xyz ..."]]:
-    columns = np.ascontiguousarray(points.T)
-    return [columns[:, cells[..., k]] for k in range(cells.shape[-1])]
+def _corners(target: Interface, which: Int[np.ndarray, "*#pair"]) -> list[Float[np.ndarray, "xyz ..."]]:
+    """Return the corners of these cells; `take` needs a fifth of the time of indexing with lists."""
+    columns = np.ascontiguousarray(target.points.T)
+    return [columns.take(corner.take(which), axis=1) for corner in target.cells.T]
 
 
 def _squares(p: Vectors, corners: list[Vectors]) -> Float[np.ndarray, "..."]:
