@@ -7,7 +7,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-__all__ = ["spread"]
+__all__ = ["COMPILER_OPTIONS", "spread"]
+
+COMPILER_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+"""XLA's 256 leaves half of an AVX-512 unit idle: a fifth of the sampler's time. Narrower units and GPUs ignore it."""
 
 
 def spread(positions: Float[Array, "particle dim"]) -> Float[Array, "particle dim"]:
