@@ -221,7 +221,7 @@ def seven_inputs(
         theirs.cpu / middle.cpu,
         1,
         f"ratios of whole runs, {theirs.evaluations / middle.evaluations:.0f} times the evaluations; study run once, "
-        f"the defaults with 3 seeds; means and sd apart by {root:.3f} sd (rms), {worst:.3f} (worst of {apart[0].size} × 3)",
+        f"the defaults with 3 seeds; means and sd apart by {root:.3f} sd (rms), {worst:.3f} (worst)",
     )
 
 
