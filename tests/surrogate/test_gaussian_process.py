@@ -7,6 +7,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.surrogate import KERNELS, batched_mean, condition
+from strandline.surrogate.gaussian_process import single_precision_error
 
 LENGTH, VARIANCE, NUGGET = 0.8, 2.3, 1e-3
 
@@ -137,3 +138,37 @@ def test_points_of_another_dimension_are_refused():
     _, _, gp = conditioned()
     with pytest.raises(InvalidInput, match="2 columns"):
         gp.mean(np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("name", ["matern32", "matern32_product"])
+@pytest.mark.parametrize("fused", [False, True])
+def test_single_precision_is_as_exact_as_it_says(name, fused):
+    x, y = runs(200)
+    gp = condition(x, y, kernel=KERNELS[name], length_scale=0.7, signal_variance=2.0, nugget=1e-3)
+    points = runs(3000, seed=7)[0]
+    mean = jax.jit(batched_mean(gp, fused=fused, precision="float32"))(points)
+    error = np.abs(np.asarray(mean) - gp.mean(points)).max()
+    assert mean.dtype == np.float64
+    assert 1e-9 < error < single_precision_error(gp) < 0.02
+
+
+def test_single_precision_is_refused_where_it_would_be_wrong(monkeypatch):
+    x, y = runs(300)
+    gp = condition(x, 10 * y, kernel=KERNELS["matern32"], length_scale=50.0, signal_variance=3e7, nugget=1e-4)
+    points = runs(500, seed=7)[0]
+    said = single_precision_error(gp)
+    with pytest.raises(InvalidInput, match=rf"single precision: got {float(f'{said:.2g}')}; expected at most 0\.02"):
+        batched_mean(gp, precision="float32")
+    np.testing.assert_allclose(
+        jax.jit(batched_mean(gp, precision="auto"))(points), gp.mean(points), rtol=1e-6, atol=1e-5
+    )
+    monkeypatch.setattr("strandline.surrogate.gaussian_process.SINGLE_PRECISION_LIMIT", np.inf)
+    error = np.abs(jax.jit(batched_mean(gp, precision="float32"))(points) - gp.mean(points)).max()
+    assert 0.02 < error < said
+
+
+def test_auto_takes_single_precision_where_it_is_allowed():
+    _, _, gp = conditioned()
+    points = runs(50, seed=7)[0]
+    single, chosen = (jax.jit(batched_mean(gp, precision=precision))(points) for precision in ("float32", "auto"))
+    np.testing.assert_array_equal(single, chosen)

@@ -4,14 +4,18 @@ from pathlib import Path
 
 import click
 
+from strandline.cli import device as devices
+
 __all__ = ["command"]
 
 
 @click.command("report")
 @click.argument("study", type=click.Path(path_type=Path))
+@devices.option
 @click.option("--quiet", is_flag=True, help="Tell only the result.")
-def command(study: Path, quiet: bool) -> None:
+def command(study: Path, device: str | None, quiet: bool) -> None:
     """Make the posterior, figures and report of STUDY anew from its ledger; no forward run is made."""
+    devices.use(device)
     from strandline.cli.progress import observing
     from strandline.cli.results import show
     from strandline.studies import load_study, run_study

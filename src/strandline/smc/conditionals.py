@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 
 from strandline.errors import InvalidInput, NumericsError
+from strandline.smc.devices import COMPILER_OPTIONS
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo
 from strandline.smc.sampler import (
@@ -80,7 +81,7 @@ def sample_each(
     return tuple(finished(_one(states, i), tuple(done), settings) for i, done in enumerate(steps))
 
 
-@partial(jax.jit, static_argnames=("target", "moves"))
+@partial(jax.jit, static_argnames=("target", "moves"), compiler_options=COMPILER_OPTIONS)
 def _step(
     keys: Key[Array, " case"] | UInt32[Array, "case 2"],
     number: int | Array,

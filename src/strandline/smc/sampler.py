@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
-from strandline.smc.devices import spread
+from strandline.smc.devices import COMPILER_OPTIONS, spread
 from strandline.smc.moves import (
     NARROWEST,
     BatchedLogDensity,
@@ -148,7 +148,7 @@ def advance(
     return after, Info(ess, resample, increment, scale, moved.undefined)
 
 
-_step = partial(jax.jit, static_argnames=("target", "moves"))(advance)
+_step = partial(jax.jit, static_argnames=("target", "moves"), compiler_options=COMPILER_OPTIONS)(advance)
 
 
 def _start(

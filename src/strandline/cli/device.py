@@ -1,0 +1,37 @@
+"""The option `--device` of the commands that sample: where JAX computes."""
+
+import os
+
+import click
+
+from strandline.errors import InvalidInput
+
+__all__ = ["option", "use"]
+
+option = click.option(
+    "--device", type=click.Choice(["cpu", "gpu"]), help="Where to sample; the CPU if JAX_PLATFORMS is not set."
+)
+
+
+def use(device: str | None) -> None:
+    """Have JAX compute there; to be called before anything imports JAX. None leaves JAX as the environment has it.
+
+    Raises:
+        InvalidInput: JAX finds no such device.
+    """
+    if device is None:
+        return
+    os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else ""  # empty: the best that there is
+    import jax
+
+    try:
+        found = jax.devices(device)
+    except RuntimeError:
+        found = []
+    if not found or jax.default_backend() != device:
+        raise InvalidInput(
+            "--device",
+            value=device,
+            expected=f"a device that JAX has; here it is {jax.default_backend()}",
+            remedy='For an NVIDIA GPU: pip install "jax[cuda12]".' if device == "gpu" else "Leave the option out.",
+        )

@@ -1,0 +1,90 @@
+"""`--device`: the sampler on the GPU where there is one, a clear refusal where there is none."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from strandline.testing.studies import write_study
+
+COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
+SMALL = {
+    "design": {"sobol": {"runs": 32}},
+    "sampler": {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}},
+}
+PROBE = "import jax; print(jax.default_backend())"
+SPY = """
+import sys, jax
+from strandline.cli import main
+from strandline.smc import sampler
+original, seen = sampler.spread, []
+
+def spread(positions):
+    there = original(positions)
+    seen.append({device.platform for device in there.devices()})
+    return there
+
+sampler.spread = spread
+main(sys.argv[1:])
+assert seen == [{"gpu"}], seen
+"""
+
+
+def started(program: list[str], *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Return the end of a program that finds JAX as the machine has it, not as the tests set it."""
+    clean = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+    return subprocess.run([*program, *arguments], capture_output=True, text=True, env={**clean, **environment})
+
+
+@pytest.fixture(scope="module")
+def backend() -> str:
+    return started([sys.executable, "-c", PROBE]).stdout.split()[-1]
+
+
+@pytest.mark.parametrize("command", ["run", "report"])
+def test_a_gpu_that_is_not_there_is_refused_in_one_line(command: str, backend: str, tmp_path: Path) -> None:
+    if backend == "gpu":
+        pytest.skip("there is a GPU")
+    folder = write_study(tmp_path / "study", **SMALL)
+    ended = started(COMMAND, command, str(folder), "--device", "gpu")
+    assert ended.returncode == 2
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("strandline: --device: got gpu; expected a device that JAX has; here it is cpu.")
+    assert 'pip install "jax[cuda12]"' in line
+    assert [path.name for path in folder.iterdir()] == ["study.yaml"]
+
+
+def test_another_device_is_refused(tmp_path: Path) -> None:
+    ended = started(COMMAND, "run", str(write_study(tmp_path / "study", **SMALL)), "--device", "abacus")
+    assert ended.returncode == 2
+    assert "'abacus' is not one of 'cpu', 'gpu'" in ended.stderr
+
+
+def test_the_option_comes_before_the_environment(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "study", **SMALL)
+    ended = started(COMMAND, "run", str(folder), "--quiet", "--device", "cpu", JAX_PLATFORMS="nonsense")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert started(COMMAND, "report", str(folder), "--quiet", JAX_PLATFORMS="nonsense").returncode != 0
+
+
+def test_the_sampler_runs_on_the_gpu(backend: str, tmp_path: Path) -> None:
+    if backend != "gpu":
+        pytest.skip("no GPU")
+    folder = write_study(tmp_path / "study", **SMALL)
+    on_gpu = started([sys.executable, "-c", SPY], "run", str(folder), "--quiet", "--device", "gpu")
+    assert (on_gpu.returncode, on_gpu.stderr) == (0, "")
+    there = summary(folder)
+    assert started(COMMAND, "report", str(folder), "--quiet", "--device", "cpu").returncode == 0
+    here = summary(folder)
+    for name, found in there["inputs"].items():
+        assert found["mean"] == pytest.approx(here["inputs"][name]["mean"], rel=0.3)
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    """Return the summary of the last analysis."""
+    (path,) = folder.rglob("summary.json")
+    return dict(json.loads(path.read_text()))
