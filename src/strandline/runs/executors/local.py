@@ -12,17 +12,14 @@ from multiprocessing.connection import Connection, wait
 from operator import length_hint
 from pathlib import Path
 
-from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
+from strandline.runs.executors.options import require_count, require_timeout
 from strandline.runs.executors.packing import packed_model, require_posix
+from strandline.runs.executors.seat import KILLED_STARTS_BORNE, LONGEST_WAIT_SECONDS, killed_while_starting
 from strandline.runs.record import RunRecord, RunRequest
 from strandline.runs.workers import Worker
 
 __all__ = ["LocalProcesses", "usable_cores"]
-
-LONGEST_WAIT_SECONDS = 0.5
-KILLED_STARTS_BORNE = 10
-"""How often workers are looked at that have not said anything."""
 
 
 @dataclass(frozen=True)
@@ -41,20 +38,8 @@ class LocalProcesses:
     timeout: float | None = None
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise InvalidInput(
-                "number of workers",
-                value=self.workers,
-                expected="at least 1",
-                remedy="Leave it out to use all cores.",
-            )
-        if self.timeout is not None and not self.timeout > 0:
-            raise InvalidInput(
-                "timeout of a run",
-                value=self.timeout,
-                expected="seconds above 0",
-                remedy="Leave it out for no limit.",
-            )
+        require_count("number of workers", self.workers, remedy="Leave it out to use all cores.")
+        require_timeout(self.timeout)
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
         """Yield a record for each request as runs end.
@@ -157,7 +142,7 @@ class _Pool:
         worker.end()
         self.killed_starts += not worker.ready
         if self.killed_starts > KILLED_STARTS_BORNE:
-            raise _killed_while_starting(self.killed_starts)
+            raise killed_while_starting(self.killed_starts)
         if record is not None:
             self._keep(worker, record)
         if not self.exhausted:
@@ -188,12 +173,3 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _killed_while_starting(times: int) -> InvalidInput:
-    return InvalidInput(
-        "worker processes are killed before they have loaded the model",
-        value=f"{times} times",
-        expected="workers that live until they are told to go",
-        remedy="Look for what kills them (memory?), or use fewer workers.",
-    )
