@@ -12,9 +12,11 @@ from strandline.studies.study import Study
 
 __all__ = [
     "check_ledgers",
+    "design_inputs",
     "design_keys",
     "known_runs",
     "needed_keys",
+    "open_runs",
     "planned_runs",
     "refinement_keys",
     "require_finished",
@@ -27,11 +29,16 @@ ATTEMPTS = 3
 """Starts after which a campaign gives up a run whose process vanishes each time."""
 
 
+def design_inputs(study: Study) -> list[dict[str, float]]:
+    """Return the inputs of the study's Sobol design, in its order."""
+    design = study.space.to_physical(sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble))
+    return [{**study.fixed, **study.space.as_mapping(x)} for x in design]
+
+
 def design_keys(study: Study) -> list[str]:
     """Return the ledger keys of the study's Sobol design, in its order."""
     identity = fingerprint(study.model)
-    design = study.space.to_physical(sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble))
-    return [run_key(identity, {**study.fixed, **study.space.as_mapping(x)}) for x in design]
+    return [run_key(identity, inputs) for inputs in design_inputs(study)]
 
 
 def refinement_keys(study: Study) -> list[list[str]]:
@@ -88,6 +95,14 @@ def known_runs(study: Study) -> int:
             with Ledger.open(path, model=fingerprint(study.model), read_only=True) as ledger:
                 known.update(record.key for record in settled(ledger, keys, sensitivities=study.sensitivities))
     return len(known)
+
+
+def open_runs(study: Study) -> int:
+    """Return how many runs of the study's ledger were started and have not ended."""
+    if not study.ledger_path.is_file():
+        return 0
+    with Ledger.open(study.ledger_path, model=None, read_only=True) as ledger:
+        return ledger.counts().open
 
 
 def check_ledgers(study: Study) -> None:
