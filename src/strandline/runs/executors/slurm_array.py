@@ -30,6 +30,7 @@ UNUSABLE = "model_not_loaded"
 """Failure kind of a run whose job could not load the model: that says nothing about the run."""
 LOOKS_FOR_A_LATE_RESULT = 4
 """So often is a job looked at that has ended without a result, which may be on its way through a file system."""
+WARNING_SECONDS = 45
 GOING = frozenset({"PENDING", "RUNNING", "CONFIGURING", "COMPLETING", "SUSPENDED", "STAGE_OUT", "SIGNALING", "STOPPED"})
 ENDINGS: Mapping[str, tuple[State, str]] = {
     "TIMEOUT": ("timeout", "walltime"),
@@ -129,8 +130,16 @@ class SlurmArray:
         }
         limit = "" if self.max_running is None else f"%{self.max_running}"
         # A run is tried again by the campaign, which counts; not by SLURM, which does not.
-        fixed = [f"--array=0-{number - 1}{limit}", "--no-requeue", "--signal=B:USR1@45"]
+        fixed = [f"--array=0-{number - 1}{limit}", "--no-requeue", f"--signal=B:USR1@{self._warning()}"]
         return [*fixed, *(f"--{name}={value}" for name, value in given.items() if value is not None), *self.extra]
+
+    def _warning(self) -> int:
+        """Return how many seconds before the end of its walltime a job is told of it: at most a tenth of it."""
+        return (
+            WARNING_SECONDS
+            if self.walltime is None
+            else min(WARNING_SECONDS, int(walltime_seconds(self.walltime) / 10))
+        )
 
     def _known(self, model: ForwardModel) -> dict[str, tuple[Batch, int]]:
         """Return where each run is that was submitted and not collected; the last batch counts."""
@@ -214,7 +223,9 @@ class _Driver:
         batch = Batch.new(self.options.folder.resolve(), self.model, requests, self.options.timeout)
         script = batch.folder / "job.sh"
         command = shlex.join([*self.options.command, str(batch.folder)])
-        script.write_text(f'#!/bin/bash\nexec {command} "$SLURM_ARRAY_TASK_ID"\n', encoding="utf-8")
+        # A warning that comes before the job can hear it must not kill it: SLURM then tells of the walltime's end.
+        lines = ["#!/bin/bash", "trap '' USR1", f'exec {command} "$SLURM_ARRAY_TASK_ID"', ""]
+        script.write_text("\n".join(lines), encoding="utf-8")
         logs = str(batch.folder / "logs" / "A.txt").replace("%", "%%").removesuffix("A.txt") + "%a.txt"
         place = [f"--job-name={batch.name}", f"--output={logs}", f"--chdir={batch.folder}"]
         try:
