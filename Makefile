@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: env demo reproduce test test-all check bench bench-env docs clean
+.PHONY: env demo reproduce test test-all test-slurm check bench bench-env docs clean
 
 env: $(VENV)/.installed
 
@@ -28,10 +28,14 @@ reproduce: env
 
 # Without the statistical tests marked long.
 test: env
-	$(BIN)/python -m pytest -n auto -m "not long"
+	$(BIN)/python -m pytest -n auto -m "not long" --ignore=tests/slurm
 
 test-all: env
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --ignore=tests/slurm
+
+# Against a SLURM of their own; skipped where its programs are missing (Debian: slurmctld slurmd slurm-client munge).
+test-slurm: env
+	$(BIN)/python -m pytest -m "not long" tests/slurm
 
 check: $(VENV)/.installed-check
 	$(BIN)/ruff check .

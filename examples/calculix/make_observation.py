@@ -1,4 +1,4 @@
-"""How observed-half.csv and observed-full.csv were made: a run on a finer mesh, seen at 50 places along it, with noise.
+"""How observed-half.csv and observed-full.csv were made: a run on a finer mesh, seen at 20 places along it, with noise.
 
 The truth is mu = 22 kPa, stiffening = 0.25, p = 2.04 kPa. Run it in this folder: python make_observation.py
 """
@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 TRUTH = {"mu": 22.0, "stiffening": 0.25, "p": 2.04}
-NOISE, PLACES, SEED = 0.02, 50, 1
+NOISE, PLACES, SEED = 0.1, 20, 1
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
 
     from strandline.cli.progress import observing
     from strandline.cli.results import show
-    from strandline.runs import LocalProcesses
+    from strandline.runs.executors import with_workers
     from strandline.runs.failures import require_kinds
     from strandline.studies import load_study, run_study
     from strandline.studies.ledgers import failure_kinds
@@ -37,9 +37,7 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
     require_kinds(kinds, failure_kinds(loaded))
     policy = replace(loaded.settings.failures, again=frozenset(kinds))
     loaded = replace(loaded, settings=replace(loaded.settings, failures=policy))
-    executor = loaded.executor
-    if workers is not None and isinstance(executor, LocalProcesses):
-        executor = replace(executor, workers=workers)
+    executor = with_workers(loaded.executor, workers)
     with observing(quiet=quiet) as observer:
         outcome = run_study(loaded, executor=executor, observer=observer)
     show(outcome.summary, outcome.report)

@@ -13,24 +13,26 @@ __all__ = ["command"]
 @click.argument("study", type=click.Path(path_type=Path))
 @click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
 @devices.option
+@click.option("--detach", is_flag=True, help="Submit the runs of a SLURM array and leave; `run` again collects them.")
 @click.option("--quiet", is_flag=True, help="Tell only the result.")
-def command(study: Path, workers: int | None, device: str | None, quiet: bool) -> None:
+def command(study: Path, workers: int | None, device: str | None, detach: bool, quiet: bool) -> None:
     """Do the whole of STUDY (a folder): forward runs, surrogate, posterior, figures, report.
 
     Finished runs are kept: started again, it goes on where it was stopped.
     """
     devices.use(device)
-    from dataclasses import replace
-
+    from strandline.cli.detached import submit, told_what_goes_on
     from strandline.cli.progress import observing
     from strandline.cli.results import show
-    from strandline.runs import LocalProcesses
+    from strandline.runs.executors import with_workers
     from strandline.studies import load_study, run_study
 
     loaded = load_study(study)
-    executor = loaded.executor
-    if workers is not None and isinstance(executor, LocalProcesses):
-        executor = replace(executor, workers=workers)
+    executor = with_workers(loaded.executor, workers)
     with observing(quiet=quiet) as observer:
-        outcome = run_study(loaded, executor=executor, observer=observer)
+        if detach:
+            submit(loaded, executor, observer)
+            return
+        with told_what_goes_on(loaded, executor):
+            outcome = run_study(loaded, executor=executor, observer=observer)
     show(outcome.summary, outcome.report)

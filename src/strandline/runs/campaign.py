@@ -58,6 +58,7 @@ def run_campaign(
     A run whose process vanished, or that was lost with its driver, is tried again up to `maximum_attempts` times in
     all; every other end is final, unless `policy` says otherwise. Equal inputs are run once. A run that does not end
     ``ok`` is data: look at `state`.
+    Runs that an executor makes without a driver (its `outstanding` says which) are waited for, not started again.
     Where the model is asked for sensitivities, a run that the ledger holds without them is run again, and its new
     outcome replaces the old one.
 
@@ -112,16 +113,18 @@ class _Campaign:
         self.reused = len(self.settled)
         self.made: list[RunRecord] = []
         self.pending: list[RunRequest] = []
+        self.outstanding = self._still_out(ledger.open_runs(self.requests))
         self._plan(list(self.requests.values()))
 
     def run_pending(self) -> None:
         """Run what is pending once, then plan what must be tried again."""
-        starts = _Starts(self.ledger, self.pending)
+        starts = _Starts(self.ledger, self.pending, self.outstanding)
         try:
             self._consume(starts)
         except BaseException:
-            starts.interrupt()
+            starts.interrupt(self._still_out(frozenset(starts.running)))
             raise
+        self.outstanding = frozenset()
         if len(starts) == len(self.pending):
             raise NumericsError("the executor ended without starting a single run; report it to its author")
         self._plan(self.pending)
@@ -160,7 +163,7 @@ class _Campaign:
         for request in candidates:
             if request.key in self.settled:
                 continue
-            if self._given_up_on(request.key):
+            if request.key not in self.outstanding and self._given_up_on(request.key):
                 self.settled[request.key] = self._given_up(request)
             else:
                 pending.append(request)
@@ -186,6 +189,11 @@ class _Campaign:
             allowed = self.policy.attempts(known, killed=allowed)
         return attempts >= allowed
 
+    def _still_out(self, keys: frozenset[str]) -> frozenset[str]:
+        """Return those of the started runs `keys` that go on without a driver, where the executor makes such runs."""
+        ask = getattr(self.executor, "outstanding", None)
+        return frozenset() if ask is None or not keys else frozenset(ask(self.model, keys))
+
     def _given_up(self, request: RunRequest) -> RunRecord:
         """Return the record of a run that was killed or lost too often, in this campaign or before."""
         known = self.ledger.latest([request.key]).get(request.key)
@@ -206,10 +214,13 @@ class _Campaign:
 
 
 class _Starts:
-    """Hands out requests and records each as STARTED in that moment; knows which are running."""
+    """Hands out requests and records each as STARTED in that moment; knows which are running.
 
-    def __init__(self, ledger: Ledger, requests: Iterable[RunRequest]) -> None:
-        self.ledger, self.waiting = ledger, deque(requests)
+    Those in `outstanding` are started already, by an earlier driver, and only waited for.
+    """
+
+    def __init__(self, ledger: Ledger, requests: Iterable[RunRequest], outstanding: frozenset[str]) -> None:
+        self.ledger, self.waiting, self.outstanding = ledger, deque(requests), outstanding
         self.running: dict[str, RunRequest] = {}
 
     def __iter__(self) -> Iterator[RunRequest]:
@@ -219,17 +230,21 @@ class _Starts:
         if not self.waiting:
             raise StopIteration
         request = self.waiting.popleft()
-        self.ledger.started(request)
+        if request.key not in self.outstanding:
+            self.ledger.started(request)
         self.running[request.key] = request
         return request
 
     def __len__(self) -> int:
         return len(self.waiting)
 
-    def interrupt(self) -> None:
-        """Record the runs that were stopped together with the driver: they are no attempts of their own."""
+    def interrupt(self, still_out: frozenset[str]) -> None:
+        """Record the runs that were stopped together with the driver: they are no attempts of their own.
+
+        Those in `still_out` go on without it.
+        """
         with contextlib.suppress(LedgerError):
-            for request in self.running.values():
+            for request in (request for key, request in self.running.items() if key not in still_out):
                 message = "stopped together with its driver; it will be run again"
                 record = RunRecord(request.key, request.inputs, "killed", failure_kind=INTERRUPTED, message=message)
                 self.ledger.finished(record)

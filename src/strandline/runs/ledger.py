@@ -210,6 +210,12 @@ class Ledger:
                 WHERE key = ?1 AND state <> 'killed')"""
         return int(self._rows(sql, (key, INTERRUPTED))[0][0])
 
+    def open_runs(self, keys: Iterable[str]) -> frozenset[str]:
+        """Return those of the runs `keys` whose last start has no outcome."""
+        sql = """SELECT key FROM starts LEFT JOIN outcomes USING (attempt)
+            WHERE state IS NULL AND attempt IN (SELECT max(attempt) FROM starts GROUP BY key)"""
+        return frozenset(keys) & {row[0] for row in self._rows(sql)}
+
     def counts(self) -> Counts:
         """Return the number of distinct runs by what came of their last start."""
         sql = """SELECT ifnull(state, 'open'), count(*) FROM starts LEFT JOIN outcomes USING (attempt)

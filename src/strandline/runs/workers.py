@@ -16,7 +16,7 @@ from strandline.errors import InvalidInput
 from strandline.runs.record import RunRecord, RunRequest, State, with_log
 from strandline.runs.worker import UNUSABLE
 
-__all__ = ["Worker"]
+__all__ = ["Worker", "interrupts_held_back"]
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
@@ -42,7 +42,7 @@ class Worker:
         """Return a worker that is starting: a fresh interpreter in a session and process group of its own."""
         ours, theirs = Pipe()
         log = folder / f"worker-{number}.log"
-        with theirs, log.open("ab") as output, _interrupts_held_back():
+        with theirs, log.open("ab") as output, interrupts_held_back():
             process = subprocess.Popen(
                 _command(theirs.fileno(), setup),
                 stdin=subprocess.PIPE,
@@ -163,7 +163,7 @@ def _environment(own: Mapping[str, str]) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _interrupts_held_back() -> Iterator[None]:
+def interrupts_held_back() -> Iterator[None]:
     """Let a process that is started inside ignore Ctrl-C from its first instruction; it comes to us afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -14,10 +14,12 @@ from strandline.studies.study import Study
 
 __all__ = [
     "check_ledgers",
+    "design_inputs",
     "design_keys",
     "failure_kinds",
     "known_runs",
     "needed_keys",
+    "open_runs",
     "plan_of",
     "planned_runs",
     "refinement_keys",
@@ -28,11 +30,16 @@ __all__ = [
 ]
 
 
+def design_inputs(study: Study) -> list[dict[str, float]]:
+    """Return the inputs of the study's Sobol design, in its order."""
+    design = study.space.to_physical(sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble))
+    return [{**study.fixed, **study.space.as_mapping(x)} for x in design]
+
+
 def design_keys(study: Study) -> list[str]:
     """Return the ledger keys of the study's Sobol design, in its order."""
     identity = fingerprint(study.model)
-    design = study.space.to_physical(sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble))
-    return [run_key(identity, {**study.fixed, **study.space.as_mapping(x)}) for x in design]
+    return [run_key(identity, inputs) for inputs in design_inputs(study)]
 
 
 def refinement_keys(study: Study) -> list[list[str]]:
@@ -111,6 +118,14 @@ def failure_kinds(study: Study) -> set[str]:
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
         failed = [record for record in ledger.latest(needed_keys(study)).values() if not record.ok]
     return {word for record in failed for word in (record.failure_kind, record.state) if word}
+
+
+def open_runs(study: Study) -> int:
+    """Return how many runs of the study's ledger were started and have not ended."""
+    if not study.ledger_path.is_file():
+        return 0
+    with Ledger.open(study.ledger_path, model=None, read_only=True) as ledger:
+        return ledger.counts().open
 
 
 def check_ledgers(study: Study) -> None:

@@ -17,12 +17,12 @@ from strandline.report import write_report
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
-from strandline.studies.ledgers import check_ledgers, plan_of, take_over, write_round
+from strandline.studies.ledgers import check_ledgers, design_inputs, plan_of, take_over, write_round
 from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
-__all__ = ["Outcome", "run_study"]
+__all__ = ["Outcome", "run_study", "submit_study"]
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,28 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
             observer=_noting_rounds(made.listening(observer), study, ledger),
         )
     return _write_results(study, calibration, made.number, observer)
+
+
+def submit_study(study: Study, *, executor: Executor, observer: Observer | None = None) -> None:
+    """Hand the runs that are known to be needed and not yet made to an executor that does not wait for them.
+
+    Args:
+        study: from `load_study`.
+        executor: what makes the runs; it raises when all of them are on their way.
+        observer: who is told of runs that were collected meanwhile.
+
+    Raises:
+        InvalidStudy: the folder cannot be written to.
+        LedgerError: the ledger is locked, belongs to another model, or is damaged.
+    """
+    require_writable(study.folder)
+    check_ledgers(study)
+    tell = observer or Observer()
+    inputs = [*([] if study.truth is None else [study.truth]), *design_inputs(study)]
+    with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
+        take_over(study, ledger)
+        tell.stage("forward")
+        run_campaign(study.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
 
 
 def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer:

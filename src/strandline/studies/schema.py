@@ -215,17 +215,74 @@ class Sampler(_Strict):
     cut: CutReading = CutReading()
 
 
+Seconds = Annotated[Number, Field(gt=0)]
+Text = Annotated[str, Field(strict=True, min_length=1)]
+
+
+class InProcess(_Strict):
+    """One run after the other in the driver itself."""
+
+
 class Local(_Strict):
     """Worker processes on this machine."""
 
     workers: Count | None = None
-    timeout: Annotated[Number, Field(gt=0)] | None = None
+    timeout: Seconds | None = None
+
+
+class DaskJobs(_Strict):
+    """The jobs that are the workers of a Dask cluster."""
+
+    cores: Count = 1
+    memory: Text
+    walltime: Text
+    queue: Text | None = None
+    account: Text | None = None
+    interface: Text | None = None
+    extra: list[Text] = []
+    prologue: list[Text] = []
+
+
+class Dask(_Strict):
+    """A Dask cluster."""
+
+    cluster: Literal["local", "slurm", "pbs"] | None = None
+    address: Text | None = None
+    workers: Count | None = None
+    minimum: Annotated[int, BeforeValidator(_number), Field(ge=0)] | None = None
+    maximum: Count | None = None
+    timeout: Seconds | None = None
+    jobs: DaskJobs | None = None
+
+
+class SlurmArray(_Strict):
+    """Jobs of SLURM arrays, one for each run."""
+
+    timeout: Seconds | None = None
+    walltime: Text | None = None
+    partition: Text | None = None
+    account: Text | None = None
+    cpus: Count | None = None
+    memory: Text | None = None
+    max_running: Count | None = None
+    max_jobs: Count | None = None
+    extra: list[Text] = []
+    poll: Seconds = 5.0
 
 
 class ExecutorChoice(_Strict):
-    """Where forward runs are made."""
+    """Where forward runs are made: one place."""
 
-    local: Local = Local()
+    in_process: InProcess | None = None
+    local: Local | None = None
+    dask: Dask | None = None
+    slurm_array: SlurmArray | None = None
+
+    @model_validator(mode="after")
+    def _one_place(self) -> "ExecutorChoice":
+        if len(self.model_fields_set) > 1:
+            raise ValueError(f"one of {', '.join(type(self).model_fields)}")
+        return self
 
 
 def _action(value: Any) -> Any:

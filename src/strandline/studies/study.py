@@ -13,9 +13,10 @@ from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
 from strandline.refinement import Refinement
-from strandline.runs import Executor, LocalProcesses
+from strandline.runs import Executor
 from strandline.smc import SMCSettings
 from strandline.studies import build
+from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
 from strandline.studies.observed import SyntheticNoise, read_points, require_plausible
 from strandline.studies.parse import parse_study
@@ -103,7 +104,7 @@ def load_study(folder: Path) -> Study:
         synthetic_noise=_synthetic_noise(content),
         turned=turned,
         settings=_settings(content),
-        executor=LocalProcesses(workers=content.executor.local.workers, timeout=content.executor.local.timeout),
+        executor=build_executor(content.executor, folder),
         reuse=tuple(_reused_ledger(folder, other) for other in content.reuse),
     )
 

@@ -1,64 +1,25 @@
-"""Where runs are made: in this process, or in worker processes on this machine.
-
-An executor takes the model and an iterable of requests and yields one record per request, in the order in which runs
-end. It pulls a request in the moment in which it starts it. `strandline.testing.executors` has the tests that any
-executor must pass.
-"""
+"""Runs in worker processes on this machine."""
 
 import contextlib
 import os
-import pickle
 import shutil
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from multiprocessing import spawn
 from multiprocessing.connection import Connection, wait
 from operator import length_hint
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
-from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
-from strandline.runs.record import RunRecord, RunRequest, attempt
+from strandline.runs.executors.options import require_count, require_timeout
+from strandline.runs.executors.packing import packed_model, require_posix
+from strandline.runs.executors.seat import KILLED_STARTS_BORNE, LONGEST_WAIT_SECONDS, killed_while_starting
+from strandline.runs.record import RunRecord, RunRequest
 from strandline.runs.workers import Worker
 
-__all__ = ["Executor", "InProcess", "LocalProcesses", "usable_cores"]
-
-LONGEST_WAIT_SECONDS = 0.5
-KILLED_STARTS_BORNE = 10
-"""How often workers are looked at that have not said anything."""
-
-
-@runtime_checkable
-class Executor(Protocol):
-    """Makes runs: (model, requests) → their records, in order of completion.
-
-    Each request is answered exactly once, whatever the simulator does, and pulled only when it is started. What
-    cannot be attributed to one run (a model that cannot be loaded) is an exception. Closing the iterator early stops
-    the runs.
-    """
-
-    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
-        """Yield a record for each request."""
-        ...
-
-
-@dataclass(frozen=True)
-class InProcess:
-    """Runs one after the other in this process: for small models and for debugging.
-
-    A simulator that crashes takes the driver along, and one that hangs is waited for; `LocalProcesses` is safe.
-    """
-
-    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
-        """Yield a record for each request, in their order."""
-        for request in requests:
-            with tempfile.TemporaryDirectory(prefix="strandline-run-", ignore_cleanup_errors=True) as folder:
-                record = attempt(model, request, Path(folder))
-            yield record
+__all__ = ["LocalProcesses", "usable_cores"]
 
 
 @dataclass(frozen=True)
@@ -77,20 +38,8 @@ class LocalProcesses:
     timeout: float | None = None
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise InvalidInput(
-                "number of workers",
-                value=self.workers,
-                expected="at least 1",
-                remedy="Leave it out to use all cores.",
-            )
-        if self.timeout is not None and not self.timeout > 0:
-            raise InvalidInput(
-                "timeout of a run",
-                value=self.timeout,
-                expected="seconds above 0",
-                remedy="Leave it out for no limit.",
-            )
+        require_count("number of workers", self.workers, remedy="Leave it out to use all cores.")
+        require_timeout(self.timeout)
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
         """Yield a record for each request as runs end.
@@ -98,8 +47,8 @@ class LocalProcesses:
         Raises:
             InvalidInput: the model cannot be sent to, or loaded in, a worker process.
         """
-        _require_posix()
-        setup = _setup(model)
+        require_posix()
+        setup = packed_model(model)
         limit = usable_cores() if self.workers is None else self.workers
         return self._run(setup, requests, limit)
 
@@ -193,7 +142,7 @@ class _Pool:
         worker.end()
         self.killed_starts += not worker.ready
         if self.killed_starts > KILLED_STARTS_BORNE:
-            raise _killed_while_starting(self.killed_starts)
+            raise killed_while_starting(self.killed_starts)
         if record is not None:
             self._keep(worker, record)
         if not self.exhausted:
@@ -224,51 +173,3 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _setup(model: ForwardModel) -> bytes:
-    """Return what a worker needs to load `model`, refusing a model that cannot travel."""
-    _require_not_loading()
-    try:
-        packed = pickle.dumps(model)
-    except Exception as error:
-        raise InvalidInput(
-            "the model cannot be sent to worker processes",
-            value=f"{type(error).__name__}: {error}",
-            expected="a function or dataclass defined at the top level of a module, with fields that can be pickled",
-            remedy="Move the model to the top level of a module (no lambda, no inner function), or use InProcess().",
-        ) from error
-    preparation = None
-    if b"__main__" in packed:
-        preparation = spawn.get_preparation_data("strandline-worker")
-        preparation.pop("authkey", None)
-    return pickle.dumps((preparation, packed))
-
-
-def _require_not_loading() -> None:
-    """Refuse to start workers from a worker that is only looking for the model in the user's script."""
-    from strandline.runs.worker import loads_main_module
-
-    if loads_main_module():
-        raise InvalidInput(
-            "worker processes were asked for while a worker was loading the script that defines the model",
-            value="a script without a guard",
-            expected="runs started under `if __name__ == '__main__':`",
-            remedy="Put the code that starts the runs under that line, or the model into a module of its own.",
-        )
-
-
-def _killed_while_starting(times: int) -> InvalidInput:
-    return InvalidInput(
-        "worker processes are killed before they have loaded the model",
-        value=f"{times} times",
-        expected="workers that live until they are told to go",
-        remedy="Look for what kills them (memory?), or use fewer workers.",
-    )
-
-
-def _require_posix() -> None:
-    if os.name != "posix":
-        raise InvalidInput(
-            "worker processes", value=os.name, expected="Linux or macOS", remedy="Use InProcess(), or run under WSL."
-        )

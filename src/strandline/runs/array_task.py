@@ -1,0 +1,95 @@
+"""What one job of a SLURM array does: one run of a batch, in a fresh folder, its record written beside the others.
+
+As a command, for a model that can be imported:
+``python -m strandline.runs.array_task my_model:simulate BATCH NUMBER``; for the model of a study there is
+`strandline.studies.array_task`.
+"""
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from strandline.errors import InvalidInput
+from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
+from strandline.models.python import PythonModel
+from strandline.runs.executors.packing import packed_model
+from strandline.runs.executors.seat import Seat
+from strandline.runs.executors.slurm_array import UNUSABLE
+from strandline.runs.executors.slurm_batch import Batch
+from strandline.runs.record import RunRecord, RunRequest, with_log
+
+__all__ = ["main", "run_task"]
+
+
+def main(arguments: list[str]) -> None:
+    """Make run NUMBER of the batch in the folder BATCH with the model ``module:name``."""
+    target, folder, number = arguments
+    run_task(Path(folder), int(number), lambda: PythonModel(target))
+
+
+def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None:
+    """Make one run of the batch in `folder` and write its record; nothing is done where it has one already.
+
+    The run is made in a process of its own: a crash, a hang and the end of the walltime, which SLURM announces by
+    SIGUSR1, become records.
+
+    Args:
+        folder: of the batch.
+        index: number of the run.
+        load: returns the model.
+    """
+    walltime_over = threading.Event()
+    signal.signal(signal.SIGUSR1, lambda number, frame: walltime_over.set())
+    try:
+        batch = Batch.read(folder)
+    except FileNotFoundError:
+        return  # given up meanwhile
+    if index in batch.present()[0] or index in batch.present()[1]:
+        return
+    request, began = batch.requests[index], time.monotonic()
+    try:
+        seat = Seat(packed_model(_fitting(load(), batch)))
+        try:
+            record = seat.run(request, batch.timeout, wanted=lambda: not walltime_over.is_set())
+        finally:
+            seat.close()
+    except InvalidInput as error:
+        batch.put(index, RunRecord(request.key, request.inputs, "killed", failure_kind=UNUSABLE, message=str(error)))
+        return
+    if record is None or walltime_over.is_set():
+        record = _out_of_walltime(record, request, time.monotonic() - began)
+    batch.put(index, record)
+
+
+def _fitting(model: ForwardModel, batch: Batch) -> ForwardModel:
+    """Return the model as the batch wants it, refusing one that has changed since."""
+    if batch.sensitivities and not asks_sensitivities(model):
+        model = with_sensitivities(model)
+    if fingerprint(model) != batch.fingerprint:
+        raise InvalidInput(
+            "the model has changed since the runs were submitted",
+            value=fingerprint(model),
+            expected=batch.fingerprint,
+            remedy="Cancel the array, or undo the change.",
+        )
+    return model
+
+
+def _out_of_walltime(record: RunRecord | None, request: RunRequest, seconds: float) -> RunRecord:
+    """Return the record of a run that was stopped shortly before SLURM would have done it."""
+    if record is not None and record.state != "timeout":
+        return record
+    message = "still running at the end of its job's walltime, and killed"
+    ended = RunRecord(request.key, request.inputs, "timeout", seconds=seconds)
+    ended = replace(ended, failure_kind="walltime", message=message)
+    return with_log(ended, "" if record is None else record.log)
+
+
+if __name__ == "__main__":
+    from strandline.runs.array_task import main as imported_main  # a model must not be pickled as one of __main__
+
+    imported_main(sys.argv[1:])

@@ -1,0 +1,49 @@
+"""Where runs are made: in this process, in worker processes on this machine, on a Dask cluster, in jobs of SLURM.
+
+An executor takes the model and an iterable of requests and yields one record per request, in the order in which runs
+end. It pulls a request in the moment in which it starts it. `strandline.testing.executors` has the tests that any
+executor must pass.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any, Protocol, cast, runtime_checkable
+
+from strandline.models.protocol import ForwardModel
+from strandline.runs.executors.in_process import InProcess
+from strandline.runs.executors.local import LocalProcesses, usable_cores
+from strandline.runs.record import RunRecord, RunRequest
+
+__all__ = ["EXECUTORS", "Executor", "InProcess", "LocalProcesses", "usable_cores", "with_workers"]
+
+EXECUTORS = {
+    "in_process": "strandline.runs.executors.in_process:InProcess",
+    "local": "strandline.runs.executors.local:LocalProcesses",
+    "dask": "strandline.runs.executors.dask:DaskCluster",
+    "slurm_array": "strandline.runs.executors.slurm_array:SlurmArray",
+}
+"""The executors by their names in study.yaml, imported when they are asked for."""
+
+
+@runtime_checkable
+class Executor(Protocol):
+    """Makes runs: (model, requests) → their records, in order of completion.
+
+    Each request is answered exactly once, whatever the simulator does, and pulled only when it is started. What
+    cannot be attributed to one run (a model that cannot be loaded) is an exception. Closing the iterator early stops
+    the runs, unless they go on by themselves: such an executor has a method ``outstanding(model, keys)`` that returns
+    those of the runs `keys`, started earlier and not answered, that it will answer when it is asked for them again.
+    """
+
+    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
+        """Yield a record for each request."""
+        ...
+
+
+def with_workers(executor: Executor, workers: int | None) -> Executor:
+    """Return `executor` with another number of workers, where it has one; None leaves it as it is."""
+    if workers is None or not hasattr(executor, "workers"):
+        return executor
+    bounds = {name: None for name in ("minimum", "maximum") if hasattr(executor, name)}
+    changed: Executor = replace(cast(Any, executor), workers=workers, **bounds)
+    return changed

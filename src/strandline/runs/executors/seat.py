@@ -1,0 +1,116 @@
+"""A place where runs are made one after the other, in a worker process that is kept from run to run."""
+
+import contextlib
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from strandline.errors import InvalidInput
+from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.workers import Worker
+
+__all__ = ["KILLED_STARTS_BORNE", "LONGEST_WAIT_SECONDS", "Seat", "killed_while_starting"]
+
+LONGEST_WAIT_SECONDS = 0.5
+KILLED_STARTS_BORNE = 10
+"""How often workers are looked at that have not said anything."""
+
+
+class Seat:
+    """One worker process on this machine, replaced where a run takes it down; `close` it in the end."""
+
+    def __init__(self, setup: bytes) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="strandline-runs-"))
+        self.setup = self.folder / "model.pickle"
+        self.setup.write_bytes(setup)
+        self.worker: Worker | None = None
+        self.launched = self.runs = 0
+
+    def run(self, request: RunRequest, timeout: float | None, *, wanted: Callable[[], bool]) -> RunRecord | None:
+        """Return what came of a run; one that is not `wanted` any more is stopped within half a second, as out of time.
+
+        None where it was not wanted any more before it began.
+
+        Raises:
+            InvalidInput: the worker process cannot load the model.
+        """
+        worker = self._ready_worker(wanted)
+        if worker is None:
+            return None
+        self.runs += 1
+        workdir = self.folder / f"run-{self.runs}"
+        workdir.mkdir()
+        try:
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                worker.send(request, workdir, timeout)
+            return self._answer(worker, timeout, wanted)
+        finally:
+            shutil.rmtree(workdir, ignore_errors=True)
+
+    def close(self) -> None:
+        """End the worker process, whatever it is doing, and remove its folder."""
+        self._drop()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _ready_worker(self, wanted: Callable[[], bool]) -> Worker | None:
+        """Return a worker that has loaded the model; None where nobody wants one any more."""
+        if self.worker is not None and self.worker.gone():
+            self._drop()
+        killed = 0
+        while wanted():
+            worker = self.worker or self._launch()
+            if worker.ready:
+                return worker
+            if worker.connection.poll(LONGEST_WAIT_SECONDS):
+                with contextlib.suppress(EOFError, OSError):
+                    worker.receive()
+                    continue
+            elif not worker.gone():
+                continue
+            worker.vanished()
+            self._drop()
+            killed += 1
+            if killed > KILLED_STARTS_BORNE:
+                raise killed_while_starting(killed)
+        return None
+
+    def _launch(self) -> Worker:
+        self.launched += 1
+        self.worker = Worker.launch(self.folder, self.launched, self.setup)
+        return self.worker
+
+    def _answer(self, worker: Worker, timeout: float | None, wanted: Callable[[], bool]) -> RunRecord | None:
+        while wanted():
+            left = LONGEST_WAIT_SECONDS if worker.deadline is None else worker.deadline - time.monotonic()
+            if worker.connection.poll(max(0.0, min(LONGEST_WAIT_SECONDS, left))):
+                try:
+                    return worker.receive()
+                except (EOFError, OSError):
+                    return self._lost(worker.vanished())
+            if worker.overdue():
+                return self._lost(worker.out_of_time(timeout or 0.0))
+            if worker.gone() and not worker.connection.poll():
+                return self._lost(worker.vanished())
+        return self._lost(worker.out_of_time(time.monotonic() - worker.began))
+
+    def _lost(self, record: RunRecord | None) -> RunRecord | None:
+        self._drop()
+        return record
+
+    def _drop(self) -> None:
+        if self.worker is not None:
+            self.worker.hang_up()
+            self.worker.end(time.monotonic() + 1.0)
+            self.worker = None
+
+
+def killed_while_starting(times: int) -> InvalidInput:
+    """Return the error of worker processes that never come up."""
+    return InvalidInput(
+        "worker processes are killed before they have loaded the model",
+        value=f"{times} times",
+        expected="workers that live until they are told to go",
+        remedy="Look for what kills them (memory?), or use fewer workers.",
+    )

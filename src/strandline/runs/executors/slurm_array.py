@@ -1,0 +1,310 @@
+"""Runs as the jobs of SLURM arrays, which go on without a driver: for long runs, and for such as use MPI.
+
+The executor keeps nothing in memory that counts: what was submitted, and what has come back, lies in the folders of
+its batches. A driver that was killed, or left, is followed by one that collects.
+"""
+
+import contextlib
+import shlex
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from strandline.errors import InvalidInput, StrandlineError
+from strandline.models.protocol import ForwardModel, asks_sensitivities
+from strandline.runs.executors import slurm_commands as slurm
+from strandline.runs.executors.options import (
+    require_count,
+    require_room_in_walltime,
+    require_timeout,
+    walltime_seconds,
+)
+from strandline.runs.executors.slurm_batch import Batch, known_batches
+from strandline.runs.record import RunRecord, RunRequest, State, with_log
+from strandline.runs.run_file import read_run
+
+__all__ = ["UNUSABLE", "Detached", "SlurmArray"]
+
+UNUSABLE = "model_not_loaded"
+"""Failure kind of a run whose job could not load the model: that says nothing about the run."""
+LOOKS_FOR_A_LATE_RESULT = 4
+"""So often is a job looked at that has ended without a result, which may be on its way through a file system."""
+WARNING_SECONDS = 45
+GOING = frozenset({"PENDING", "RUNNING", "CONFIGURING", "COMPLETING", "SUSPENDED", "STAGE_OUT", "SIGNALING", "STOPPED"})
+ENDINGS: Mapping[str, tuple[State, str]] = {
+    "TIMEOUT": ("timeout", "walltime"),
+    "DEADLINE": ("timeout", "walltime"),
+    "NODE_FAIL": ("killed", "node_failed"),
+    "BOOT_FAIL": ("killed", "node_failed"),
+    "OUT_OF_MEMORY": ("killed", "out_of_memory"),
+    "CANCELLED": ("killed", "cancelled"),
+    "PREEMPTED": ("killed", "preempted"),
+}
+"""How a run ended whose job left no result, by the state of the job; otherwise its process died."""
+
+
+class Detached(StrandlineError):
+    """Everything that can be submitted is, and the driver was told not to wait; `number` runs are out."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(f"{number} runs are with SLURM")
+
+
+@dataclass(frozen=True)
+class SlurmArray:
+    """Runs as jobs of SLURM arrays, one run a job; they go on where the driver does not.
+
+    Args:
+        folder: where batches lie; on a file system that the nodes see.
+        command: what a job runs, followed by the batch's folder and the run's number; `strandline.runs.array_task`
+            has what it must do.
+        timeout: seconds after which a run is killed; None for never.
+        walltime: of a job; a run that comes to its end is a ``timeout``.
+        partition: left out, the cluster's own.
+        account: left out, the user's own.
+        cpus: of a job.
+        memory: of a job, as SLURM writes it.
+        max_running: how many jobs may run at the same time.
+        max_jobs: how many jobs may be with SLURM at the same time; left out, all.
+        extra: further options of ``sbatch``.
+        poll: seconds between two looks.
+        detach: submit and leave, by raising `Detached`.
+
+    Raises:
+        InvalidInput: options that make no sense; a timeout that the walltime does not leave room for.
+    """
+
+    folder: Path
+    command: tuple[str, ...]
+    timeout: float | None = None
+    walltime: str | None = None
+    partition: str | None = None
+    account: str | None = None
+    cpus: int | None = None
+    memory: str | None = None
+    max_running: int | None = None
+    max_jobs: int | None = None
+    extra: tuple[str, ...] = ()
+    poll: float = 5.0
+    detach: bool = False
+
+    def __post_init__(self) -> None:
+        require_timeout(self.timeout)
+        for name in ("cpus", "max_running", "max_jobs"):
+            require_count(f"executor slurm_array: {name}", getattr(self, name), remedy="Correct the number.")
+        if self.walltime is not None:
+            walltime_seconds(self.walltime)
+        require_room_in_walltime(self.timeout, self.walltime)
+        if not self.poll > 0:
+            raise InvalidInput(
+                "executor slurm_array: poll", value=self.poll, expected="seconds above 0", remedy="Correct the number."
+            )
+
+    def outstanding(self, model: ForwardModel, keys: Iterable[str]) -> frozenset[str]:
+        """Return those of the runs `keys` that SLURM has, or has done and nobody has collected.
+
+        Raises:
+            SlurmUnreachable: it cannot be found out.
+        """
+        return frozenset(self._known(model)) & frozenset(keys)
+
+    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
+        """Yield a record for each request as results appear; runs that are outstanding are not submitted again.
+
+        Raises:
+            InvalidInput: SLURM takes no jobs, or a job cannot load the model.
+            Detached: all are submitted, and `detach` is set.
+        """
+        return _Driver(self, model, iter(requests)).records()
+
+    def options(self, number: int) -> list[str]:
+        """Return the options of ``sbatch`` for an array of `number` jobs."""
+        given = {
+            "time": self.walltime,
+            "partition": self.partition,
+            "account": self.account,
+            "cpus-per-task": self.cpus,
+            "mem": self.memory,
+        }
+        limit = "" if self.max_running is None else f"%{self.max_running}"
+        # A run is tried again by the campaign, which counts; not by SLURM, which does not.
+        fixed = [f"--array=0-{number - 1}{limit}", "--no-requeue", f"--signal=B:USR1@{self._warning()}"]
+        return [*fixed, *(f"--{name}={value}" for name, value in given.items() if value is not None), *self.extra]
+
+    def _warning(self) -> int:
+        """Return how many seconds before the end of its walltime a job is told of it: at most a tenth of it."""
+        return (
+            WARNING_SECONDS
+            if self.walltime is None
+            else min(WARNING_SECONDS, int(walltime_seconds(self.walltime) / 10))
+        )
+
+    def _known(self, model: ForwardModel) -> dict[str, tuple[Batch, int]]:
+        """Return where each run is that was submitted and not collected; the last batch counts."""
+        known: dict[str, tuple[Batch, int]] = {}
+        for batch in known_batches(self.folder):
+            if batch.sensitivities < asks_sensitivities(model):
+                continue
+            there, taken = batch.present()
+            if not there and batch.job is None and not _found(batch):
+                continue
+            for index, request in enumerate(batch.requests):
+                known.pop(request.key, None)
+                if index not in taken:
+                    known[request.key] = batch, index
+        return known
+
+
+class _Driver:
+    """One call: the runs that are out, and those that wait for room."""
+
+    def __init__(self, options: SlurmArray, model: ForwardModel, requests: Iterator[RunRequest]) -> None:
+        self.options, self.model, self.requests = options, model, requests
+        self.exhausted = False
+        self.waiting: list[RunRequest] = []
+        self.out: dict[str, tuple[Batch, int, RunRequest]] = {}
+        self.ended: dict[str, int] = {}
+
+    def records(self) -> Iterator[RunRecord]:
+        """Yield records until every request that was pulled is answered."""
+        known = self.options._known(self.model)
+        while True:
+            self._pull(known)
+            self._submit()
+            if self.exhausted and not self.out and not self.waiting:
+                return
+            if self.options.detach and not self.waiting and (self.exhausted or self.options.max_jobs):
+                raise Detached(len(self.out))
+            found = False
+            for key, record in self._news():
+                found = True
+                yield record
+                batch, index, _ = self.out.pop(key)
+                batch.take(index)
+            if found:
+                self._tidy()
+            else:
+                time.sleep(self.options.poll)
+
+    def _pull(self, known: Mapping[str, tuple[Batch, int]]) -> None:
+        """Pull what there is room for; half of the room at least, so that arrays are worth their name."""
+        most = self.options.max_jobs
+        if self.exhausted or (most is not None and len(self.out) + len(self.waiting) > most // 2):
+            return
+        while most is None or len(self.out) + len(self.waiting) < most:
+            request = next(self.requests, None)
+            if request is None:
+                self.exhausted = True
+                return
+            if request.key in known:
+                self.out[request.key] = (*known[request.key], request)
+            else:
+                self.waiting.append(request)
+
+    def _submit(self) -> None:
+        """Submit what waits, in arrays as large as they may be; what SLURM refuses waits while others are out."""
+        if not self.waiting:
+            return
+        try:
+            largest = slurm.largest_array()
+            while self.waiting:
+                batch = self._submitted(self.waiting[:largest])
+                for index, request in enumerate(batch.requests):
+                    self.out[request.key] = batch, index, request
+                del self.waiting[:largest]
+        except slurm.SlurmUnreachable:
+            if not self.out:
+                raise
+
+    def _submitted(self, requests: Sequence[RunRequest]) -> Batch:
+        self.options.folder.mkdir(parents=True, exist_ok=True)
+        batch = Batch.new(self.options.folder.resolve(), self.model, requests, self.options.timeout)
+        script = batch.folder / "job.sh"
+        command = shlex.join([*self.options.command, str(batch.folder)])
+        # A warning that comes before the job can hear it must not kill it: SLURM then tells of the walltime's end.
+        lines = ["#!/bin/bash", "trap '' USR1", f'exec {command} "$SLURM_ARRAY_TASK_ID"', ""]
+        script.write_text("\n".join(lines), encoding="utf-8")
+        logs = str(batch.folder / "logs" / "A.txt").replace("%", "%%").removesuffix("A.txt") + "%a.txt"
+        place = [f"--job-name={batch.name}", f"--output={logs}", f"--chdir={batch.folder}"]
+        try:
+            batch.submitted(slurm.submit([*place, *self.options.options(len(requests))], script))
+        except InvalidInput:
+            if not _found(batch):  # a submission whose answer was lost is one all the same
+                batch.remove()
+                raise
+        return batch
+
+    def _news(self) -> Iterator[tuple[str, RunRecord]]:
+        """Yield the records of the runs that have ended."""
+        batches = {batch.name: batch for batch, _, _ in self.out.values()}
+        there = {name: batch.present()[0] for name, batch in batches.items()}
+        for key, (batch, index, request) in list(self.out.items()):
+            if index in there[batch.name]:
+                yield key, self._read(batch, index, request, there[batch.name][index])
+        if not self.out:
+            return
+        with contextlib.suppress(slurm.SlurmUnreachable):
+            yield from self._lost(slurm.states(batches), there)
+
+    def _lost(
+        self, states: Mapping[tuple[str, int], str], there: Mapping[str, Mapping[int, Path]]
+    ) -> Iterator[tuple[str, RunRecord]]:
+        """Yield records of runs whose jobs have ended without leaving one."""
+        for key, (batch, index, request) in list(self.out.items()):
+            state = states.get((batch.name, index))
+            if state in GOING or index in there[batch.name]:
+                self.ended.pop(key, None)
+                continue
+            self.ended[key] = self.ended.get(key, 0) + 1
+            if self.ended[key] > LOOKS_FOR_A_LATE_RESULT:
+                del self.ended[key]
+                state = state or (slurm.past_state(batch.job, index) if batch.job else None)
+                yield key, _without_result(batch, index, request, state)
+
+    def _read(self, batch: Batch, index: int, request: RunRequest, path: Path) -> RunRecord:
+        try:
+            record = read_run(path)
+        except InvalidInput as error:
+            return RunRecord(request.key, request.inputs, "killed", failure_kind="damaged_result", message=str(error))
+        if record.failure_kind == UNUSABLE:
+            self._give_up(batch)
+            raise InvalidInput(
+                "a job could not load the model",
+                value=(record.message or "").splitlines()[0],
+                expected="a model that the nodes can load as this machine does",
+                remedy="Mend that and run again; the jobs of this array are cancelled.",
+            )
+        return record
+
+    def _give_up(self, batch: Batch) -> None:
+        """Cancel a batch that cannot come to anything."""
+        with contextlib.suppress(slurm.SlurmUnreachable):
+            slurm.cancel(batch.name)
+        batch.remove()
+
+    def _tidy(self) -> None:
+        """Remove the batches of which everything is taken; the ledger has it."""
+        needed = {batch.name for batch, _, _ in self.out.values()}
+        for batch in known_batches(self.options.folder):
+            if batch.name not in needed and len(batch.present()[1]) == len(batch.requests):
+                batch.remove()
+
+
+def _found(batch: Batch) -> bool:
+    """Tell whether SLURM has the job of a batch whose driver did not live to note its number."""
+    job = slurm.job_called(batch.name)
+    if job is not None:
+        batch.submitted(job)
+    return job is not None
+
+
+def _without_result(batch: Batch, index: int, request: RunRequest, job_state: str | None) -> RunRecord:
+    """Return the record of a run whose job ended with this state and left no result."""
+    word = (job_state or "").split("+")[0]
+    state, kind = ENDINGS.get(word, ("killed", "worker_died"))
+    told = f"SLURM says {job_state}" if job_state else "SLURM knows it no more"
+    message = f"job {batch.job}_{index} of this run ended without a result; {told}"
+    record = RunRecord(request.key, request.inputs, state, failure_kind=kind, message=message)
+    return with_log(record, batch.log_tail(index))

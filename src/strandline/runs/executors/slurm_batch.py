@@ -1,0 +1,139 @@
+"""The folder of a batch: what an array of jobs is to do, what has come back, and what of it was taken.
+
+```
+<name>/batch.json     the runs; without it the folder is no batch, and its jobs do nothing
+<name>/job            the number of its job, once SLURM has taken it
+<name>/job.sh         what was submitted
+<name>/logs/7.txt     what job 7 of the array printed
+<name>/results/7.run  the record of its run; 7.taken instead, once the driver has it
+```
+"""
+
+import json
+import shutil
+import time
+import uuid
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
+from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.run_file import put_durably, write_run
+
+__all__ = ["Batch", "known_batches"]
+
+BATCH = "batch.json"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One submitted array.
+
+    Args:
+        folder: where its files lie; its name is that of the job.
+        created: when, in seconds since 1970.
+        fingerprint: of the model.
+        sensitivities: whether the model is asked for them.
+        timeout: seconds after which a run is killed.
+        requests: the runs, by their number in the array.
+    """
+
+    folder: Path
+    created: float
+    fingerprint: str
+    sensitivities: bool
+    timeout: float | None
+    requests: tuple[RunRequest, ...]
+
+    @classmethod
+    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> "Batch":
+        """Write a new batch into a folder of its own inside `parent`, durably."""
+        folder = parent / f"strandline-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:8]}"
+        for part in ("logs", "results"):
+            (folder / part).mkdir(parents=True)
+        batch = cls(folder, time.time(), fingerprint(model), asks_sensitivities(model), timeout, tuple(requests))
+        content = {
+            "version": VERSION,
+            "created": batch.created,
+            "fingerprint": batch.fingerprint,
+            "sensitivities": batch.sensitivities,
+            "timeout": timeout,
+            "runs": [{"key": request.key, "inputs": dict(request.inputs)} for request in requests],
+        }
+        put_durably(folder / BATCH, json.dumps(content, indent=1).encode())
+        return batch
+
+    @classmethod
+    def read(cls, folder: Path) -> "Batch":
+        """Return the batch in `folder`.
+
+        Raises:
+            FileNotFoundError: there is none, or none any more.
+        """
+        content = json.loads((folder / BATCH).read_text(encoding="utf-8"))
+        requests = tuple(RunRequest(run["key"], run["inputs"]) for run in content["runs"])
+        return cls(
+            folder, content["created"], content["fingerprint"], content["sensitivities"], content["timeout"], requests
+        )
+
+    @property
+    def name(self) -> str:
+        """Of the job, and of the folder."""
+        return self.folder.name
+
+    @property
+    def job(self) -> str | None:
+        """Number of the job; None where SLURM is not known to have it."""
+        try:
+            return (self.folder / "job").read_text(encoding="utf-8").strip()
+        except FileNotFoundError:
+            return None
+
+    def submitted(self, job: str) -> None:
+        """Note the number of the job."""
+        put_durably(self.folder / "job", job.encode())
+
+    def put(self, index: int, record: RunRecord) -> None:
+        """Write the record of a run, unless it has one."""
+        if not (self._result(index).exists() or self._taken(index).exists()):
+            write_run(self._result(index), record)
+
+    def present(self) -> tuple[dict[int, Path], frozenset[int]]:
+        """Return the results that are there, by number, and the numbers of those taken."""
+        found = list((self.folder / "results").iterdir())
+        there = {int(path.stem): path for path in found if path.suffix == ".run" and path.stem.isdigit()}
+        taken = frozenset(int(path.stem) for path in found if path.suffix == ".taken")
+        return {index: path for index, path in there.items() if index not in taken}, taken
+
+    def take(self, index: int) -> None:
+        """Note that the driver has the record of a run."""
+        try:
+            self._result(index).replace(self._taken(index))
+        except FileNotFoundError:
+            self._taken(index).touch()
+
+    def log_tail(self, index: int, size: int = 8192) -> str:
+        """Return the end of what a job printed."""
+        try:
+            return (self.folder / "logs" / f"{index}.txt").read_bytes()[-size:].decode("utf-8", "replace")
+        except OSError:
+            return ""
+
+    def remove(self) -> None:
+        """Remove the batch; jobs that may still come find nothing to do."""
+        (self.folder / BATCH).unlink(missing_ok=True)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _result(self, index: int) -> Path:
+        return self.folder / "results" / f"{index}.run"
+
+    def _taken(self, index: int) -> Path:
+        return self.folder / "results" / f"{index}.taken"
+
+
+def known_batches(parent: Path) -> Iterable[Batch]:
+    """Yield the batches inside `parent`, the oldest first."""
+    folders = [path.parent for path in parent.glob(f"strandline-*/{BATCH}")]
+    yield from sorted((Batch.read(folder) for folder in folders), key=lambda batch: batch.created)

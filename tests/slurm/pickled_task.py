@@ -1,0 +1,14 @@
+"""A job's command for tests: the model comes from a pickle that the test itself has written.
+
+The product never does this in a study folder; here it lets the conformance suite use any model.
+"""
+
+import pickle
+import sys
+from pathlib import Path
+
+from strandline.runs.array_task import run_task
+
+if __name__ == "__main__":
+    model, folder, number = sys.argv[1:]
+    run_task(Path(folder), int(number), lambda: pickle.loads(Path(model).read_bytes()))
