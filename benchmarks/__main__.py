@@ -12,7 +12,7 @@ import time
 
 from benchmarks import results
 
-PARTS = ("inference", "surrogate", "sampler", "norms", "startup", "forward", "scaling")
+PARTS = ("inference", "surrogate", "sampler", "norms", "executors", "startup", "forward", "scaling")
 ALONE = "--here"
 
 

@@ -105,7 +105,7 @@ def seen(fault: str, ends: list[tuple[float, RunRecord]], hit: float, began: flo
 
 
 def running(slurm: TemporarySlurm) -> list[list[str]]:
-    """Return number and node of the jobs that run, a moment later: what ended with the first one is gone then."""
+    """Return number and node of the jobs that run, a moment later: those that ended with the first are gone then."""
     time.sleep(2.0)
     text = slurm.command("squeue", "--noheader", "--array", "--states=RUNNING", "--format=%i|%N")
     return [line.split("|") for line in text.split()]
