@@ -76,8 +76,10 @@ AIMS = (
     Aim("currents, 10⁴ × 10⁴ triangles", "norms", r"currents.*\b1\d{4}²", RATIO, 5, "NumPy"),
     Aim("currents, 10⁵ × 10⁵ triangles, memory", "norms", r"currents.*\b1\d{5}²", MOST, 1000, "MiB"),
     Aim("closest points, 6600 to 2000 segments", "norms", r"closest.*6600.*2000", RATIO, 15, ""),
+    Aim("overhead of a run, local processes", "executors", r"overhead.*worker processes", MOST, 5, "ms"),
+    Aim("overhead of a run, Dask", "executors", r"overhead.*Dask", MOST, 20, "ms"),
     Aim("strandline --help", "startup", r"--help", MOST, 0.15, "s"),
-    Aim("strandline status", "startup", r"status", MOST, 0.6, "s"),
+    Aim("strandline status", "startup", r"status.*plan in the ledger", MOST, 0.6, "s"),
     Aim("runs of the coarse mesh", "forward", r"solves.*coarse", LEAST, 1100, "per minute"),
     Aim("runs of the default mesh", "forward", r"solves.*default", LEAST, 400, "per minute"),
 )
