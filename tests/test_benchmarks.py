@@ -168,7 +168,7 @@ PRODUCT = "evidence and gradient, matern32_product, n = 2000"
         ("norms", {"what": "currents: d², 100352² triangles", "value": 4.0, "unit": "s"}, None, None),
         ("norms", comparison("closest points: 6600 to 2000 segments", "all pairs in NumPy, blocks", 14.0), 15, False),
         ("startup", {"what": "strandline --help", "value": 0.1, "unit": "s"}, 0.15, True),
-        ("startup", {"what": "strandline status", "value": 0.7, "unit": "s"}, 0.6, False),
+        ("startup", {"what": "strandline status", "case": "plan in the ledger", "value": 0.7, "unit": "s"}, 0.6, False),
         (
             "forward",
             pace_of("coarse, umfpack", 1e3),
@@ -246,7 +246,12 @@ def test_figures_of_one_part_leave_those_of_the_other(tmp_path):
     found = results.load(output)
     assert [(one["what"], one["met"]) for one in found] == [("c", None), ("--help", True), ("strandline status", None)]
     assert found[-1]["remark"] == "not measured: there is no such figure"
-    results.save("startup", [{"what": "status", "value": 0.5, "unit": "s"}], parts=parts, results=output)
+    results.save(
+        "startup",
+        [{"what": "status", "case": "plan in the ledger", "value": 0.5, "unit": "s"}],
+        parts=parts,
+        results=output,
+    )
     assert [one["what"] for one in results.load(output)] == ["c", "status", "strandline --help"]
 
 
