@@ -15,6 +15,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -26,27 +28,31 @@ RUNS = 160
 COMMAND = [sys.executable, "-m", "strandline", "run", "--quiet"]
 
 
-def finished(folder: Path) -> dict[str, str]:
-    """Return key → first outcome's attempt and state of every run that has ended by its own account."""
-    path = folder / "ledger.sqlite"
-    if not path.is_file():
+OWN_ACCOUNT = ("ok", "failed")
+"""How a run ends that nobody has killed."""
+
+
+def finished(folder: Path, states: Sequence[str] = OWN_ACCOUNT) -> dict[str, str]:
+    """Return key → attempt and state of every run that has ended in one of `states`."""
+    if not (folder / "ledger.sqlite").is_file():
         return {}
-    with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as connection:
-        rows = connection.execute(
-            "SELECT key, attempt, state FROM starts JOIN outcomes USING (attempt) WHERE state IN ('ok', 'failed')"
-        ).fetchall()
-    return {key: f"{attempt}:{state}" for key, attempt, state in rows}
+    sql = f"SELECT key, attempt, state FROM starts JOIN outcomes USING (attempt) WHERE state IN ({_marks(states)})"
+    return {key: f"{attempt}:{state}" for key, attempt, state in _rows(folder, sql, states)}
 
 
-def repeated(folder: Path) -> int:
-    """Return how many runs have more than one outcome by their own account."""
-    with sqlite3.connect(f"file:{folder / 'ledger.sqlite'}?mode=ro", uri=True) as connection:
-        return len(
-            connection.execute(
-                "SELECT key FROM starts JOIN outcomes USING (attempt) WHERE state IN ('ok', 'failed')"
-                " GROUP BY key HAVING count(*) > 1"
-            ).fetchall()
-        )
+def repeated(folder: Path, states: Sequence[str] = OWN_ACCOUNT) -> int:
+    """Return how many runs have more than one outcome in one of `states`."""
+    sql = f"SELECT key FROM starts JOIN outcomes USING (attempt) WHERE state IN ({_marks(states)})"
+    return len(_rows(folder, f"{sql} GROUP BY key HAVING count(*) > 1", states))
+
+
+def _rows(folder: Path, sql: str, values: Sequence[str]) -> list[tuple[str, ...]]:
+    with closing(sqlite3.connect(f"file:{folder / 'ledger.sqlite'}?mode=ro", uri=True)) as connection:
+        return connection.execute(sql, values).fetchall()
+
+
+def _marks(values: Sequence[str]) -> str:
+    return ",".join("?" * len(values))
 
 
 def prepare(folder: Path) -> None:
