@@ -1,5 +1,6 @@
-"""Order, laziness and errors of parts done by threads; the number of threads is that of the surrogate's kernels."""
+"""Order, laziness and errors of parts; threads are kept, and as many as those of the surrogate's kernels."""
 
+import os
 import threading
 
 import jax
@@ -36,6 +37,36 @@ def test_parts_are_drawn_as_they_are_needed(number):
 def test_an_error_reaches_the_caller(number):
     with pytest.raises(ZeroDivisionError):
         list(side_by_side(lambda k: 1 // (k - 3), range(10)))
+
+
+def test_threads_are_kept(number):
+    """New ones for each task would keep memory each that they freed."""
+    names = [{threading.current_thread().name, *side_by_side(lambda _: threading.current_thread().name, range(50))}]
+    names += [set(side_by_side(lambda _: threading.current_thread().name, range(50))) for _ in range(20)]
+    assert len(set.union(*names)) <= 1 + number
+
+
+def test_a_part_that_fails_spares_those_behind_it(number):
+    done = []
+
+    def task(k: int) -> None:
+        done.append(k)
+        raise ValueError(k)
+
+    with pytest.raises(ValueError, match=r"^0$"):
+        list(side_by_side(task, range(100)))
+    assert len(done) <= 2 * number
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore:os.fork:RuntimeWarning")
+def test_a_forked_process_has_threads_of_its_own(monkeypatch, number):
+    monkeypatch.setattr("strandline.discrepancy.threads.double", lambda: True)  # JAX does not stand a fork
+    assert list(side_by_side(abs, range(9))) == list(range(9))
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if list(side_by_side(abs, range(9))) == list(range(9)) else 1)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 def test_double_precision_of_the_calling_thread_alone_holds_for_all_parts(number):

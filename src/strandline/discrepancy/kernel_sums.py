@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from numpy.polynomial import Chebyshev, Polynomial
 from scipy.spatial import cKDTree
 
-from strandline.discrepancy.compiled import WIDEST, ample
+from strandline.discrepancy.compiled import WIDEST
 from strandline.discrepancy.threads import double, side_by_side
 
 __all__ = ["Nodes", "kernel_sum"]
@@ -27,11 +27,11 @@ SMALL = 1 << 20
 """Pairs up to which the blocks are quicker than finding neighbours and compiling."""
 _TILE, _FULL_TILE = 128, 5120
 """Nodes in a tile, where a tree chooses their partners and, at most, where all are."""
-_TILES = 256
+_TILES = 128
 """Tiles, at most, in one compiled call where a tree chooses the partners."""
 _UNROLLED = 8
 """Partners that one step of the loop takes."""
-_GATHERED = 1 << 20
+_GATHERED = 1 << 19
 """Partners, of all tiles together, in one compiled call."""
 _POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
 """Coefficients of 2**t on |t| ≤ 1/2, to 2e-14 of it."""
@@ -111,7 +111,7 @@ def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
         spare = 0, (2 if a is b else 1) * _TILES - len(some)
         yield _Batch(
             np.pad(tiles[some], (spare, (0, 0)), constant_values=len(a)),
-            np.pad(partners, (0, ample(len(partners), multiple=_UNROLLED) - len(partners)), constant_values=len(b)),
+            _filled_up(partners, blank=len(b)),
             np.pad(np.concatenate([[0], end[:-1]]), spare),
             np.pad(end, spare),
             np.pad(weights, spare),
@@ -130,15 +130,20 @@ def _everyone(number: int, others: int, *, itself: bool) -> Iterator[_Batch]:
         behind = np.minimum(first + size, len(partners))
         begin, end = np.concatenate([first, behind]), np.concatenate([behind, end])
         tiles, weights = np.tile(tiles, (2, 1)), np.concatenate([weights, 2 * weights])
-    spare = ample(len(partners), multiple=_UNROLLED) - len(partners)
-    partners = np.pad(partners, (0, spare), constant_values=others)
+    filled = _filled_up(partners, blank=others)
     for k in range(len(tiles)):
-        yield _Batch(tiles[k : k + 1], partners, begin[k : k + 1], end[k : k + 1], weights[k : k + 1])
+        yield _Batch(tiles[k : k + 1], filled, begin[k : k + 1], end[k : k + 1], weights[k : k + 1])
 
 
 def _cut(order: Int[np.ndarray, " node"], size: int, *, blank: int) -> Int[np.ndarray, "tile {size}"]:
     """Return rows of `size`, the last one filled up with `blank`."""
     return np.pad(order, (0, -len(order) % size), constant_values=blank).reshape(-1, size)
+
+
+def _filled_up(partners: Int[np.ndarray, " partner"], *, blank: int) -> Int[np.ndarray, " filled"]:
+    """Return an array as long as the next power of two: few different ones to compile for, none of which costs time."""
+    length = max(1 << max(len(partners) - 1, 0).bit_length(), _UNROLLED)
+    return np.pad(partners, (0, length - len(partners)), constant_values=blank)
 
 
 def _with_blank(nodes: Nodes) -> Nodes:

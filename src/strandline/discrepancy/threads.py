@@ -8,6 +8,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -22,23 +23,34 @@ def side_by_side(task: Callable[[Part], Result], parts: Iterable[Part]) -> Itera
     """Yield `task` of each part in their order; at any time, only as many parts are drawn as two for each thread.
 
     What a part gives does not depend on the number of threads, as long as the parts do not. Compiled functions may be
-    called: where JAX's float64 is switched on for the calling thread alone, that one does everything.
+    called: where JAX's float64 is switched on for the calling thread alone, that one does everything. A task must not
+    call this function itself.
     """
     workers = threads()
     if workers == 1:
         yield from map(task, parts)
         return
-    with ThreadPoolExecutor(workers) as pool:
-        if pool.submit(double).result() != double():
-            yield from map(task, parts)
-            return
-        waiting: deque[Future[Result]] = deque()
+    pool = _pool(workers, os.getpid())
+    if pool.submit(double).result() != double():
+        yield from map(task, parts)
+        return
+    waiting: deque[Future[Result]] = deque()
+    try:
         for part in parts:
             waiting.append(pool.submit(task, part))
             if len(waiting) == 2 * workers:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+@lru_cache(maxsize=4)
+def _pool(workers: int, process: int) -> ThreadPoolExecutor:
+    """Return the threads of this process, kept: each new one would keep memory of its own that it freed."""
+    return ThreadPoolExecutor(workers, thread_name_prefix=f"strandline-{process}")
 
 
 def double() -> bool:
