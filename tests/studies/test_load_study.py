@@ -122,7 +122,10 @@ def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"model": {"biofilmm": {}}}, ["model: got biofilmm", "biofilm, python", "Did you mean biofilm?"]),
+        (
+            {"model": {"biofilmm": {}}},
+            ["model: got biofilmm", "biofilm, command, python, umbridge", "Did you mean biofilm?"],
+        ),
         ({"model": {"biofilm": {"mush": 1}}}, ["model.biofilm: unknown option: got mush", "Did you mean mesh?"]),
         ({"model": {"biofilm": {"mesh": "huge"}}}, ["model.biofilm: mesh", "got huge", "coarse, default, fine"]),
         ({"model": {"python": {}}}, ["model.python.function: got nothing", "Add `function: …`"]),

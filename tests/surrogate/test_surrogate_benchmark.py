@@ -14,8 +14,3 @@ def test_the_floor_has_the_same_evidence(name):
 @pytest.mark.parametrize("name", ["matern32_ard", "matern32_product"])
 def test_scikit_learn_has_the_same_evidence(name):
     assert surrogate.scikit_learn(name, 60).peer_name == "scikit-learn"
-
-
-@pytest.mark.parametrize("name", ["matern32_product", "matern52_product"])
-def test_the_automatic_derivative_has_the_same_evidence(name):
-    assert surrogate.automatic(name, 60).ratio > 0

@@ -69,13 +69,14 @@ def run_campaign(
         executor: where the runs are made.
         on_record: called with each record as it comes, the killed ones that will be tried again too.
         maximum_attempts: how often a run may take its process down.
-        policy: what is done about failed runs.
+        policy: what is done about failed runs; None leaves them out, however many they are.
 
     Raises:
         CampaignStopped: as `policy` says; what is finished is in the ledger.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
-    campaign = _Campaign(model, inputs, ledger, executor, on_record, maximum_attempts, policy or FailurePolicy())
+    policy = policy or FailurePolicy(stop_share=2.0)
+    campaign = _Campaign(model, inputs, ledger, executor, on_record, maximum_attempts, policy)
     while campaign.pending:
         campaign.run_pending()
     return campaign.results()
