@@ -62,7 +62,8 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
     undeformed = getattr(problem.model, "undeformed", lambda: None)()
     observed = {o.condition: o.interface for o in problem.observations}
     examples = _examples(calibration, undeformed)
-    caption = "The observed interface, the undeformed one, and the interfaces of a few runs of the design"
+    among = "" if undeformed is None else ", the undeformed one,"
+    caption = f"The observed interface{among} and the interfaces of a few runs of the design"
     if len(observed) == 1:
         ((condition, interface),) = observed.items()
         axes = plots.plot_interfaces(interface, reference=undeformed, simulated=examples[condition])
@@ -73,22 +74,24 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
 
 
 def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[str, dict[str, Interface]]:
-    """Return interfaces, by observed condition and inputs, of runs from a small to the largest displacement.
+    """Return interfaces, by observed condition and inputs: of the best run, and from little to much displacement.
 
-    Runs are ranked, and kept out where they have other nodes, by the first condition.
+    Displacements are those of the first condition, from the undeformed interface where it is known, else from the best
+    run; runs with other nodes than that are kept out.
     """
     problem = calibration.problem
     first = problem.observations[0]
-    reference = (undeformed or first.interface).points
-    runs = {
+    best = _best_run(calibration)
+    every = {
         ", ".join(f"{name} = {record.inputs[name]:.3g}" for name in problem.space.names): record.interfaces
         for record in calibration.records
-        if record.ok and record.interfaces[first.condition].points.shape == reference.shape
+        if record.ok
     }
+    reference = (undeformed or every[best][first.condition]).points
+    runs = {label: i for label, i in every.items() if i[first.condition].points.shape == reference.shape}
     moved = {label: np.abs(i[first.condition].points - reference).max() for label, i in runs.items()}
     ranked = sorted(runs, key=lambda label: float(moved[label]))
     chosen = dict.fromkeys(ranked[round(q * (len(ranked) - 1))] for q in EXAMPLES) if ranked else {}
-    best = _best_run(calibration)
     if best in runs:
         chosen = {f"{BEST}: {best}": None} | {label: None for label in chosen if label != best}
         runs[f"{BEST}: {best}"] = runs[best]

@@ -6,10 +6,12 @@ The covariance is σ0² c. Offsets are given in length scales: one length for al
 from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
+from strandline.surrogate.kernels.decay import decay
 
 __all__ = ["Kernel", "LengthScale", "Pairs", "as_length_scale", "as_lengths", "exp"]
 
@@ -109,6 +111,5 @@ def as_length_scale(kernel: Kernel, lengths: Float[np.ndarray, " length"]) -> Le
 
 
 def exp(x: Array) -> Array:
-    """Return the exponential of a NumPy or a JAX array."""
-    xp = x.__array_namespace__() if hasattr(x, "__array_namespace__") else np
-    return xp.exp(x)
+    """Return the exponential of a NumPy or a JAX array of numbers that are not positive."""
+    return decay(x) if isinstance(x, jax.Array) else np.exp(x)
