@@ -269,7 +269,7 @@ def test_results_are_a_list_of_figures_and_every_aim_has_one():
         if one["ratio"] is not None:
             np.testing.assert_allclose(one["ratio"], one["peer"] / one["ours"], rtol=1e-6)
     for aim in AIMS:
-        own = [one for one in found if aim_of(one) is aim or one["what"] == aim.name]
+        own = [one for one in found if aim_of(one) is aim or (one["what"] == aim.name and one["ours"] is None)]
         assert own, aim.name
         for one in own:
             assert one["aim"] == aim.bound
