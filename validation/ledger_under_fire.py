@@ -231,7 +231,10 @@ def many_records(base: Path, number: int) -> list[Finding]:
     return [
         Finding(f"{number} records: append", f"{1e3 * appended / number:.2f} ms each, on the disk", right=True),
         Finding(f"{number} records: file", f"{size:.0f} MiB", right=True),
-        Finding(f"{number} records: open", f"{opened:.3f} s; counts by state {counted:.2f} s", opened < 1.0),
+        Finding(
+            f"{number} records: open", f"{opened:.3f} s, all of the file being checked", opened < 1.0 + 1e-4 * number
+        ),
+        Finding(f"{number} records: counts by state", f"{counted:.2f} s", counted < 1.0),
         Finding(f"{number} records: read all", f"{read:.1f} s, {memory:.0f} MiB", right=True),
     ]
 
