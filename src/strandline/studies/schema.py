@@ -219,6 +219,16 @@ Seconds = Annotated[Number, Field(gt=0)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
 
 
+def _quoted(value: Any) -> Any:
+    """Refuse a number: YAML 1.1 reads 4:00:00 without quotes as one, in base 60."""
+    if value is not None and not isinstance(value, str):
+        raise ValueError('a time in quotes, "04:00:00"')
+    return value
+
+
+Walltime = Annotated[Text, BeforeValidator(_quoted)]
+
+
 class InProcess(_Strict):
     """One run after the other in the driver itself."""
 
@@ -235,7 +245,7 @@ class DaskJobs(_Strict):
 
     cores: Count = 1
     memory: Text
-    walltime: Text
+    walltime: Walltime
     queue: Text | None = None
     account: Text | None = None
     interface: Text | None = None
@@ -259,7 +269,7 @@ class SlurmArray(_Strict):
     """Jobs of SLURM arrays, one for each run."""
 
     timeout: Seconds | None = None
-    walltime: Text | None = None
+    walltime: Walltime | None = None
     partition: Text | None = None
     account: Text | None = None
     cpus: Count | None = None
