@@ -14,7 +14,6 @@ __all__ = ["command"]
 
 FAR_APART = 0.05
 """Share of the interface's length."""
-LOG_LINES = 20
 
 
 @click.command("check")
@@ -74,7 +73,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     """Return the run at the medians of the priors, and a line about it."""
     import numpy as np
 
-    from strandline.cli.forward import attempted
+    from strandline.cli.forward import attempted, show_log
     from strandline.errors import InvalidStudy
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
@@ -83,10 +82,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     if not record.ok:
         message = (record.message or "").partition("\n")[0]
-        if record.log:
-            click.echo(
-                "\n".join(["last lines of the simulator's log:", *record.log.splitlines()[-LOG_LINES:]]), err=True
-            )
+        show_log(record)
         raise InvalidStudy(
             "the forward run at the medians of the priors failed",
             value=f"{record.failure_kind or record.state} at {shown}: {message}",

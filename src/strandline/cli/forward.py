@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from strandline.models.protocol import ForwardModel
     from strandline.runs import RunRecord
 
-__all__ = ["attempted", "command"]
+__all__ = ["attempted", "command", "show_log"]
+
+LOG_LINES = 20
 
 
 @click.command("forward")
@@ -70,6 +72,7 @@ def command(
     elif not record.ok:
         message = (record.message or "").partition("\n")[0]
         click.echo(f"failed after {record.seconds:.2f} s: {record.failure_kind or record.state}: {message}", err=True)
+        show_log(record)
         raise SystemExit(1)
     else:
         figures = ", ".join(f"{name} {value:.6g}" for name, value in record.diagnostics.items())
@@ -78,6 +81,13 @@ def command(
             click.echo(f"  {line}")
         for path in (*targets.values(), *drawn):
             click.echo(f"wrote {path}")
+
+
+def show_log(record: "RunRecord") -> None:
+    """Print how the log of a failed run ends, where the simulator is a program with a log."""
+    if record.log:
+        lines = record.log.splitlines()[-LOG_LINES:]
+        click.echo("\n".join(["last lines of the simulator's log:", *lines]), err=True)
 
 
 def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord":
