@@ -6,6 +6,7 @@ repeat for ever what outlives the walltime of its job.
 """
 
 import contextlib
+import math
 import time
 import uuid
 from collections import Counter, deque
@@ -33,6 +34,7 @@ from strandline.runs.record import RunRecord, RunRequest
 __all__ = ["DaskCluster"]
 
 KINDS = ("local", "slurm", "pbs")
+SECONDS_BETWEEN_DISMISSALS = 2.0
 SECONDS_BETWEEN_LOOKS = 1.0
 SILENCE_BORNE_SECONDS = 60.0
 """How long the scheduler may be out of reach."""
@@ -135,7 +137,7 @@ class _Driver:
         self.done: deque[tuple[str, RunRecord]] = deque()
         self.threads: dict[str, int] = {}
         self.first_seen: dict[str, float] = {}
-        self.retired: set[str] = set()
+        self.retired: dict[str, float] = {}
         self.looked = self.reached = time.monotonic()
 
     def records(self) -> Iterator[RunRecord]:
@@ -251,10 +253,15 @@ class _Driver:
         return time.monotonic() > self.first_seen[worker] + self.life - self.timeout - 0.5 * SPARE_SECONDS
 
     def _retire(self, worker: str) -> None:
-        """Let a worker go whose job has too little time left; another job takes its place."""
-        if worker in self.retired:
+        """Let a worker go whose job has too little time left; another job takes its place.
+
+        Dask keeps a worker that holds the only copy of a result, as it may of a run that has just ended, and tells
+        nobody: as long as the worker is there, it is told again.
+        """
+        now = time.monotonic()
+        if now < self.retired.get(worker, -math.inf) + SECONDS_BETWEEN_DISMISSALS:
             return
-        self.retired.add(worker)
+        self.retired[worker] = now
         with contextlib.suppress(OSError, TimeoutError):
             self.cluster.client.retire_workers([worker], close_workers=True)
 
