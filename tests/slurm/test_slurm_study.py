@@ -29,7 +29,7 @@ def test_detached_and_collected(slurm, tmp_path, capsys):
     assert f"strandline run {folder}" in shown
     assert not (folder / "summary.json").exists()
     main(["status", str(folder)])
-    assert "ok 0, failed 0, under way (or lost) 13" in capsys.readouterr().out
+    assert "ok 0, failed 0, under way (or lost) 12" in capsys.readouterr().out
     main(["run", "--quiet", str(folder)])
     summary = json.loads((folder / "summary.json").read_text())
     with Ledger.open(folder / "ledger.sqlite", model=None, read_only=True) as ledger:

@@ -35,11 +35,13 @@ def command(study: Path, as_json: bool) -> None:
 
 def lines_of(state: "StudyProgress") -> Iterator[str]:
     """Yield what is told of `state` to a person."""
-    unsure = state.driver is not None and state.driver.at_work is None
+    unsure = state.detached or (state.driver is not None and state.driver.at_work is None)
     yield f"{state.name}: {state.done} of {state.planned} runs of the design done"
     lost = f", {state.lost} of them lost with their driver" if state.lost else ""
     under_way = "under way (or lost)" if unsure else "under way"
     yield f"  ok {state.ok}, failed {state.failed}, {under_way} {state.open}, to do {state.to_do}{lost}"
+    if state.detached:
+        yield "  jobs of a SLURM array are out, which go on without a driver; `strandline run` collects them"
     if state.driver is not None:
         yield f"  {_driver(state)}"
     for kind, some in state.failures.items():

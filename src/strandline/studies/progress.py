@@ -58,6 +58,7 @@ class StudyProgress:
         failed: those that did not and will not be tried again.
         open: runs started and not ended, of a driver that is at work or may be.
         lost: runs started and not ended whose driver is gone; they are to do.
+        detached: whether jobs of a SLURM array are out, which go on without a driver; `open` may be with them.
         failures: by kind, the commonest first.
         rate: runs per minute, of the last driver that ended any.
         seconds_left: estimated time to the last run that is planned, where a driver is at work.
@@ -73,6 +74,7 @@ class StudyProgress:
     failed: int = 0
     open: int = 0
     lost: int = 0
+    detached: bool = False
     failures: Mapping[str, Failures] = field(default_factory=dict)
     rate: float | None = None
     seconds_left: float | None = None
@@ -102,6 +104,7 @@ class StudyProgress:
             "failed": self.failed,
             "open": self.open,
             "lost": self.lost,
+            "detached": self.detached,
             "to_do": self.to_do,
             "driver": None
             if driver is None
@@ -165,14 +168,14 @@ def _progress(folder: Path, plan: Plan) -> StudyProgress:
     with Overview(path, model=plan.model) as ledger:
         wanted, driver = frozenset(plan.keys), ledger.driver()
         runs = [run for run in ledger.runs() if run.key in wanted]
-        return _Counted(plan, driver, runs).told(ledger, results)
+        return _Counted(plan, driver, runs, detached=_detached(path.parent)).told(ledger, results)
 
 
 class _Counted:
     """The planned runs that were started, sorted by what came of them."""
 
-    def __init__(self, plan: Plan, driver: Driver | None, runs: Sequence[Run]) -> None:
-        self.plan, self.driver, self.runs = plan, driver, runs
+    def __init__(self, plan: Plan, driver: Driver | None, runs: Sequence[Run], *, detached: bool) -> None:
+        self.plan, self.driver, self.runs, self.detached = plan, driver, runs, detached
         self.ok: list[Attempt] = []
         self.failed: list[Attempt] = []
         self.open = self.lost = 0
@@ -190,6 +193,8 @@ class _Counted:
 
     def _may_be_under_way(self, start: Attempt) -> bool:
         driver = self.driver
+        if self.detached:
+            return True
         return driver is not None and driver.at_work is not False and start.session == driver.session
 
     def told(self, ledger: Overview, results: Results) -> StudyProgress:
@@ -211,6 +216,7 @@ class _Counted:
             slowest=None if slowest is None else self._shown(slowest),
             driver=self.driver,
             results=results,
+            detached=self.detached,
         )
 
     def _failures(self, ledger: Overview) -> dict[str, Failures]:
@@ -267,6 +273,11 @@ def _results(folder: Path, study_sha256: str) -> Results:
 
 def _seconds(attempt: Attempt) -> float:
     return attempt.seconds or 0.0
+
+
+def _detached(folder: Path) -> bool:
+    """Tell whether batches of a SLURM array are out: they have a folder as long as nobody has collected them."""
+    return any((folder / "slurm").glob("*/batch.json"))
 
 
 def _as_dict(run: RunTold) -> dict[str, Any]:
