@@ -227,7 +227,8 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
         figure = plots.plot_joint(posterior, names, laplace=calibration.laplace, truth=truth)
         caption = (
             "Posterior: weighted hexagonal histogram of the particles with percentile lines of the kernel density "
-            "(black), the Gaussian (orange) and the Laplace approximation (green); marginals with priors (orange dashes)."
+            "(black), the Gaussian (orange) and the Laplace approximation (green); marginals with "
+            "priors (orange dashes)."
         )
         yield Captioned("posterior", "posterior", caption, _whole(figure))
         axes = plots.plot_particles(posterior, names)
@@ -266,7 +267,10 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     yield Captioned("cut_marginals", "uncertainty", caption, _whole(figure))
     names = [space.names[i] for i in space.nuisance]
     figure = plots.plot_marginals(calibration.posterior, names, truth=truth, whole_box=True)
-    caption = f"Prior of {', '.join(names)} (orange dashes), kept by the cut reading, and the joint reading's posterior of it."
+    caption = (
+        f"Prior of {', '.join(names)} (orange dashes), kept by the cut reading, and the joint reading's "
+        "posterior of it."
+    )
     yield Captioned("nuisance", "uncertainty", caption, _whole(figure))
 
 
