@@ -101,9 +101,8 @@ def sample(
     shares = jnp.asarray(settings.zeta, float), jnp.asarray(settings.resample_below, float)
     moves = settings.rejuvenation_steps
     steps: list[StepInfo] = []
-    while state.temperature < 1.0:
+    while (before := float(state.temperature)) < 1.0:
         require_steps_left(len(steps), settings, state)
-        before = float(state.temperature)
         state, info = _step(jax.random.fold_in(key, len(steps)), state, *shares, target=target, moves=moves)
         check(info, before, state)
         steps.append(report(state, info))
@@ -165,24 +164,29 @@ def _start(
 def checked_start(
     positions: Float[Array, "particle dim"], likelihood: Float[Array, " particle"], prior: Float[Array, " particle"]
 ) -> Particles:
-    """Return the state at γ = 0 of particles whose log L and log p are known."""
+    """Return the state at γ = 0 of particles whose log L and log p are known.
+
+    Its arrays are spread over the devices as each step leaves them: else the first step would be compiled for itself.
+    """
     require(len(positions) >= 2, "number of particles", len(positions), "at least 2")
-    outside = int(jnp.sum(~jnp.isfinite(prior)))
+    values, outside = np.asarray(likelihood), int(np.count_nonzero(~np.isfinite(prior)))
     require(outside == 0, "initial particles outside the prior", outside, "none: draws of the prior itself")
-    if jnp.isnan(likelihood).any() or jnp.isposinf(likelihood).any():
-        where = int(jnp.argmax(jnp.isnan(likelihood) | jnp.isposinf(likelihood)))
+    undefined = np.isnan(values) | np.isposinf(values)
+    if undefined.any():
+        where = int(np.argmax(undefined))
         raise NumericsError(
-            f"the log-likelihood is {float(likelihood[where])} at {positions[where].tolist()}. "
+            f"the log-likelihood is {values[where]} at {positions[where].tolist()}. "
             "Mend the likelihood there, or return -inf where it is zero."
         )
-    if jnp.isneginf(likelihood).all():
+    if np.isneginf(values).all():
         raise NumericsError(
-            f"all {len(likelihood)} initial particles have a likelihood of zero. "
+            f"all {len(values)} initial particles have a likelihood of zero. "
             "Use more particles, a wider noise, or a prior that covers the data."
         )
-    number, one = len(positions), jnp.ones((), positions.dtype)
-    log_weights = jnp.full(number, -np.log(number))
-    return Particles(positions, log_weights, likelihood, prior, 0 * one, one, NARROWEST * jnp.std(positions, axis=0))
+    log_weights = jnp.full_like(likelihood, -np.log(len(positions)))
+    narrowest = NARROWEST * jnp.std(positions, axis=0)
+    one = jnp.ones_like(jnp.max(narrowest))
+    return Particles(positions, log_weights, likelihood, prior, 0 * one, one, narrowest)
 
 
 def hashable(function: _Function) -> _Function:
