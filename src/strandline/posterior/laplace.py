@@ -98,7 +98,7 @@ def log_prior_hessian(space: ParameterSpace, x: Float[np.ndarray, " dim"]) -> Fl
             expected="a point of positive and finite prior density",
             remedy="Choose a point inside the support of every prior.",
         )
-    return np.asarray(jax.hessian(space.log_prior)(jnp.asarray(x)))
+    return np.asarray(jax.jit(jax.hessian(space.log_prior))(jnp.asarray(x)))
 
 
 def _symmetric(hessian: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, "dim dim"]:
