@@ -17,6 +17,7 @@ from strandline.report.figures import Captioned, draw_figures
 __all__ = ["add_check", "template", "write_report"]
 
 FILE_NAME = "report.html"
+PIXELS_PER_INCH = 160
 MARKS = ("<!-- check of the posterior -->\n", "<!-- end of the check -->\n")
 """Comments of the page between which the section of a check stands."""
 
@@ -91,10 +92,18 @@ def _whole_folder(target: Path) -> Iterator[Path]:
 
 
 def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
-    """Save one figure for print and return what the page needs of it."""
-    captioned.figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
+    """Save one figure for print and return what the page needs of it.
+
+    The layout is found once, for both files: left to `savefig`, each of them finds it anew and draws twice.
+    """
+    figure = captioned.figure
+    figure.set_dpi(PIXELS_PER_INCH)
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)
+        figure.set_layout_engine(None)
+    figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
     buffer = io.BytesIO()
-    captioned.figure.savefig(buffer, format="png", dpi=160)
+    figure.savefig(buffer, format="png", dpi=PIXELS_PER_INCH)
     (folder / f"{captioned.name}.png").write_bytes(buffer.getvalue())
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return {"name": captioned.name, "section": captioned.section, "caption": captioned.caption, "data": data}
