@@ -20,6 +20,7 @@ STAGES = {
     "draws": "runs at draws",
     "surrogate": "surrogate",
     "refinement": "draws for a round",
+    "choice": "next batch",
     "sampling": "sampling",
     "cut": "cut reading",
     "check": "quadrature check",

@@ -2,6 +2,7 @@
 
 from strandline.discrepancy.closest_point import ClosestPoint
 from strandline.discrepancy.currents import Currents
+from strandline.discrepancy.many import squared_discrepancies
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
 from strandline.discrepancy.protocol import Discrepancy, independent_terms, unit_of
 from strandline.discrepancy.tracked_points import TrackedPoints
@@ -15,6 +16,7 @@ __all__ = [
     "MeasurementLines",
     "TrackedPoints",
     "independent_terms",
+    "squared_discrepancies",
     "unit_of",
 ]
 

@@ -65,6 +65,15 @@ class ClosestPoint:
             return self._one_way(observed, simulated)
         return 0.5 * (self._one_way(simulated, observed) + self._one_way(observed, simulated))
 
+    def many(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"] | None:
+        """Return d² of interfaces of the same cells, all nodes projected together; None for the other directions."""
+        if (self.direction, self.weighting) != ("to_observed", "sum"):
+            return None
+        squares = squared_distances(np.ascontiguousarray(points.reshape(-1, template.dim)), observed)
+        return np.asarray(squares.reshape(points.shape[:2]).sum(axis=1))
+
     def terms(self, observed: Interface) -> int | None:
         """Return the number of observed nodes where each gives one distance.
 

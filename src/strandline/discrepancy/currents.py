@@ -5,7 +5,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import ClassVar
 
+import numpy as np
+from jaxtyping import Float
+
 from strandline.discrepancy.kernel_integrals import centre_product, natural_scale, refined_product
+from strandline.discrepancy.many_currents import currents_of_many
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_alike
 from strandline.discrepancy.surface_integrals import refined_surface_product
@@ -75,6 +79,15 @@ class Currents:
         """Return ⟨a,b⟩, mm² (mm⁴), to `tolerance` relative to ⟨b,b⟩."""
         require_alike(a, b)
         return self._product(a, b, _bound(self, Snapshot.of(b)).share)
+
+    def many(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"] | None:
+        """Return d² of polylines of the same segments, mm², to some 1e-5 of ⟨T,T⟩; None for surfaces."""
+        if template.dim == 3:
+            return None
+        refined, own, seen = self.quadrature == "refined", template.cells, observed.points
+        return currents_of_many(points, own, seen, observed.cells, width=self.width, refined=refined)
 
     def terms(self, observed: Interface) -> None:
         """Return None: the norm is no sum of independent distances."""

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_polylines
@@ -19,6 +19,7 @@ __all__ = ["LineReadings", "MeasurementLines"]
 REACH = 0.25
 """Default reach of a measurement line, as a share of the length of the observed interface."""
 
+_VALUES = 1 << 20  # worked on at once by `many`
 Bases = Float[np.ndarray, "line 4"]
 
 
@@ -81,9 +82,20 @@ class MeasurementLines:
         """Return the signed distance of each line and whether it missed."""
         require_polylines(simulated, observed)
         reach = self.reach_on(observed)
-        found = _nearest_crossings(simulated, _placed(self, Snapshot.of(observed)))
+        found = _nearest_crossings(simulated.points, simulated.cells, _placed(self, Snapshot.of(observed)))
         missed = ~(np.abs(found) <= reach)
         return LineReadings(np.where(missed, reach, found), missed)
+
+    def many(
+        self, points: Float[np.ndarray, "run point 2"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"]:
+        """Return d² of polylines of the same segments, mm²."""
+        require_polylines(template, observed)
+        reach, lines = self.reach_on(observed), _placed(self, Snapshot.of(observed))
+        size = max(1, _VALUES // (len(lines) * len(template.points)))
+        blocks = [points[k : k + size] for k in range(0, len(points), size)]
+        found = np.concatenate([_nearest_crossings(block, template.cells, lines) for block in blocks])
+        return np.asarray(np.sum(np.minimum(np.abs(found), reach) ** 2, axis=1))
 
     def reach_on(self, observed: Interface) -> float:
         """Return the reach in use on `observed`, mm."""
@@ -106,7 +118,7 @@ def _placed(measure: MeasurementLines, snapshot: Snapshot) -> Bases:
         return _equally_spaced(observed, measure.lines)
     lines = np.array(measure.lines, float)
     lines[:, 2:] /= np.hypot(lines[:, 2], lines[:, 3])[:, None]
-    offsets = _nearest_crossings(observed, lines)
+    offsets = _nearest_crossings(observed.points, observed.cells, lines)
     if not np.isfinite(offsets).all():
         where = int(np.argmin(np.isfinite(offsets)))
         raise InvalidInput(
@@ -128,22 +140,27 @@ def _equally_spaced(observed: Interface, number: int) -> Bases:
     return np.hstack([points, (observed.normals / observed.lengths[:, None])[segment]])
 
 
-def _nearest_crossings(interface: Interface, lines: Bases) -> Float[np.ndarray, " line"]:
-    """Return the signed distance from each line's point to its nearest crossing with `interface`; inf where none."""
-    delta = interface.points[None, :, :] - lines[:, None, :2]
+def _nearest_crossings(
+    points: Float[np.ndarray, "*run point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases
+) -> Float[np.ndarray, "*run line"]:
+    """Return the signed distance from each line's point to its nearest crossing with a polyline; inf where none."""
+    delta = points[..., None, :, :] - lines[:, None, :2]
     direction = lines[:, None, 2:]
-    along = np.sum(delta * direction, axis=2)
+    along = np.sum(delta * direction, axis=-1)
     side = direction[..., 0] * delta[..., 1] - direction[..., 1] * delta[..., 0]
-    i, j = interface.cells.T
-    crossed = side[:, i] * side[:, j] <= 0
-    span = side[:, i] - side[:, j]
-    share = np.divide(side[:, i], span, out=_foot(along[:, i], along[:, j]), where=span != 0)
-    place = along[:, i] + share * (along[:, j] - along[:, i])
+    i, j = cells.T
+    crossed = side[..., i] * side[..., j] <= 0
+    span = side[..., i] - side[..., j]
+    share = np.divide(side[..., i], span, out=_foot(along[..., i], along[..., j]), where=span != 0)
+    place = along[..., i] + share * (along[..., j] - along[..., i])
     place = np.where(crossed, place, np.inf)
-    return np.asarray(place[np.arange(len(lines)), np.argmin(np.abs(place), axis=1)])
+    nearest = np.argmin(np.abs(place), axis=-1)
+    return np.asarray(np.take_along_axis(place, nearest[..., None], axis=-1)[..., 0])
 
 
-def _foot(start: Float[np.ndarray, "line cell"], end: Float[np.ndarray, "line cell"]) -> Float[np.ndarray, "line cell"]:
+def _foot(
+    start: Float[np.ndarray, "*run line cell"], end: Float[np.ndarray, "*run line cell"]
+) -> Float[np.ndarray, "*run line cell"]:
     """Return where on a segment that lies *in* the line, as a share of it, the line's point is nearest."""
     span = end - start
     return np.asarray(np.clip(np.divide(-start, span, out=np.zeros_like(span), where=span != 0), 0.0, 1.0))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
@@ -35,3 +36,11 @@ class TrackedPoints:
     def terms(self, observed: Interface) -> int:
         """Return the number of independent residuals: one a coordinate of every node."""
         return int(observed.points.size)
+
+    def many(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"] | None:
+        """Return d² of interfaces of the same cells, mm²; None where the nodes do not correspond, which is refused."""
+        if points.shape[1:] != observed.points.shape:
+            return None
+        return np.asarray(np.sum((points - observed.points) ** 2, axis=(1, 2)))

@@ -1,8 +1,9 @@
 """Figures: each function takes data and an optional Axes (or Figure, for several panels) and returns it."""
 
-from strandline.plots.check import OffsetBand, plot_check
+from strandline.plots.check import OffsetBand, plot_check, plot_offsets
 from strandline.plots.convergence import plot_convergence
 from strandline.plots.field import FieldGrid, plot_field, plot_profile, three_measures
+from strandline.plots.field_error import ErrorsAlong, plot_field_error
 from strandline.plots.flow import FlowFields, plot_flow
 from strandline.plots.interfaces import plot_conditions, plot_interfaces
 from strandline.plots.joint import plot_hexagons, plot_joint, plot_pairs, plot_selected_pairs
@@ -11,18 +12,22 @@ from strandline.plots.marginals import Curve, plot_marginal, plot_marginals
 from strandline.plots.parallel import plot_parallel
 from strandline.plots.particles import plot_particles
 from strandline.plots.parts import plot_parts
+from strandline.plots.run_history import RunHistory, plot_run_history
 from strandline.plots.sensitivity import plot_sensitivity
 from strandline.plots.tempering import plot_tempering
 
 __all__ = [
     "Curve",
+    "ErrorsAlong",
     "FieldGrid",
     "FlowFields",
     "OffsetBand",
+    "RunHistory",
     "plot_check",
     "plot_conditions",
     "plot_convergence",
     "plot_field",
+    "plot_field_error",
     "plot_flow",
     "plot_hexagons",
     "plot_interfaces",
@@ -30,11 +35,13 @@ __all__ = [
     "plot_leave_one_out",
     "plot_marginal",
     "plot_marginals",
+    "plot_offsets",
     "plot_pairs",
     "plot_parallel",
     "plot_particles",
     "plot_parts",
     "plot_profile",
+    "plot_run_history",
     "plot_selected_pairs",
     "plot_sensitivity",
     "plot_tempering",

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from strandline.plots.style import BLACK, BLUE, GREEN, GREY, SKY, below, figure_or_new, styled
+from strandline.plots.style import BLACK, BLUE, GREEN, GREY, SKY, axes_or_new, below, figure_or_new, styled
 
 __all__ = ["OffsetBand", "plot_check", "plot_likelihoods", "plot_offsets"]
 
@@ -80,9 +80,10 @@ def plot_likelihoods(true: Float[np.ndarray, " draw"], surrogate: Float[np.ndarr
     return ax
 
 
-def plot_offsets(band: OffsetBand | None, *, ax: Axes) -> Axes:
+def plot_offsets(band: OffsetBand | None, *, ax: Axes | None = None) -> Axes:
     """Draw the band of the interfaces and the observation over the arc length; a note where there is no band."""
     with styled():
+        ax = axes_or_new(ax, (3.9, 3.9))
         if band is None:
             ax.set_axis_off()
             ax.text(0.5, 0.5, "no band: see the note\nin check.json", ha="center", va="center", color=GREY)

@@ -1,20 +1,22 @@
 """Which figures a calibration has: a name and a caption each, drawn one after the other."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
-from matplotlib.figure import Figure
 
 from strandline import plots
+from strandline.active import FieldOutcome
 from strandline.calibrate import Calibration
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.posterior import Reading
 from strandline.quadrature import QuadratureResult, mixture
+from strandline.report.captioned import Captioned, whole
+from strandline.report.field_figures import field_figures
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
 
 __all__ = ["Captioned", "draw_figures"]
@@ -27,16 +29,6 @@ EXAMPLES = (0.1, 0.8, 1.0)
 """Which runs are drawn as examples: quantiles of their displacement."""
 
 
-@dataclass(frozen=True, eq=False)
-class Captioned:
-    """A figure, the name of its file, the section of the report it belongs to, and what it shows."""
-
-    name: str
-    section: str
-    caption: str
-    figure: Figure
-
-
 def draw_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     """Yield the figures of a calibration; those that need two inputs are left out where there are fewer or more."""
     yield from _data(calibration, truth)
@@ -45,6 +37,7 @@ def draw_figures(calibration: Calibration, truth: Mapping[str, float] | None) ->
     yield from _sampler(calibration)
     yield from _posterior(calibration, truth)
     yield from _under_uncertainty(calibration, truth)
+    yield from field_figures(calibration, truth)
 
 
 def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -59,7 +52,7 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
             figure = None
         if figure is not None:
             caption = f"Fluid velocity, fluid pressure and displacement of the solid on the deformed mesh at {where}."
-            yield Captioned("flow", "data", caption, _whole(figure))
+            yield Captioned("flow", "data", caption, whole(figure))
     undeformed = getattr(problem.model, "undeformed", lambda: None)()
     observed = {o.condition: o.interface for o in problem.observations}
     examples = _examples(calibration, undeformed)
@@ -68,10 +61,10 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
     if len(observed) == 1:
         ((condition, interface),) = observed.items()
         axes = plots.plot_interfaces(interface, reference=undeformed, simulated=examples[condition])
-        yield Captioned("interfaces", "data", f"{caption}.", _whole(axes.figure))
+        yield Captioned("interfaces", "data", f"{caption}.", whole(axes.figure))
     else:
         figure = plots.plot_conditions(observed, reference=undeformed, simulated=examples)
-        yield Captioned("interfaces", "data", f"{caption}, by condition.", _whole(figure))
+        yield Captioned("interfaces", "data", f"{caption}, by condition.", whole(figure))
 
 
 def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[str, dict[str, Interface]]:
@@ -110,6 +103,9 @@ def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iter
     space = calibration.problem.space
     if space.dim != 2:
         return
+    if calibration.field is not None:
+        yield from _field_likelihood(calibration, calibration.field, truth)
+        return
     means = {_spoken(name): _mean_grid(calibration, s, truth) for name, s in calibration.surrogates.items()}
     deviations = {
         _spoken(name): _grid(calibration, s, lambda s, x: np.sqrt(s.process.variance(x)), truth)
@@ -121,19 +117,19 @@ def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iter
         "likelihood",
         "surrogate",
         f"Likelihood over its maximum, {several}mean of the Gaussian process. {crosses}",
-        _whole(plots.three_measures(means, kind="likelihood")),
+        whole(plots.three_measures(means, kind="likelihood")),
     )
     yield Captioned(
         "log_likelihood",
         "surrogate",
         f"Log-likelihood, {several}mean of the Gaussian process. {crosses}",
-        _whole(plots.three_measures(means, kind="log_likelihood")),
+        whole(plots.three_measures(means, kind="log_likelihood")),
     )
     yield Captioned(
         "log_likelihood_sd",
         "surrogate",
         f"Standard deviation of the Gaussian process, {several}in units of log-likelihood. {crosses}",
-        _whole(plots.three_measures(deviations, kind="sd")),
+        whole(plots.three_measures(deviations, kind="sd")),
     )
 
 
@@ -163,8 +159,8 @@ def _around(values: Float[np.ndarray, " x"], chosen: Int[np.ndarray, " n"]) -> t
 
 def _grid(
     calibration: Calibration,
-    surrogate: LogLikelihoodSurrogate,
-    function: Callable[[LogLikelihoodSurrogate, Any], Any],
+    surrogate: Any,
+    function: Callable[[Any, Any], Any],
     truth: Mapping[str, float] | None,
     *,
     part: Sequence[tuple[float, float]] | None = None,
@@ -191,15 +187,32 @@ def _failed(calibration: Calibration) -> Float[np.ndarray, "run dim"]:
     return np.array(rows, float).reshape(-1, len(names))
 
 
+def _field_likelihood(
+    calibration: Calibration, found: FieldOutcome, truth: Mapping[str, float] | None
+) -> Iterator[Captioned]:
+    """Yield the likelihood of the predicted interface over two inputs."""
+    name = _spoken(next(iter(calibration.problem.discrepancies)))
+    grids = {name: _grid(calibration, found.knowledge, lambda known, x: known.plug_in(x), truth)}
+    crosses = "Grey crosses are failed forward runs."
+    rest = f"of the interface that the surrogate predicts. {crosses}"
+    caption = f"Likelihood over its maximum, {rest}"
+    yield Captioned("likelihood", "surrogate", caption, whole(plots.three_measures(grids, kind="likelihood")))
+    caption = f"Log-likelihood, {rest}"
+    yield Captioned("log_likelihood", "surrogate", caption, whole(plots.three_measures(grids, kind="log_likelihood")))
+
+
 def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
-    values = next(iter(calibration.log_likelihoods.values()))
-    validation = calibration.surrogate.validation
-    axes = plots.plot_leave_one_out(values, values - validation.residuals, near_mode=validation.near_mode)
-    caption = (
-        "Each run's log-likelihood as the surrogate predicts it from all other runs. The runs near the mode decide "
-        f"the posterior: their root-mean-square error is {validation.loo_rms_near_mode:.3g}."
-    )
-    yield Captioned("leave_one_out", "surrogate", caption, _whole(axes.figure))
+    if calibration.surrogates:
+        values = next(iter(calibration.log_likelihoods.values()))
+        validation = calibration.surrogate.validation
+        axes = plots.plot_leave_one_out(values, values - validation.residuals, near_mode=validation.near_mode)
+        called = "the surrogate" if calibration.field is None else "a surrogate of the log-likelihood"
+        decide = "" if calibration.field is not None else " The runs near the mode decide the posterior:"
+        caption = (
+            f"Each run's log-likelihood as {called} predicts it from all other runs.{decide} "
+            f"Root-mean-square error of the runs near the mode: {validation.loo_rms_near_mode:.3g}."
+        )
+        yield Captioned("leave_one_out", "surrogate", caption, whole(axes.figure))
     if calibration.sensitivity is not None:
         axes = plots.plot_sensitivity(calibration.sensitivity, calibration.problem.space.names)
         caption = (
@@ -207,7 +220,7 @@ def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
             "alone, and that it is part of, with bootstrap intervals of 95 %. The far tail has most of this variance; "
             "how well an input is known is seen from its marginal."
         )
-        yield Captioned("sensitivity", "surrogate", caption, _whole(axes.figure))
+        yield Captioned("sensitivity", "surrogate", caption, whole(axes.figure))
 
 
 def _sampler(calibration: Calibration) -> Iterator[Captioned]:
@@ -219,7 +232,7 @@ def _sampler(calibration: Calibration) -> Iterator[Captioned]:
         particles=calibration.settings.particles,
     )
     caption = "The sampler's course: exponent γ of the likelihood, effective sample size, share of accepted moves."
-    yield Captioned("tempering", "sampler", caption, _whole(figure))
+    yield Captioned("tempering", "sampler", caption, whole(figure))
 
 
 def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -232,27 +245,25 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
             "(black), the Gaussian (orange) and the Laplace approximation (green); marginals with "
             "priors (orange dashes)."
         )
-        yield Captioned("posterior", "posterior", caption, _whole(figure))
+        yield Captioned("posterior", "posterior", caption, whole(figure))
         axes = plots.plot_particles(posterior, names)
-        yield Captioned(
-            "particles", "posterior", "The particles; area and colour show the weight.", _whole(axes.figure)
-        )
+        yield Captioned("particles", "posterior", "The particles; area and colour show the weight.", whole(axes.figure))
     elif space.dim > 2:
         figure = plots.plot_pairs(posterior, truth=truth)
-        yield Captioned("posterior", "posterior", "Posterior of all pairs of inputs.", _whole(figure))
+        yield Captioned("posterior", "posterior", "Posterior of all pairs of inputs.", whole(figure))
     if space.dim > 3:
         axes = plots.plot_parallel(posterior, truth=truth)
         caption = (
             "Each line is a particle, coloured by its log posterior density; lines of high density are drawn on top. "
             "An input whose axis the red lines cross everywhere is not known from the data."
         )
-        yield Captioned("parallel", "posterior", caption, _whole(axes.figure))
+        yield Captioned("parallel", "posterior", caption, whole(axes.figure))
     curves = _quadrature_curves(space.names, calibration.quadrature)
     figure = plots.plot_marginals(posterior, overlays=curves, truth=truth)
     caption = "Marginal posteriors with priors" + (
         " and the direct quadrature of the same surrogate." if calibration.quadrature else "."
     )
-    yield Captioned("marginals", "posterior", caption, _whole(figure))
+    yield Captioned("marginals", "posterior", caption, whole(figure))
 
 
 def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -266,14 +277,14 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     curves = _quadrature_curves(found.cut.names, exact)
     figure = plots.plot_marginals(found.cut.extended, found.cut.names, overlays=curves, truth=truth)
     caption = "Marginals of the cut reading with priors" + (" and direct quadrature." if curves else ".")
-    yield Captioned("cut_marginals", "uncertainty", caption, _whole(figure))
+    yield Captioned("cut_marginals", "uncertainty", caption, whole(figure))
     names = [space.names[i] for i in space.nuisance]
     figure = plots.plot_marginals(calibration.posterior, names, truth=truth, whole_box=True)
     caption = (
         f"Prior of {', '.join(names)} (orange dashes), kept by the cut reading, and the joint reading's "
         "posterior of it."
     )
-    yield Captioned("nuisance", "uncertainty", caption, _whole(figure))
+    yield Captioned("nuisance", "uncertainty", caption, whole(figure))
 
 
 def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -290,7 +301,7 @@ def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> 
         caption = f"Posterior under uncertainty, {name} reading: all pairs of calibrated inputs."
     else:
         return
-    yield Captioned(f"posterior_{name}", "uncertainty", caption, _whole(figure))
+    yield Captioned(f"posterior_{name}", "uncertainty", caption, whole(figure))
 
 
 def _quadrature_curves(names: Sequence[str], exact: QuadratureResult | None) -> dict[str, plots.Curve]:
@@ -305,8 +316,3 @@ def _quadrature_curves(names: Sequence[str], exact: QuadratureResult | None) -> 
 
 def _spoken(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _whole(figure: Any) -> Figure:
-    assert isinstance(figure, Figure)
-    return figure

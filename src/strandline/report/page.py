@@ -11,8 +11,9 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from strandline.calibrate import Calibration
+from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
-from strandline.report.figures import Captioned, draw_figures
+from strandline.report.figures import draw_figures
 
 __all__ = ["add_check", "template", "write_report"]
 

@@ -8,6 +8,7 @@ from strandline.calibrate import Calibration
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior
 from strandline.quadrature import mixture
+from strandline.report.field_warnings import field_warnings
 
 __all__ = ["find_warnings"]
 
@@ -32,8 +33,11 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     for condition in turned:
         where = f" of {condition}" if condition else ""
         yield f"The observed points{where} ran against the model's interface and were turned round."
-    yield from _impossible(calibration)
-    yield from _surrogate(calibration)
+    if calibration.field is None:
+        yield from _impossible(calibration)
+        yield from _surrogate(calibration)
+    else:
+        yield from field_warnings(calibration, calibration.field)
     yield from _runs(calibration)
     yield from _prior(calibration)
     yield from _sampler(calibration)
@@ -109,7 +113,7 @@ def _sampler(calibration: Calibration) -> Iterator[str]:
 def _cut(calibration: Calibration) -> Iterator[str]:
     """Yield doubts about the cut reading: it needs the surrogate where the likelihood is small, too."""
     found = calibration.under_uncertainty
-    if found is None:
+    if found is None or calibration.field is not None:
         return
     cut, validation = found.cut, calibration.surrogate.validation
     values = cut.extended.log_likelihood + cut.log_evidence[cut.value_index]

@@ -86,7 +86,8 @@ def sample(
     Args:
         key: random key; not to be used again.
         log_likelihood: log L of physical points, batched and jittable; -inf allowed. Where log p is -inf its value
-            is ignored.
+            is ignored. With an attribute `on_host` that is true, it calls back to Python, and all particles stay on
+            one device.
         log_prior: log p of physical points, batched, jittable, normalised if the evidence is to mean anything.
         initial: draws of the prior, physical.
         settings: the sampler's settings.
@@ -157,7 +158,9 @@ def _start(
 ) -> Particles:
     """Return the state at γ = 0 after checking all that can be checked."""
     require_double()
-    positions = spread(jnp.asarray(initial, float))
+    positions = jnp.asarray(initial, float)
+    if not getattr(log_likelihood, "on_host", False):
+        positions = spread(positions)
     return checked_start(positions, jax.jit(log_likelihood)(positions), jax.jit(log_prior)(positions))
 
 

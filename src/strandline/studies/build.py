@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from strandline.active import Active
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models import MODELS
@@ -18,10 +19,11 @@ from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.runs import FailurePolicy, Retry
 from strandline.studies.observed import TO_MM, read_points
-from strandline.studies.schema import Failures, Input, Quantity, Refine, StudyFile
+from strandline.studies.schema import ActiveFile, Failures, Input, Quantity, Refine, StudyFile
 from strandline.surrogate import KERNELS
 
 __all__ = [
+    "build_active",
     "build_discrepancies",
     "build_failures",
     "build_fixed",
@@ -201,6 +203,24 @@ def check_runs(runs: int, dim: int) -> None:
             expected=f"at least {dim + 2} runs for {dim} input(s); 100 are a start",
             remedy="Enlarge the design.",
         )
+
+
+def build_active(given: ActiveFile | None, dim: int, *, sensitivities: bool) -> Active | None:
+    """Return the settings of an active design, its first runs counted."""
+    if given is None:
+        return None
+    options = {name: value for name, value in given if value is not None and name != "scramble"}
+    usual = 4 + 2 * dim
+    options.setdefault("initial", max(usual // 2, 3) if sensitivities else usual)
+    try:
+        return Active(**options)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            error.what.replace("active design: ", "design.active."),
+            value=error.value,
+            expected=error.expected,
+            remedy="Correct the option, or leave it out.",
+        ) from None
 
 
 def check_refine(refine: Refine | None, particles: int) -> None:

@@ -2,6 +2,11 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 from strandline.design import sobol
 from strandline.errors import InvalidStudy
@@ -13,10 +18,13 @@ from strandline.studies.folder import REFINEMENT, write_json
 from strandline.studies.study import Study
 
 __all__ = [
+    "begin_active",
     "check_ledgers",
     "design_inputs",
     "design_keys",
+    "end_active",
     "failure_kinds",
+    "given_inputs",
     "known_runs",
     "needed_keys",
     "open_runs",
@@ -31,7 +39,10 @@ __all__ = [
 
 
 def design_inputs(study: Study) -> list[dict[str, float]]:
-    """Return the inputs of the study's Sobol design, in its order."""
+    """Return the inputs of the study's first design, in its order: the Sobol design, or runs given to begin with."""
+    given = given_inputs(study)
+    if given is not None:
+        return given
     design = study.space.to_physical(sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble))
     return [{**study.fixed, **study.space.as_mapping(x)} for x in design]
 
@@ -43,32 +54,95 @@ def design_keys(study: Study) -> list[str]:
 
 
 def refinement_keys(study: Study) -> list[list[str]]:
-    """Return the keys of each round of refinement that study.yaml as it is has come to so far.
+    """Return the keys of each round of refinement, or batch, that study.yaml as it is has come to so far.
 
     Where the rounds make their runs follows from the runs before them: refinement.json says it of those that began.
     """
-    try:
-        found = json.loads((study.folder / REFINEMENT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return []
-    if not isinstance(found, dict) or found.get("study_sha256") != study.text_digest:
-        return []
-    rounds = found.get("rounds")
+    rounds = _noted(study).get("rounds")
     return [list(keys) for keys in rounds] if isinstance(rounds, list) else []
+
+
+def given_inputs(study: Study) -> list[dict[str, float]] | None:
+    """Return the inputs of the runs that an active design was given to begin with; None where there are none."""
+    given = _noted(study).get("given")
+    return [dict(entry) for entry in given] if isinstance(given, list) and given else None
 
 
 def write_round(study: Study, number: int, inputs: Sequence[Mapping[str, float]]) -> None:
     """Note the runs of round `number`, the first being 0, in refinement.json; rounds behind it are forgotten."""
     identity = fingerprint(study.model)
     rounds = [*refinement_keys(study)[:number], [run_key(identity, entry) for entry in inputs]]
-    write_json(study.folder / REFINEMENT, {"study_sha256": study.text_digest, "rounds": rounds})
+    _note(study, rounds=rounds, finished=False)
+
+
+def begin_active(study: Study, ledger: Ledger) -> Float[np.ndarray, "run dim"] | None:
+    """Return the inputs of the runs that an active design begins with; None for its Sobol design.
+
+    They are those that the ledgers, its own and the reused ones, hold of another study.yaml, at least as many as the
+    design would begin with. What is found the first time is noted, so that the study goes on with the same.
+    """
+    if study.settings.active is None:
+        return None
+    if "given" not in _noted(study):
+        found = _runs_at_hand(study, ledger)
+        _note(study, given=found if len(found) >= study.settings.runs else [], rounds=[], finished=False)
+    given = given_inputs(study)
+    return None if given is None else np.array([[entry[name] for name in study.space.names] for entry in given])
+
+
+def end_active(study: Study) -> None:
+    """Note that an active design has ended, so that its runs are all that the study needs."""
+    if study.settings.active is not None:
+        _note(study, finished=True)
+
+
+def _runs_at_hand(study: Study, ledger: Ledger) -> list[dict[str, float]]:
+    """Return the inputs of the settled runs, in the box and with the known inputs of `study`, in a fixed order."""
+    truth = None if study.truth is None else run_key(ledger.model, study.truth)
+    found: dict[str, dict[str, float]] = {}
+    for path in (None, *(path for path in study.reuse if path.is_file())):
+        with nullcontext(ledger) if path is None else Ledger.open(path, model=ledger.model, read_only=True) as source:
+            for record in source:
+                if record.final and record.key != truth and _belongs(record, study):
+                    found[record.key] = dict(record.inputs)
+    return [found[key] for key in sorted(found)]
+
+
+def _belongs(record: RunRecord, study: Study) -> bool:
+    if set(record.inputs) != {*study.fixed, *study.space.names}:
+        return False
+    known = all(record.inputs[name] == value for name, value in study.fixed.items())
+    box = zip(study.space.names, study.space.low, study.space.high, strict=True)
+    useful = not study.sensitivities or not record.ok or bool(record.sensitivities)
+    return known and useful and all(low <= record.inputs[name] <= high for name, low, high in box)
+
+
+def _noted(study: Study) -> dict[str, Any]:
+    """Return what refinement.json says of study.yaml as it is; nothing where it belongs to another."""
+    try:
+        found = json.loads((study.folder / REFINEMENT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) and found.get("study_sha256") == study.text_digest else {}
+
+
+def _note(study: Study, **content: Any) -> None:
+    write_json(study.folder / REFINEMENT, {"study_sha256": study.text_digest} | _noted(study) | content)
 
 
 def planned_runs(study: Study) -> int:
-    """Return the number of runs of the design and of all rounds of refinement."""
+    """Return the number of runs of the design and of all rounds of refinement.
+
+    Of an active design, all that it may make, until it has ended: then those that it made.
+    """
     begun = refinement_keys(study)
+    first, made = len(design_inputs(study)), sum(len(keys) for keys in begun)
+    if study.settings.active is not None:
+        given = given_inputs(study) is not None
+        most = study.settings.active.runs + (first if given else 0)
+        return first + made if _noted(study).get("finished") else max(most, first + made)
     left = study.settings.refine.rounds - len(begun)
-    return study.settings.runs + sum(len(keys) for keys in begun) + left * study.settings.refine.runs
+    return first + made + left * study.settings.refine.runs
 
 
 def plan_of(study: Study) -> Plan:

@@ -17,7 +17,15 @@ from strandline.report import write_report
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
-from strandline.studies.ledgers import check_ledgers, design_inputs, plan_of, take_over, write_round
+from strandline.studies.ledgers import (
+    begin_active,
+    check_ledgers,
+    design_inputs,
+    end_active,
+    plan_of,
+    take_over,
+    write_round,
+)
 from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
@@ -52,6 +60,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     check_ledgers(study)
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
+        given = begin_active(study, ledger)
         ledger.plan(plan_of(study))
         take_over(study, ledger)
         observed = _observe(study, ledger, executor, observer)
@@ -64,7 +73,10 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
             ledger=ledger,
             executor=executor,
             observer=_noting_rounds(made.listening(observer), study, ledger),
+            given=given,
         )
+        end_active(study)
+        ledger.plan(plan_of(study))
     return _write_results(study, calibration, made.number, observer)
 
 

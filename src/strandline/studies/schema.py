@@ -175,23 +175,60 @@ class Refine(_Strict):
     temperature: Annotated[Number, Field(gt=0, le=1)] = 0.4
 
 
+class ActiveFile(_Strict):
+    """Batches chosen as the posterior takes shape; `strandline.active` checks the numbers."""
+
+    runs: Count
+    initial: Count | None = None
+    scramble: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
+    batch: Count | None = None
+    explore: Number | None = None
+    criterion: str | None = None
+    check: Count | None = None
+    change: Number | None = None
+    shift: Number | None = None
+    k_hat: Number | None = None
+    effective: Number | None = None
+    patience: Number | None = None
+
+
 class Design(_Strict):
     """The design of experiments."""
 
-    sobol: Sobol
+    sobol: Sobol | None = None
     refine: Refine | None = None
+    active: ActiveFile | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "Design":
+        if (self.sobol is None) == (self.active is None):
+            raise ValueError("either `sobol: {runs: …}` or `active: {runs: …}`")
+        if self.refine is not None and self.active is not None:
+            raise ValueError("`refine` with `sobol` only; an active design refines itself")
+        return self
 
 
 class LogLikelihood(_Strict):
     """A Gaussian process of the log-likelihood."""
 
-    kernel: str = "matern32"
+    kernel: str | None = None
+
+
+class InterfaceField(_Strict):
+    """A surrogate of the interface as a field."""
 
 
 class Surrogate(_Strict):
-    """The surrogate."""
+    """The surrogate: one of the two; by default what the design wants."""
 
-    log_likelihood: LogLikelihood = LogLikelihood()
+    log_likelihood: LogLikelihood | None = None
+    field: InterfaceField | None = None
+
+    @model_validator(mode="after")
+    def _one_surrogate(self) -> "Surrogate":
+        if self.log_likelihood is not None and self.field is not None:
+            raise ValueError("one of `log_likelihood`, `field`")
+        return self
 
 
 class SMC(_Strict):
@@ -347,3 +384,11 @@ class StudyFile(_Strict):
     sensitivities: Annotated[bool, Field(strict=True)] = False
     reuse: list[str] = []
     seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] = 1
+
+    @model_validator(mode="after")
+    def _fitting_surrogate(self) -> "StudyFile":
+        if self.design.active is not None and self.surrogate.log_likelihood is not None:
+            raise ValueError("`surrogate: {field: {}}` for an active design, or `design: {sobol: {runs: …}}`")
+        if self.design.refine is not None and self.surrogate.field is not None:
+            raise ValueError("`design: {active: …}` to refine a surrogate of the field")
+        return self

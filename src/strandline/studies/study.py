@@ -24,6 +24,9 @@ from strandline.studies.schema import ConditionFile, ObservationFile, StudyFile
 
 __all__ = ["Study", "load_study"]
 
+FEW_INPUTS = 3
+"""Inputs up to which a surrogate of the log-likelihood that is there to compare has one length scale."""
+
 
 @dataclass(frozen=True)
 class Study:
@@ -111,13 +114,21 @@ def load_study(folder: Path) -> Study:
 
 def _settings(content: StudyFile) -> Settings:
     smc, sobol, refine = content.sampler.smc, content.design.sobol, content.design.refine
-    build.check_runs(sobol.runs, len(content.inputs))
     build.check_refine(refine, smc.particles)
+    dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
+    active = build.build_active(content.design.active, dim, sensitivities=content.sensitivities)
+    if sobol is not None and content.surrogate.field is None:
+        build.check_runs(sobol.runs, dim)
+    by_field = active is not None or content.surrogate.field is not None
+    kernel = None if log_likelihood is None else log_likelihood.kernel
+    start = content.design.active if sobol is None else sobol
     return Settings(
-        runs=sobol.runs,
-        scramble=sobol.scramble,
+        runs=sobol.runs if sobol is not None else (active.initial if active and active.initial else 0),
+        scramble=None if start is None else start.scramble,
         refine=Refinement() if refine is None else Refinement(refine.rounds, refine.runs, refine.temperature),
-        kernel=build.check_kernel(content.surrogate.log_likelihood.kernel),
+        kernel=build.check_kernel(kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")),
+        surrogate="field" if by_field else "log_likelihood",
+        active=active,
         particles=smc.particles,
         smc=SMCSettings(rejuvenation_steps=smc.rejuvenation_steps, zeta=smc.zeta),
         seed=content.seed,

@@ -18,6 +18,7 @@ from strandline.quadrature import QuadratureResult, mixture
 from strandline.refinement import shifts
 from strandline.report.warnings import find_warnings
 from strandline.studies.study import Study
+from strandline.studies.summary_field import certificate, comparison, field_surrogate
 from strandline.surrogate import LogLikelihoodSurrogate
 
 __all__ = ["summarise", "versions"]
@@ -51,7 +52,11 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "inputs": _inputs(calibration),
         "log_evidence": sampling.log_evidence,
         "likelihood": _likelihood(study, calibration),
-        "surrogate": _surrogate(calibration.surrogate),
+        "surrogate": _surrogate(calibration.surrogate)
+        if calibration.field is None
+        else field_surrogate(calibration, calibration.field),
+        "certificate": certificate(calibration),
+        "comparison": comparison(calibration),
         "measures": {name: _surrogate(s) for name, s in calibration.surrogates.items()},
         "sampler": {
             "particles": study.settings.particles,
@@ -197,6 +202,7 @@ def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
 def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
     process, validation = surrogate.process, surrogate.validation
     return {
+        "kind": "log_likelihood",
         "n_train": len(process.x_train),
         "loo_rms": validation.loo_rms,
         "loo_rms_near_mode": validation.loo_rms_near_mode,

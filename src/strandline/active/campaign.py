@@ -1,0 +1,97 @@
+"""The batches of an active design as a campaign asks for them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.active.design import Active, ActiveDesign
+from strandline.active.outcome import Certificate
+from strandline.active.state import State, learn, posterior_state
+from strandline.discrepancy import Discrepancy
+from strandline.errors import TooFewRuns
+from strandline.field_likelihood import OnHost
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.parameters import ParameterSpace
+from strandline.runs import RunRecord
+
+__all__ = ["ActiveRuns"]
+
+Points = Float[np.ndarray, "run dim"]
+
+
+@dataclass
+class ActiveRuns:
+    """Chooses the batches of a campaign for `run_batches`, and keeps account.
+
+    Args:
+        active: its settings.
+        space: the unknown inputs.
+        observations: one for each observed condition.
+        discrepancy: the measure.
+        batch: runs chosen together.
+        seed: of all random numbers.
+        scramble: of the Sobol sequence of the first runs.
+        aside: a context for the time that choosing takes.
+    """
+
+    active: Active
+    space: ParameterSpace
+    observations: tuple[Observation, ...]
+    discrepancy: Discrepancy
+    batch: int
+    seed: int
+    scramble: int | None
+    aside: Callable[[], Any]
+    design: ActiveDesign = field(init=False)
+
+    def __post_init__(self) -> None:
+        host, likelihood = (
+            OnHost(self.space.low, self.space.high),
+            InterfaceLikelihood(self.observations, self.discrepancy),
+        )
+
+        def state(x: Points, records: Sequence[RunRecord]) -> State:
+            known = learn(x, records, self.space, self.observations, self.discrepancy)
+            return posterior_state(known, self.space, host, (self.seed, len(x)))
+
+        self.design = ActiveDesign(
+            self.active,
+            self.space,
+            batch=self.batch,
+            learn=state,
+            log_likelihood=lambda record: likelihood(record.interfaces),
+            seed=self.seed,
+            scramble=self.scramble,
+        )
+
+    def points(self, records: Sequence[RunRecord]) -> Points:
+        """Return the unknown inputs of runs."""
+        return np.array([[record.inputs[name] for name in self.space.names] for record in records], float)
+
+    def __call__(self, records: Sequence[RunRecord]) -> Points:
+        """Return the inputs of the next batch, none to stop; more of the first design where too few succeeded."""
+        with self.aside():
+            try:
+                batch = self.design.next(self.points(records), records)
+            except TooFewRuns:
+                batch = self.design.more_of_the_first()
+                if batch is None:
+                    raise
+        return np.empty((0, self.space.dim)) if batch is None else batch.points
+
+    @property
+    def certificate(self) -> Certificate:
+        """What speaks for the posterior."""
+        design = self.design
+        checks = [step for step in design.steps if step.check is not None]
+        return Certificate(
+            converged=design.converged,
+            reasons=design.reasons,
+            steps=tuple(design.steps),
+            batches=tuple(design.batches),
+            checked=checks[-1] if checks else None,
+        )

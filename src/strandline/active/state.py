@@ -1,0 +1,166 @@
+"""What is known after some runs: the surrogate of the field, where runs fail, and the posterior that follows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax
+
+from strandline.discrepancy import Discrepancy
+from strandline.field_likelihood import FieldLikelihood, OnHost, noise_length
+from strandline.interface import Observation
+from strandline.parameters import ParameterSpace
+from strandline.runs import RunRecord
+from strandline.smc import SMCSettings, sample
+from strandline.surrogate.feasibility import Feasibility, learn_feasibility
+from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
+
+__all__ = ["Knowledge", "State", "learn", "posterior_state"]
+
+SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
+"""Of the posterior after each batch."""
+PARTICLES = {1: 2000, 2: 2000, 3: 2000}
+MANY_INPUTS_PARTICLES = 1200
+TEMPERATURE = 0.5
+"""γ of π_γ ∝ L^γ p that is sampled; its particles are weighted to the posterior, and runs are chosen among them."""
+STREAM = 4
+"""Keeps the random numbers of the active design apart from all others of the same seed."""
+TOLERATED_REMAINDER = 0.08
+"""What the modes may leave, as a share of the shift of the interface that the noise hides."""
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """Surrogate and classifier learnt from some runs.
+
+    Args:
+        x: inputs of all runs (run, dim).
+        ok: which succeeded.
+        likelihood: log L through the surrogate of the field.
+        feasibility: of a run.
+        highest: largest log probability of success at any of the runs; the classifier is taken relative to it.
+    """
+
+    x: Float[np.ndarray, "run dim"]
+    ok: np.ndarray
+    likelihood: FieldLikelihood
+    feasibility: Feasibility
+    highest: float
+
+    @property
+    def surrogate(self) -> FieldSurrogate:
+        """The surrogate of the field."""
+        return self.likelihood.surrogate
+
+    def log_feasibility(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the log probability of success relative to the safest run: failures at random change nothing."""
+        z = self.surrogate.warping.standardise(x)
+        return np.asarray(np.minimum(self.feasibility.log_probability(z) - self.highest, 0.0))
+
+    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return log L of the predicted interface, and of there being one."""
+        return np.asarray(self.likelihood.plug_in(x) + self.log_feasibility(x))
+
+    def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return log E[L] over the fields that the surrogate holds possible, and of there being an interface."""
+        return np.asarray(self.likelihood.expected(x) + self.log_feasibility(x))
+
+
+def learn(
+    x: Float[np.ndarray, "run dim"],
+    records: Sequence[RunRecord],
+    space: ParameterSpace,
+    observations: tuple[Observation, ...],
+    discrepancy: Discrepancy,
+) -> Knowledge:
+    """Return what these runs teach; a function of them alone.
+
+    Raises:
+        TooFewRuns: too few succeeded.
+        InvalidInterface: interfaces without common points.
+    """
+    ok = np.array([record.ok for record in records], bool)
+    good = [record for record in records if record.ok]
+    names = [seen.condition for seen in observations]
+    interfaces = [{name: record.interfaces[name] for name in names} for record in good]
+    tolerance = TOLERATED_REMAINDER * min(noise_length(seen, discrepancy) for seen in observations)
+    training = FieldTraining(x[ok], interfaces, _gradients(good, names, space.names), space.low, space.high)
+    surrogate = fit_field(training, tolerance=tolerance)
+    z = surrogate.warping.standardise(x)
+    feasibility = learn_feasibility(z, ok)
+    highest = float(feasibility.log_probability(z).max())
+    return Knowledge(x, ok, FieldLikelihood(surrogate, observations, discrepancy), feasibility, highest)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The posterior after some runs, as particles of π_γ with two sets of weights.
+
+    Args:
+        knowledge: that it follows from.
+        positions: particles (particle, dim).
+        log_weights: of the posterior with the expected likelihood, normalised.
+        log_weights_tempered: of π_γ, normalised.
+        log_weights_plug_in: of the posterior as if the predicted interfaces were exact.
+        log_expected: log E[L] at the particles.
+    """
+
+    knowledge: Knowledge
+    positions: Float[np.ndarray, "particle dim"]
+    log_weights: Float[np.ndarray, " particle"]
+    log_weights_tempered: Float[np.ndarray, " particle"]
+    log_weights_plug_in: Float[np.ndarray, " particle"]
+    log_expected: Float[np.ndarray, " particle"]
+
+    @property
+    def mean(self) -> Float[np.ndarray, " dim"]:
+        """Of the posterior."""
+        return np.asarray(np.exp(self.log_weights) @ self.positions)
+
+    @property
+    def sd(self) -> Float[np.ndarray, " dim"]:
+        """Of the posterior."""
+        return np.asarray(np.sqrt(np.exp(self.log_weights) @ (self.positions - self.mean) ** 2))
+
+
+def posterior_state(knowledge: Knowledge, space: ParameterSpace, host: OnHost, seed: tuple[int, ...]) -> State:
+    """Return the posterior that `knowledge` leads to; the same arguments give the same bits.
+
+    Args:
+        knowledge: what the runs taught.
+        space: the inputs with their priors.
+        host: kept between calls, so that the sampler is compiled once.
+        seed: of the random numbers.
+    """
+    rng = np.random.default_rng([*seed, STREAM])
+    number = PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
+    initial = space.prior_quantiles(rng.random((number, space.dim)))
+    host.function = lambda x: TEMPERATURE * knowledge.plug_in(x)
+    key = jax.random.key(int(rng.integers(2**32)))
+    tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING)
+    x, exact = tempered.positions, tempered.log_likelihood / TEMPERATURE
+    expected = knowledge.expected(x)
+    rest = tempered.log_weights - tempered.log_likelihood
+    return State(
+        knowledge=knowledge,
+        positions=x,
+        log_weights=log_softmax(rest + expected),
+        log_weights_tempered=tempered.log_weights,
+        log_weights_plug_in=log_softmax(rest + exact),
+        log_expected=expected,
+    )
+
+
+def _gradients(
+    records: Sequence[RunRecord], conditions: Sequence[str], inputs: Sequence[str]
+) -> list[Mapping[str, Float[np.ndarray, "point xyz dim"]]] | None:
+    """Return the sensitivities of each run by condition, inputs on the last axis; None unless all runs have all."""
+    out: list[Mapping[str, Float[np.ndarray, "point xyz dim"]]] = []
+    for record in records:
+        found = record.sensitivities
+        if any(name not in found.get(condition, {}) for condition in conditions for name in inputs):
+            return None
+        out.append({c: np.stack([found[c][name] for name in inputs], axis=-1) for c in conditions})
+    return out

@@ -1,0 +1,45 @@
+"""Errors of a surrogate of the interface along it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+
+from strandline.plots.style import BLUE, CYCLE, DASHES, axes_or_new, below, styled
+
+__all__ = ["ErrorsAlong", "plot_field_error"]
+
+MM_TO_MICROMETRES = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorsAlong:
+    """Errors at places along an interface, mm; root mean squares over runs or draws.
+
+    Args:
+        arc_length: places (point,).
+        left_out: of runs, each predicted from the others.
+        predicted: standard deviations that the surrogate gives itself at draws of the posterior.
+    """
+
+    arc_length: Float[np.ndarray, " point"]
+    left_out: Float[np.ndarray, " point"]
+    predicted: Float[np.ndarray, " point"]
+
+
+def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = None) -> Axes:
+    """Draw both errors over the arc length, logarithmic, in µm; one colour for each condition."""
+    with styled():
+        ax = axes_or_new(ax, (5.2, 3.4))
+        for k, (condition, along) in enumerate(errors.items()):
+            colour = CYCLE[k % len(CYCLE)] if len(errors) > 1 else BLUE
+            of = f", {condition}" if condition else ""
+            lines = {"runs, each from the others": along.left_out, "its own estimate at draws": along.predicted}
+            for dashes, (label, values) in zip(DASHES, lines.items(), strict=False):
+                shown = np.maximum(MM_TO_MICROMETRES * values, 1e-6)
+                ax.semilogy(along.arc_length, shown, linestyle=dashes, color=colour, label=label + of)
+        ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
+        below(ax, columns=2)
+    return ax

@@ -1,0 +1,100 @@
+"""The figures of a posterior by a surrogate of the field: its history, its errors, what it predicts."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline import plots
+from strandline.active import FieldOutcome
+from strandline.calibrate import Calibration
+from strandline.interface import Interface
+from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset
+from strandline.report.captioned import Captioned, whole
+
+__all__ = ["field_figures"]
+
+DRAWS = 400
+
+
+def field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    """Yield the figures; none where the log-likelihood has the surrogate."""
+    found = calibration.field
+    if found is None:
+        return
+    yield from _history(calibration, found, truth)
+    chosen = subset(calibration.posterior.weights, min(DRAWS, calibration.posterior.number), 0)
+    x = calibration.posterior.draws[chosen]
+    errors = plots.plot_field_error(_errors(found, x))
+    caption = (
+        "Error of the surrogate along the interface, root mean square: of the runs, each predicted from all others, "
+        "and as the surrogate estimates it itself at draws of the posterior."
+    )
+    yield Captioned("field_error", "surrogate", caption, whole(errors.figure))
+    yield from _predictive(calibration, found, x)
+
+
+def _history(calibration: Calibration, found: FieldOutcome, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+    certificate, space = found.certificate, calibration.problem.space
+    if certificate is None or len(certificate.steps) < 2:
+        return
+    steps = certificate.steps
+    history = plots.RunHistory(
+        runs=np.array([step.runs for step in steps], float),
+        mean=np.array([step.mean for step in steps]),
+        sd=np.array([step.sd for step in steps]),
+        checked=[step.kind == "check" for step in steps],
+    )
+    at = None if truth is None else [truth[name] for name in space.names]
+    figure = plots.plot_run_history(history, [parameter.label() for parameter in space], truth=at)
+    caption = "The posterior over the number of runs: means with a band of one standard deviation."
+    yield Captioned("run_history", "certificate", caption, whole(figure))
+
+
+def _errors(found: FieldOutcome, x: Float[np.ndarray, "draw dim"]) -> dict[str, plots.ErrorsAlong]:
+    surrogate = found.knowledge.surrogate
+    left_out = surrogate.left_out_fields()
+    basis, roots = surrogate.modes.basis, surrogate.modes.roots
+    variance = surrogate.predict(x).variance.mean(axis=0)
+    predicted = (variance @ basis**2 + np.sum(surrogate.modes.tail**2, axis=0)) / roots**2
+    out, begin = {}, 0
+    for name, layout in surrogate.layouts.items():
+        template = layout.template
+        values = slice(begin, begin + template.points.size)
+        begin += template.points.size
+        shape = template.points.shape
+        squares = np.mean(left_out[:, values] ** 2, axis=0).reshape(shape).sum(axis=1)
+        own = predicted[values].reshape(shape).sum(axis=1)
+        out[name] = plots.ErrorsAlong(_arc_length(template), np.sqrt(squares), np.sqrt(own))
+    return out
+
+
+def _predictive(calibration: Calibration, found: FieldOutcome, x: Float[np.ndarray, "draw dim"]) -> Iterator[Captioned]:
+    surrogate = found.knowledge.surrogate
+    points = surrogate.points(surrogate.mean(x))
+    seen = {o.condition: o.interface for o in calibration.problem.observations}
+    for name, layout in surrogate.layouts.items():
+        if layout.template.dim != 2:
+            continue
+        band = interface_band(points[name])
+        centre = layout.with_points(band.median)
+        along = normal_offsets(np.stack([band.low, band.median, band.high]), centre)
+        observed = observed_offsets(seen[name], centre)
+        low, median, high = np.quantile(normal_offsets(points[name], centre).offset, (0.05, 0.5, 0.95), axis=0)
+        drawn = plots.OffsetBand(along.arc_length, low, median, high, observed.arc_length, observed.offset)
+        of = f" of {name}" if name else ""
+        caption = f"What the posterior predicts{of}: the interface of its draws, and the observed one."
+        axes = plots.plot_offsets(drawn)
+        yield Captioned(f"predictive{'_' + name if name else ''}", "certificate", caption, whole(axes.figure))
+
+
+def _arc_length(interface: Interface) -> Float[np.ndarray, " point"]:
+    """Return the place of each point along a polyline; of a surface, its number."""
+    if interface.dim != 2:
+        return np.arange(len(interface.points), dtype=float)
+    along = np.concatenate([[0.0], np.cumsum(interface.lengths)])
+    out = np.zeros(len(interface.points))
+    out[interface.cells[:, 0]] = along[:-1]
+    if not interface.closed:
+        out[interface.cells[-1, 1]] = along[-1]
+    return out

@@ -1,0 +1,109 @@
+"""What summary.json says of a surrogate of the field: what it is, what certifies its posterior, the other way."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.active import CheckResult, FieldOutcome, Step
+from strandline.calibrate import Calibration
+
+__all__ = ["certificate", "comparison", "field_surrogate"]
+
+TO_MICROMETRES = 1e3
+
+
+def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, Any]:
+    """Return what the surrogate is, its errors along the interface, and what they do to the posterior."""
+    surrogate, names = found.knowledge.surrogate, calibration.problem.space.names
+    at_draws = surrogate.predicted_error(calibration.posterior.draws)
+    return {
+        "kind": "field",
+        "n_train": surrogate.runs,
+        "modes": len(surrogate.processes),
+        "warps": dict(zip(names, surrogate.warping.names, strict=True)),
+        "gradients": surrogate.gradients,
+        "by_arclength": any(layout.by_arclength for layout in surrogate.layouts.values()),
+        "registration_error_um": TO_MICROMETRES * surrogate.registration_error,
+        "remainder_um": TO_MICROMETRES * surrogate.modes.remainder,
+        "left_out_error_um": _quantiles(surrogate.left_out_error(), None),
+        "predicted_error_um": _quantiles(at_draws, calibration.posterior.weights),
+        "variance_effect": {
+            "shift": dict(zip(names, found.effect.shift.tolist(), strict=True)),
+            "sd_ratio": dict(zip(names, found.effect.sd_ratio.tolist(), strict=True)),
+            "effective": found.effect.effective,
+        },
+        "feasible_mass": found.feasible,
+    }
+
+
+def certificate(calibration: Calibration) -> dict[str, Any] | None:
+    """Return what speaks for the posterior of an active design; None for a fixed one."""
+    found = calibration.field
+    if found is None or found.certificate is None:
+        return None
+    names, given = calibration.problem.space.names, found.certificate
+    checked = None if given.checked is None else given.checked.check
+    return {
+        "converged": given.converged,
+        "verdict": "converged" if given.converged else "not converged: " + "; ".join(given.reasons),
+        "runs": len(calibration.records),
+        "batches": [{"kind": batch.kind, "runs": len(batch.points)} for batch in given.batches],
+        "check": None if checked is None else _check(checked, given.checked, names),
+        "error_um": TO_MICROMETRES * given.steps[-1].error if given.steps else None,
+        "feasible_mass": found.feasible,
+        "history": [_step(step, names) for step in given.steps],
+    }
+
+
+def comparison(calibration: Calibration) -> dict[str, Any] | None:
+    """Return the posterior that the study's own surrogate makes of the same runs; None where it makes none."""
+    found = calibration.field
+    if found is None or found.compared is None:
+        return None
+    posterior, other = calibration.posterior, found.compared
+    return {
+        "inputs": {
+            name: {
+                "mean": float(other["mean"][i]),
+                "sd": float(other["sd"][i]),
+                "shift_sd": float((other["mean"][i] - posterior.mean[i]) / posterior.sd[i]),
+                "sd_ratio": float(other["sd"][i] / posterior.sd[i]),
+            }
+            for i, name in enumerate(posterior.space.names)
+        }
+    }
+
+
+def _check(found: CheckResult, step: Step | None, names: tuple[str, ...]) -> dict[str, Any]:
+    weights = found.reweighting
+    return {
+        "by": "left-out runs" if step is not None and step.kind == "given" else "runs at draws of the posterior",
+        "passed": found.passed,
+        "draws": found.draws,
+        "failed": found.failed,
+        "reasons": list(found.reasons),
+        "k_hat": None if weights is None or not np.isfinite(weights.smoothed.k_hat) else weights.smoothed.k_hat,
+        "effective": None if weights is None else weights.smoothed.ess / len(weights.smoothed.log_weights),
+        "shift": None if weights is None else dict(zip(names, weights.shift.tolist(), strict=True)),
+        "shift_error": None if weights is None else dict(zip(names, weights.shift_error.tolist(), strict=True)),
+        "sd_ratio": None if weights is None else dict(zip(names, weights.sd_ratio.tolist(), strict=True)),
+    }
+
+
+def _step(step: Step, names: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        "runs": step.runs,
+        "ok": step.ok,
+        "kind": step.kind,
+        "mean": dict(zip(names, step.mean.tolist(), strict=True)),
+        "sd": dict(zip(names, step.sd.tolist(), strict=True)),
+        "error_um": TO_MICROMETRES * step.error,
+        "change": step.change,
+        "change_sd": step.change_sd,
+    }
+
+
+def _quantiles(values: Float[np.ndarray, " value"], weights: Float[np.ndarray, " value"] | None) -> dict[str, float]:
+    found = np.quantile(TO_MICROMETRES * values, (0.5, 0.95), weights=weights, method="inverted_cdf")
+    return {"median": float(found[0]), "q95": float(found[1])}

@@ -1,0 +1,5 @@
+"""A surrogate of the interface as a field: modes of its displacement, and a Gaussian process for each."""
+
+from strandline.surrogate.field.field import FieldPrediction, FieldSurrogate, FieldTraining, fewest_runs, fit_field
+
+__all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field"]

@@ -1,0 +1,121 @@
+"""Interfaces as fields over common points: node by node where they correspond, else by shares of the arclength."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import InvalidInterface
+from strandline.interface import Interface
+
+__all__ = ["Layout", "common_layout", "fields_of", "registered"]
+
+FEWEST_POINTS = 33
+"""Points of an interface that is taken by equal shares of its arclength, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What the points of one condition's interface are in all runs.
+
+    Args:
+        template: an interface that has these points, for its cells and the weights of its points.
+        by_arclength: whether the points are at equal shares of the arclength, for want of nodes that correspond.
+    """
+
+    template: Interface
+    by_arclength: bool
+
+    @property
+    def weights(self) -> Float[np.ndarray, " point"]:
+        """Share of the interface's length (area) that each point stands for; they sum to 1."""
+        interface = self.template
+        shares = np.repeat(interface.sizes / interface.dim, interface.dim)
+        size = np.bincount(interface.cells.ravel(), weights=shares, minlength=len(interface.points))
+        return np.asarray(size / size.sum())
+
+    def with_points(self, points: Float[np.ndarray, "point xyz"]) -> Interface:
+        """Return the interface of other points in the same order."""
+        return Interface(points, self.template.cells)
+
+
+def common_layout(interfaces: Sequence[Interface]) -> Layout:
+    """Return the layout that all of these interfaces can be brought to.
+
+    Raises:
+        InvalidInterface: they have no common parametrisation: surfaces of different triangles, open and closed
+            polylines together.
+    """
+    first = interfaces[0]
+    same = all(one.points.shape == first.points.shape and np.array_equal(one.cells, first.cells) for one in interfaces)
+    if same:
+        return Layout(first, by_arclength=False)
+    if any(one.dim == 3 for one in interfaces):
+        raise _different("triangulated surfaces whose triangles differ from run to run")
+    if len({one.closed for one in interfaces}) > 1:
+        raise _different("open polylines in some runs, closed ones in others")
+    number = max(FEWEST_POINTS, max(len(one.points) for one in interfaces))
+    return Layout(first.resampled(number), by_arclength=True)
+
+
+def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, "point xyz"], float]:
+    """Return the points of `interface` in the layout, and the root mean square error that this makes, mm.
+
+    The error is the distance of the interface's own nodes from the polyline through the points.
+
+    Raises:
+        InvalidInterface: it does not fit the layout.
+    """
+    if not layout.by_arclength:
+        if interface.points.shape != layout.template.points.shape:
+            raise _different("another number of points than in the other runs")
+        return interface.points, 0.0
+    if interface.dim != 2 or interface.closed != layout.template.closed:
+        raise _different("a polyline that is open or closed where the others are not")
+    turned = interface.reversed() if interface.runs_against(layout.template) else interface
+    number = len(layout.template.points)
+    if turned.closed:
+        turned = _same_start(turned, layout.template)
+    taken = turned.resampled(number)
+    return taken.points, float(np.sqrt(np.mean(_squares(turned.points, taken))))
+
+
+def fields_of(
+    runs: Sequence[Mapping[str, Interface]], layouts: Mapping[str, Layout]
+) -> tuple[Float[np.ndarray, "run value"], float]:
+    """Return the coordinates of all points of all conditions, one row a run, and the largest registration error, mm."""
+    rows, worst = [], 0.0
+    for run in runs:
+        parts = []
+        for name, layout in layouts.items():
+            points, error = registered(run[name], layout)
+            parts.append(points.ravel())
+            worst = max(worst, error)
+        rows.append(np.concatenate(parts))
+    return np.array(rows), worst
+
+
+def _same_start(interface: Interface, template: Interface) -> Interface:
+    """Return a closed polyline that begins at its node nearest to where the template begins."""
+    start = template.points[template.cells[0, 0]]
+    chain = interface.points[interface.cells[:, 0]]
+    first = int(np.argmin(np.sum((chain - start) ** 2, axis=1)))
+    return Interface.polyline(np.roll(chain, -first, axis=0), closed=True)
+
+
+def _squares(points: Float[np.ndarray, "point 2"], target: Interface) -> Float[np.ndarray, " point"]:
+    """Return the squared distance of each point from the segments of `target`, mm²."""
+    a, d = target.starts, target.ends - target.starts
+    offset = points[:, None, :] - a
+    share = np.clip(np.sum(offset * d, axis=2) / np.sum(d * d, axis=1), 0.0, 1.0)
+    return np.asarray(np.min(np.sum((offset - share[..., None] * d) ** 2, axis=2), axis=1))
+
+
+def _different(found: str) -> InvalidInterface:
+    return InvalidInterface(
+        "interfaces of the runs for a surrogate of the field",
+        value=found,
+        expected="interfaces with a common parametrisation",
+        remedy="Use the surrogate of the log-likelihood: surrogate: {log_likelihood: {}}.",
+    )

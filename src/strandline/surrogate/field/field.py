@@ -1,0 +1,234 @@
+"""A surrogate of what the simulator returns: the interface as a field over the inputs.
+
+Interfaces → fields over common points → modes (POD) → one Gaussian process a mode. It serves every measure, noise and
+observation, and is far smoother in the inputs than a log-likelihood is.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import TooFewRuns
+from strandline.interface import Interface
+from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of
+from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
+from strandline.surrogate.field.modes import Modes, decompose
+from strandline.surrogate.field.restricted_evidence import Observed
+from strandline.surrogate.field.warping import WARPS, Warping, eligible
+
+__all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field"]
+
+TOLERANCE = 1e-5
+"""Default of what the modes may leave, root mean square along the interface, mm."""
+_LEADING = 3  # modes whose errors choose the warps
+_CHOOSING_ROWS = 250  # observations with which the warps are chosen, the first ones
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTraining:
+    """Successful runs.
+
+    Args:
+        x: physical inputs (run, dim).
+        interfaces: of each run by condition.
+        gradients: of each run by condition, d(points)/d(inputs) (point, xyz, dim) in mm per unit; None without.
+        low: lower corner of the box of the inputs.
+        high: upper corner.
+    """
+
+    x: Float[np.ndarray, "run dim"]
+    interfaces: Sequence[Mapping[str, Interface]]
+    gradients: Sequence[Mapping[str, Float[np.ndarray, "point xyz dim"]]] | None
+    low: Float[np.ndarray, " dim"]
+    high: Float[np.ndarray, " dim"]
+
+
+@dataclass(frozen=True, eq=False)
+class FieldPrediction:
+    """Means and variances of the modes' coefficients at some points (point, mode); mm and mm²."""
+
+    mean: Float[np.ndarray, "point mode"]
+    variance: Float[np.ndarray, "point mode"]
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSurrogate:
+    """The interface of every condition as a function of the inputs.
+
+    Args:
+        layouts: of the points, by condition.
+        warping: of the inputs.
+        modes: of the field.
+        processes: one for each mode.
+        registration_error: largest root mean square error of bringing a run's interface to the layout, mm.
+        gradients: whether sensitivities were learnt from.
+    """
+
+    layouts: Mapping[str, Layout]
+    warping: Warping
+    modes: Modes
+    processes: tuple[ModeProcess, ...]
+    registration_error: float
+    gradients: bool
+
+    @property
+    def runs(self) -> int:
+        """Number of runs that it was trained with."""
+        return len(self.processes[0].observed.z)
+
+    def mean(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point mode"]:
+        """Return the predicted coefficients, mm."""
+        z = self.warping.standardise(x)
+        return np.stack([process.mean(z) for process in self.processes], axis=1)
+
+    def predict(self, x: Float[np.ndarray, "point dim"]) -> FieldPrediction:
+        """Return the predicted coefficients with their variances."""
+        z = self.warping.standardise(x)
+        variance = np.stack([process.variance(z) for process in self.processes], axis=1)
+        return FieldPrediction(np.stack([process.mean(z) for process in self.processes], axis=1), variance)
+
+    def points(
+        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
+    ) -> dict[str, Float[np.ndarray, "draw point xyz"]]:
+        """Return the points of the interfaces by condition, mm.
+
+        Args:
+            coefficients: of the modes.
+            tail: standard normal numbers by which what the modes leave is added; without, it is left out.
+        """
+        fields = self.modes.fields(coefficients)
+        if tail is not None:
+            fields = fields + (tail @ self.modes.tail) / self.modes.roots
+        out, begin = {}, 0
+        for name, layout in self.layouts.items():
+            shape = layout.template.points.shape
+            out[name] = fields[:, begin : begin + shape[0] * shape[1]].reshape(-1, *shape)
+            begin += shape[0] * shape[1]
+        return out
+
+    def interfaces(self, x: Float[np.ndarray, " dim"]) -> dict[str, Interface]:
+        """Return the predicted interface of each condition at one point."""
+        points = self.points(self.mean(x[None]))
+        return {name: layout.with_points(points[name][0]) for name, layout in self.layouts.items()}
+
+    def left_out_fields(self) -> Float[np.ndarray, "run value"]:
+        """Return the error of the field at each run, predicted from the others, in all its values, mm."""
+        errors = np.stack([process.left_out().errors for process in self.processes], axis=1)
+        return np.asarray((errors @ self.modes.basis) / self.modes.roots)
+
+    def left_out_error(self) -> Float[np.ndarray, " run"]:
+        """Return the root mean square of that error along the interface, what the modes leave included, mm."""
+        errors = np.stack([process.left_out().errors for process in self.processes], axis=1)
+        return np.asarray(np.sqrt(np.sum(errors**2, axis=1) / len(self.layouts) + self.modes.remainder**2))
+
+    def predicted_error(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the standard deviation of the field, root mean square along the interface, at points; mm."""
+        variance = self.predict(x).variance.sum(axis=1) / len(self.layouts)
+        return np.asarray(np.sqrt(variance + self.modes.remainder**2))
+
+
+def fewest_runs(dim: int, *, gradients: bool) -> int:
+    """Return the number of runs from which a field can be learnt."""
+    return 3 if gradients else dim + 3
+
+
+def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> FieldSurrogate:
+    """Return the surrogate of the field that these runs are of; a function of them alone.
+
+    Inputs that are positive over a wide box may enter by their logarithm or their reciprocal, first all of them alike,
+    then one after the other: the warp with the smallest leave-one-run-out error of the leading modes is taken.
+
+    Args:
+        training: the runs.
+        tolerance: of the root mean square along the interface that the modes leave, mm.
+
+    Raises:
+        TooFewRuns: fewer than `fewest_runs`.
+        InvalidInput: interfaces without common points.
+        NumericsError: no length scales could be found.
+    """
+    dim = training.x.shape[1]
+    needed = fewest_runs(dim, gradients=training.gradients is not None)
+    if len(training.x) < needed:
+        raise TooFewRuns(
+            "training of the surrogate",
+            value=f"{len(training.x)} successful run(s)",
+            expected=f"at least {needed} for {dim} input(s)",
+            remedy="Add runs to the design, or look at why runs failed.",
+        )
+    layouts = {name: common_layout([run[name] for run in training.interfaces]) for name in training.interfaces[0]}
+    fields, error = fields_of(training.interfaces, layouts)
+    gradients = None if any(layout.by_arclength for layout in layouts.values()) else _gradients(training, layouts)
+    weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
+    data = _Data(training.x, fields, weights, gradients)
+    warping = _choose(data, Warping(("identity",) * dim, training.low, training.high), tolerance)
+    modes, processes = _fit(data, warping, tolerance)
+    return FieldSurrogate(layouts, warping, modes, processes, error, gradients is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    x: Float[np.ndarray, "run dim"]
+    fields: Float[np.ndarray, "run value"]
+    weights: Float[np.ndarray, " value"]
+    gradients: Float[np.ndarray, "run value dim"] | None
+
+    def first(self, number: int) -> "_Data":
+        gradients = None if self.gradients is None else self.gradients[:number]
+        return _Data(self.x[:number], self.fields[:number], self.weights, gradients)
+
+
+def _gradients(training: FieldTraining, layouts: Mapping[str, Layout]) -> Float[np.ndarray, "run value dim"] | None:
+    """Return the derivatives of the fields by the physical inputs."""
+    if training.gradients is None:
+        return None
+    dim = training.x.shape[1]
+    return np.array([np.concatenate([run[name].reshape(-1, dim) for name in layouts]) for run in training.gradients])
+
+
+def _fit(
+    data: _Data, warping: Warping, tolerance: float, most: int | None = None
+) -> tuple[Modes, tuple[ModeProcess, ...]]:
+    """Return the modes and their processes; `most` of them, to compare with others."""
+    z = warping.standardise(data.x)
+    derivatives = None if data.gradients is None else warping.gradients(data.x, data.gradients)
+    modes = decompose(data.fields, data.weights, derivatives, tolerance=tolerance)
+    values = modes.coefficients(data.fields)
+    slopes = None if derivatives is None else modes.by_input(derivatives)
+    linear = slopes is not None or len(z) >= 2 * (z.shape[1] + 1)
+    return modes, tuple(
+        fit_mode(Observed(z, values[:, m], None if slopes is None else slopes[:, m], linear), quick=most is not None)
+        for m in range(values.shape[1] if most is None else min(most, values.shape[1]))
+    )
+
+
+def _choose(data: _Data, warping: Warping, tolerance: float) -> Warping:
+    """Return the warping with the best warp of each input, the others kept; ties leave it as it is."""
+    rows = 1 if data.gradients is None else 1 + data.x.shape[1]
+    few = data.first(max(_CHOOSING_ROWS // rows, fewest_runs(data.x.shape[1], gradients=rows > 1)))
+    some = eligible(warping.low, warping.high)
+    if not some:
+        return warping
+    together = [replace(warping, names=_changed(warping.names, some, name)) for name in WARPS]
+    errors = [_error(few, tried, tolerance) for tried in together]
+    best, warping = min(errors), together[int(np.argmin(errors))]
+    for j in some if len(some) > 1 else ():
+        for name in WARPS:
+            tried = replace(warping, names=_changed(warping.names, [j], name))
+            error = best if tried.names == warping.names else _error(few, tried, tolerance)
+            if error < best:
+                best, warping = error, tried
+    return warping
+
+
+def _changed(names: tuple[str, ...], inputs: Sequence[int], name: str) -> tuple[str, ...]:
+    return tuple(name if j in inputs else old for j, old in enumerate(names))
+
+
+def _error(data: _Data, warping: Warping, tolerance: float) -> float:
+    """Return the sum of squares of the leading modes' errors at left-out runs, mm²; extremes are cut."""
+    _, processes = _fit(data, warping, tolerance, most=_LEADING)
+    errors = np.sum([process.left_out().errors ** 2 for process in processes], axis=0)
+    return float(np.sum(np.minimum(errors, 25 * np.median(errors))))
