@@ -8,9 +8,10 @@ if TYPE_CHECKING:
     from strandline.runs.executors import Executor, InProcess, LocalProcesses
     from strandline.runs.failures import FailurePolicy, Retry
     from strandline.runs.ledger import Counts, Ledger
-    from strandline.runs.record import RunRecord, RunRequest, attempt, run_key
+    from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, attempt, run_key
 
 __all__ = [
+    "NOT_NOW",
     "Counts",
     "Executor",
     "FailurePolicy",
@@ -31,7 +32,7 @@ _NAMES_OF = {
     "executors": "Executor InProcess LocalProcesses",
     "failures": "FailurePolicy Retry",
     "ledger": "Counts Ledger",
-    "record": "RunRecord RunRequest attempt run_key",
+    "record": "NOT_NOW RunRecord RunRequest attempt run_key",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 
