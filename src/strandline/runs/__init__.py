@@ -4,6 +4,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from strandline.runs.batches import run_batches
     from strandline.runs.campaign import Progress, run_campaign
     from strandline.runs.executors import Executor, InProcess, LocalProcesses
     from strandline.runs.failures import FailurePolicy, Retry
@@ -23,11 +24,13 @@ __all__ = [
     "RunRecord",
     "RunRequest",
     "attempt",
+    "run_batches",
     "run_campaign",
     "run_key",
 ]
 
 _NAMES_OF = {
+    "batches": "run_batches",
     "campaign": "Progress run_campaign",
     "executors": "Executor InProcess LocalProcesses",
     "failures": "FailurePolicy Retry",
