@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.runs import InProcess, LocalProcesses, RunRecord
-from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, requests_for
+from strandline.runs import NOT_NOW, InProcess, LocalProcesses, RunRecord
+from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, WAITING_CHECKS, requests_for
 from strandline.testing.models import Cantilever, Counted, Faulty, KilledWhileLoading, Slow
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -54,6 +54,51 @@ def test_workers_killed_at_every_start_are_one_clear_error(tmp_path):
 @pytest.mark.parametrize("check", TIMEOUT_CHECKS.values(), ids=TIMEOUT_CHECKS.keys())
 def test_local_processes_stop_hanging_runs(check):
     check(LocalProcesses(2, timeout=0.6), workers=2)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("check", WAITING_CHECKS.values(), ids=WAITING_CHECKS.keys())
+def test_local_processes_wait_for_requests(check, workers):
+    check(LocalProcesses(workers), workers=workers)
+
+
+def leaving(model, requests):
+    for request in requests:
+        if request is NOT_NOW:
+            return
+        yield from InProcess()(model, [request])
+
+
+def ignorant(model, requests):
+    yield from InProcess()(model, requests)
+
+
+def hoarding(model, requests):
+    kept = []
+    for request in requests:
+        if request is not NOT_NOW:
+            kept += InProcess()(model, [request])
+        elif kept and next(requests) is NOT_NOW:
+            yield kept.pop()
+
+
+@pytest.mark.parametrize(
+    ("broken", "caught_by"),
+    [
+        (leaving, "waits_for_what_follows"),
+        (ignorant, "waits_for_what_follows"),
+        (hoarding, "hands_over_before_it_asks_again"),
+    ],
+)
+def test_the_suite_catches_an_executor_that_does_not_wait(broken, caught_by):
+    with pytest.raises(AssertionError):
+        WAITING_CHECKS[caught_by](broken, workers=1)
+
+
+def test_the_suite_catches_an_executor_that_asks_after_records_only(monkeypatch):
+    monkeypatch.setattr("strandline.runs.executors.local.LONGEST_WAIT_SECONDS", 120.0)
+    with pytest.raises(AssertionError, match="waits for the third"):
+        WAITING_CHECKS["asks_beside_a_run"](LocalProcesses(2), workers=2)
 
 
 def eager(model, requests):

@@ -4,13 +4,15 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from strandline.runs.batches import run_batches
     from strandline.runs.campaign import Progress, run_campaign
     from strandline.runs.executors import Executor, InProcess, LocalProcesses
     from strandline.runs.failures import FailurePolicy, Retry
     from strandline.runs.ledger import Counts, Ledger
-    from strandline.runs.record import RunRecord, RunRequest, attempt, run_key
+    from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, attempt, run_key
 
 __all__ = [
+    "NOT_NOW",
     "Counts",
     "Executor",
     "FailurePolicy",
@@ -22,16 +24,18 @@ __all__ = [
     "RunRecord",
     "RunRequest",
     "attempt",
+    "run_batches",
     "run_campaign",
     "run_key",
 ]
 
 _NAMES_OF = {
+    "batches": "run_batches",
     "campaign": "Progress run_campaign",
     "executors": "Executor InProcess LocalProcesses",
     "failures": "FailurePolicy Retry",
     "ledger": "Counts Ledger",
-    "record": "RunRecord RunRequest attempt run_key",
+    "record": "NOT_NOW RunRecord RunRequest attempt run_key",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 

@@ -11,9 +11,9 @@ from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerp
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy, aborted
 from strandline.runs.ledger import INTERRUPTED, Ledger
-from strandline.runs.record import RunRecord, RunRequest, run_key
+from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
 
-__all__ = ["Progress", "run_campaign"]
+__all__ = ["Campaign", "Progress", "Starts", "run_campaign"]
 
 
 @dataclass(frozen=True)
@@ -76,14 +76,14 @@ def run_campaign(
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
     policy = policy or FailurePolicy(stop_share=2.0)
-    campaign = _Campaign(model, inputs, ledger, executor, on_record, maximum_attempts, policy)
+    campaign = Campaign(model, inputs, ledger, executor, on_record, maximum_attempts, policy)
     while campaign.pending:
         campaign.run_pending()
     return campaign.results()
 
 
-class _Campaign:
-    """State of one call of `run_campaign`."""
+class Campaign:
+    """State of one call of `run_campaign`, or of `run_batches`, whose design grows."""
 
     def __init__(
         self,
@@ -98,43 +98,63 @@ class _Campaign:
         self.policy = policy
         self.model, self.ledger, self.executor, self.on_record = model, ledger, executor, on_record
         self.maximum_attempts, self.began = _at_least_one(maximum_attempts), time.monotonic()
-        identity = fingerprint(model)
-        _require_same_model(ledger, identity)
-        self.order = [run_key(identity, entry) for entry in inputs]
-        self.requests = {key: RunRequest(key, dict(entry)) for key, entry in zip(self.order, inputs, strict=True)}
-        known = ledger.latest(self.requests)
-        asked = asks_sensitivities(model)
-        anew = {key for key, record in known.items() if policy.tries_again(record)}
-        self.before = {key: (ledger.attempts(key), ledger.open_attempts(key)) for key in anew}
-        self.settled = {
+        self.identity = fingerprint(model)
+        _require_same_model(ledger, self.identity)
+        self.order: list[str] = []
+        self.requests: dict[str, RunRequest] = {}
+        self.before: dict[str, tuple[int, int]] = {}
+        self.settled: dict[str, RunRecord] = {}
+        self.reused = 0
+        self.made: list[RunRecord] = []
+        self.outstanding: set[str] = set()
+        self.pending = self.add(inputs)
+
+    def add(self, inputs: Sequence[Mapping[str, float]]) -> list[RunRequest]:
+        """Add runs at the end of the design; return those that must be made for it."""
+        keys = [run_key(self.identity, entry) for entry in inputs]
+        new = {
+            key: RunRequest(key, dict(entry))
+            for key, entry in zip(keys, inputs, strict=True)
+            if key not in self.requests
+        }
+        self.order += keys
+        self.requests |= new
+        known = self.ledger.latest(new)
+        asked = asks_sensitivities(self.model)
+        anew = {key for key, record in known.items() if self.policy.tries_again(record)}
+        self.before |= {key: (self.ledger.attempts(key), self.ledger.open_attempts(key)) for key in anew}
+        settled = {
             key: record
             for key, record in known.items()
             if key not in anew and record.settles(sensitivities=asked) and not self._deserves_another(record)
         }
-        self.reused = len(self.settled)
-        self.made: list[RunRecord] = []
-        self.pending: list[RunRequest] = []
-        self.outstanding = self._still_out(ledger.open_runs(self.requests))
-        self._plan(list(self.requests.values()))
+        self.settled |= settled
+        self.reused += len(settled)
+        self.outstanding |= self._still_out(self.ledger.open_runs(new))
+        return self._plan(new.values())
 
-    def run_pending(self) -> None:
-        """Run what is pending once, then plan what must be tried again."""
-        starts = _Starts(self.ledger, self.pending, self.outstanding)
+    def run_pending(self, further: "Further | None" = None) -> None:
+        """Run what is pending once, then plan what must be tried again.
+
+        Args:
+            further: asked where no run waits for its start; such a call tries again at once what deserves it.
+        """
+        starts = Starts(self.ledger, self.pending, self.outstanding, further)
         try:
             self._consume(starts)
         except BaseException:
             starts.interrupt(self._still_out(frozenset(starts.running)))
             raise
-        self.outstanding = frozenset()
-        if len(starts) == len(self.pending):
+        self.outstanding.clear()
+        if not starts.begun:
             raise NumericsError("the executor ended without starting a single run; report it to its author")
-        self._plan(self.pending)
+        self.pending = self._plan(self.requests.values())
 
     def results(self) -> tuple[RunRecord, ...]:
         """Return the settled records in the order of the design."""
-        return tuple(self.settled[key] for key in self.order)
+        return tuple(self.settled[key] for key in self.order if key in self.settled)
 
-    def _consume(self, starts: "_Starts") -> None:
+    def _consume(self, starts: "Starts") -> None:
         records = self.executor(self.model, starts)
         with contextlib.ExitStack() as stack:
             if hasattr(records, "close"):
@@ -143,6 +163,8 @@ class _Campaign:
                 self.ledger.finished(record)
                 starts.running.pop(record.key, None)
                 self._settle(record)
+                if record.key not in self.settled:
+                    starts.put_back(self.requests[record.key])
                 if self.on_record is not None:
                     self.on_record(record, self._progress())
                 self._heed(record)
@@ -158,8 +180,8 @@ class _Campaign:
             raise aborted(record)
         self.policy.require_worth_going_on(self.made)
 
-    def _plan(self, candidates: Iterable[RunRequest]) -> None:
-        """Keep as pending what may be tried (again); settle what has used up its attempts."""
+    def _plan(self, candidates: Iterable[RunRequest]) -> list[RunRequest]:
+        """Return what may be tried (again); settle what has used up its attempts."""
         pending = []
         for request in candidates:
             if request.key in self.settled:
@@ -168,7 +190,7 @@ class _Campaign:
                 self.settled[request.key] = self._given_up(request)
             else:
                 pending.append(request)
-        self.pending = pending
+        return pending
 
     def _deserves_another(self, record: RunRecord) -> bool:
         """Tell whether a run that ended like this is to be tried again."""
@@ -214,30 +236,53 @@ class _Campaign:
         return Progress(len(self.requests), finished, ok, finished - ok, self.reused, elapsed)
 
 
-class _Starts:
-    """Hands out requests and records each as STARTED in that moment; knows which are running.
+class Starts:
+    """Hands out requests and records each as STARTED in that moment; knows which are running, and since when.
 
-    Those in `outstanding` are started already, by an earlier driver, and only waited for.
+    Those in `outstanding` are started already, by an earlier driver, and only waited for. Where no request waits any
+    more, `further` may give some; `NOT_NOW` is what is handed out where it gives none now. The first who finds none
+    waiting is told so without asking it: until all records are handed over it might not know what has ended.
     """
 
-    def __init__(self, ledger: Ledger, requests: Iterable[RunRequest], outstanding: frozenset[str]) -> None:
-        self.ledger, self.waiting, self.outstanding = ledger, deque(requests), outstanding
+    def __init__(
+        self, ledger: Ledger, requests: Iterable[RunRequest], outstanding: set[str], further: "Further | None" = None
+    ) -> None:
+        self.ledger, self.waiting, self.outstanding, self.further = ledger, deque(requests), outstanding, further
         self.running: dict[str, RunRequest] = {}
+        self.begun: dict[str, float] = {}
+        self.told_to_wait = False
 
     def __iter__(self) -> Iterator[RunRequest]:
         return self
 
     def __next__(self) -> RunRequest:
+        if not self.waiting and self.further is not None and not self._filled(self.further):
+            self.told_to_wait = True
+            return NOT_NOW
         if not self.waiting:
             raise StopIteration
+        self.told_to_wait = False
         request = self.waiting.popleft()
         if request.key not in self.outstanding:
             self.ledger.started(request)
         self.running[request.key] = request
+        self.begun[request.key] = time.monotonic()
         return request
 
-    def __len__(self) -> int:
-        return len(self.waiting)
+    def __length_hint__(self) -> int:
+        return len(self.waiting) if self.further is None else NotImplemented
+
+    def put_back(self, request: RunRequest) -> None:
+        """Let a run that has ended be started once more by the same call of the executor, where that goes on."""
+        if self.further is not None:
+            self.outstanding.discard(request.key)
+            self.waiting.append(request)
+
+    def _filled(self, further: "Further") -> bool:
+        """Tell whether it is known what comes next: requests that wait now, or the end."""
+        requests = further(self) if self.told_to_wait else ()
+        self.waiting.extend(requests or ())
+        return requests is None or bool(self.waiting)
 
     def interrupt(self, still_out: frozenset[str]) -> None:
         """Record the runs that were stopped together with the driver: they are no attempts of their own.
@@ -249,6 +294,10 @@ class _Starts:
                 message = "stopped together with its driver; it will be run again"
                 record = RunRecord(request.key, request.inputs, "killed", failure_kind=INTERRUPTED, message=message)
                 self.ledger.finished(record)
+
+
+Further = Callable[[Starts], Sequence[RunRequest] | None]
+"""What to start next, where nothing waits any more: none of it now, or None at all."""
 
 
 def _at_least_one(maximum_attempts: int) -> int:

@@ -17,7 +17,7 @@ from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, Sensitivities, asks_sensitivities, declared_conditions
 from strandline.runs.result import InvalidResult, checked
 
-__all__ = ["STATES", "RunRecord", "RunRequest", "State", "attempt", "run_key", "with_log"]
+__all__ = ["NOT_NOW", "STATES", "RunRecord", "RunRequest", "State", "attempt", "run_key", "with_log"]
 
 State = Literal["ok", "failed", "timeout", "killed", "invalid"]
 STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
@@ -34,6 +34,10 @@ class RunRequest:
 
     key: str
     inputs: Mapping[str, float]
+
+
+NOT_NOW = RunRequest("", {})
+"""Stands where a request would: there is nothing to start now, but there may be later; see `Executor`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,14 @@ def test_my_executor(check):
 ```
 
 `CRASH_CHECKS` are for executors that keep simulators in processes of their own, `TIMEOUT_CHECKS` for those that stop
-a run after two seconds at the latest.
+a run after two seconds at the latest, `WAITING_CHECKS` for those with the attribute ``asks_again``.
 """
 
 import math
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -27,10 +27,10 @@ import numpy as np
 from strandline.interface import Interface
 from strandline.models.protocol import fingerprint
 from strandline.runs.executors import Executor
-from strandline.runs.record import RunRecord, RunRequest, run_key
+from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
 from strandline.testing.models import Cantilever, Faulty, Patient, Slow, TwoLoads
 
-__all__ = ["CHECKS", "CRASH_CHECKS", "TIMEOUT_CHECKS", "requests_for", "same_outcome"]
+__all__ = ["CHECKS", "CRASH_CHECKS", "TIMEOUT_CHECKS", "WAITING_CHECKS", "requests_for", "same_outcome"]
 
 STIFFNESS = (300.0, 400.0, 450.0, 600.0, 350.0, 420.0)
 """Young's moduli of the usual requests, Pa; the models with a fault misbehave at the fourth."""
@@ -135,6 +135,71 @@ def check_gives_each_run_an_empty_folder(executor: Executor, *, workers: int) ->
     _require(states == ["ok"] * len(STIFFNESS), f"a run met a used folder: {states}")
 
 
+def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
+    """A request that follows from the record before it is made, and `NOT_NOW` is none."""
+    requests = requests_for(Cantilever())
+    records: list[RunRecord] = []
+
+    def following() -> Iterator[RunRequest]:
+        for number, request in enumerate(requests):
+            yield from _not_now_until(lambda number=number: len(records) >= number)  # type: ignore[misc]
+            yield request
+
+    for record in executor(Cantilever(), following()):
+        records.append(record)  # noqa: PERF402 (the requests look at them)
+    _require_one_each(requests, records)
+
+
+def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -> None:
+    """The only worker that was told `NOT_NOW` keeps no record back when it pulls again."""
+    if workers > 1:
+        return
+    requests = requests_for(Cantilever())
+    records: list[RunRecord] = []
+    early: list[bool] = []
+
+    def following() -> Iterator[RunRequest]:
+        for number, request in enumerate(requests, start=1):
+            yield request
+            yield NOT_NOW
+            early.append(len(records) < number)
+            yield from _not_now_until(lambda number=number: len(records) >= number)  # type: ignore[misc]
+
+    for record in executor(Cantilever(), following()):
+        records.append(record)  # noqa: PERF402 (the requests look at them)
+    _require(early == [False] * len(requests), "a request was pulled while the record that it follows from was kept")
+
+
+def check_asks_beside_a_run(executor: Executor, *, workers: int) -> None:
+    """A free worker asks again though no run ends, and makes what there is beside a long one."""
+    if workers == 1:
+        return
+    requests = requests_for(Cantilever(), [600.0, 400.0, 300.0])
+    order: list[float] = []
+
+    def following() -> Iterator[RunRequest]:
+        yield from requests[:2]
+        yield from _not_now_until(lambda: bool(order))
+        later = time.monotonic() + 1.0
+        yield from _not_now_until(lambda: time.monotonic() > later)
+        yield requests[2]
+
+    with tempfile.TemporaryDirectory() as folder:
+        for record in executor(Patient(folder, others=1, longest=10.0), following()):
+            order.append(record.inputs["E"])
+            if record.inputs["E"] == 300.0:
+                (Path(folder) / "done").touch()
+    _require(order == [400.0, 300.0, 600.0], f"records came in the order {order}; the first run waits for the third")
+
+
+def _not_now_until(condition: Callable[[], bool], *, seconds: float = 30.0) -> Iterator[RunRequest]:
+    """Yield `NOT_NOW` once, then until `condition` holds, or it has taken so long that it will not."""
+    deadline = time.monotonic() + seconds
+    yield NOT_NOW
+    while not condition() and time.monotonic() < deadline:
+        yield NOT_NOW
+
+
 def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Check:
     """Return the check that `fault` ends in `state` and `kind` for the run that it hits, and for no other."""
 
@@ -187,6 +252,13 @@ TIMEOUT_CHECKS: dict[str, Check] = {
     "hanging_child": _failure_check("child", "timeout", "timeout"),
 }
 """What an executor with a timeout must stop."""
+
+WAITING_CHECKS: dict[str, Check] = {
+    "waits_for_what_follows": check_waits_for_what_follows,
+    "hands_over_before_it_asks_again": check_hands_over_before_it_asks_again,
+    "asks_beside_a_run": check_asks_beside_a_run,
+}
+"""What an executor with ``asks_again`` must do with `NOT_NOW`."""
 
 
 def _faulty(fault: str, *, above: float = 500.0) -> tuple[Faulty, list[RunRequest]]:

@@ -33,6 +33,12 @@ class Executor(Protocol):
     cannot be attributed to one run (a model that cannot be loaded) is an exception. Closing the iterator early stops
     the runs, unless they go on by themselves: such an executor has a method ``outstanding(model, keys)`` that returns
     those of the runs `keys`, started earlier and not answered, that it will answer when it is asked for them again.
+
+    An executor with an attribute ``asks_again`` that is true may be given `NOT_NOW` in the place of a request: there is
+    nothing to start now, but there may be later. It then pulls again as soon as it has handed over all records that it
+    has, and not before, since what comes next may follow from them; and at least every half second or so even if
+    nothing ends. `run_batches` calls such an executor once, which keeps its workers from batch to batch and makes the
+    next batch beside a slow run. One without this attribute never meets `NOT_NOW`; it is called for each batch.
     """
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from operator import length_hint
 from pathlib import Path
+from typing import ClassVar
 
 from strandline.models.protocol import ForwardModel
 from strandline.runs.executors.options import require_count, require_timeout
 from strandline.runs.executors.packing import packed_model, require_posix
 from strandline.runs.executors.seat import KILLED_STARTS_BORNE, LONGEST_WAIT_SECONDS, killed_while_starting
-from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.record import NOT_NOW, RunRecord, RunRequest
 from strandline.runs.workers import Worker
 
 __all__ = ["LocalProcesses", "usable_cores"]
@@ -31,11 +32,14 @@ class LocalProcesses:
         timeout: seconds after which a run is killed; None for never.
 
     Workers are fresh interpreters that load the model once. Each run has an empty folder of its own, removed after
-    it. What the simulator prints is kept where the run did not end well.
+    it. What the simulator prints is kept where the run did not end well. Workers without a run live on where there
+    is `NOT_NOW` one for them.
     """
 
     workers: int | None = None
     timeout: float | None = None
+
+    asks_again: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         require_count("number of workers", self.workers, remedy="Leave it out to use all cores.")
@@ -71,7 +75,7 @@ class _Pool:
         self.setup.write_bytes(setup)
         self.workers: list[Worker] = []
         self.done: deque[tuple[Worker, RunRecord]] = deque()
-        self.exhausted = False
+        self.exhausted = self.told_to_wait = False
         self.launched = self.started = self.killed_starts = 0
 
     def records(self, number: int) -> Iterator[RunRecord]:
@@ -81,8 +85,13 @@ class _Pool:
         while self.done or not self._finished():
             while self.done:
                 yield self._handed_over()
+            if self.told_to_wait:
+                self._turn(0.0)  # what has come meanwhile may be what the requests wait for
+                if self.done:
+                    continue
+                self._ask_again()
             if not self._finished():
-                self._turn()
+                self._turn(self._patience())
 
     def close(self) -> None:
         """Stop the workers: the idle ones by hanging up, the others at once."""
@@ -107,10 +116,17 @@ class _Pool:
         self.launched += 1
         self.workers.append(Worker.launch(self.folder, self.launched, self.setup))
 
-    def _turn(self) -> None:
-        """Wait for news from the workers, then deal with all of it."""
+    def _ask_again(self) -> None:
+        """Pull for the workers that have nothing to do, until they are told to wait once more."""
+        idle = [worker for worker in self.workers if worker.ready and not worker.busy]
+        self.told_to_wait = not idle
+        for worker in idle:
+            self._assign(worker)
+
+    def _turn(self, longest: float) -> None:
+        """Wait for news from the workers, up to `longest` seconds, then deal with all of it."""
         by_connection = {worker.connection: worker for worker in self.workers}
-        for connection in wait(list(by_connection), timeout=self._patience()):
+        for connection in wait(list(by_connection), timeout=longest):
             assert isinstance(connection, Connection)
             self._hear(by_connection[connection])
         for worker in list(self.workers):
@@ -153,13 +169,16 @@ class _Pool:
         shutil.rmtree(worker.workdir, ignore_errors=True)
 
     def _assign(self, worker: Worker) -> None:
-        """Pull the next request, which starts it, and send it to `worker`."""
-        if self.exhausted:
+        """Pull the next request, which starts it, and send it to `worker`; later where all are told to wait."""
+        if self.exhausted or self.told_to_wait:
             return
         try:
             request = next(self.requests)
         except StopIteration:
             self.exhausted = True
+            return
+        if request is NOT_NOW:
+            self.told_to_wait = True
             return
         self.started += 1
         workdir = self.folder / f"run-{self.started}"

@@ -1,0 +1,161 @@
+"""A campaign in batches: what is run next is chosen from what the runs before it returned."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from strandline.errors import InvalidInput
+from strandline.models.protocol import ForwardModel
+from strandline.runs.campaign import Campaign, Progress, Starts
+from strandline.runs.executors import Executor
+from strandline.runs.failures import FailurePolicy
+from strandline.runs.ledger import Ledger
+from strandline.runs.record import RunRecord, RunRequest
+
+__all__ = ["Batch", "Choose", "run_batches"]
+
+Batch = Sequence[Mapping[str, float]]
+"""Inputs by name of the runs that are chosen together."""
+Choose = Callable[[tuple[RunRecord, ...]], Batch]
+"""Returns the batch that follows from these records; an empty one ends the campaign."""
+SHORTEST_PATIENCE_SECONDS = 1.0
+"""No run is slow before: a busy machine may take as long to pass on a run that takes no time."""
+
+
+def run_batches(
+    model: ForwardModel,
+    batches: Sequence[Batch],
+    choose: Choose,
+    *,
+    ledger: Ledger,
+    executor: Executor,
+    on_record: Callable[[RunRecord, Progress], None] | None = None,
+    policy: FailurePolicy | None = None,
+    patience: float = 3.0,
+    maximum_attempts: int = 3,
+) -> tuple[RunRecord, ...]:
+    """Return one record per run, in the order of the design: `batches`, then those that `choose` adds, one by one.
+
+    Whenever the last batch is closed and there is a worker for a further run, `choose` is asked for the next batch,
+    once. It is given the settled records of all batches, failed runs among them, in the order of the design; runs
+    still under way are left out. When it returns an empty batch, the runs under way are waited for, and that is all.
+
+    A batch is closed when all of its runs are settled. So that one slow run does not hold up the others, it is closed
+    as well when at least half of its distinct runs are settled and each of the others is slow: its present attempt has
+    been under way for longer than `patience` times the longest time (`RunRecord.seconds`) that any settled run of this
+    campaign took, whatever its end, and for longer than a second. Runs found in the ledger count like those made now.
+
+    As long as no run is slow (never, with a `patience` of ``inf``), the batches depend on nothing but the records and
+    `choose`: not on the number of workers, and not on the order in which runs end. A campaign that was killed and is
+    started again with the batches that had been chosen then, however many of them were noted, goes on as it would
+    have, to the bit, provided that `choose` looks only at what a run yields and not at how long it took. Note a batch
+    inside `choose`, before it is returned.
+
+    An executor that `asks_again` keeps its workers from batch to batch. Any other is called for each batch and makes
+    all of its runs: slow ones are waited for, whatever `patience` says.
+
+    Failed runs, runs whose process vanished, runs that go on without a driver and the ledger are as in `run_campaign`,
+    but a run that deserves another attempt is tried again at once, after those that wait already. `Progress.total`
+    grows with each batch.
+
+    Args:
+        model: the simulator.
+        batches: those chosen before, at least one, none of them empty.
+        choose: called in this thread, while runs may be under way; it may take its time.
+        ledger: opened for writing, of this model; its caller is the only one to write.
+        executor: where the runs are made.
+        on_record: called with each record as it comes, the killed ones that will be tried again too.
+        policy: what is done about failed runs; None leaves them out, however many they are.
+        patience: how many times the longest time of a run it takes to be slow.
+        maximum_attempts: how often a run may take its process down.
+
+    Raises:
+        CampaignStopped: as `policy` says; what is finished is in the ledger.
+        InvalidInput: no batch to begin with, or an empty one; a `patience` that is not above 0.
+        LedgerError: the ledger belongs to another model, or cannot be written.
+    """
+    _require_batches(batches)
+    _require_patience(patience)
+    policy = policy or FailurePolicy(stop_share=2.0)
+    campaign = Campaign(model, [], ledger, executor, on_record, maximum_attempts, policy)
+    course = _Course(campaign, batches, choose, patience)
+    further = course.further if getattr(executor, "asks_again", False) else None
+    while course.goes_on():
+        campaign.run_pending(further)
+    return campaign.results()
+
+
+class _Course:
+    """Which batch is the last, whether it is closed, and what comes after it."""
+
+    def __init__(self, campaign: Campaign, batches: Sequence[Batch], choose: Choose, patience: float) -> None:
+        self.campaign, self.choose, self.patience = campaign, choose, patience
+        self.ended = False
+        for batch in batches:
+            campaign.pending += self._begun(batch)
+
+    def goes_on(self) -> bool:
+        """Tell whether there are runs to make; chooses them where all runs are settled."""
+        while not self.campaign.pending and not self.ended:
+            self.campaign.pending = self._next()
+        return bool(self.campaign.pending)
+
+    def further(self, starts: Starts) -> Sequence[RunRequest] | None:
+        """Return the runs of the next batch: none as long as the last one is open; None where there will be none."""
+        while not self.ended and self._closed(starts):
+            if requests := self._next():
+                return requests
+        return None if self.ended else ()
+
+    def _next(self) -> list[RunRequest]:
+        """Choose the next batch; return those of its runs that must be made, if any."""
+        try:
+            batch = list(self.choose(self.campaign.results()))
+        except StopIteration as error:
+            raise InvalidInput(
+                "choice of the next batch",
+                value="StopIteration",
+                expected="inputs of runs, an empty list at the end",
+                remedy="Return [] when all batches are chosen; give `next` a default.",
+            ) from error
+        self.ended = not batch
+        return self._begun(batch)
+
+    def _begun(self, batch: Batch) -> list[RunRequest]:
+        """Make `batch` the last one; return those of its runs that must be made."""
+        before = len(self.campaign.order)
+        requests = self.campaign.add(batch)
+        self.last = frozenset(self.campaign.order[before:])
+        return requests
+
+    def _closed(self, starts: Starts) -> bool:
+        """Tell whether the last batch, all of which is started, is settled but for slow runs."""
+        settled = self.campaign.settled
+        others = self.last - settled.keys()
+        if not others:
+            return True
+        if 2 * len(others) > len(self.last) or math.isinf(self.patience):
+            return False
+        longest = self.patience * max(record.seconds for record in settled.values())
+        now = time.monotonic()
+        return all(now - starts.begun[key] > max(longest, SHORTEST_PATIENCE_SECONDS) for key in others)
+
+
+def _require_batches(batches: Sequence[Batch]) -> None:
+    if not batches or not all(batches):
+        raise InvalidInput(
+            "batches to begin with",
+            value=[len(batch) for batch in batches],
+            expected="at least one, none of them empty",
+            remedy="Choose the first batch before the campaign begins; leave out the empty one that ended an earlier.",
+        )
+
+
+def _require_patience(patience: float) -> None:
+    if not patience > 0:
+        raise InvalidInput(
+            "patience with slow runs",
+            value=patience,
+            expected="a number above 0",
+            remedy="Use inf to wait for all runs.",
+        )
