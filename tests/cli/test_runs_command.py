@@ -84,7 +84,7 @@ def test_only_one_state(folder: Path, state: str, capsys: pytest.CaptureFixture[
 
 def test_only_one_kind_and_the_last_few(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert [row[0] for row in listed(capsys, str(folder), "--kind", "non_finite")[:-1]] == ["ae6"]
-    assert listed(capsys, str(folder), "--kind", "unheard_of") == [["0", "of", "7", "runs"]]
+    assert [row[0] for row in listed(capsys, str(folder), "--kind", "stalled")] == ["0"]  # that run is open again
     assert [row[0] for row in listed(capsys, str(folder), "--limit", "3")[:-1]] == ["ae6", "af7", "aa2"]
     assert [row[0] for row in listed(capsys, str(folder), "--limit", "1", "--state", "ok")[:-1]] == ["aa1"]
 
@@ -199,6 +199,10 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
     ("options", "message"),
     [
         (["--state", "fine"], "--state: got fine; expected one of ok, failed, timeout, killed, invalid, open."),
+        (
+            ["--kind", "stalld"],
+            "--kind: got stalld; expected one of limit_point, non_finite, stalled, timeout, worker_died.",
+        ),
         (["--show", "a"], "--show: got a; expected the beginning of the key of one run, not of 7"),
         (["--show", "zz"], "--show: got zz; expected the beginning of the key of one run; there is none among 7"),
         (["--show", ""], "--show: got ; expected"),
@@ -208,7 +212,8 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
         (["--export", "runs"], "expected a file name that ends with .csv or .nc"),
         (["--export", "nowhere/runs.csv"], "expected a file in a folder that exists"),
         (["--export", "folder.nc"], "expected a file in a folder that exists"),
-        (["--export", "runs.csv", "--kind", "unheard_of"], "--export: got no run"),
+        (["--export", "runs.csv", "--kind", "stalled"], "--export: got no run"),
+        (["--export", "runs.csv", "--kind", "stalld"], "--kind: got stalld"),
     ],
 )
 def test_what_is_refused(
@@ -237,6 +242,14 @@ def test_a_study_that_was_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert ended.value.code == 2
     assert "no such file; expected a ledger. Run the study first" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_kind_where_no_run_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = keep(tmp_path / "study", RECORDS[:1])
+    with pytest.raises(SystemExit) as ended:
+        main(["runs", str(folder), "--kind", "timeout"])
+    assert ended.value.code == 2
+    assert "--kind: got timeout; expected a failed run; there is none." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["ledger-v1.sqlite", "ledger-v2.sqlite"])

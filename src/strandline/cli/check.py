@@ -22,7 +22,7 @@ def command(study: Path) -> None:
     """Validate STUDY (a folder) and make one forward run at the medians of the priors; nothing is written."""
     from strandline.studies import load_study
     from strandline.studies.folder import require_writable
-    from strandline.studies.ledgers import check_ledgers, known_runs
+    from strandline.studies.ledgers import check_ledgers, known_runs, unheard_kinds
 
     loaded = load_study(study)
     require_writable(loaded.folder)
@@ -46,6 +46,8 @@ def command(study: Path) -> None:
         click.echo(f"  {line}")
     for name, value in log_likelihoods.items():
         click.echo(f"  {name}: log-likelihood {value:.6g} there")
+    for kind in unheard_kinds(loaded):
+        click.echo(f"  warning: failures.kinds.{kind}: no run has ended so yet; is the word the model's own?")
     refine = loaded.settings.refine
     rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
     click.echo(f"  {loaded.settings.planned_runs} forward runs planned{rounds}, {known} of them known already")

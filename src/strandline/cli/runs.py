@@ -46,6 +46,7 @@ def command(
             _require_alone(state, kind, limit, export)
             click.echo("\n".join(_in_full(_found(show, runs), ledger)))
             return
+        _require_kind(kind, runs)
         chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
         chosen = chosen[-limit:] if limit else chosen
         if export is None:
@@ -59,6 +60,18 @@ def _require_known(state: str | None) -> None:
 
     if state is not None and state not in STATES:
         raise InvalidInput("--state", value=state, expected=f"one of {', '.join(STATES)}", remedy="Correct the option.")
+
+
+def _require_kind(kind: str | None, runs: Sequence["Run"]) -> None:
+    """Refuse a reason for which no run ever failed."""
+    present = sorted({attempt.kind for run in runs for attempt in run.attempts if attempt.kind})
+    if kind is not None and kind not in present:
+        raise InvalidInput(
+            "--kind",
+            value=kind,
+            expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
+            remedy="`strandline status` tells the kinds and how many there are; for states there is --state.",
+        )
 
 
 def _require_target(export: Path | None) -> None:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.command.keep import kept_folder, require_keep
@@ -75,6 +75,18 @@ class CommandModel:
     version: str = ""
     inputs: tuple[ModelInput, ...] = ()
     folder: Path = Path()
+    failure_kinds: ClassVar[tuple[str, ...]] = (
+        "exit_code",
+        "command_not_found",
+        "no_success",
+        "result_missing",
+        "result_old",
+        "result_unreadable",
+        "template",
+        "file_changed",
+        "processes_left",
+        "supervisor_died",
+    )
     _parts: "_Parts" = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
