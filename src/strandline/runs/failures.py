@@ -126,7 +126,8 @@ def aborted(record: RunRecord) -> CampaignStopped:
     return CampaignStopped(
         f"a run ended with {kind}, upon which this study is to stop (failures.kinds.{kind}: abort)\n"
         f"{_told(record)}\n"
-        "All finished runs are kept. Mend the cause and start again: this run is tried anew."
+        "All finished runs are kept. Mend the cause and start again: this run is tried anew, and so are those that "
+        "were under way beside it."
     )
 
 
