@@ -192,6 +192,16 @@ class TestServedModels:
         assert content["error"]["type"] == "ModelError"
         assert content["error"]["message"].startswith("large_deflection: the tip would move by")
 
+    def test_the_answer_of_a_run_out_of_time_has_its_kind_and_its_log(self, study: Study) -> None:
+        solver = Solver(Faulty(fault="hang"), timeout=1.5)
+        try:
+            status, content = evaluate(served_models(study, solver), "log_likelihood", 550.0, 0.0)
+        finally:
+            solver.close()
+        assert (status, content["error"]["type"]) == (500, "ModelError")
+        first, *_, last = content["error"]["message"].splitlines()
+        assert (first, last) == ("timeout: still running after 1.5 s, and killed", "waiting for nothing")
+
     def test_a_study_whose_model_fails_is_not_served(self, study: Study) -> None:
         def failing(inputs: Mapping[str, float]) -> RunRecord:
             return RunRecord("", inputs, "failed", failure_kind="singular", message="no pivot")
