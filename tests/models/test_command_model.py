@@ -316,6 +316,20 @@ def test_check_shows_the_log_of_a_run_that_failed(tmp_path: Path, capsys: pytest
     assert (folder / "runs" / "trial-1" / "command.log").read_text() == "no licence\n"
 
 
+def test_check_tells_the_whole_of_what_a_result_lacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = study(tmp_path)
+    (folder / "run.sh").write_text("printf 'node,x,y\\n1,0,0\\n2,1,1\\n' > out.csv")
+    with pytest.raises(SystemExit):
+        main(["check", str(folder)])
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "failed: got result_unreadable at load = 1, a = 1.5; expected" in line
+    assert line.endswith(
+        "; expected a run that ends with an interface. Look at the simulator, or move the priors to where it runs. It "
+        "says: out.csv has no point in line 2: got 1 0 0; expected two numbers x, y. Say which of the 3 columns to take"
+        ", by name or by number from 1, e.g. `columns: [x, y]`."
+    )
+
+
 def test_tags_of_yaml_are_refused(tmp_path: Path) -> None:
     folder = study(tmp_path)
     text = json.dumps(json.loads((folder / "study.yaml").read_text()) | {"model": "MODEL"})

@@ -87,9 +87,9 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
         show_log(record)
         raise InvalidStudy(
             "the forward run at the medians of the priors failed",
-            value=f"{record.failure_kind or record.state} at {shown}: {message}",
+            value=f"{record.failure_kind or record.state} at {shown}",
             expected="a run that ends with an interface",
-            remedy="Look at the simulator, or move the priors to where it runs.",
+            remedy=f"Look at the simulator, or move the priors to where it runs. It says: {message}",
         )
     figures = ", ".join(f"{name} {value:.4g}" for name, value in record.diagnostics.items())
     return record, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"
