@@ -11,8 +11,10 @@ import xarray as xr
 
 from strandline.cli import main
 from strandline.interface import Interface
-from strandline.runs import Ledger, RunRecord, RunRequest
+from strandline.models.command.model import CommandModel
+from strandline.runs import InProcess, Ledger, RunRecord, RunRequest
 from strandline.runs.overview import STATES
+from strandline.runs.record import with_log
 from strandline.testing.models import Cantilever, TwoLoads
 
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
@@ -117,6 +119,35 @@ def test_a_run_that_is_open_again_shows_how_it_ended_before(folder: Path, capsys
         "  log",
     ]
     assert "before" not in printed(capsys, str(folder), "--show", "af7")
+
+
+def test_seconds_and_log_of_a_command_out_of_time_are_shown_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    command = ["/bin/sh", "-c", "seq 12; sleep 60"]
+    slow = CommandModel(command, result={"file": "out.csv", "unit": "mm"}, timeout=0.5, folder=folder)
+    (record,) = InProcess()(slow, [RunRequest("aa1", {"E": 1.0})])
+    shown = printed(capsys, str(keep(folder, [record])), "--show", "aa1").splitlines()
+    assert shown[1] == "state: timeout, timeout"
+    assert shown[4:] == [
+        f"seconds: {record.seconds:.6g}",
+        "message:",
+        "  still running after 0.5 s, and ended with all its processes",
+        f"  its folder: {folder / 'runs' / 'aa1-1'}",
+        "log:",
+        *(f"  {number}" for number in range(1, 13)),
+    ]
+
+
+def test_a_message_with_the_end_of_another_log_is_shown_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = with_log(with_log(RECORDS[2], "of the command\n"), "of the worker\n")
+    shown = printed(capsys, str(keep(tmp_path / "study", [record])), "--show", "ab3").splitlines()
+    lines = ["  bends", "  last lines of its log:", "  of the command", "log:", "  of the worker"]
+    assert shown[-5:] == lines
 
 
 def test_a_csv_holds_all_of_it(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ import click
 from strandline.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from strandline.runs.overview import Overview, Run
+    from strandline.runs.overview import Details, Overview, Run
 
 __all__ = ["command"]
 
@@ -151,10 +151,18 @@ def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
     if ended.origin:
         yield f"copied from: {ended.origin}"
     yield from (f"{name}: {value:.6g}" for name, value in details.diagnostics.items())
-    for title, text in (("message", details.message), ("log", details.log)):
+    for title, text in (("message", _without_log(details)), ("log", details.log)):
         if text.strip():
             yield f"{title}:"
             yield from (f"  {line}" for line in text.splitlines())
+
+
+def _without_log(details: "Details") -> str:
+    """Return the message without the end of the log, where that follows whole."""
+    from strandline.runs.tables import LOG_TITLE
+
+    message, _, lines = details.message.rpartition(f"\n{LOG_TITLE}\n")
+    return message if message and details.log.endswith(lines) else details.message
 
 
 def _export(path: Path, runs: Sequence["Run"], ledger: "Overview") -> None:

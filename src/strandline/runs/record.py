@@ -16,6 +16,7 @@ from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, Sensitivities, asks_sensitivities, declared_conditions
 from strandline.runs.result import InvalidResult, checked
+from strandline.runs.tables import LOG_TITLE
 
 __all__ = ["STATES", "RunRecord", "RunRequest", "State", "attempt", "run_key", "with_log"]
 
@@ -124,9 +125,7 @@ def with_log(record: RunRecord, log: str) -> RunRecord:
     if record.ok or not log:
         return record
     lines = "\n".join(log.splitlines()[-MESSAGE_LOG_LINES:])
-    return replace(
-        record, log=log, message=_short(f"{record.message or record.state}\nlast lines of its log:\n{lines}")
-    )
+    return replace(record, log=log, message=_short(f"{record.message or record.state}\n{LOG_TITLE}\n{lines}"))
 
 
 def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecord:

@@ -199,7 +199,7 @@ class CommandModel:
             raise ForwardModelError("command_not_found", f"{program} cannot be started: {ended.problem}")
         if ended.timed_out:
             message = f"still running after {self.timeout:g} s, and ended with all its processes"
-            raise ForwardModelError("timeout", message, {"seconds": ended.seconds})
+            raise ForwardModelError("timeout", message)
         codes, code = self._parts.exit_codes, ended.exit_code
         if code is None or (codes is not None and code not in codes):
             raise ForwardModelError(
