@@ -20,6 +20,7 @@ FAR_APART = 0.05
 @click.argument("study", type=click.Path(path_type=Path))
 def command(study: Path) -> None:
     """Validate STUDY (a folder) and make one forward run at the medians of the priors; nothing is written."""
+    from strandline.report.warnings import small_share
     from strandline.studies import load_study
     from strandline.studies.folder import require_writable
     from strandline.studies.ledgers import check_ledgers, known_runs, unheard_kinds
@@ -32,7 +33,7 @@ def command(study: Path) -> None:
     known = known_runs(loaded)
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
-        cut = f", {parameter.mass_cut:.2%} of its mass cut off by the box" if parameter.mass_cut else ""
+        cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
         nuisance = ", nuisance" if parameter.nuisance else ""
         click.echo(f"  {parameter.label()}: {parameter.prior}{cut}{nuisance}")
     conditions = tuple(loaded.observed or record.interfaces)
