@@ -159,6 +159,24 @@ def test_a_served_study_without_its_server_is_told_by_check(tmp_path: Path) -> N
     assert ended.stderr.count("\n") == 1
 
 
+def test_a_served_command_keeps_folders_of_failed_runs_and_says_so(tmp_path: Path) -> None:
+    script = "test {{ E }} = 2.0 && { echo no licence; exit 4; }; printf '0,0\\n1,{{ E }}\\n' > out.csv"
+    command = {"command": script, "shell": True, "result": {"file": "out.csv", "unit": "mm"}}
+    priors = {"E": {"prior": {"uniform": [0, 3]}}}
+    observation = {"synthetic": {"E": 1}}
+    folder = write_study(tmp_path, model={"command": command}, inputs=priors, fixed=None, observation=observation)
+    with serving(folder) as (url, told):
+        assert told[2] == f"  folders of failed runs are kept in {folder / 'runs'}\n"
+        model = ModelUnderTest(url, "interface", [[1.0]])
+        assert model.ask("Evaluate", input=[[1.0]])["output"] == [[0.0, 0.0, 1.0, 1.0]]
+        assert not (folder / "runs").exists()
+        answered = model.post("Evaluate", {"name": "interface", "input": [[2.0]]}).json()["error"]["message"]
+    (kept,) = (folder / "runs").iterdir()
+    first, *rest = answered.splitlines()
+    assert first.startswith("exit_code: ")
+    assert rest == [f"its folder: {kept}", "last lines of its log:", "no licence"]
+
+
 @pytest.mark.parametrize(
     ("options", "code", "what"),
     [(["--port", "70000"], 2, "70000"), (["--host", "nowhere.invalid"], 2, "address to serve on")],

@@ -76,7 +76,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     """Return the run at the medians of the priors, and a line about it."""
     import numpy as np
 
-    from strandline.cli.forward import attempted, show_log
+    from strandline.cli.forward import attempted, show_remains
     from strandline.errors import InvalidStudy
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
@@ -85,7 +85,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     if not record.ok:
         message = (record.message or "").partition("\n")[0]
-        show_log(record)
+        show_remains(record)
         raise InvalidStudy(
             "the forward run at the medians of the priors failed",
             value=f"{record.failure_kind or record.state} at {shown}",
