@@ -11,8 +11,10 @@ import xarray as xr
 
 from strandline.cli import main
 from strandline.interface import Interface
-from strandline.runs import Ledger, RunRecord, RunRequest
+from strandline.models.command.model import CommandModel
+from strandline.runs import InProcess, Ledger, RunRecord, RunRequest
 from strandline.runs.overview import STATES
+from strandline.runs.record import with_log
 from strandline.testing.models import Cantilever, TwoLoads
 
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
@@ -84,7 +86,7 @@ def test_only_one_state(folder: Path, state: str, capsys: pytest.CaptureFixture[
 
 def test_only_one_kind_and_the_last_few(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert [row[0] for row in listed(capsys, str(folder), "--kind", "non_finite")[:-1]] == ["ae6"]
-    assert listed(capsys, str(folder), "--kind", "unheard_of") == [["0", "of", "7", "runs"]]
+    assert [row[0] for row in listed(capsys, str(folder), "--kind", "stalled")] == ["0"]  # that run is open again
     assert [row[0] for row in listed(capsys, str(folder), "--limit", "3")[:-1]] == ["ae6", "af7", "aa2"]
     assert [row[0] for row in listed(capsys, str(folder), "--limit", "1", "--state", "ok")[:-1]] == ["aa1"]
 
@@ -117,6 +119,35 @@ def test_a_run_that_is_open_again_shows_how_it_ended_before(folder: Path, capsys
         "  log",
     ]
     assert "before" not in printed(capsys, str(folder), "--show", "af7")
+
+
+def test_seconds_and_log_of_a_command_out_of_time_are_shown_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    command = ["/bin/sh", "-c", "seq 12; sleep 60"]
+    slow = CommandModel(command, result={"file": "out.csv", "unit": "mm"}, timeout=0.5, folder=folder)
+    (record,) = InProcess()(slow, [RunRequest("aa1", {"E": 1.0})])
+    shown = printed(capsys, str(keep(folder, [record])), "--show", "aa1").splitlines()
+    assert shown[1] == "state: timeout, timeout"
+    assert shown[4:] == [
+        f"seconds: {record.seconds:.6g}",
+        "message:",
+        "  still running after 0.5 s, and ended with all its processes",
+        f"  its folder: {folder / 'runs' / 'aa1-1'}",
+        "log:",
+        *(f"  {number}" for number in range(1, 13)),
+    ]
+
+
+def test_a_message_with_the_end_of_another_log_is_shown_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = with_log(with_log(RECORDS[2], "of the command\n"), "of the worker\n")
+    shown = printed(capsys, str(keep(tmp_path / "study", [record])), "--show", "ab3").splitlines()
+    lines = ["  bends", "  last lines of its log:", "  of the command", "log:", "  of the worker"]
+    assert shown[-5:] == lines
 
 
 def test_a_csv_holds_all_of_it(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -199,6 +230,10 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
     ("options", "message"),
     [
         (["--state", "fine"], "--state: got fine; expected one of ok, failed, timeout, killed, invalid, open."),
+        (
+            ["--kind", "stalld"],
+            "--kind: got stalld; expected one of limit_point, non_finite, stalled, timeout, worker_died.",
+        ),
         (["--show", "a"], "--show: got a; expected the beginning of the key of one run, not of 7"),
         (["--show", "zz"], "--show: got zz; expected the beginning of the key of one run; there is none among 7"),
         (["--show", ""], "--show: got ; expected"),
@@ -208,7 +243,8 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
         (["--export", "runs"], "expected a file name that ends with .csv or .nc"),
         (["--export", "nowhere/runs.csv"], "expected a file in a folder that exists"),
         (["--export", "folder.nc"], "expected a file in a folder that exists"),
-        (["--export", "runs.csv", "--kind", "unheard_of"], "--export: got no run"),
+        (["--export", "runs.csv", "--kind", "stalled"], "--export: got no run"),
+        (["--export", "runs.csv", "--kind", "stalld"], "--kind: got stalld"),
     ],
 )
 def test_what_is_refused(
@@ -237,6 +273,14 @@ def test_a_study_that_was_not_run(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert ended.value.code == 2
     assert "no such file; expected a ledger. Run the study first" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_kind_where_no_run_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = keep(tmp_path / "study", RECORDS[:1])
+    with pytest.raises(SystemExit) as ended:
+        main(["runs", str(folder), "--kind", "timeout"])
+    assert ended.value.code == 2
+    assert "--kind: got timeout; expected a failed run; there is none." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["ledger-v1.sqlite", "ledger-v2.sqlite"])

@@ -316,6 +316,44 @@ def test_check_shows_the_log_of_a_run_that_failed(tmp_path: Path, capsys: pytest
     assert (folder / "runs" / "trial-1" / "command.log").read_text() == "no licence\n"
 
 
+@pytest.mark.parametrize("arguments", [["check"], ["forward", "--set", "a=1"]], ids=["check", "forward"])
+@pytest.mark.parametrize(("keep", "failed", "ok"), [("failed", 1, 0), ("none", 0, 0), ("all", 1, 1)])
+def test_single_runs_keep_folders_by_the_same_rule_and_say_so(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    keep: str,
+    failed: int,
+    ok: int,
+) -> None:
+    name, *options = arguments
+    folder = study(tmp_path, keep=keep)
+    main([name, str(folder), *options])
+    assert len(list(folder.glob("runs/*"))) == ok
+    shutil.rmtree(folder / "runs", ignore_errors=True)
+    (folder / "run.sh").write_text("echo its folder: none; exit 4")
+    with pytest.raises(SystemExit):
+        main([name, str(folder), *options])
+    assert len(list(folder.glob("runs/*"))) == failed
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("its folder: /")]
+    kept = f"its folder: {(folder / 'runs' / 'trial-1').resolve()} (kept for a look; delete it at any time)"
+    assert told == [kept] * failed
+
+
+def test_check_tells_the_whole_of_what_a_result_lacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = study(tmp_path)
+    (folder / "run.sh").write_text("printf 'node,x,y\\n1,0,0\\n2,1,1\\n' > out.csv")
+    with pytest.raises(SystemExit):
+        main(["check", str(folder)])
+    *_, line = capsys.readouterr().err.splitlines()
+    assert "failed: got result_unreadable at load = 1, a = 1.5; expected" in line
+    assert line.endswith(
+        "; expected a run that ends with an interface. Look at the simulator, or move the priors to where it runs. It "
+        "says: out.csv has no point in line 2: got 1 0 0; expected two numbers x, y. Say which of the 3 columns to take"
+        ", by name or by number from 1, e.g. `columns: [x, y]`."
+    )
+
+
 def test_tags_of_yaml_are_refused(tmp_path: Path) -> None:
     folder = study(tmp_path)
     text = json.dumps(json.loads((folder / "study.yaml").read_text()) | {"model": "MODEL"})

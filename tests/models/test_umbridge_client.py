@@ -303,6 +303,18 @@ MISHAPS: dict[str, tuple[Reply, str, str]] = {
 }
 
 
+def test_what_a_server_says_behind_the_first_line_is_the_log() -> None:
+    said = "timeout: killed\nlast lines of its log:\n" + "a\n" * client_module.LONGEST_LOG + "Newton diverges"
+    reply = sends(500, json.dumps({"error": {"type": "ModelError", "message": said}}))
+    with hostile(reply) as (url, _):
+        record = run(model(url), 600.0)
+    assert record.failure_kind == "model_error"
+    assert str(record.message).splitlines()[0] == "the server says 'ModelError': timeout: killed"
+    assert str(record.message).endswith("a\nNewton diverges")
+    assert record.log.splitlines()[-2:] == ["a", "Newton diverges"]
+    assert len(record.log) <= client_module.LONGEST_LOG
+
+
 @pytest.mark.parametrize("name", MISHAPS)
 def test_a_server_that_misbehaves_costs_the_runs_that_it_hits(name: str, tmp_path: Path) -> None:
     reply, kind, message = MISHAPS[name]

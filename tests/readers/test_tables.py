@@ -109,6 +109,50 @@ def test_bad_text(tmp_path: Path, text: str | bytes, options: dict[str, Any], wo
     assert caught.value.kind == kind
 
 
+@pytest.mark.parametrize(
+    ("text", "options", "told"),
+    [
+        (
+            "node,x,y,z\n1,0,0,0\n2,1,1,0\n",
+            {},
+            "no point in line 2: got 1 0 0 0; expected two numbers x, y. Say which of "
+            "the 4 columns to take, by name or by number from 1, e.g. `columns: [x, y]`.",
+        ),
+        ("# node X Y\n1 0 0\n2 1 1\n", {}, "e.g. `columns: [X, Y]`."),
+        ("1 0 0\n2 1 1\n", {}, "the 3 columns to take, by name or by number from 1, e.g. `columns: [1, 2]`."),
+        (
+            "node, x coord, y coord\n1,0,0\n2,1,1\n",
+            {},
+            "the 3 columns to take, by name or by number from 1, e.g. `columns: [1, 2]`.",
+        ),
+        (
+            "X,Y\n0,0\n1,1\n",
+            {"columns": ["x", "y"]},
+            "no column x: got X, Y; expected one column called x. Say which of "
+            "the 2 columns to take, by name or by number from 1, e.g. `columns: [X, Y]`.",
+        ),
+        ("x,y\n0,0\n1\n", {}, "no point in line 3: got 1; expected two numbers x, y. Correct the line"),
+    ],
+    ids=range(6),
+)
+def test_the_remedy_of_missing_columns_is_what_to_write(
+    tmp_path: Path, text: str, options: dict[str, Any], told: str
+) -> None:
+    with pytest.raises(Unreadable) as caught:
+        read(written(tmp_path, text), **options)
+    assert told in str(caught.value)
+    if "`columns: " in told and "line" in told:
+        names = told.rpartition("[")[2].partition("]")[0].split(", ")
+        assert len(read(tmp_path / "points.csv", columns=[int(n) if n.isdigit() else n for n in names]).points) == 2
+
+
+def test_the_remedy_of_an_array_is_what_to_write(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((3, 5)))
+    for options in ({}, {"columns": ["x", "y"]}, {"columns": [1, 6]}):
+        with pytest.raises(Unreadable, match=r"the 5 columns to take, .* `columns: \[1, 2\]`"):
+            read(tmp_path / "a.npy", **options)
+
+
 @pytest.mark.parametrize("cut", [0, 5, 60, 127, 130, 170])
 def test_a_truncated_array(tmp_path: Path, cut: int) -> None:
     np.save(tmp_path / "a.npy", POINTS)

@@ -1,15 +1,21 @@
 """The report: self-contained, whole, with every figure and number."""
 
 import base64
+import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy import stats
 
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import LogNormal
 from strandline.report import write_report
 from strandline.report.page import template
+from strandline.report.warnings import find_warnings
 
 FIGURES = [
     "interfaces",
@@ -156,3 +162,22 @@ def test_without_quadrature_truth_and_failures(reported: Any) -> None:
     assert "Quadrature" not in text
     assert "No warnings" in text
     assert "newton_stalled" in text
+
+
+@pytest.mark.parametrize(
+    ("box", "told"), [((250.0, 650.0), "1.69%"), ((200.0, 850.0), "0.03%"), ((120.0, 900.0), "less than 0.01%")]
+)
+def test_the_mass_cut_off_is_the_same_in_table_and_warning(reported: Any, box: tuple[float, float], told: str) -> None:
+    calibration = reported.outcome.calibration
+    E = Parameter("E", LogNormal(6.0, 0.2), "Pa", box)
+    low, high = ((math.log(end) - 6.0) / 0.2 for end in box)
+    cut = stats.norm.cdf(low) + stats.norm.sf(high)
+    assert told == (f"{cut:.2%}" if cut > 1e-4 else "less than 0.01%")
+    space = ParameterSpace((E, calibration.problem.space["tilt"]))
+    warned = find_warnings(replace(calibration, problem=replace(calibration.problem, space=space)))
+    assert any(f": {told} of its mass was cut off" in warning for warning in warned)
+    summary = reported.outcome.summary
+    inputs = summary["inputs"] | {"E": summary["inputs"]["E"] | {"prior_mass_cut": E.mass_cut}}
+    page = template("report.html.j2")
+    shown = Page(page.render(s=summary | {"inputs": inputs}, figures=[], study_text="", check=None, picture=None))
+    assert f"300 … 560{told}" in shown.text

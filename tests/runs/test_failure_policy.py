@@ -1,13 +1,15 @@
 """What a campaign does about runs that fail: nothing, another try, or an end of it all."""
 
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
 from strandline.errors import CampaignStopped, ForwardModelError, InvalidInput
 from strandline.models.protocol import fingerprint
-from strandline.runs import FailurePolicy, InProcess, Ledger, Retry, run_campaign
+from strandline.runs import FailurePolicy, InProcess, Ledger, Retry, attempt, run_campaign
 from strandline.runs.failures import require_kinds
+from strandline.runs.ledger import INTERRUPTED
 from strandline.testing.models import Cantilever
 
 
@@ -80,6 +82,28 @@ def test_abort_ends_the_campaign_keeps_what_is_done_and_tries_that_run_first_whe
     assert model.calls == {300.0: 1, 400.0: 1}
     assert [record.state for record in campaign(path, model, design(300, 400, 500), policy)] == ["ok"] * 3
     assert model.calls == {300.0: 1, 400.0: 2, 500.0: 1}
+
+
+def abreast(model, requests):
+    """Have two runs under way, and tell how the second one ended."""
+    for request in list(requests)[1:2]:
+        yield attempt(model, request, Path())
+
+
+def test_abort_leaves_a_run_beside_it_to_be_made_without_an_attempt_less(path):
+    model, policy = Moody({400.0: 4}), FailurePolicy({"licence": "abort", "killed": "continue"})
+    with Ledger.open(path, model="moody") as ledger:
+        inputs = design(300, 400)
+        for _ in range(4):
+            with pytest.raises(CampaignStopped, match="this run is tried anew, and so are those that were under way"):
+                run_campaign(model, inputs, ledger=ledger, executor=abreast, maximum_attempts=1, policy=policy)
+            beside, _ = ledger
+            assert (beside.inputs["E"], beside.state, beside.failure_kind) == (300.0, "killed", INTERRUPTED)
+            assert beside.message == "stopped with its campaign, for no reason of its own; it will be run again"
+            assert ledger.attempts(beside.key) == 0
+        done = run_campaign(model, inputs, ledger=ledger, executor=InProcess(), maximum_attempts=1, policy=policy)
+    assert [record.state for record in done] == ["ok", "ok"]
+    assert model.calls == {300.0: 1, 400.0: 5}
 
 
 def test_failures_asked_for_again_are_run_once_more_and_no_others(path):

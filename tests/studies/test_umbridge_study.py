@@ -159,6 +159,24 @@ def test_a_served_study_without_its_server_is_told_by_check(tmp_path: Path) -> N
     assert ended.stderr.count("\n") == 1
 
 
+def test_a_served_command_keeps_folders_of_failed_runs_and_says_so(tmp_path: Path) -> None:
+    script = "test {{ E }} = 2.0 && { echo no licence; exit 4; }; printf '0,0\\n1,{{ E }}\\n' > out.csv"
+    command = {"command": script, "shell": True, "result": {"file": "out.csv", "unit": "mm"}}
+    priors = {"E": {"prior": {"uniform": [0, 3]}}}
+    observation = {"synthetic": {"E": 1}}
+    folder = write_study(tmp_path, model={"command": command}, inputs=priors, fixed=None, observation=observation)
+    with serving(folder) as (url, told):
+        assert told[2] == f"  folders of failed runs are kept in {folder / 'runs'}\n"
+        model = ModelUnderTest(url, "interface", [[1.0]])
+        assert model.ask("Evaluate", input=[[1.0]])["output"] == [[0.0, 0.0, 1.0, 1.0]]
+        assert not (folder / "runs").exists()
+        answered = model.post("Evaluate", {"name": "interface", "input": [[2.0]]}).json()["error"]["message"]
+    (kept,) = (folder / "runs").iterdir()
+    first, *rest = answered.splitlines()
+    assert first.startswith("exit_code: ")
+    assert rest == [f"its folder: {kept}", "last lines of its log:", "no licence"]
+
+
 @pytest.mark.parametrize(
     ("options", "code", "what"),
     [(["--port", "70000"], 2, "70000"), (["--host", "nowhere.invalid"], 2, "address to serve on")],
@@ -191,6 +209,16 @@ class TestServedModels:
         assert status == 500
         assert content["error"]["type"] == "ModelError"
         assert content["error"]["message"].startswith("large_deflection: the tip would move by")
+
+    def test_the_answer_of_a_run_out_of_time_has_its_kind_and_its_log(self, study: Study) -> None:
+        solver = Solver(Faulty(fault="hang"), timeout=1.5)
+        try:
+            status, content = evaluate(served_models(study, solver), "log_likelihood", 550.0, 0.0)
+        finally:
+            solver.close()
+        assert (status, content["error"]["type"]) == (500, "ModelError")
+        first, *_, last = content["error"]["message"].splitlines()
+        assert (first, last) == ("timeout: still running after 1.5 s, and killed", "waiting for nothing")
 
     def test_a_study_whose_model_fails_is_not_served(self, study: Study) -> None:
         def failing(inputs: Mapping[str, float]) -> RunRecord:

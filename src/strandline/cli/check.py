@@ -20,9 +20,10 @@ FAR_APART = 0.05
 @click.argument("study", type=click.Path(path_type=Path))
 def command(study: Path) -> None:
     """Validate STUDY (a folder) and make one forward run at the medians of the priors; nothing is written."""
+    from strandline.report.warnings import small_share
     from strandline.studies import load_study
     from strandline.studies.folder import require_writable
-    from strandline.studies.ledgers import check_ledgers, known_runs
+    from strandline.studies.ledgers import check_ledgers, known_runs, unheard_kinds
 
     loaded = load_study(study)
     require_writable(loaded.folder)
@@ -32,7 +33,7 @@ def command(study: Path) -> None:
     known = known_runs(loaded)
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
-        cut = f", {parameter.mass_cut:.2%} of its mass cut off by the box" if parameter.mass_cut else ""
+        cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
         nuisance = ", nuisance" if parameter.nuisance else ""
         click.echo(f"  {parameter.label()}: {parameter.prior}{cut}{nuisance}")
     conditions = tuple(loaded.observed or record.interfaces)
@@ -46,6 +47,8 @@ def command(study: Path) -> None:
         click.echo(f"  {line}")
     for name, value in log_likelihoods.items():
         click.echo(f"  {name}: log-likelihood {value:.6g} there")
+    for kind in unheard_kinds(loaded):
+        click.echo(f"  warning: failures.kinds.{kind}: no run has ended so yet; is the word the model's own?")
     refine = loaded.settings.refine
     rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
     click.echo(f"  {loaded.settings.planned_runs} forward runs planned{rounds}, {known} of them known already")
@@ -73,7 +76,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     """Return the run at the medians of the priors, and a line about it."""
     import numpy as np
 
-    from strandline.cli.forward import attempted, show_log
+    from strandline.cli.forward import attempted, show_remains
     from strandline.errors import InvalidStudy
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
@@ -82,12 +85,12 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     if not record.ok:
         message = (record.message or "").partition("\n")[0]
-        show_log(record)
+        show_remains(record)
         raise InvalidStudy(
             "the forward run at the medians of the priors failed",
-            value=f"{record.failure_kind or record.state} at {shown}: {message}",
+            value=f"{record.failure_kind or record.state} at {shown}",
             expected="a run that ends with an interface",
-            remedy="Look at the simulator, or move the priors to where it runs.",
+            remedy=f"Look at the simulator, or move the priors to where it runs. It says: {message}",
         )
     figures = ", ".join(f"{name} {value:.4g}" for name, value in record.diagnostics.items())
     return record, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from strandline.models.protocol import ForwardModel
     from strandline.runs import RunRecord
 
-__all__ = ["attempted", "command", "show_log"]
+__all__ = ["attempted", "command", "show_remains"]
 
 LOG_LINES = 20
 
@@ -72,7 +72,7 @@ def command(
     elif not record.ok:
         message = (record.message or "").partition("\n")[0]
         click.echo(f"failed after {record.seconds:.2f} s: {record.failure_kind or record.state}: {message}", err=True)
-        show_log(record)
+        show_remains(record)
         raise SystemExit(1)
     else:
         figures = ", ".join(f"{name} {value:.6g}" for name, value in record.diagnostics.items())
@@ -83,8 +83,13 @@ def command(
             click.echo(f"wrote {path}")
 
 
-def show_log(record: "RunRecord") -> None:
-    """Print how the log of a failed run ends, where the simulator is a program with a log."""
+def show_remains(record: "RunRecord") -> None:
+    """Print where the folder of a failed run is kept and how its log ends, where the simulator is a program."""
+    from strandline.runs.record import told_folder
+
+    folder = told_folder(record)
+    if folder:
+        click.echo(f"{folder} (kept for a look; delete it at any time)", err=True)
     if record.log:
         lines = record.log.splitlines()[-LOG_LINES:]
         click.echo("\n".join(["last lines of the simulator's log:", *lines]), err=True)

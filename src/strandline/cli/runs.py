@@ -10,7 +10,7 @@ import click
 from strandline.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from strandline.runs.overview import Overview, Run
+    from strandline.runs.overview import Details, Overview, Run
 
 __all__ = ["command"]
 
@@ -46,6 +46,7 @@ def command(
             _require_alone(state, kind, limit, export)
             click.echo("\n".join(_in_full(_found(show, runs), ledger)))
             return
+        _require_kind(kind, runs)
         chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
         chosen = chosen[-limit:] if limit else chosen
         if export is None:
@@ -59,6 +60,18 @@ def _require_known(state: str | None) -> None:
 
     if state is not None and state not in STATES:
         raise InvalidInput("--state", value=state, expected=f"one of {', '.join(STATES)}", remedy="Correct the option.")
+
+
+def _require_kind(kind: str | None, runs: Sequence["Run"]) -> None:
+    """Refuse a reason for which no run ever failed."""
+    present = sorted({attempt.kind for run in runs for attempt in run.attempts if attempt.kind})
+    if kind is not None and kind not in present:
+        raise InvalidInput(
+            "--kind",
+            value=kind,
+            expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
+            remedy="`strandline status` tells the kinds and how many there are; for states there is --state.",
+        )
 
 
 def _require_target(export: Path | None) -> None:
@@ -138,10 +151,18 @@ def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
     if ended.origin:
         yield f"copied from: {ended.origin}"
     yield from (f"{name}: {value:.6g}" for name, value in details.diagnostics.items())
-    for title, text in (("message", details.message), ("log", details.log)):
+    for title, text in (("message", _without_log(details)), ("log", details.log)):
         if text.strip():
             yield f"{title}:"
             yield from (f"  {line}" for line in text.splitlines())
+
+
+def _without_log(details: "Details") -> str:
+    """Return the message without the end of the log, where that follows whole."""
+    from strandline.runs.tables import LOG_TITLE
+
+    message, _, lines = details.message.rpartition(f"\n{LOG_TITLE}\n")
+    return message if message and details.log.endswith(lines) else details.message
 
 
 def _export(path: Path, runs: Sequence["Run"], ledger: "Overview") -> None:

@@ -22,7 +22,7 @@ __all__ = ["command"]
 @click.option("--host", default="127.0.0.1", help="Address to listen on. [127.0.0.1, this machine alone]")
 @click.option("--workers", type=click.IntRange(1), default=1, metavar="N", help="Runs made at the same time. [1]")
 def command(study: Path, port: int, host: str, workers: int) -> None:
-    """Serve STUDY's model and its log-likelihood by UM-Bridge, until Ctrl-C; nothing is written.
+    """Serve STUDY's model and its log-likelihood by UM-Bridge, until Ctrl-C; nothing goes into the ledger.
 
     `interface` takes the unknown inputs and yields the interface's points in mm, `log_likelihood` the log-likelihood
     of the study's observation by the true model. There is no password: whoever reaches the port can make runs.
@@ -58,10 +58,15 @@ def _solvers(study: "Study", workers: int) -> list["Solver"]:
 
 
 def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
+    from strandline.models.command.keep import RUNS
+
     if not _is_local(host):
         click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)
     click.echo(f"{study.name}: serving {server.url}")
     click.echo(f"  inputs: [{', '.join(parameter.label() for parameter in study.space)}]")
+    kept = getattr(study.model, "keep", "none")
+    if kept != "none":
+        click.echo(f"  folders of {'all' if kept == 'all' else 'failed'} runs are kept in {study.folder / RUNS}")
     for model in server.models:
         sizes = " and ".join(str(size) for size in model.output_sizes)
         features = ", ".join(name for name, offered in model.support.items() if offered)

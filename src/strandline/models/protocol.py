@@ -22,6 +22,7 @@ __all__ = [
     "Simulation",
     "asks_sensitivities",
     "declared_conditions",
+    "declared_failure_kinds",
     "declared_inputs",
     "fingerprint",
     "require_conditions",
@@ -98,9 +99,10 @@ class ForwardModel(Protocol):
 
     A plain function of the same signature serves, and may return a bare `Interface`, which is one unnamed condition.
     A model may declare `inputs` (a tuple of `ModelInput`), `fingerprint` (a string that changes whenever its results
-    do) and, where a run yields several interfaces or one with a name, their `conditions` (a tuple of names). A model
-    that can compute sensitivities is a dataclass with a field `sensitivities`, which says whether it does; they come
-    on top and change no interface, so they are no part of its fingerprint. It is pickled once per worker process.
+    do), where a run yields several interfaces or one with a name, their `conditions` (a tuple of names), and the kinds
+    of its failures, `failure_kinds` (a tuple of words), so that others are refused in a study. A model that can compute
+    sensitivities is a dataclass with a field `sensitivities`, which says whether it does; they come on top and change
+    no interface, so they are no part of its fingerprint. It is pickled once per worker process.
 
     Raises:
         ForwardModelError: the run failed, with its kind.
@@ -119,6 +121,12 @@ def declared_inputs(model: ForwardModel) -> tuple[ModelInput, ...]:
 def declared_conditions(model: ForwardModel) -> tuple[str, ...]:
     """Return the conditions of which each run of `model` yields an interface; a single unnamed one by default."""
     return tuple(getattr(model, "conditions", ("",)))
+
+
+def declared_failure_kinds(model: ForwardModel) -> tuple[str, ...] | None:
+    """Return the kinds of `ForwardModelError` that `model` declares; None where it does not say."""
+    declared = getattr(model, "failure_kinds", None)
+    return None if declared is None else tuple(declared)
 
 
 def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:

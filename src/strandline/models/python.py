@@ -14,6 +14,7 @@ from strandline.models.protocol import (
     ModelInput,
     Simulation,
     declared_conditions,
+    declared_failure_kinds,
     declared_inputs,
     fingerprint,
     with_sensitivities,
@@ -30,11 +31,11 @@ class PythonModel:
     `Interface`, or the points (point, 2) of an open polyline in mm, in order along the interface. A run that fails
     raises `ForwardModelError`. Any callable object at the top level of a module serves.
 
-    The function may carry three attributes: ``inputs``, a tuple of `ModelInput`, ``fingerprint``, a text, and
-    ``conditions``, the names under which a `Simulation` of several interfaces holds them. Without
-    ``inputs`` nothing is known of units and of the values that make sense: the study's unit (optional then) is taken
-    as it stands and no range is checked. Without ``fingerprint`` runs belong to the function's own source; code that
-    it calls elsewhere can change unseen.
+    The function may carry four attributes: ``inputs``, a tuple of `ModelInput`, ``fingerprint``, a text,
+    ``conditions``, the names under which a `Simulation` of several interfaces holds them, and ``failure_kinds``, the
+    kinds with which it raises `ForwardModelError`. Without ``inputs`` nothing is known of units and of the values that
+    make sense: the study's unit (optional then) is taken as it stands and no range is checked. Without
+    ``fingerprint`` runs belong to the function's own source; code that it calls elsewhere can change unseen.
 
     Args:
         function: ``module:name``; the module must be importable (installed, or on PYTHONPATH).
@@ -59,6 +60,11 @@ class PythonModel:
     def conditions(self) -> tuple[str, ...]:
         """The conditions that the function declares; a single unnamed one where it declares none."""
         return declared_conditions(_found(self.function))
+
+    @property
+    def failure_kinds(self) -> tuple[str, ...] | None:
+        """The kinds of failure that the function declares; None where it does not say."""
+        return declared_failure_kinds(_found(self.function))
 
     @property
     def fingerprint(self) -> str:

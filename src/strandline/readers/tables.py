@@ -31,7 +31,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
         raise refused(f"{name} holds no points", None, "two columns x, y with one point a line")
     titles = header[0] if header else []
     if how.columns is None and how.field is None:
-        return Contents(np.array([_point(name, number, fields) for number, fields in rows]))
+        return Contents(np.array([_point(name, number, fields, titles) for number, fields in rows]))
     points = _columns(name, rows, titles, how.columns or (1, 2))
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     return Contents(points, displacement=moved)
@@ -47,8 +47,8 @@ def read_npy(path: Path, how: Reading, name: str) -> Contents:
         found = f"{array.dtype} of the shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise refused(f"{name} holds no points", found, "an array of numbers (point, 2)")
     if how.columns is None and array.shape[1] != 2 and how.field is None:
-        expected = "two columns, or `columns: [1, 2]` to choose two"
-        raise refused(f"{name} holds no points", f"the shape {array.shape}", expected)
+        remedy = _say_columns([], array.shape[1])
+        raise refused(f"{name} holds no points", f"the shape {array.shape}", "two columns x, y", remedy)
     points = _of_array(name, array.astype(float), how.columns or (1, 2))
     moved = None if how.field is None else _of_array(name, array.astype(float), tuple(how.field))
     return Contents(points, displacement=moved)
@@ -59,7 +59,8 @@ def _of_array(
 ) -> Float[np.ndarray, "point 2"]:
     for column in columns:
         if isinstance(column, str) or column > array.shape[1]:
-            raise refused(f"{name} has no column {column}", f"{array.shape[1]} columns", "columns by number from 1")
+            found, remedy = f"{array.shape[1]} columns", _say_columns([], array.shape[1])
+            raise refused(f"{name} has no column {column}", found, "columns by number from 1", remedy)
     return np.ascontiguousarray(array[:, [int(column) - 1 for column in columns]])
 
 
@@ -67,7 +68,7 @@ def _columns(
     name: str, rows: Sequence[Row], titles: Sequence[str], columns: Sequence[str | int]
 ) -> Float[np.ndarray, "point 2"]:
     """Return two columns of a table."""
-    chosen = [_place(name, column, titles) for column in columns]
+    chosen = [_place(name, column, titles, rows[0][1]) for column in columns]
     for number, fields in rows:
         if len(fields) <= max(chosen) or not all(_is_number(fields[k]) for k in chosen):
             raise refused(
@@ -78,12 +79,13 @@ def _columns(
     return np.array([[float(fields[k]) for k in chosen] for _, fields in rows])
 
 
-def _place(name: str, column: str | int, titles: Sequence[str]) -> int:
+def _place(name: str, column: str | int, titles: Sequence[str], fields: Sequence[str]) -> int:
     if isinstance(column, int):
         return column - 1
     if list(titles).count(column) != 1:
         shown = ", ".join(titles) or "no line of column names"
-        raise refused(f"{name} has no column {column}", shown, f"one column called {column}")
+        remedy = _say_columns(titles, len(fields))
+        raise refused(f"{name} has no column {column}", shown, f"one column called {column}", remedy)
     return titles.index(column)
 
 
@@ -107,10 +109,18 @@ def _fields(line: str, delimiter: str | None) -> list[str]:
     return line.replace(",", " ").replace(";", " ").split()
 
 
-def _point(name: str, number: int, fields: list[str]) -> tuple[float, float]:
+def _point(name: str, number: int, fields: list[str], titles: Sequence[str]) -> tuple[float, float]:
     if len(fields) != 2 or not all(_is_number(field) for field in fields):
-        raise refused(f"{name} has no point in line {number}", " ".join(fields), "two numbers x, y")
+        remedy = _say_columns(titles, len(fields)) if len(fields) > 2 else "Correct the line, or what writes it."
+        raise refused(f"{name} has no point in line {number}", " ".join(fields), "two numbers x, y", remedy)
     return float(fields[0]), float(fields[1])
+
+
+def _say_columns(titles: Sequence[str], number: int) -> str:
+    """Return the remedy for a table of which it must be said where x and y stand, with what to write."""
+    named = {title.lower(): title for title in titles if len(titles) == number and titles.count(title) == 1}
+    pair = f"{named['x']}, {named['y']}" if {"x", "y"} <= named.keys() else "1, 2"
+    return f"Say which of the {number} columns to take, by name or by number from 1, e.g. `columns: [{pair}]`."
 
 
 def _is_number(text: str) -> bool:

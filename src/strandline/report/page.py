@@ -14,6 +14,7 @@ from strandline.calibrate import Calibration
 from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
 from strandline.report.figures import draw_figures
+from strandline.report.warnings import small_share
 
 __all__ = ["add_check", "template", "write_report"]
 
@@ -121,6 +122,7 @@ def template(name: str, *, package: str = "strandline.report") -> Any:
     )
     environment.filters["g"] = _figures
     environment.filters["percent"] = lambda value: f"{value:.1%}"
+    environment.filters["small_share"] = small_share
     return environment.get_template(name)
 
 

@@ -10,7 +10,7 @@ from strandline.posterior import Posterior
 from strandline.quadrature import mixture
 from strandline.report.field_warnings import field_warnings
 
-__all__ = ["find_warnings"]
+__all__ = ["find_warnings", "small_share"]
 
 BOUND_SHARE = 0.02
 """A bound counts as touched where the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
@@ -50,6 +50,11 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
         )
 
 
+def small_share(share: float) -> str:
+    """Return a share that may be small, above zero, as it is told wherever it is."""
+    return f"{share:.2%}" if share >= 0.0001 else "less than 0.01%"
+
+
 def _impossible(calibration: Calibration) -> Iterator[str]:
     highest = float(calibration.posterior.log_likelihood.max())
     if highest > ABOVE_ZERO:
@@ -74,7 +79,7 @@ def _prior(calibration: Calibration) -> Iterator[str]:
             low, high = parameter.interval
             yield (
                 f"The prior of {parameter.name} was truncated to the design box [{low:g}, {high:g}]{_of(parameter)}: "
-                f"{parameter.mass_cut:.2%} of its mass was cut off."
+                f"{small_share(parameter.mass_cut)} of its mass was cut off."
             )
 
 

@@ -285,13 +285,13 @@ class Starts:
         return requests is None or bool(self.waiting)
 
     def interrupt(self, still_out: frozenset[str]) -> None:
-        """Record the runs that were stopped together with the driver: they are no attempts of their own.
+        """Record the runs that were stopped together with the campaign: they are no attempts of their own.
 
         Those in `still_out` go on without it.
         """
         with contextlib.suppress(LedgerError):
             for request in (request for key, request in self.running.items() if key not in still_out):
-                message = "stopped together with its driver; it will be run again"
+                message = "stopped with its campaign, for no reason of its own; it will be run again"
                 record = RunRecord(request.key, request.inputs, "killed", failure_kind=INTERRUPTED, message=message)
                 self.ledger.finished(record)
 

@@ -11,9 +11,26 @@ from dataclasses import dataclass, field
 from strandline.errors import CampaignStopped, InvalidInput
 from strandline.runs.record import RunRecord
 
-__all__ = ["FailurePolicy", "Retry", "aborted", "require_kinds"]
+__all__ = ["COMMON_KINDS", "FailurePolicy", "Retry", "aborted", "require_kinds"]
 
 LINES_SHOWN = 6
+COMMON_KINDS = (
+    "exception",
+    "not_an_interface",
+    "invalid_interface",
+    "non_finite",
+    "conditions",
+    "sensitivities",
+    "timeout",
+    "walltime",
+    "worker_died",
+    "out_of_memory",
+    "node_failed",
+    "cancelled",
+    "preempted",
+    "damaged_result",
+)
+"""What can befall a run of any model, beside the kinds that the model itself has."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +126,8 @@ def aborted(record: RunRecord) -> CampaignStopped:
     return CampaignStopped(
         f"a run ended with {kind}, upon which this study is to stop (failures.kinds.{kind}: abort)\n"
         f"{_told(record)}\n"
-        "All finished runs are kept. Mend the cause and start again: this run is tried anew."
+        "All finished runs are kept. Mend the cause and start again: this run is tried anew, and so are those that "
+        "were under way beside it."
     )
 
 

@@ -16,8 +16,19 @@ from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, Sensitivities, asks_sensitivities, declared_conditions
 from strandline.runs.result import InvalidResult, checked
+from strandline.runs.tables import LOG_TITLE
 
-__all__ = ["NOT_NOW", "STATES", "RunRecord", "RunRequest", "State", "attempt", "run_key", "with_log"]
+__all__ = [
+    "NOT_NOW",
+    "STATES",
+    "RunRecord",
+    "RunRequest",
+    "State",
+    "attempt",
+    "run_key",
+    "told_folder",
+    "with_log",
+]
 
 State = Literal["ok", "failed", "timeout", "killed", "invalid"]
 STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
@@ -26,6 +37,7 @@ STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
 MESSAGE_CHARACTERS = 4000
 MESSAGE_LOG_LINES = 10
 TRACEBACK_LINES = 12
+FOLDER_TITLE = "its folder: "
 
 
 @dataclass(frozen=True)
@@ -128,9 +140,7 @@ def with_log(record: RunRecord, log: str) -> RunRecord:
     if record.ok or not log:
         return record
     lines = "\n".join(log.splitlines()[-MESSAGE_LOG_LINES:])
-    return replace(
-        record, log=log, message=_short(f"{record.message or record.state}\nlast lines of its log:\n{lines}")
-    )
+    return replace(record, log=log, message=_short(f"{record.message or record.state}\n{LOG_TITLE}\n{lines}"))
 
 
 def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecord:
@@ -144,7 +154,13 @@ def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecor
         kept = f"not kept: {error}"
     if record.ok or kept is None:
         return record
-    return replace(record, message=f"{record.message}\nits folder: {kept}")
+    return replace(record, message=f"{record.message}\n{FOLDER_TITLE}{kept}")
+
+
+def told_folder(record: RunRecord) -> str:
+    """Return the line of the message that tells where the folder of the run is kept; empty where it is not."""
+    reason, _, _ = (record.message or "").partition(f"\n{LOG_TITLE}\n")
+    return next((line for line in reason.splitlines() if line.startswith(FOLDER_TITLE)), "")
 
 
 @contextlib.contextmanager

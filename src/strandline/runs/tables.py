@@ -12,6 +12,7 @@ from strandline.errors import LedgerError
 __all__ = [
     "ATTEMPTS",
     "INTERRUPTED",
+    "LOG_TITLE",
     "VERSION",
     "connect",
     "connect_read_only",
@@ -28,7 +29,9 @@ __all__ = [
 VERSION = 3
 """1: one unnamed interface per outcome. 2: a table of further arrays: named conditions, sensitivities. 3: plans."""
 INTERRUPTED = "interrupted"
-"""Failure kind of a run that its own driver stopped: it is no attempt at the run."""
+"""Failure kind of a run that its own driver stopped, by Ctrl-C or for another run's end: it is no attempt."""
+LOG_TITLE = "last lines of its log:"
+"""Line of a message behind which the end of the run's log stands."""
 ATTEMPTS = 3
 """Starts after which a campaign gives up a run whose process vanishes each time."""
 APPEND_ONLY = ("sessions", "starts", "outcomes")

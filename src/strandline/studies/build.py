@@ -14,10 +14,18 @@ from strandline.active import Active
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models import MODELS
-from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs, with_sensitivities
+from strandline.models.protocol import (
+    ForwardModel,
+    ModelInput,
+    declared_failure_kinds,
+    declared_inputs,
+    with_sensitivities,
+)
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.runs import FailurePolicy, Retry
+from strandline.runs.failures import COMMON_KINDS
+from strandline.runs.record import STATES
 from strandline.studies.observed import TO_MM, read_points
 from strandline.studies.schema import ActiveFile, Failures, Input, Quantity, Refine, StudyFile
 from strandline.surrogate import KERNELS
@@ -34,6 +42,7 @@ __all__ = [
     "check_refine",
     "check_runs",
     "check_values",
+    "failure_words",
 ]
 
 MASS_CUT_ACCEPTED = 0.5
@@ -104,12 +113,22 @@ def build_discrepancies(
     return result
 
 
-def build_failures(given: Failures) -> FailurePolicy:
-    """Return what is done about failed runs."""
+def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:
+    """Return what is done about failed runs; a kind that the model is known not to have is refused."""
+    if declared_failure_kinds(model) is not None:
+        known = dict.fromkeys(failure_words(model))
+        for kind in given.kinds:
+            _entry(known, kind, "failures.kinds")
     actions = {kind: action if isinstance(action, str) else Retry(action) for kind, action in given.kinds.items()}
     if given.stop is None:
         return FailurePolicy(actions, stop_share=2.0)
     return FailurePolicy(actions, stop_after=given.stop.after, stop_share=given.stop.share)
+
+
+def failure_words(model: ForwardModel) -> tuple[str, ...]:
+    """Return the words for failed runs of `model`, as far as they are known: states, its own kinds, those of any."""
+    states = (state for state in STATES if state != "ok")
+    return tuple(dict.fromkeys([*states, *(declared_failure_kinds(model) or ()), *COMMON_KINDS]))
 
 
 def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSpace:

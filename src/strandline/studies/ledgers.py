@@ -14,6 +14,7 @@ from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.runs.plans import Plan
 from strandline.runs.tables import ATTEMPTS
+from strandline.studies.build import failure_words
 from strandline.studies.folder import REFINEMENT, write_json
 from strandline.studies.study import Study
 
@@ -34,6 +35,7 @@ __all__ = [
     "require_finished",
     "settled",
     "take_over",
+    "unheard_kinds",
     "write_round",
 ]
 
@@ -192,6 +194,13 @@ def failure_kinds(study: Study) -> set[str]:
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
         failed = [record for record in ledger.latest(needed_keys(study)).values() if not record.ok]
     return {word for record in failed for word in (record.failure_kind, record.state) if word}
+
+
+def unheard_kinds(study: Study) -> list[str]:
+    """Return the words under ``failures.kinds`` with which no run has ended, where the model does not name its own."""
+    named = study.settings.failures.actions
+    known = {*failure_words(study.model), *(failure_kinds(study) if named else ())}
+    return [kind for kind in named if kind not in known]
 
 
 def open_runs(study: Study) -> int:

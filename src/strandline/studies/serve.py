@@ -133,7 +133,7 @@ class _Served:
         check_values(values, self.study.model, "input")
         record = solve({**self.study.fixed, **values})
         if not record.ok:
-            raise ForwardModelError(record.failure_kind or record.state, _first_line(record))
+            raise ForwardModelError(record.failure_kind or record.state, record.message or "no message")
         return record
 
 

@@ -106,13 +106,13 @@ def load_study(folder: Path) -> Study:
         truth=truth,
         synthetic_noise=_synthetic_noise(content),
         turned=turned,
-        settings=_settings(content),
+        settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
         reuse=tuple(_reused_ledger(folder, other) for other in content.reuse),
     )
 
 
-def _settings(content: StudyFile) -> Settings:
+def _settings(content: StudyFile, model: ForwardModel) -> Settings:
     smc, sobol, refine = content.sampler.smc, content.design.sobol, content.design.refine
     build.check_refine(refine, smc.particles)
     dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
@@ -133,7 +133,7 @@ def _settings(content: StudyFile) -> Settings:
         smc=SMCSettings(rejuvenation_steps=smc.rejuvenation_steps, zeta=smc.zeta),
         seed=content.seed,
         nuisance_values=content.sampler.cut.values,
-        failures=build.build_failures(content.failures),
+        failures=build.build_failures(content.failures, model),
     )
 
 

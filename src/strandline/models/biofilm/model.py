@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -64,6 +64,17 @@ class Biofilm:
     inflow_rates: tuple[tuple[str, float], ...] = ()
     sensitivities: bool = False
     failure_budget: int = 5
+    failure_kinds: ClassVar[tuple[str, ...]] = (
+        "limit_point",
+        "continuation_stalled",
+        "newton_stalled",
+        "newton_maxit",
+        "inverted_elements",
+        "unbalanced",
+        "nonfinite_residual",
+        "linear_solve",
+        "mesh",
+    )
 
     def __post_init__(self) -> None:
         _one_of("mesh", self.mesh, MESHES)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.command.keep import kept_folder, require_keep
@@ -75,6 +75,18 @@ class CommandModel:
     version: str = ""
     inputs: tuple[ModelInput, ...] = ()
     folder: Path = Path()
+    failure_kinds: ClassVar[tuple[str, ...]] = (
+        "exit_code",
+        "command_not_found",
+        "no_success",
+        "result_missing",
+        "result_old",
+        "result_unreadable",
+        "template",
+        "file_changed",
+        "processes_left",
+        "supervisor_died",
+    )
     _parts: "_Parts" = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -187,7 +199,7 @@ class CommandModel:
             raise ForwardModelError("command_not_found", f"{program} cannot be started: {ended.problem}")
         if ended.timed_out:
             message = f"still running after {self.timeout:g} s, and ended with all its processes"
-            raise ForwardModelError("timeout", message, {"seconds": ended.seconds})
+            raise ForwardModelError("timeout", message)
         codes, code = self._parts.exit_codes, ended.exit_code
         if code is None or (codes is not None and code not in codes):
             raise ForwardModelError(

@@ -30,6 +30,8 @@ PROTOCOL_VERSION = 1.0
 LARGEST_ANSWER = 64 * 2**20
 """Bytes of an answer; a million points in space take 60 MB."""
 SHOWN_CHARACTERS = 200
+LONGEST_LOG = 8192
+"""Characters of what a server says of a failure behind the first line; a served study ends it with the log."""
 NUMBERS_OF_PYTHON = re.compile(r"(?<![\w\"])-?(nan|inf)(?![\w\"])")
 """What `repr` makes of numbers that are not finite; servers that build JSON from it send this."""
 BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature")
@@ -150,7 +152,9 @@ class Client:
         error = answer.get("error") if isinstance(answer, dict) else None
         if isinstance(error, dict):
             kind = "protocol" if error.get("type") in BLAMES_THE_CALL else "model_error"
-            raise ForwardModelError(kind, f"the server says {_short(error.get('type'))}: {_told(error.get('message'))}")
+            reason, _, log = str(error.get("message")).strip().partition("\n")
+            message = f"the server says {_short(error.get('type'))}: {_told(reason)}"
+            raise ForwardModelError(kind, message, log=log[-LONGEST_LOG:])
         if status >= 500:
             raise ForwardModelError("model_error", f"HTTP {status} without a reason: {_told(body)}")
         if not 200 <= status < 300:

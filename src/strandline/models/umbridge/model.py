@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -98,6 +98,7 @@ class UMBridgeModel:
     unit: str = "mm"
     version: str = ""
     sensitivities: bool = False
+    failure_kinds: ClassVar[tuple[str, ...]] = ("connection", "protocol", "model_error", "inputs", "no_sensitivities")
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:

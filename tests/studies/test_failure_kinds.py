@@ -1,0 +1,130 @@
+"""Words under `failures.kinds`: what the code raises is known, and what no run can end with is refused or told."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from validation.command_faults import FAULTS
+
+import strandline
+from strandline.cli import main
+from strandline.errors import InvalidStudy
+from strandline.models.biofilm.model import Biofilm
+from strandline.models.command.model import CommandModel
+from strandline.models.protocol import declared_failure_kinds
+from strandline.models.python import PythonModel
+from strandline.models.umbridge.model import UMBridgeModel
+from strandline.runs import Ledger, RunRecord, RunRequest
+from strandline.runs.executors.slurm_array import ENDINGS
+from strandline.runs.failures import COMMON_KINDS
+from strandline.studies import load_study
+from strandline.studies.ledgers import design_keys
+from strandline.testing.studies import undeclared_beam, write_study
+
+SOURCES = Path(strandline.__file__).parent
+BIOFILM: dict[str, Any] = {
+    "model": {"biofilm": {"mesh": "coarse"}},
+    "fixed": {"V_in": 100, "nu": 0.3},
+    "inputs": {"E": {"prior": {"uniform": [100, 800]}, "unit": "Pa"}},
+    "observation": {"synthetic": {"E": 400, "nu": 0.3, "V_in": 100}},
+}
+PLACES = {"ForwardModelError": 0, "_failure": 0, "InvalidResult": 0, "_lost": 1, "_ended": 2}
+"""Where calls that make a failure have its kind."""
+NO_POLICY = {"stopped", "lost"}
+"""Of a run that no campaign asked for, and of one that was given up: no policy is asked about these."""
+
+
+def raised_in(folder: str) -> set[str]:
+    """Return the kinds of failure that stand in the sources in `folder`."""
+    return {kind for path in (SOURCES / folder).rglob("*.py") for kind in kinds_in(ast.parse(path.read_text("utf-8")))}
+
+
+def kinds_in(tree: ast.AST) -> Iterator[str]:
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+        given = [keyword.value for keyword in call.keywords if keyword.arg in ("kind", "failure_kind")]
+        if name in PLACES:
+            given += call.args[PLACES[name] : PLACES[name] + 1]
+        yield from (node.value for node in given if isinstance(node, ast.Constant) and isinstance(node.value, str))
+
+
+@pytest.mark.parametrize(
+    ("model", "folder"), [(Biofilm, "biofilm"), (CommandModel, "command"), (UMBridgeModel, "umbridge")]
+)
+def test_what_a_model_raises_is_declared(model: Any, folder: str) -> None:
+    raised = raised_in(f"models/{folder}")
+    assert raised - {*COMMON_KINDS} == {*model.failure_kinds} - raised_in("readers")
+    assert len({*model.failure_kinds, *COMMON_KINDS}) == len(model.failure_kinds) + len(COMMON_KINDS)
+
+
+def test_what_ends_runs_of_any_model_is_known() -> None:
+    assert raised_in("runs") | {kind for _, kind in ENDINGS.values()} == {*COMMON_KINDS, *NO_POLICY}
+
+
+def test_faults_of_commands_have_words_of_theirs() -> None:
+    assert {fault.kind for fault in FAULTS if fault.kind} <= {*CommandModel.failure_kinds, *COMMON_KINDS}
+
+
+@pytest.mark.parametrize(
+    ("kind", "hint"), [("timout", "Did you mean timeout?"), ("limit-point", "limit_point?"), ("exit_code", "Choose")]
+)
+def test_a_word_that_the_model_cannot_end_with_gets_one_clear_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, hint: str
+) -> None:
+    folder = write_study(tmp_path / "study", **BIOFILM, failures={"kinds": {"invalid": "continue", kind: "abort"}})
+    with pytest.raises(SystemExit) as caught:
+        main(["run", str(folder)])
+    said = capsys.readouterr().err
+    assert (caught.value.code, said.count("\n")) == (2, 1)
+    assert f"failures.kinds: got {kind}; expected one of failed, timeout, killed, invalid, limit_point, " in said
+    assert hint in said
+    assert [path.name for path in folder.iterdir()] == ["study.yaml"]
+
+
+@pytest.mark.parametrize("kind", ["failed", "killed", "limit_point", "out_of_memory", "non_finite"])
+def test_a_word_of_the_model_or_of_any_run_is_taken(tmp_path: Path, kind: str) -> None:
+    study = load_study(write_study(tmp_path, **BIOFILM, failures={"kinds": {kind: "abort"}}))
+    assert study.settings.failures.actions == {kind: "abort"}
+
+
+class Telling:
+    """A beam that says how its runs fail."""
+
+    fingerprint = "test:telling"
+    failure_kinds = ("large_deflection",)
+
+    def __call__(self, inputs: Any, workdir: Path) -> Any:
+        return undeclared_beam(inputs, workdir)
+
+
+telling = Telling()
+
+
+def test_a_function_may_declare_its_kinds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    function = "strandline.testing.studies:beam"
+    assert declared_failure_kinds(PythonModel(function)) is None
+    monkeypatch.setattr(function.replace(":", "."), telling)
+    assert declared_failure_kinds(PythonModel(function)) == ("large_deflection",)
+    load_study(write_study(tmp_path, failures={"kinds": {"large_deflection": "abort"}}))
+    with pytest.raises(InvalidStudy, match="Did you mean large_deflection"):
+        load_study(write_study(tmp_path, failures={"kinds": {"large_deflexion": "abort"}}))
+
+
+def checked(capsys: pytest.CaptureFixture[str], folder: Path) -> list[str]:
+    main(["check", str(folder)])
+    return [line.strip() for line in capsys.readouterr().out.splitlines() if "failures.kinds" in line]
+
+
+def test_check_warns_of_a_word_where_kinds_are_not_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kinds = {"timeout": {"retry": 1}, "large_deflexion": "abort"}
+    folder = write_study(tmp_path / "study", failures={"kinds": kinds})
+    (line,) = checked(capsys, folder)
+    assert line.startswith("warning: failures.kinds.large_deflexion: no run has ended so yet")
+    study = load_study(folder)
+    key = design_keys(study)[0]
+    with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
+        ledger.started(RunRequest(key, {"E": 1.0}))
+        ledger.finished(RunRecord(key, {"E": 1.0}, "failed", failure_kind="large_deflexion"))
+    assert checked(capsys, folder) == []
