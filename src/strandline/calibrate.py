@@ -226,7 +226,7 @@ def calibrate(
         mode = posterior.map_estimate
         hessian = target.hessian(mode, posterior.sd) + log_prior_hessian(space, mode)
         direct = field_ is None
-        quadrature = _quadrature(space, target.values) if direct else None
+        quadrature = _quadrature(space, jax.jit(target.compiled)) if direct else None
         cut_quadrature = cut_by_quadrature(target.compiled, cut) if under_uncertainty and direct else None
         sensitivity = _sensitivity(space, target.values, settings.seed)
         if field_ is not None:

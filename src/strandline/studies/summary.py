@@ -3,6 +3,7 @@
 import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, fields, is_dataclass
 from importlib import metadata
 from typing import Any
@@ -131,8 +132,11 @@ def _reading(reading: Reading) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of those packages that numbers depend on, as far as they are installed."""
-    installed = {d.name.lower(): d.version for d in metadata.distributions()}
-    return {"python": platform.python_version()} | {name: installed[name] for name in PACKAGES if name in installed}
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 def _runs(calibration: Calibration) -> dict[str, Any]:
