@@ -8,7 +8,7 @@ chosen on the posterior so far) → discrepancy of the predicted interface → t
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -56,6 +56,7 @@ from strandline.smc import (
     sample,
 )
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood
+from strandline.surrogate.field import one_thread
 from strandline.targets import Target, of_field, of_process
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
@@ -207,7 +208,7 @@ def calibrate(
             stage=lambda: watch("refinement", tell),
         )
         target = of_process(learnt.surrogate.process)
-    with watch("sampling", tell):
+    with watch("sampling", tell), nullcontext() if field_ is None else one_thread():
         sampling = _sample(target, space, settings, tell)
         posterior = _posterior(space, sampling, target)
     under_uncertainty = None

@@ -17,6 +17,7 @@ from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
+from strandline.surrogate.field import one_thread
 
 __all__ = ["ActiveRuns"]
 
@@ -74,7 +75,7 @@ class ActiveRuns:
 
     def __call__(self, records: Sequence[RunRecord]) -> Points:
         """Return the inputs of the next batch, none to stop; more of the first design where too few succeeded."""
-        with self.aside():
+        with self.aside(), one_thread():
             try:
                 batch = self.design.next(self.points(records), records)
             except TooFewRuns:

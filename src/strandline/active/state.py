@@ -15,7 +15,7 @@ from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, sample
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
-from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
+from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field, one_thread
 
 __all__ = ["Knowledge", "State", "learn", "posterior_state"]
 
@@ -139,9 +139,10 @@ def posterior_state(knowledge: Knowledge, space: ParameterSpace, host: OnHost, s
     initial = space.prior_quantiles(rng.random((number, space.dim)))
     host.function = lambda x: TEMPERATURE * knowledge.plug_in(x)
     key = jax.random.key(int(rng.integers(2**32)))
-    tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING)
-    x, exact = tempered.positions, tempered.log_likelihood / TEMPERATURE
-    expected = knowledge.expected(x)
+    with one_thread():
+        tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING)
+        x, exact = tempered.positions, tempered.log_likelihood / TEMPERATURE
+        expected = knowledge.expected(x)
     rest = tempered.log_weights - tempered.log_likelihood
     return State(
         knowledge=knowledge,

@@ -15,6 +15,7 @@ from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
 from strandline.surrogate.field.modes import Modes, decompose
+from strandline.surrogate.field.one_thread import one_thread
 from strandline.surrogate.field.restricted_evidence import Observed
 from strandline.surrogate.field.warping import WARPS, Warping, eligible
 
@@ -23,7 +24,7 @@ __all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", 
 TOLERANCE = 1e-5
 """Default of what the modes may leave, root mean square along the interface, mm."""
 _LEADING = 3  # modes whose errors choose the warps
-_CHOOSING_ROWS = 250  # observations with which the warps are chosen, the first ones
+_CHOOSING_ROWS = 160  # observations with which the warps are chosen, the first ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +164,9 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
     gradients = None if any(layout.by_arclength for layout in layouts.values()) else _gradients(training, layouts)
     weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
     data = _Data(training.x, fields, weights, gradients)
-    warping = _choose(data, Warping(("identity",) * dim, training.low, training.high), tolerance)
-    modes, processes = _fit(data, warping, tolerance)
+    with one_thread():
+        warping = _choose(data, Warping(("identity",) * dim, training.low, training.high), tolerance)
+        modes, processes = _fit(data, warping, tolerance)
     return FieldSurrogate(layouts, warping, modes, processes, error, gradients is not None)
 
 
@@ -198,10 +200,9 @@ def _fit(
     values = modes.coefficients(data.fields)
     slopes = None if derivatives is None else modes.by_input(derivatives)
     linear = slopes is not None or len(z) >= 2 * (z.shape[1] + 1)
-    return modes, tuple(
-        fit_mode(Observed(z, values[:, m], None if slopes is None else slopes[:, m], linear), quick=most is not None)
-        for m in range(values.shape[1] if most is None else min(most, values.shape[1]))
-    )
+    number = values.shape[1] if most is None else min(most, values.shape[1])
+    observed = [Observed(z, values[:, m], None if slopes is None else slopes[:, m], linear) for m in range(number)]
+    return modes, tuple(fit_mode(one, quick=most is not None) for one in observed)
 
 
 def _choose(data: _Data, warping: Warping, tolerance: float) -> Warping:
