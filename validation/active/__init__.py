@@ -1,0 +1,1 @@
+"""Active designs on a surrogate of the field, against the true model."""

@@ -1,0 +1,104 @@
+"""A design grown batch by batch, and after each batch how far its posterior is from the truth."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax
+from validation.active.cases import Case
+
+from strandline.active import Knowledge, State, learn, posterior_state
+from strandline.active.choice import choose
+from strandline.design import sobol
+from strandline.errors import TooFewRuns
+from strandline.field_likelihood import OnHost
+from strandline.runs import RunRecord
+from strandline.smc import SMCSettings, sample
+from strandline.surrogate.field import one_thread
+
+__all__ = ["Grown", "Moments", "delivered", "grow", "initial_runs"]
+
+EXPLORE = 0.1
+PARTICLES = 6000
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """A design after a batch: its runs, its posterior, and the seconds that learning, sampling and choosing took."""
+
+    state: State
+    runs: int
+    failed: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Means and standard deviations (dim,)."""
+
+    mean: Float[np.ndarray, " dim"]
+    sd: Float[np.ndarray, " dim"]
+
+
+def initial_runs(dim: int, *, sensitivities: bool) -> int:
+    """Return the size of the first design, as a study has it."""
+    return max((4 + 2 * dim) // 2, 3) if sensitivities else 4 + 2 * dim
+
+
+def grow(
+    one: Case,
+    *,
+    seed: int,
+    batch: int,
+    most: int,
+    sensitivities: bool,
+    criterion: str = "expected_variance",
+    spoil: Callable[[RunRecord], RunRecord] = lambda record: record,
+) -> Iterator[Grown]:
+    """Yield the design after each batch, up to `most` runs.
+
+    Args:
+        one: the study.
+        seed: of the Sobol sequence's scrambling and of all else.
+        batch: runs chosen together.
+        most: runs at the end.
+        sensitivities: whether runs yield them.
+        criterion: by which runs are chosen.
+        spoil: what is done to a record, to make runs fail.
+    """
+    space, host = one.space, OnHost(one.space.low, one.space.high)
+    x = space.to_physical(sobol(initial_runs(space.dim, sensitivities=sensitivities), space.dim, scramble=seed))
+    records = [spoil(one.run(row, sensitivities)) for row in x]
+    while True:
+        begun = time.perf_counter()
+        try:
+            with one_thread():
+                knowledge = learn(x, records, space, one.observations, one.measure)
+                state = posterior_state(knowledge, space, host, (seed, len(x)))
+                more = choose(
+                    state, space, batch, explore=EXPLORE, first=len(x), criterion=criterion, seed=seed + 7919 * len(x)
+                )
+            yield Grown(state, len(x), sum(not r.ok for r in records), time.perf_counter() - begun)
+        except TooFewRuns:
+            more = space.to_physical(sobol(len(x) + batch, space.dim, scramble=seed)[len(x) :])
+        if len(x) + batch > most:
+            return
+        x = np.concatenate([x, more])
+        records += [spoil(one.run(row, sensitivities)) for row in more]
+
+
+def delivered(one: Case, knowledge: Knowledge, seed: int) -> Moments:
+    """Return the moments of the posterior as a study computes it at the end, with enough particles to judge it."""
+    host = OnHost(one.space.low, one.space.high)
+    host.function = knowledge.plug_in
+    initial = one.space.prior_quantiles(np.random.default_rng([seed, 9]).random((PARTICLES, one.space.dim)))
+    settings = SMCSettings(rejuvenation_steps=15, zeta=0.5)
+    with one_thread():
+        found = sample(jax.random.key(seed), host, one.space.log_prior, initial, settings=settings)
+        expected = knowledge.expected(found.positions)
+    weights = np.exp(log_softmax(found.log_weights + expected - found.log_likelihood))
+    mean = weights @ found.positions
+    return Moments(mean, np.sqrt(weights @ (found.positions - mean) ** 2))
