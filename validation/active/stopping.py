@@ -68,10 +68,13 @@ def stopped(name: str, quadrature: str, *, sensitivities: bool, seed: int, most:
         nuisance_values=2,
     )
     problem = Problem(model, one.space, study.fixed, one.observations, {"currents": one.measure})
-    with tempfile.TemporaryDirectory() as folder:
-        with Ledger.open(Path(folder) / "ledger.sqlite", model=fingerprint(model)) as ledger:
-            found = calibrate(problem, settings, ledger=ledger, executor=InProcess())
-    assert found.field is not None and found.field.certificate is not None
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Ledger.open(Path(folder) / "ledger.sqlite", model=fingerprint(model)) as ledger,
+    ):
+        found = calibrate(problem, settings, ledger=ledger, executor=InProcess())
+    assert found.field is not None
+    assert found.field.certificate is not None
     certificate = found.field.certificate
     axes = [one.space.names.index(name) for name in ("E", "nu")]
     check = None if certificate.checked is None else certificate.checked.check
