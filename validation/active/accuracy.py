@@ -14,7 +14,7 @@ from strandline.reproduction.grid_posterior import posterior_on_grid, product_gr
 __all__ = ["Course", "s3", "s5", "s6"]
 
 PANELS = (24, 12, 8)
-DRAWS = 60
+DRAWS = 50
 
 
 @dataclass(frozen=True)

@@ -24,17 +24,17 @@ def tasks(part: str, seeds: int, criterion: str) -> Iterator[Callable[[], Course
             if part == "failing" and not gradients:
                 for share in (0.1, 0.3):
                     yield partial(
-                        s3, "refined", sensitivities=False, seed=seed, most=40, criterion=criterion, share=share
+                        s3, "refined", sensitivities=False, seed=seed, most=30, criterion=criterion, share=share
                     )
             for rule in RULES if part in ("s3", "s6") else (("refined",) if part == "s5" else ()):
                 common = {"sensitivities": gradients, "seed": seed, "criterion": criterion}
                 if part == "s3":
-                    yield partial(s3, rule, most=14 if gradients else 24, **common)  # type: ignore[arg-type]
+                    yield partial(s3, rule, most=12 if gradients else 20, **common)  # type: ignore[arg-type]
                 if part == "s5":
                     yield partial(s5, rule, most=30 if gradients else 60, **common)  # type: ignore[arg-type]
                 if part == "s6":
                     size = (
-                        {"batch": 4, "first": 13, "most": 45} if gradients else {"batch": 8, "first": 50, "most": 140}
+                        {"batch": 4, "first": 17, "most": 45} if gradients else {"batch": 8, "first": 58, "most": 140}
                     )
                     yield partial(s6, rule, **common, **size)  # type: ignore[arg-type]
 

@@ -13,7 +13,7 @@ from strandline.posterior import subset
 __all__ = ["CRITERIA", "Criterion", "choose"]
 
 CANDIDATES, TARGETS = 300, 200
-"""Particles of π_γ among which runs are chosen, and particles of the posterior at which they are to help."""
+"""Particles of π_γ among which runs are chosen; particles at which they are to help, half of them of the posterior."""
 EXPLORATION = 64
 """Points of the Sobol sequence looked at for a run that explores."""
 _LEADING = 6  # modes whose variances count
@@ -36,9 +36,16 @@ def choose(
     candidates = state.positions[subset(np.exp(state.log_weights_tempered), CANDIDATES, seed)]
     candidates = np.unique(candidates, axis=0)
     unknown = space.to_physical(sobol(first + EXPLORATION, space.dim, scramble=None)[first:])
-    targets = state.positions[subset(np.exp(state.log_weights), TARGETS, seed + 1)]
-    picking = CRITERIA[criterion](state, candidates, unknown, np.unique(targets, axis=0))
+    half = [subset(np.exp(w), TARGETS // 2, seed + 1) for w in (state.log_weights, state.log_weights_tempered)]
+    targets = np.unique(state.positions[np.concatenate(half)], axis=0)
+    picking = CRITERIA[criterion](state, _new(candidates, state), _new(unknown, state), targets)
     return np.array([picking(_explores(first + k, explore)) for k in range(number)])
+
+
+def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarray, "point dim"]:
+    """Return those of the points that were not run."""
+    known = {row.tobytes() for row in state.knowledge.x}
+    return points[[row.tobytes() not in known for row in points]]
 
 
 def _explores(run: int, share: float) -> bool:
@@ -61,10 +68,13 @@ def expected_variance(
     """Pick what lowers the variance of the field at the targets most, times the probability that the run succeeds.
 
     The posterior variance of a Gaussian process does not depend on what the runs will return, so that several can be
-    chosen one after the other: Sacks et al. (1989), Section 5; Cohn (1996).
+    chosen one after the other: Sacks et al. (1989), Section 5; Cohn (1996). Runs that failed count as if they had told
+    something: another one beside them would fail as well.
     """
-    z = [state.knowledge.surrogate.warping.standardise(x) for x in (candidates, unknown, targets)]
+    failed = state.knowledge.x[~state.knowledge.ok]
+    z = [state.knowledge.surrogate.warping.standardise(x) for x in (candidates, unknown, targets, failed)]
     a, b = len(candidates), len(candidates) + len(unknown)
+    end = b + len(targets)
     everything = np.concatenate([candidates, unknown])
     processes = state.knowledge.surrogate.processes[:_LEADING]
     covariances = [p.covariance(np.concatenate(z), np.concatenate(z)) for p in processes]
@@ -72,18 +82,24 @@ def expected_variance(
     chance = np.exp(state.knowledge.log_feasibility(everything))
     taken = np.zeros(b, bool)
 
+    def run(point: int) -> None:
+        for C, tau in zip(covariances, noise, strict=True):
+            C -= np.outer(C[:, point], C[point]) / (C[point, point] + tau + _tiny(C))
+
+    for point in range(end, end + len(failed)):
+        run(point)
+
     def pick(exploring: bool) -> Float[np.ndarray, " dim"]:
         if exploring:
             gain = sum(np.diagonal(C)[:b] for C in covariances) * chance
         else:
             parts = zip(covariances, noise, strict=True)
-            gain = sum((C[b:, :b] ** 2).sum(axis=0) / (np.diagonal(C)[:b] + tau + _tiny(C)) for C, tau in parts)
+            gain = sum((C[b:end, :b] ** 2).sum(axis=0) / (np.diagonal(C)[:b] + tau + _tiny(C)) for C, tau in parts)
             gain = gain * chance
         allowed = ~taken & ((np.arange(b) >= a) == exploring)
         best = int(np.argmax(np.where(allowed, gain, -np.inf)))
         taken[best] = True
-        for C, tau in zip(covariances, noise, strict=True):
-            C -= np.outer(C[:, best], C[best]) / (C[best, best] + tau + _tiny(C))
+        run(best)
         return np.asarray(everything[best])
 
     return pick
