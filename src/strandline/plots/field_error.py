@@ -16,7 +16,7 @@ MM_TO_MICROMETRES = 1e3
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAlong:
-    """Errors at places along an interface, mm; root mean squares over runs or draws.
+    """Errors at places along an interface, mm; medians over runs or draws.
 
     Args:
         arc_length: places (point,).
@@ -38,7 +38,7 @@ def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = Non
             of = f", {condition}" if condition else ""
             lines = {"runs, each from the others": along.left_out, "its own estimate at draws": along.predicted}
             for dashes, (label, values) in zip(DASHES, lines.items(), strict=False):
-                shown = np.maximum(MM_TO_MICROMETRES * values, 1e-6)
+                shown = np.where(values > 0, MM_TO_MICROMETRES * values, np.nan)  # fixed ends have no error
                 ax.semilogy(along.arc_length, shown, linestyle=dashes, color=colour, label=label + of)
         ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
         below(ax, columns=2)

@@ -27,8 +27,8 @@ def field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -
     x = calibration.posterior.draws[chosen]
     errors = plots.plot_field_error(_errors(found, x))
     caption = (
-        "Error of the surrogate along the interface, root mean square: of the runs, each predicted from all others, "
-        "and as the surrogate estimates it itself at draws of the posterior."
+        "Error of the surrogate along the interface: in the median over the runs, each predicted from all others, and "
+        "as the surrogate estimates it itself, in the median over draws of the posterior."
     )
     yield Captioned("field_error", "surrogate", caption, whole(errors.figure))
     yield from _predictive(calibration, found, x)
@@ -55,17 +55,16 @@ def _errors(found: FieldOutcome, x: Float[np.ndarray, "draw dim"]) -> dict[str, 
     surrogate = found.knowledge.surrogate
     left_out = surrogate.left_out_fields()
     basis, roots = surrogate.modes.basis, surrogate.modes.roots
-    variance = surrogate.predict(x).variance.mean(axis=0)
-    predicted = (variance @ basis**2 + np.sum(surrogate.modes.tail**2, axis=0)) / roots**2
+    predicted = (surrogate.predict(x).variance @ basis**2 + np.sum(surrogate.modes.tail**2, axis=0)) / roots**2
     out, begin = {}, 0
     for name, layout in surrogate.layouts.items():
         template = layout.template
         values = slice(begin, begin + template.points.size)
         begin += template.points.size
         shape = template.points.shape
-        squares = np.mean(left_out[:, values] ** 2, axis=0).reshape(shape).sum(axis=1)
-        own = predicted[values].reshape(shape).sum(axis=1)
-        out[name] = plots.ErrorsAlong(_arc_length(template), np.sqrt(squares), np.sqrt(own))
+        squares, own = (a[:, values].reshape(-1, *shape).sum(axis=2) for a in (left_out**2, predicted))
+        middle = (np.sqrt(np.median(a, axis=0)) for a in (squares, own))
+        out[name] = plots.ErrorsAlong(_arc_length(template), *middle)
     return out
 
 
