@@ -35,6 +35,10 @@ def main() -> None:
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"), initializer=start) as pool:
         jobs = [pool.submit(task) for task in tasks(given.part, given.seeds, given.criterion)]
         for done, job in enumerate(as_completed(jobs), 1):
+            error = job.exception()
+            if error is not None:
+                print(f"{done}/{len(jobs)} FAILED: {error!r}", flush=True)
+                continue
             course = asdict(job.result()) | {"part": given.part}
             with Path(FILE).open("a") as file:
                 file.write(json.dumps(course) + "\n")

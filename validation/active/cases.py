@@ -1,5 +1,6 @@
 """The studies S3, S5 and S6 as they are run here: real forward runs, and what is known of the true posterior."""
 
+import pickle
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -81,9 +82,14 @@ def truth_of(one: Case) -> TruePosterior:
 
 @cache
 def _table() -> FieldTable:
-    """Return the table of true interfaces; its runs are kept in validation/output."""
+    """Return the table of true interfaces; it and its runs are kept in validation/output."""
+    kept = OUTPUT / "table.pickle"
+    if kept.is_file():
+        return pickle.loads(kept.read_bytes())  # type: ignore[no-any-return]
     model: Any = load_study(Path("studies") / STUDIES["S3"]).model
     reference: Interface = model.undeformed()
     OUTPUT.mkdir(exist_ok=True)
     with Ledger.open(OUTPUT / "table.sqlite", model=fingerprint(model)) as ledger:
-        return tabulate(model, reference, intervals=INTERVALS, ledger=ledger, executor=LocalProcesses())
+        table = tabulate(model, reference, intervals=INTERVALS, ledger=ledger, executor=LocalProcesses())
+    kept.write_bytes(pickle.dumps(table))
+    return table
