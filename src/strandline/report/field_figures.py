@@ -91,9 +91,4 @@ def _arc_length(interface: Interface) -> Float[np.ndarray, " point"]:
     """Return the place of each point along a polyline; of a surface, its number."""
     if interface.dim != 2:
         return np.arange(len(interface.points), dtype=float)
-    along = np.concatenate([[0.0], np.cumsum(interface.lengths)])
-    out = np.zeros(len(interface.points))
-    out[interface.cells[:, 0]] = along[:-1]
-    if not interface.closed:
-        out[interface.cells[-1, 1]] = along[-1]
-    return out
+    return normal_offsets(interface.points[None], interface).arc_length
