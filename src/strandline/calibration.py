@@ -1,0 +1,162 @@
+"""What a calibration is asked, how it is answered, and what it yields."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.active import Active, FieldOutcome
+from strandline.discrepancy import Discrepancy
+from strandline.interface import Observation
+from strandline.models.protocol import ForwardModel
+from strandline.parameters import ParameterSpace
+from strandline.posterior import (
+    GaussianApproximation,
+    LaplaceApproximation,
+    Posterior,
+    SobolIndices,
+    UnderUncertainty,
+)
+from strandline.quadrature import QuadratureResult
+from strandline.refinement import Refinement, Round
+from strandline.runs import (
+    FailurePolicy,
+    Progress,
+    RunRecord,
+)
+from strandline.smc import (
+    SMCResult,
+    SMCSettings,
+    StepInfo,
+)
+from strandline.surrogate import LogLikelihoodSurrogate
+
+__all__ = ["Calibration", "Observer", "Problem", "Settings", "Stopwatch"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is asked.
+
+    Args:
+        model: the simulator.
+        space: its unknown inputs with their priors.
+        fixed: its known inputs by name.
+        observations: the observed interface of each observed condition, and the noise.
+        discrepancies: measures by name. The first one makes the posterior; the others get a surrogate to compare with.
+    """
+
+    model: ForwardModel
+    space: ParameterSpace
+    fixed: Mapping[str, float]
+    observations: tuple[Observation, ...]
+    discrepancies: Mapping[str, Discrepancy]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How it is answered; the defaults are the study's.
+
+    Args:
+        runs: size of the Sobol design.
+        scramble: seed of the design's scrambling, None for the plain sequence.
+        refine: further runs where the posterior lies; none by default.
+        kernel: of the Gaussian process.
+        particles: of the sampler.
+        smc: the sampler's other settings.
+        seed: of every random number after the design.
+        nuisance_values: values of the nuisance inputs, where there are any, that stand for their prior in the cut
+            reading of the posterior under uncertainty.
+        failures: what is done about forward runs that fail.
+        surrogate: of what: of the log-likelihood, as the study has it, or of the interface as a ``field``.
+        active: further runs chosen as the posterior takes shape; with a surrogate of the field only.
+    """
+
+    runs: int = 1000
+    scramble: int | None = None
+    refine: Refinement = field(default_factory=Refinement)
+    kernel: str = "matern32"
+    particles: int = 5000
+    smc: SMCSettings = field(default_factory=SMCSettings)
+    seed: int = 1
+    nuisance_values: int = 32
+    failures: FailurePolicy = field(default_factory=FailurePolicy)
+    surrogate: Literal["log_likelihood", "field"] = "log_likelihood"
+    active: Active | None = None
+
+    @property
+    def planned_runs(self) -> int:
+        """Runs of the Sobol design and of all rounds of refinement; of an active design, the most that it may make."""
+        return self.runs + self.refine.total if self.active is None else self.active.runs
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Problem, settings and all that was learnt; the runs of each round of refinement stand behind the earlier ones.
+
+    With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
+    `cut_quadrature` has one result for each value of the nuisance inputs; else both are None. With a surrogate of the
+    field, `field` is what it knows; `surrogates`, of the log-likelihood, are then there to compare, or empty.
+    """
+
+    problem: Problem
+    settings: Settings
+    records: tuple[RunRecord, ...]
+    training: Float[np.ndarray, "run dim"]
+    log_likelihoods: Mapping[str, Float[np.ndarray, " run"]]
+    surrogates: Mapping[str, LogLikelihoodSurrogate]
+    sampling: SMCResult
+    posterior: Posterior
+    gaussian: GaussianApproximation
+    laplace: LaplaceApproximation
+    quadrature: QuadratureResult | None
+    seconds: Mapping[str, float]
+    under_uncertainty: UnderUncertainty | None = None
+    cut_quadrature: tuple[QuadratureResult, ...] | None = None
+    rounds: tuple[Round, ...] = ()
+    sensitivity: SobolIndices | None = None
+    field: FieldOutcome | None = None
+
+    @property
+    def surrogate(self) -> LogLikelihoodSurrogate:
+        """The surrogate of the log-likelihood under the first measure."""
+        return next(iter(self.surrogates.values()))
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Who wants to know how far it is: functions called as the work goes on; by default nobody.
+
+    `draws` hears of the inputs of each round of refinement before they are run.
+    """
+
+    stage: Callable[[str], None] = lambda name: None
+    draws: Callable[[Sequence[Mapping[str, float]]], None] = lambda inputs: None
+    run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
+    step: Callable[[StepInfo], None] = lambda info: None
+
+
+class Stopwatch:
+    """Seconds by stage, added up where a stage comes again; a stage inside another one does not count there."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.within: list[str] = []
+
+    @contextmanager
+    def __call__(self, stage: str, observer: Observer) -> Iterator[None]:
+        observer.stage(stage)
+        self.within.append(stage)
+        begun = time.perf_counter()
+        yield
+        taken = time.perf_counter() - begun
+        self.within.pop()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + taken
+        if self.within:
+            outer = self.within[-1]
+            self.seconds[outer] = self.seconds.get(outer, 0.0) - taken
+            observer.stage(outer)
