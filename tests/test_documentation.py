@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from validation.command_faults import FAULTS
 
 import strandline as sl
+from strandline.active import CRITERIA, Active
 from strandline.cli.main import COMMANDS
 from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
@@ -249,6 +250,41 @@ def test_every_key_of_the_summary_is_described(finished: Path, uncertain: dict[s
     assert generic(summary["measures"]["measurement_lines"]) == generic(summary["surrogate"])
 
 
+@pytest.fixture(scope="module")
+def active(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The summary of a study with an active design, checked by runs."""
+    sampler = {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}}
+    design = {"active": {"runs": 60, "batch": 4, "check": 20, "change": 0.5}}
+    folder = write_study(tmp_path_factory.mktemp("active"), design=design, sampler=sampler, noise={"sd": 0.01})
+    return sl.run_study(sl.load_study(folder), executor=sl.InProcess()).summary
+
+
+@pytest.mark.parametrize("heading", ["field", "certificate", "comparison"])
+def test_every_key_of_a_surrogate_of_the_field_is_described(active: dict[str, Any], heading: str) -> None:
+    described = {key for row in rows("reference/summary.md", heading) for key in code(row[0])}
+    part = "surrogate" if heading == "field" else heading
+    assert described - {"certificate.check"} == {f"{part}.{key}" for key in generic(active[part])}
+
+
+def test_every_key_of_the_history_of_an_active_design_is_described(active: dict[str, Any]) -> None:
+    entries = {code(row[0])[0]: set(code(row[1])) for row in rows("reference/summary.md", "certificate")}
+    for name in ("batches", "history"):
+        first, *_ = active["certificate"][name]
+        assert set(first) <= entries[f"certificate.{name}"]
+
+
+def test_every_option_of_an_active_design_is_described_with_its_default() -> None:
+    left_out = {
+        code(row[0])[0]: re.findall(r"left out, `?([0-9.]+)`?", row[2]) for row in rows("reference/study.md", "key")
+    }
+    plain = {f.name: f.default for f in dataclasses.fields(Active) if isinstance(f.default, float | int)}
+    assert {"explore", "check", "change", "shift", "k_hat", "effective", "patience"} == set(plain)
+    assert plain == {name: float(left_out[f"design.active.{name}"][-1]) for name in plain}
+    (criterion,) = (row[2] for row in rows("reference/study.md", "key") if code(row[0]) == ["design.active.criterion"])
+    assert set(code(criterion)) == set(CRITERIA)
+    assert code(criterion)[0] == Active(80).criterion
+
+
 def test_every_key_of_the_check_is_described(finished: Path) -> None:
     folder = finished / "studies/biofilm-uniform"
     check_posterior(sl.load_study(folder), draws=20, executor=sl.InProcess())
@@ -268,6 +304,12 @@ PLACEHOLDERS = {
     "under_uncertainty.joint.inputs": "NAME",
     "under_uncertainty.cut.inputs": "NAME",
     "under_uncertainty.cut.nuisance_values": "NAME",
+    "warps": "NAME",
+    "variance_effect.shift": "NAME",
+    "variance_effect.sd_ratio": "NAME",
+    "check.shift": "NAME",
+    "check.shift_error": "NAME",
+    "check.sd_ratio": "NAME",
 }
 
 

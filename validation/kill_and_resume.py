@@ -58,8 +58,15 @@ def _marks(values: Sequence[str]) -> str:
 def prepare(folder: Path) -> None:
     """Write the study."""
     path = write_template(folder)
-    text = path.read_text(encoding="utf-8").replace("runs: 100", f"runs: {RUNS}")
-    path.write_text(text.replace(f"name: {folder.name}", "name: s"), encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    for old, new in (
+        ("{active: {runs: 80}}", f"{{sobol: {{runs: {RUNS}}}}}"),
+        ("{field: {}}", "{log_likelihood: {}}"),
+        (f"name: {folder.name}", "name: s"),
+    ):
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
 
 
 def children(pid: int) -> list[int]:

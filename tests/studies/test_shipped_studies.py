@@ -39,6 +39,23 @@ def test_it_needs_the_same_forward_runs(name: str, source: str) -> None:
     assert [path.resolve() for path in study.reuse] == [first.ledger_path]
 
 
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("biofilm-uniform-active", "biofilm-uniform-refined"),
+        ("biofilm-inflow-active", "biofilm-inflow-refined"),
+        ("biofilm-parts-active", "biofilm-parts-refined"),
+    ],
+)
+def test_an_active_variant_asks_the_same_question_with_fewer_runs(name: str, source: str) -> None:
+    study, published = load_study(STUDIES / name), load_study(STUDIES / source)
+    assert (study.settings.surrogate, published.settings.surrogate) == ("field", "log_likelihood")
+    assert study.settings.planned_runs <= published.settings.planned_runs / 5
+    for question in ("model", "space", "fixed", "truth", "synthetic_noise", "noise_variance", "discrepancies"):
+        assert getattr(study, question) == getattr(published, question), question
+    assert study.reuse == ()
+
+
 def test_the_heterogeneous_specimen_is_the_publications() -> None:
     """Ground truth, noise and settings of its last example."""
     studies = [load_study(STUDIES / name) for name in ("biofilm-parts", "biofilm-parts-refined")]

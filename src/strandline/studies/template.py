@@ -35,8 +35,11 @@ discrepancy: {{currents: {{width: 0.005, quadrature: refined}}}}
 # Variance of the noise, in the unit of the squared discrepancy (mm^2), or its standard deviation (sd: ...).
 noise: {{variance: 0.0005}}
 
-design: {{sobol: {{runs: 100}}}}
-surrogate: {{log_likelihood: {{kernel: matern32}}}}
+# Which forward runs: one batch after the other where the posterior lies, at most so many; it stops when it is sure.
+# What is learnt from them: the interface itself, as a field over the inputs.
+# The published way:  design: {{sobol: {{runs: 300}}}}  with  surrogate: {{log_likelihood: {{kernel: matern32}}}}
+design: {{active: {{runs: 80}}}}
+surrogate: {{field: {{}}}}
 sampler: {{smc: {{particles: 2000, rejuvenation_steps: 15, zeta: 0.5}}}}
 executor: {{local: {{timeout: 300}}}}   # seconds; one worker process per core
 seed: 1
