@@ -245,8 +245,19 @@ class ActiveDesign:
             reason = f"only {len(x)} of the runs at hand lie where the posterior is"
             return CheckResult(len(x), 0, None, False, (reason,))
         found = reweight(x, ratios)
-        reasons = self._objections(found)
+        reasons = (*self._objections(found), *self._unsure())
         return CheckResult(len(x), 0, found, not reasons, reasons)
+
+    def _unsure(self) -> tuple[str, ...]:
+        """Return a reason where the surrogate's own variance weighs too much: runs left out tell of where runs are."""
+        assert self.state is not None
+        ratios = np.exp(self.state.log_weights - self.state.log_weights_plug_in)
+        share = float(1.0 / (np.exp(self.state.log_weights_plug_in) @ ratios**2))
+        if share >= self.active.effective:
+            return ()
+        return (
+            f"what the surrogate does not know leaves {share:.0%} effective draws, not {self.active.effective:.0%}",
+        )
 
     def _objections(self, found: Reweighting) -> tuple[str, ...]:
         a, number = self.active, len(found.smoothed.log_weights)

@@ -51,7 +51,8 @@ def command(study: Path) -> None:
         click.echo(f"  warning: failures.kinds.{kind}: no run has ended so yet; is the word the model's own?")
     refine = loaded.settings.refine
     rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
-    click.echo(f"  {loaded.settings.planned_runs} forward runs planned{rounds}, {known} of them known already")
+    most = "at most " if loaded.settings.active is not None else ""
+    click.echo(f"  {most}{loaded.settings.planned_runs} forward runs planned{rounds}, {known} of them known already")
     click.echo(f"next: strandline run {study}")
 
 

@@ -29,10 +29,22 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
             f"sampler against quadrature: means differ by {check['max_mean_error_sd']:.3f} sd, "
             f"standard deviations by {check['max_sd_ratio_error']:.1%}"
         )
+    if summary["certificate"] is not None and summary["certificate"]["converged"]:
+        click.echo(_certified(summary["certificate"]))
     for warning in summary["warnings"]:
         click.echo(f"warning: {warning}")
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     click.echo(f"seconds: {seconds}\nreport: {report}")
+
+
+def _certified(certificate: Mapping[str, Any]) -> str:
+    """Return what the last check of an active design has found, in a line."""
+    check = certificate["check"]
+    shift = max(abs(value) for value in check["shift"].values())
+    return (
+        f"converged: at {check['draws']} {check['by']} the true model gives {check['effective']:.0%} effective draws "
+        f"and moves means by at most {shift:.2f} sd"
+    )
 
 
 def _show_readings(readings: Mapping[str, Any]) -> None:

@@ -51,7 +51,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "truth": None if study.truth is None else dict(study.truth),
         "synthetic_noise": None if study.synthetic_noise is None else asdict(study.synthetic_noise),
         "inputs": _inputs(calibration),
-        "log_evidence": sampling.log_evidence,
+        "log_evidence": calibration.posterior.log_evidence,
         "likelihood": _likelihood(study, calibration),
         "surrogate": _surrogate(calibration.surrogate)
         if calibration.field is None
@@ -65,7 +65,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
             "zeta": study.settings.smc.zeta,
             "tempering_steps": len(sampling.steps),
             "likelihood_evaluations": sampling.likelihood_evaluations,
-            "ess": sampling.ess,
+            "ess": sampling.ess if calibration.field is None else calibration.posterior.ess,
         },
         "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
         "laplace": _laplace(calibration),
