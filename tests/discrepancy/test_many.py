@@ -66,11 +66,11 @@ def test_distances_are_the_same(measure: Discrepancy, kind: str) -> None:
 
 
 def within(measure: Discrepancy, found: np.ndarray, expected: np.ndarray, seen: Interface) -> bool:
-    """Tell whether d² is right: currents to 2 % of d² and 1e-4 of <T,T> where segments are cut into pieces."""
+    """Tell whether d² is right: currents to 2 % of d² and 2e-4 of <T,T> where segments are cut into pieces."""
     bound = 1e-10
     if isinstance(measure, Currents):
         square = measure.inner(seen, seen)
-        bound = CUT_OFF * square if measure.quadrature == "centre" else 1e-4 * square + 0.02 * expected
+        bound = CUT_OFF * square if measure.quadrature == "centre" else 2e-4 * square + 0.02 * expected
     return bool((found >= 0).all() and (np.abs(found - expected) < bound).all())
 
 
@@ -81,7 +81,7 @@ def test_currents_are_the_same_to_a_bound(measure: Currents, kind: str) -> None:
     found = squared_discrepancies(measure, points, template, seen)
     expected = one_by_one(measure, points, template, seen)
     assert within(measure, found, expected, seen)
-    assert not within(measure, 1.05 * found + 2e-4 * measure.inner(seen, seen), expected, seen)
+    assert not within(measure, 1.05 * found + 4e-4 * measure.inner(seen, seen), expected, seen)
 
 
 @pytest.mark.parametrize("kind", ["open", "closed"])
@@ -119,7 +119,7 @@ def test_every_registered_measure_is_looked_at() -> None:
 @pytest.mark.parametrize("number", [0, 1, BLOCK, 2 * BLOCK + 3])
 def test_blocks_come_back_in_their_order(number: int) -> None:
     """They are sorted by place inside."""
-    points, template, seen = runs("open", number, noise=0.03)
+    points, template, seen = runs("open", number, noise=0.01)
     for measure in (Currents(0.1, quadrature="centre"), Currents(0.1), ClosestPoint()):
         found = squared_discrepancies(measure, points, template, seen)
         assert found.shape == (number,)
