@@ -83,7 +83,7 @@ class Currents:
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
-        """Return d² of polylines of the same segments, mm², to some 1e-5 of ⟨T,T⟩; None for surfaces."""
+        """Return d² of polylines of the same segments, mm², to some 1e-4 of ⟨T,T⟩ and 1e-2 of d²; None for surfaces."""
         if template.dim == 3:
             return None
         refined, own, seen = self.quadrature == "refined", template.cells, observed.points

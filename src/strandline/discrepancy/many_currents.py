@@ -28,8 +28,8 @@ CHUNK = 128
 """Pairs of pieces worked on together: with their block they fit into a core's cache."""
 
 
-_Rows = Int[np.ndarray, " row"]
-_Values = Float[np.ndarray, " row"]
+_Rows = Int[np.ndarray, " _"]
+_Values = Float[np.ndarray, " _"]
 
 
 @dataclass(frozen=True, eq=False)

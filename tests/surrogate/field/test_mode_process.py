@@ -1,0 +1,125 @@
+"""One coefficient's process against its own data, against refitting, and against scikit-learn."""
+
+import itertools
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
+
+from strandline.design import sobol
+from strandline.errors import NumericsError
+from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
+from strandline.surrogate.field.restricted_evidence import Observed, condition_mode
+
+CASES = list(itertools.product([False, True], [False, True]))
+FLAT = 1e5
+"""Variance of a prior that says nothing, in variances of the process."""
+
+
+def truth(z: np.ndarray) -> np.ndarray:
+    return np.sin(1.1 * z[:, 0]) * np.exp(0.3 * z[:, 1]) + 0.4 * z[:, 1]
+
+
+def slopes(z: np.ndarray) -> np.ndarray:
+    a, b, grown = np.sin(1.1 * z[:, 0]), np.cos(1.1 * z[:, 0]), np.exp(0.3 * z[:, 1])
+    return np.stack([1.1 * b * grown, 0.3 * a * grown + 0.4], axis=1)
+
+
+def observed(gradients: bool, linear: bool, runs: int = 12) -> Observed:
+    z = np.sqrt(12.0) * (sobol(runs, 2) - 0.5)
+    return Observed(z, truth(z), slopes(z) if gradients else None, linear)
+
+
+def without(one: Observed, run: int) -> Observed:
+    keep = np.arange(len(one.z)) != run
+    return Observed(one.z[keep], one.values[keep], None if one.gradients is None else one.gradients[keep], one.linear)
+
+
+def conditioned(one: Observed, lengths: np.ndarray, nugget: float) -> ModeProcess:
+    return ModeProcess(one, lengths, nugget, condition_mode(one, lengths, nugget))
+
+
+@pytest.mark.parametrize(("gradients", "linear"), CASES)
+def test_it_goes_through_what_was_observed(gradients: bool, linear: bool) -> None:
+    one = observed(gradients, linear)
+    process = conditioned(one, np.array([1.4, 2.2]), 1e-10)
+    np.testing.assert_allclose(process.mean(one.z), one.values, atol=1e-5)
+    assert np.sqrt(process.variance(one.z)).max() < 1e-4
+    if gradients:
+        step = 1e-4 * np.eye(2)
+        found = np.stack([(process.mean(one.z + h) - process.mean(one.z - h)) / 2e-4 for h in step], axis=1)
+        np.testing.assert_allclose(found, slopes(one.z), atol=1e-5)
+
+
+@pytest.mark.parametrize(("gradients", "linear"), CASES)
+def test_the_fit_leaves_no_more_than_its_nugget(gradients: bool, linear: bool) -> None:
+    one = observed(gradients, linear)
+    process = fit_mode(one)
+    left = np.sqrt(np.mean((process.mean(one.z) - one.values) ** 2))
+    assert left < 2 * np.sqrt(process.nugget * process.scale)
+    assert left < 0.01
+
+
+def test_gradients_help() -> None:
+    z = np.sqrt(12.0) * (sobol(200, 2, scramble=3) - 0.5)
+    plain, helped = (fit_mode(observed(gradients, True)) for gradients in (False, True))
+    errors = [np.sqrt(np.mean((process.mean(z) - truth(z)) ** 2)) for process in (plain, helped)]
+    assert errors[1] < 0.3 * errors[0]
+
+
+@pytest.mark.parametrize(("gradients", "linear"), CASES)
+def test_left_out_is_what_refitting_without_the_run_gives(gradients: bool, linear: bool) -> None:
+    one, lengths, nugget = observed(gradients, linear), np.array([1.4, 2.2]), 1e-4
+    process = conditioned(one, lengths, nugget)
+    found = process.left_out()
+    for run in range(len(one.z)):
+        refitted, place = conditioned(without(one, run), lengths, nugget), one.z[run : run + 1]
+        error = one.values[run] - float(refitted.mean(place)[0])
+        assert found.errors[run] == pytest.approx(error, rel=1e-5, abs=1e-8)
+        relative = float(refitted.variance(place)[0]) / refitted.scale + nugget
+        assert found.variances[run] / process.scale == pytest.approx(relative, rel=1e-5)
+
+
+@pytest.mark.parametrize(("gradients", "linear"), CASES)
+def test_the_variance_is_the_diagonal_of_the_covariance(gradients: bool, linear: bool) -> None:
+    process = conditioned(observed(gradients, linear), np.array([1.4, 2.2]), 1e-4)
+    z = np.random.default_rng(5).uniform(-2.5, 2.5, (30, 2))
+    C = process.covariance(z, z)
+    np.testing.assert_allclose(process.variance(z), np.diagonal(C), rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(C, C.T, atol=1e-10)
+    assert np.linalg.eigvalsh(C).min() > -1e-8
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_scikit_learn_says_the_same(linear: bool) -> None:
+    """There the unknown mean is a further term of the kernel, of nearly infinite variance."""
+    one, lengths, nugget = observed(False, linear), np.array([1.4, 2.2]), 1e-3
+    process = conditioned(one, lengths, nugget)
+    s2 = process.scale
+    kernel = ConstantKernel(s2) * RBF(lengths) + ConstantKernel(FLAT * s2)
+    if linear:
+        kernel = kernel + ConstantKernel(FLAT * s2) * DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
+    other = GaussianProcessRegressor(kernel, alpha=s2 * nugget, optimizer=None).fit(one.z, one.values)
+    z = np.random.default_rng(6).uniform(-2.0, 2.0, (50, 2))
+    mean, deviation = other.predict(z, return_std=True)
+    np.testing.assert_allclose(process.mean(z), mean, atol=2e-4)
+    np.testing.assert_allclose(np.sqrt(process.variance(z)), deviation, rtol=1e-3, atol=1e-4 * np.sqrt(s2))
+    np.testing.assert_allclose(process.covariance(z, z), other.predict(z, return_cov=True)[1], atol=2e-4 * s2)
+
+
+def test_residuals_that_are_too_large_widen_the_variance() -> None:
+    """Values with noise ten times what the largest nugget allows for."""
+    one = observed(False, False, runs=20)
+    noisy = Observed(one.z, one.values + np.random.default_rng(7).normal(size=20), None, False)
+    process, left_out = fit_mode(noisy), fit_mode(noisy).left_out()
+    assert process.widening >= 1
+    surprise = np.mean(left_out.errors**2 / left_out.variances)
+    assert 0.3 < surprise < 1.3
+    assert fit_mode(one).widening < 20
+
+
+def test_a_mode_without_variation_is_refused() -> None:
+    one = observed(False, False)
+    with pytest.raises(NumericsError, match="no length scales"):
+        fit_mode(Observed(one.z, np.zeros(len(one.z)), None, False))
