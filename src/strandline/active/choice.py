@@ -42,7 +42,7 @@ def choose(
     return np.array([picking(_explores(first + k, explore)) for k in range(number)])
 
 
-def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarray, "point dim"]:
+def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarray, "new dim"]:
     """Return those of the points that were not run."""
     known = {row.tobytes() for row in state.knowledge.x}
     return points[[row.tobytes() not in known for row in points]]
