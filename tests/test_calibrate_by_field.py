@@ -77,7 +77,7 @@ def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("strandline.active.state.PARTICLES", {2: 600})
         patch.setattr("strandline.calibrate._sensitivity", lambda *arguments: None)
-        patch.setattr("strandline.calibrate._to_compare", lambda *arguments: {})
+        patch.setattr("strandline.learning._to_compare", lambda *arguments: {})
         yield
 
 

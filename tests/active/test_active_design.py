@@ -256,7 +256,7 @@ def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch: pytest.Monk
     assert len(runs([record(row) for row in x])) == 4
     assert [batch.kind for batch in runs.certificate.batches] == ["initial", "initial", "posterior"]
     learner.fewest = 1000
-    for _ in range(12):
+    for _ in range(20):
         x = np.concatenate([first, *(batch.points for batch in runs.certificate.batches[1:])])
         if len(x) == 60:
             break

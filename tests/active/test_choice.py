@@ -62,7 +62,7 @@ def test_runs_that_fail_are_avoided() -> None:
     runs = np.concatenate([RUNS, CANDIDATES[:0]])
     free, wary = state_of(known(runs)), state_of(known(runs, ok))
     wary = replace(wary, knowledge=replace(free.knowledge, feasibility=wary.knowledge.feasibility, highest=0.0))
-    chosen = [choose(s, SPACE, 8, explore=0.5, first=10, criterion="expected_variance", seed=3) for s in (free, wary)]
+    chosen = [choose(s, SPACE, 16, explore=0.25, first=10, criterion="expected_variance", seed=3) for s in (free, wary)]
     assert (chosen[1][:, 0] > 0.5).sum() < (chosen[0][:, 0] > 0.5).sum()
 
 
