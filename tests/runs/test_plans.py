@@ -55,6 +55,11 @@ def test_another_round_takes_the_place_of_those_behind_it(path):
     assert noted(path, BOTH) == (BOTH, 6)
 
 
+def test_an_active_design_that_has_ended_plans_what_it_made(path):
+    ended = replace(BOTH, planned=BOTH.planned - 1)
+    assert noted(path, BOTH, ended)[0] == ended
+
+
 def test_another_design_under_the_same_text_is_a_new_plan(path):
     other = replace(PLAN, parts=(("z",),))
     assert noted(path, BOTH, other) == (other, 4)

@@ -8,6 +8,7 @@ import pytest
 
 from strandline.errors import InvalidStudy
 from strandline.smc import SMCSettings
+from strandline.studies import load_study
 from strandline.studies.parse import parse_study
 from strandline.studies.schema import Quantity
 from strandline.testing.studies import BEAM_STUDY, write_study
@@ -37,7 +38,8 @@ def test_defaults_are_the_published_kernel_and_the_economical_sampler(tmp_path: 
     smc = content.sampler.smc
     assert (smc.particles, smc.rejuvenation_steps, smc.zeta) == (5000, 15, 0.5)
     assert (SMCSettings().rejuvenation_steps, SMCSettings().zeta) == (smc.rejuvenation_steps, smc.zeta)
-    assert content.surrogate.log_likelihood.kernel == "matern32"
+    assert content.surrogate.log_likelihood.kernel is None
+    assert load_study(tmp_path / "study").settings.kernel == "matern32"
     assert content.design.sobol.scramble is None
     assert content.seed == 1
 

@@ -224,7 +224,7 @@ def test_the_observer_hears_of_every_stage_and_run(tmp_path: Path, monkeypatch: 
     def stop(*args: Any, **options: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("strandline.calibrate.fit_log_likelihood", stop)
+    monkeypatch.setattr("strandline.learning.fit_log_likelihood", stop)
     study = load_study(write_study(tmp_path, design={"sobol": {"runs": 8}}))
     with pytest.raises(KeyboardInterrupt):
         run_study(study, executor=InProcess(), observer=observer)

@@ -59,8 +59,8 @@ def rows_to_write(plan: Plan, known: Plan | None) -> list[tuple[object, ...]]:
     first = 0
     if known is not None and _facts(known) == _facts(plan):
         first = _equal_parts(plan, known)
-        if known.planned != plan.planned:
-            first = min(first, len(plan.parts) - 1)
+        if known.parts == plan.parts and known.planned != plan.planned:  # an active design has ended
+            first = len(plan.parts) - 1
     facts = (plan.name, plan.model, json.dumps(plan.inputs), int(plan.sensitivities), plan.planned)
     return [(plan.study_sha256, part, *facts, json.dumps(plan.parts[part])) for part in range(first, len(plan.parts))]
 
