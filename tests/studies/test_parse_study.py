@@ -38,7 +38,7 @@ def test_defaults_are_the_published_kernel_and_the_economical_sampler(tmp_path: 
     smc = content.sampler.smc
     assert (smc.particles, smc.rejuvenation_steps, smc.zeta) == (5000, 15, 0.5)
     assert (SMCSettings().rejuvenation_steps, SMCSettings().zeta) == (smc.rejuvenation_steps, smc.zeta)
-    assert content.surrogate.log_likelihood.kernel is None
+    assert content.surrogate.log_likelihood is None
     assert load_study(tmp_path / "study").settings.kernel == "matern32"
     assert content.design.sobol.scramble is None
     assert content.seed == 1
