@@ -144,6 +144,7 @@ class Stopped(Exception):
     """The driver is stopped."""
 
 
+@pytest.mark.long
 def test_what_was_stopped_goes_on_to_the_same_bits(found: Calibration, tmp_path: Path) -> None:
     runs: list[Any] = []
 
@@ -198,6 +199,7 @@ def test_a_fixed_design_has_no_certificate(tmp_path: Path) -> None:
     assert off(found)[0] < 0.1
 
 
+@pytest.mark.long
 def test_given_runs_take_the_place_of_a_design(found: Calibration, folder: Path) -> None:
     """Another noise of the same runs: no new ones."""
     runs: list[Any] = []

@@ -187,9 +187,9 @@ def sure(seed: int, factor: float) -> bool:
 
 def test_a_right_surrogate_passes_and_a_wrong_one_does_not() -> None:
     """A noise variance three times what it is makes the posterior √3 times too wide."""
-    assert all(sure(seed, 1.0) for seed in range(3))
-    assert not any(sure(seed, 3.0) for seed in range(3))
-    assert not any(sure(seed, 1 / 3) for seed in range(3))
+    assert all(sure(seed, 1.0) for seed in range(2))
+    assert not any(sure(seed, 3.0) for seed in range(2))
+    assert not any(sure(seed, 1 / 3) for seed in range(2))
 
 
 def given_design(factor: float, number: int = 60) -> ActiveDesign:

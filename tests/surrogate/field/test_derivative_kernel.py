@@ -7,7 +7,7 @@ import pytest
 
 from strandline.surrogate.field.derivative_kernel import covariance, trend
 
-U, V = np.random.default_rng(1).normal(size=(5, 3)), np.random.default_rng(2).normal(size=(4, 3))
+U, V = np.random.default_rng(1).normal(size=(4, 3)), np.random.default_rng(2).normal(size=(3, 3))
 
 
 def kernel(a: jax.Array, b: jax.Array) -> jax.Array:

@@ -7,7 +7,7 @@ import pytest
 from jaxtyping import Float
 
 from strandline.design import sobol
-from strandline.errors import TooFewRuns
+from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fewest_runs, fit_field
 from strandline.surrogate.field.modes import Modes
@@ -163,6 +163,12 @@ def test_too_few_runs_are_refused(with_gradients: bool) -> None:
     fit_field(training(needed, with_gradients=with_gradients))
     with pytest.raises(TooFewRuns, match=f"at least {needed} for 2 input"):
         fit_field(training(needed - 1, with_gradients=with_gradients))
+
+
+def test_inputs_that_change_nothing_are_refused() -> None:
+    base = training(8)
+    with pytest.raises(InvalidInput, match="the same one in all 8 runs"):
+        fit_field(replace(base, interfaces=[base.interfaces[0]] * 8))
 
 
 def test_runs_with_other_nodes_are_learnt_from_by_arclength() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import TooFewRuns
+from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
@@ -147,7 +147,7 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
 
     Raises:
         TooFewRuns: fewer than `fewest_runs`.
-        InvalidInput: interfaces without common points.
+        InvalidInput: interfaces without common points, or all the same.
         NumericsError: no length scales could be found.
     """
     dim = training.x.shape[1]
@@ -161,6 +161,13 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
         )
     layouts = {name: common_layout([run[name] for run in training.interfaces]) for name in training.interfaces[0]}
     fields, error = fields_of(training.interfaces, layouts)
+    if not np.ptp(fields, axis=0).any():
+        raise InvalidInput(
+            "interfaces of the runs",
+            value=f"the same one in all {len(fields)} runs",
+            expected="interfaces that the inputs change",
+            remedy="Look at the model: does it read its inputs?",
+        )
     gradients = None if any(layout.by_arclength for layout in layouts.values()) else _gradients(training, layouts)
     weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
     data = _Data(training.x, fields, weights, gradients)
