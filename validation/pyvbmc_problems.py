@@ -55,6 +55,7 @@ class Biofilm:
     levels: ClassVar[tuple[float, ...]] = (0.2, 0.1, 0.05)
     batch: ClassVar[int] = 2
     most: ClassVar[tuple[int, int]] = (60, 120)
+    boost: ClassVar[int] = 1
     seeds: ClassVar[int] = 5
     beyond: dict[bytes, RunRecord] = field(default_factory=dict)
 
@@ -164,6 +165,7 @@ class Outline:
     levels: ClassVar[tuple[float, ...]] = (0.2, 0.1, 0.05)
     batch: ClassVar[int] = 8
     most: ClassVar[tuple[int, int]] = (122, 300)
+    boost: ClassVar[int] = 4
     seeds: ClassVar[int] = 3
     discrepancy: ClassVar[Discrepancy] = TrackedPoints()
     space: ClassVar[ParameterSpace] = ParameterSpace(

@@ -6,7 +6,8 @@ It reads a task, one line of JSON, and writes one line for each evaluation, ``{"
 (``at``, an .npz with ``points``) or draws of it (``draws``). It knows nothing of strandline.
 
 Task: ``lower``, ``upper``, ``plausible_lower``, ``plausible_upper``, ``evaluations`` (the most), ``seed``, ``failed``
-(the log-likelihood of a failed run: ``-inf``, a number, or ``lowest`` of those seen), ``at`` or ``draws``, ``out``.
+(the log-likelihood of a failed run: ``-inf``, a number, or ``lowest`` of those seen), ``at`` or ``draws``, ``out``, and
+``boost``: the posterior of every so many iterations is boosted afterwards, as PyVBMC would have done had it ended then.
 """
 
 import json
@@ -50,6 +51,20 @@ def say(stream: Any, **content: object) -> None:
     stream.flush()
 
 
+def boosts(vbmc: Any, every: int, marks: dict[int, tuple[int, float]]) -> list[tuple[tuple[int, float], Any]]:
+    """Return (evaluations, seconds until then and of the boost) and the boosted posterior of every so many iterations.
+
+    A boost knows the iteration's posterior and process, and no later evaluation.
+    """
+    found = []
+    for k in sorted(marks)[every - 1 :: every]:
+        begin = time.process_time()
+        vp = vbmc.final_boost(vbmc.iteration_history["vp"][k], vbmc.get_gp(k))[0]
+        evaluations, seconds = marks[k]
+        found.append(((evaluations, seconds + time.process_time() - begin), vp))
+    return found
+
+
 def main() -> None:
     replies = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a library prints is no reply
@@ -59,7 +74,7 @@ def main() -> None:
     task = json.loads(sys.stdin.readline())
     target = Target(task["failed"], replies)
     marks: dict[int, tuple[int, float]] = {}
-    error, vbmc, begin, overhead = None, None, time.process_time(), 0.0
+    error, vbmc, begin, overhead, boosted = None, None, time.process_time(), 0.0, []
     try:
         bounds = [np.array(task[key]) for key in ("lower", "upper", "plausible_lower", "plausible_upper")]
         options = {"max_fun_evals": task["evaluations"], "display": "off", "show_tips": False}
@@ -74,9 +89,11 @@ def main() -> None:
         final, _ = vbmc.optimize()
         overhead = time.process_time() - begin
         posteriors = [*vbmc.iteration_history["vp"], final]
+        boosted = boosts(vbmc, task["boost"], marks)
     except Exception as caught:
         error = " ".join(f"{type(caught).__name__}: {caught.args[0] if caught.args else ''}".split())
         posteriors = list(vbmc.iteration_history["vp"] or []) if vbmc is not None else []
+    posteriors += [vp for _, vp in boosted]
     if "at" in task:
         points = np.load(task["at"])["points"]
         found = [vp.pdf(points, orig_flag=True).ravel() for vp in posteriors]
@@ -87,6 +104,7 @@ def main() -> None:
         replies,
         done={
             "iterations": [marks[k] for k in sorted(marks)],
+            "boosted": [mark for mark, _ in boosted],
             "overhead": overhead,
             "evaluations": target.evaluations,
             "failures": target.failures,
