@@ -276,11 +276,11 @@ def figures(found: Sequence[Trace], level: float, *, boosted: bool = False) -> F
         return Figures("not measured", None, None)
     marks = [trace.reached(level, boosted=boosted) for trace in found]
     there = [mark for mark in marks if mark is not None]
-    most = max(trace.runs for trace in found)
+    never = f"not by {len(found) - len(there)} of {len(found)}"
     middle = median([float("inf") if mark is None else float(mark.runs) for mark in marks])
     if not np.isfinite(middle):
-        return Figures(f"> {most} ({len(there)} of {len(found)} seeds)", None, None)
-    worst = f"{max(mark.runs for mark in there)}" if len(there) == len(found) else f"> {most}"
+        return Figures(never, None, None)
+    worst = never if len(there) < len(found) else f"{max(mark.runs for mark in there)}"
     seconds = median([float("inf") if mark is None else mark.overhead for mark in marks])
     return Figures(f"{middle:g} / {worst}", middle, seconds)
 
