@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: env demo reproduce test test-all test-slurm check bench bench-env docs clean
+.PHONY: env demo reproduce test test-all test-slurm check bench bench-env pyvbmc-env docs clean
 
 env: $(VENV)/.installed
 
@@ -54,6 +54,10 @@ bench: bench-env
 # The other programs have an environment of their own. Without them the benchmark says what it did not measure.
 bench-env: env
 	$(BIN)/python -m benchmarks.peers.install
+
+# PyVBMC, for `python -m validation.pyvbmc`.
+pyvbmc-env: env
+	$(BIN)/python -m benchmarks.peers.install pyvbmc
 
 clean:
 	rm -rf docs/_build .pytest_cache .mypy_cache .ruff_cache

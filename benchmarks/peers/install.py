@@ -1,5 +1,7 @@
 """Make the peers' environment, benchmarks/peers/.venv: ``python -m benchmarks.peers.install``, part of `make bench`.
 
+With the argument ``pyvbmc`` it makes the one of `validation.pyvbmc`, benchmarks/peers/.venv-pyvbmc: `make pyvbmc-env`.
+
 What cannot be installed is said, and kept in ``.venv/not-installed.json`` for the benchmark to say again; it goes on
 without. An environment whose lists have not changed is left as it is, unless something was missing.
 """
@@ -15,6 +17,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 FOLDER = HERE / ".venv"
 LISTS = ("requirements.txt", "requirements-torch.txt")
+OWN: dict[str, tuple[Path, tuple[str, ...]]] = {"pyvbmc": (HERE / ".venv-pyvbmc", ("requirements-pyvbmc.txt",))}
+"""Peers with an environment of their own, by the argument that asks for it: its folder and its lists."""
 NOTE = "not-installed.json"
 
 Runner = Callable[[Sequence[str]], "subprocess.CompletedProcess[str]"]
@@ -58,6 +62,12 @@ def not_installed(folder: Path = FOLDER) -> str:
     return "; ".join(f"{name}: {why}" for name, why in missing.items())
 
 
+def main(arguments: Sequence[str]) -> None:
+    """Install the peers of `make bench`, or those named in `OWN`, and say what is missing."""
+    for folder, names in [OWN[name] for name in arguments] if arguments else [(FOLDER, LISTS)]:
+        for name, why in install(folder, lists=[HERE / one for one in names]).items():
+            print(f"benchmarks: the peers of {name} are not measured: {why}", file=sys.stderr)
+
+
 if __name__ == "__main__":
-    for name, why in install().items():
-        print(f"benchmarks: the peers of {name} are not measured: {why}", file=sys.stderr)
+    main(sys.argv[1:])
