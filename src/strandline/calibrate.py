@@ -18,7 +18,6 @@ from scipy.special import log_softmax, logsumexp
 from strandline.active import FieldOutcome, VarianceEffect
 from strandline.calibration import Calibration, Observer, Problem, Settings, Stopwatch
 from strandline.cut import cut_by_quadrature, cut_reading
-from strandline.design import sobol
 from strandline.learning import Learning
 from strandline.models.protocol import require_conditions
 from strandline.parameters import ParameterSpace
@@ -33,7 +32,7 @@ from strandline.posterior import (
     sobol_indices,
 )
 from strandline.quadrature import QuadratureResult, integrate
-from strandline.refinement import Learnt, Round, refine
+from strandline.refinement import Learnt
 from strandline.runs import (
     Executor,
     Ledger,
@@ -59,7 +58,8 @@ def calibrate(
 ) -> Calibration:
     """Return the posterior of the unknown inputs of `problem`.
 
-    With a surrogate of the field, `given` are the inputs of finished runs to begin with in place of a design.
+    With a surrogate of the field, `given` are the inputs of finished runs to begin with in place of a design. Where the
+    runs' interfaces make no field, for want of common points, the log-likelihood is learnt instead.
 
     Finished runs in the ledger are not repeated. The same arguments give the same result to the bit, whatever order the
     runs ended in.
@@ -72,23 +72,9 @@ def calibrate(
     require_conditions((o.condition for o in problem.observations), problem.model)
     watch, tell = Stopwatch(), observer or Observer()
     work = Learning(problem, settings, ledger, executor, tell, watch)
-    space, field_ = problem.space, None
-    rounds: tuple[Round, ...] = ()
-    first = space.to_physical(sobol(settings.runs, space.dim, scramble=settings.scramble))
-    if settings.surrogate == "field":
-        learnt, field_ = work.by_field(first if given is None else given, given=given is not None)
-        target = of_field(field_.knowledge, space)
-    else:
-        learnt, rounds = refine(
-            work.extend(None, first),
-            work.extend,
-            space,
-            settings.refine,
-            particles=settings.particles,
-            seed=settings.seed,
-            stage=lambda: watch("refinement", tell),
-        )
-        target = of_process(learnt.surrogate.process)
+    space, lesson = problem.space, work.lesson(given)
+    learnt, field_ = lesson.learnt, lesson.field
+    target = of_process(learnt.surrogate.process) if field_ is None else of_field(field_.knowledge, space)
     with watch("sampling", tell), nullcontext() if field_ is None else one_thread():
         sampling = _sample(target, space, settings, tell)
         posterior = _posterior(space, sampling, target)
@@ -128,9 +114,10 @@ def calibrate(
         seconds=watch.seconds,
         under_uncertainty=under_uncertainty,
         cut_quadrature=cut_quadrature,
-        rounds=rounds,
+        rounds=lesson.rounds,
         sensitivity=sensitivity,
         field=field_,
+        no_field=lesson.no_field,
     )
 
 

@@ -101,6 +101,7 @@ class Calibration:
     With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
     `cut_quadrature` has one result for each value of the nuisance inputs; else both are None. With a surrogate of the
     field, `field` is what it knows; `surrogates`, of the log-likelihood, are then there to compare, or empty.
+    `no_field` says why there is none though it was asked for.
     """
 
     problem: Problem
@@ -120,6 +121,7 @@ class Calibration:
     rounds: tuple[Round, ...] = ()
     sensitivity: SobolIndices | None = None
     field: FieldOutcome | None = None
+    no_field: str | None = None
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:
@@ -152,11 +154,13 @@ class Stopwatch:
         observer.stage(stage)
         self.within.append(stage)
         begun = time.perf_counter()
-        yield
-        taken = time.perf_counter() - begun
-        self.within.pop()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + taken
-        if self.within:
-            outer = self.within[-1]
-            self.seconds[outer] = self.seconds.get(outer, 0.0) - taken
-            observer.stage(outer)
+        try:
+            yield
+        finally:
+            taken = time.perf_counter() - begun
+            self.within.pop()
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + taken
+            if self.within:
+                outer = self.within[-1]
+                self.seconds[outer] = self.seconds.get(outer, 0.0) - taken
+                observer.stage(outer)

@@ -5,6 +5,7 @@ StrandlineError
 ├── InvalidInput            the caller can mend it: exit code 2, one line, nothing written
 │   ├── InvalidStudy        study.yaml or the study folder
 │   ├── InvalidInterface    an observed or supplied polyline
+│   │   └── NoCommonPoints  interfaces of runs that make no field over the inputs
 │   ├── LedgerError         a ledger that is locked, foreign, unreadable or of a newer version
 │   └── TooFewRuns          not enough successful forward runs to go on
 ├── ForwardModelError       one forward run failed: data, never the end of a campaign
@@ -45,6 +46,10 @@ class InvalidStudy(InvalidInput):
 
 class InvalidInterface(InvalidInput):
     """Points that do not form an interface."""
+
+
+class NoCommonPoints(InvalidInterface):
+    """Interfaces of different runs that cannot be brought to common points."""
 
 
 class LedgerError(InvalidInput):

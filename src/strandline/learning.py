@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,10 @@ from jaxtyping import Float
 
 from strandline.active import Active, ActiveRuns, FieldOutcome, VarianceEffect, learn
 from strandline.calibration import Observer, Problem, Settings, Stopwatch
-from strandline.errors import NumericsError, TooFewRuns
+from strandline.design import sobol
+from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
 from strandline.likelihood import InterfaceLikelihood
-from strandline.refinement import Learnt
+from strandline.refinement import Learnt, Refinement, Round, refine
 from strandline.runs import (
     Executor,
     Ledger,
@@ -23,10 +24,29 @@ from strandline.runs import (
 from strandline.runs.executors import usable_cores
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood
 
-__all__ = ["Learning"]
+__all__ = ["Learning", "Lesson"]
 
 LARGEST_BATCH = 16
 """Runs of an active design chosen together where nobody says how many, at most."""
+ROUNDS_INSTEAD = 4
+"""Rounds of refinement that make the second half of an active design's runs where there can be no field."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What all forward runs have taught.
+
+    Args:
+        learnt: the runs, and surrogates of the log-likelihood; with a field, to compare.
+        rounds: of refinement.
+        field: what is known of the field; None where the surrogate is one of the log-likelihood.
+        no_field: why it is, though one of the field was asked for.
+    """
+
+    learnt: Learnt
+    rounds: tuple[Round, ...] = ()
+    field: FieldOutcome | None = None
+    no_field: str | None = None
 
 
 @dataclass(frozen=True)
@@ -39,6 +59,55 @@ class Learning:
     executor: Executor
     tell: Observer
     watch: Stopwatch
+
+    def lesson(self, given: Float[np.ndarray, "run dim"] | None) -> Lesson:
+        """Make all forward runs and learn from them, by the surrogate that the settings name where that can be.
+
+        Args:
+            given: inputs of finished runs that a surrogate of the field begins with, in place of the Sobol design.
+        """
+        if self.settings.surrogate == "log_likelihood":
+            return self._refined(self._first(self.settings.runs), self.settings.refine)
+        begin = self._first(self.settings.runs) if given is None else given
+        choosing = None if self.settings.active is None else self._active(self.settings.active)
+        if choosing is not None:
+            choosing.design.start(begin, given=given is not None)
+        try:
+            learnt, found = self._by_field(begin, choosing)
+        except NoCommonPoints as error:
+            asked = begin if choosing is None else choosing.asked
+            return replace(self._instead(asked), no_field=str(error.value))
+        return Lesson(learnt, field=found)
+
+    def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
+        space = self.problem.space
+        return space.to_physical(sobol(number, space.dim, scramble=self.settings.scramble))
+
+    def _refined(self, first: Float[np.ndarray, "run dim"], refinement: Refinement) -> Lesson:
+        learnt, rounds = refine(
+            self.extend(None, first),
+            self.extend,
+            self.problem.space,
+            refinement,
+            particles=self.settings.particles,
+            seed=self.settings.seed,
+            stage=lambda: self.watch("refinement", self.tell),
+        )
+        return Lesson(learnt, rounds)
+
+    def _instead(self, asked: Float[np.ndarray, "run dim"]) -> Lesson:
+        """Learn the log-likelihood from the runs `asked` for so far, and from what an active design may still make.
+
+        Half of all runs are spread over the box, the others are made where the posterior lies.
+        """
+        most = len(asked) if self.settings.active is None else max(self.settings.active.runs, len(asked))
+        more = max(most - ROUNDS_INSTEAD * (most // (2 * ROUNDS_INSTEAD)) - len(asked), 0)
+        if more:
+            further = self._first(self.settings.runs + more)[self.settings.runs :]
+            self.tell.draws(self._inputs(further))
+            asked = np.concatenate([asked, further])
+        runs = (most - len(asked)) // ROUNDS_INSTEAD
+        return self._refined(asked, Refinement(ROUNDS_INSTEAD, runs) if runs else Refinement())
 
     def extend(self, known: Learnt | None, points: Float[np.ndarray, "run dim"]) -> Learnt:
         """Run the model at `points`, behind the known runs, and train the surrogates with all of them."""
@@ -63,15 +132,14 @@ class Learning:
             }
         return Learnt(points, records, training, log_likelihoods, surrogates)
 
-    def by_field(self, first: Float[np.ndarray, "run dim"], *, given: bool) -> tuple[Learnt, FieldOutcome]:
+    def _by_field(
+        self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None
+    ) -> tuple[Learnt, FieldOutcome]:
         """Run the model at `first`, and where the active design wants; learn the field.
 
         The surrogates of the log-likelihood are trained beside it, to compare, where they can be.
         """
-        active, space = self.settings.active, self.problem.space
-        choosing = None if active is None else self._active(active)
-        if choosing is not None:
-            choosing.design.start(first, given=given)
+        space = self.problem.space
         with self.watch("forward", self.tell):
             records = self._run(first, choosing)
         points = np.array([[record.inputs[name] for name in space.names] for record in records], float)

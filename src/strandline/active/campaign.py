@@ -85,6 +85,11 @@ class ActiveRuns:
         return np.empty((0, self.space.dim)) if batch is None else batch.points
 
     @property
+    def asked(self) -> Points:
+        """Inputs of all batches so far, in their order."""
+        return np.concatenate([batch.points for batch in self.design.batches])
+
+    @property
     def certificate(self) -> Certificate:
         """What speaks for the posterior."""
         design = self.design

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.special import log_softmax
 
 from strandline.discrepancy import Discrepancy
+from strandline.errors import NoCommonPoints
 from strandline.field_likelihood import FieldLikelihood, OnHost, noise_length
 from strandline.interface import Observation
 from strandline.parameters import ParameterSpace
@@ -79,15 +80,23 @@ def learn(
 
     Raises:
         TooFewRuns: too few succeeded.
-        InvalidInterface: interfaces without common points.
+        NoCommonPoints: interfaces that cannot be brought to common points, or only so that they are
+            farther off than the noise hides.
     """
     ok = np.array([record.ok for record in records], bool)
     good = [record for record in records if record.ok]
     names = [seen.condition for seen in observations]
     interfaces = [{name: record.interfaces[name] for name in names} for record in good]
-    tolerance = TOLERATED_REMAINDER * min(noise_length(seen, discrepancy) for seen in observations)
+    hidden = min(noise_length(seen, discrepancy) for seen in observations)
     training = FieldTraining(x[ok], interfaces, _gradients(good, names, space.names), space.low, space.high)
-    surrogate = fit_field(training, tolerance=tolerance)
+    surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
+    if surrogate.registration_error > hidden:
+        raise NoCommonPoints(
+            "interfaces of the runs for a surrogate of the field",
+            value=f"common points {surrogate.registration_error:.3g} mm away from them, root mean square",
+            expected=f"at most {hidden:.3g} mm, the shift of the interface that the noise hides",
+            remedy="Let the simulator return more nodes, or nodes that are the same in all runs.",
+        )
     z = surrogate.warping.standardise(x)
     feasibility = learn_feasibility(z, ok)
     highest = float(feasibility.log_probability(z).max())

@@ -33,6 +33,11 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     for condition in turned:
         where = f" of {condition}" if condition else ""
         yield f"The observed points{where} ran against the model's interface and were turned round."
+    if calibration.no_field is not None:
+        yield (
+            f"NO FIELD could be made of the runs' interfaces: {calibration.no_field}. The surrogate is one of the "
+            "log-likelihood instead, and nothing was checked on the true model: `strandline posterior check` does that."
+        )
     if calibration.field is None:
         yield from _impossible(calibration)
         yield from _surrogate(calibration)

@@ -56,6 +56,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "surrogate": _surrogate(calibration.surrogate)
         if calibration.field is None
         else field_surrogate(calibration, calibration.field),
+        "no_field": calibration.no_field,
         "certificate": certificate(calibration),
         "comparison": comparison(calibration),
         "measures": {name: _surrogate(s) for name, s in calibration.surrogates.items()},

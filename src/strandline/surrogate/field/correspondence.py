@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInterface
+from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
 
 __all__ = ["Layout", "common_layout", "fields_of", "registered"]
@@ -44,7 +44,7 @@ def common_layout(interfaces: Sequence[Interface]) -> Layout:
     """Return the layout that all of these interfaces can be brought to.
 
     Raises:
-        InvalidInterface: they have no common parametrisation: surfaces of different triangles, open and closed
+        NoCommonPoints: they have no common parametrisation: surfaces of different triangles, open and closed
             polylines together.
     """
     first = interfaces[0]
@@ -65,7 +65,7 @@ def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, 
     The error is the distance of the interface's own nodes from the polyline through the points.
 
     Raises:
-        InvalidInterface: it does not fit the layout.
+        NoCommonPoints: it does not fit the layout.
     """
     if not layout.by_arclength:
         if interface.points.shape != layout.template.points.shape:
@@ -112,8 +112,8 @@ def _squares(points: Float[np.ndarray, "point 2"], target: Interface) -> Float[n
     return np.asarray(np.min(np.sum((offset - share[..., None] * d) ** 2, axis=2), axis=1))
 
 
-def _different(found: str) -> InvalidInterface:
-    return InvalidInterface(
+def _different(found: str) -> NoCommonPoints:
+    return NoCommonPoints(
         "interfaces of the runs for a surrogate of the field",
         value=found,
         expected="interfaces with a common parametrisation",

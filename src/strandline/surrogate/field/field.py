@@ -147,7 +147,8 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
 
     Raises:
         TooFewRuns: fewer than `fewest_runs`.
-        InvalidInput: interfaces without common points, or all the same.
+        NoCommonPoints: interfaces that cannot be brought to common points.
+        InvalidInput: interfaces that are all the same.
         NumericsError: no length scales could be found.
     """
     dim = training.x.shape[1]
