@@ -29,6 +29,7 @@ def main() -> None:
     parser.add_argument("part", choices=["s3", "s5", "s6", "failing", "stopping", "table"])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--criterion", default="expected_variance")
+    parser.add_argument("--quadrature", choices=["refined", "centre"], help="only this one, of s3 and s6")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--publish", action="store_true", help="put the tables into the page")
     given = parser.parse_args()
@@ -38,7 +39,7 @@ def main() -> None:
     start()
     truth_of(case("S3", "refined"))  # the table of true interfaces is made here, once
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"), initializer=start) as pool:
-        jobs = [pool.submit(task) for task in tasks(given.part, given.seeds, given.criterion)]
+        jobs = [pool.submit(task) for task in tasks(given.part, given.seeds, given.criterion, given.quadrature)]
         for done, job in enumerate(as_completed(jobs), 1):
             error = job.exception()
             if error is not None:

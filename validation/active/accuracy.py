@@ -14,7 +14,8 @@ from strandline.reproduction.grid_posterior import posterior_on_grid, product_gr
 __all__ = ["Course", "s3", "s5", "s6"]
 
 PANELS = (24, 12, 8)
-DRAWS = 50
+DRAWS = 100
+"""Of the posterior of S6 at which the true model judges it: enough to see a shift of 0.1 standard deviations."""
 
 
 @dataclass(frozen=True)

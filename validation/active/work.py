@@ -11,8 +11,11 @@ __all__ = ["start", "tasks"]
 RULES = ("refined", "centre")
 
 
-def tasks(part: str, seeds: int, criterion: str) -> Iterator[Callable[[], Course | Stopped]]:
-    """Yield the courses of a part."""
+def tasks(
+    part: str, seeds: int, criterion: str, quadrature: str | None = None
+) -> Iterator[Callable[[], Course | Stopped]]:
+    """Yield the courses of a part; of s3 and s6 with one quadrature only, if it is named."""
+    rules = RULES if quadrature is None else (quadrature,)
     if part == "stopping":
         for seed in range(1, seeds + 1):
             yield partial(stopped, "S3", "refined", sensitivities=False, seed=seed)
@@ -26,7 +29,7 @@ def tasks(part: str, seeds: int, criterion: str) -> Iterator[Callable[[], Course
                     yield partial(
                         s3, "refined", sensitivities=False, seed=seed, most=30, criterion=criterion, share=share
                     )
-            for rule in RULES if part in ("s3", "s6") else (("refined",) if part == "s5" else ()):
+            for rule in rules if part in ("s3", "s6") else (("refined",) if part == "s5" else ()):
                 common = {"sensitivities": gradients, "seed": seed, "criterion": criterion}
                 if part == "s3":
                     yield partial(s3, rule, most=12 if gradients else 20, **common)  # type: ignore[arg-type]
