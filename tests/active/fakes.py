@@ -45,14 +45,30 @@ def known(x: np.ndarray, ok: np.ndarray | None = None) -> Knowledge:
     return Knowledge(x, ok, likelihood, feasibility, float(feasibility.log_probability(z).max()))
 
 
+@dataclass(frozen=True, eq=False)
+class Assumed(Knowledge):
+    """What runs teach, but for the likelihood: that is a normal one."""
+
+    mean: tuple[float, ...] = (0.2, 0.1)
+    sd: float = 0.2
+
+    def plug_in(self, x: np.ndarray) -> np.ndarray:
+        return np.asarray(-0.5 * np.sum(((x - np.array(self.mean)) / self.sd) ** 2, axis=1))
+
+    expected = plug_in
+
+
 def state_of(
     knowledge: Knowledge, *, mean: Sequence[float] = (0.2, 0.1), sd: float = 0.2, seed: int = 1, number: int = 600
 ) -> State:
-    """Return a normal posterior, tempered to twice its width, as particles of equal weight inside the box."""
+    """Return a normal posterior, as particles of equal weight inside the box."""
+    own = {name: getattr(knowledge, name) for name in ("x", "ok", "likelihood", "feasibility", "highest")}
+    assumed = Assumed(**own, mean=tuple(mean), sd=sd)
     rng = np.random.default_rng(seed)
     x = np.clip(np.array(mean) + sd * rng.standard_normal((number, 2)), -1.0, 1.0)
     equal = np.full(number, -np.log(number))
-    return State(knowledge, x, equal, equal, equal, -0.5 * np.sum(((x - np.array(mean)) / sd) ** 2, axis=1))
+    values = assumed.plug_in(x)
+    return State(assumed, x, equal, equal, equal, values, values)
 
 
 @dataclass

@@ -90,7 +90,10 @@ def test_the_certificate_is_in_the_summary(summary: dict[str, Any]) -> None:
     assert 0.8 < check["effective"] <= 1.0
     assert set(check["shift"]) == set(check["shift_error"]) == set(check["sd_ratio"]) == {"E"}
     assert [step["runs"] for step in found["history"]] == list(np.cumsum([entry["runs"] for entry in found["batches"]]))
-    assert set(found["history"][0]) == {"runs", "ok", "kind", "mean", "sd", "error_um", "change", "change_sd"}
+    moved = {"since", "change", "change_sd", "effective"}
+    assert set(found["history"][0]) == {"runs", "ok", "kind", "mean", "sd", "error_um"} | moved
+    assert found["history"][0]["effective"] is None
+    assert 0.8 <= found["history"][-1]["effective"] <= 1.0
     assert found["error_um"] == found["history"][-1]["error_um"]
     assert found["feasible_mass"] == pytest.approx(1.0)
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from strandline.active.choice import CRITERIA, choose
 from strandline.active.left_out import left_out_ratios
-from strandline.active.state import State
+from strandline.active.state import Moved, Remembered, State
 from strandline.design import sobol
 from strandline.errors import InvalidInput
 from strandline.parameters import ParameterSpace
@@ -39,10 +39,11 @@ class Active:
         criterion: by which runs are chosen, a name in `strandline.active.CRITERIA`.
         check: draws of the posterior at which the true model is run before stopping.
         change: how far means may have moved over either of the last two batches, in standard deviations, and by which
-            share standard deviations may have changed.
+            share standard deviations may have changed. Batches of fewer runs than there are inputs count together.
         shift: largest shift of a mean by the importance weights, in standard deviations, beyond its standard error.
         k_hat: largest Pareto shape of the weights.
-        effective: smallest effective sample size of the weights, as a share of the draws.
+        effective: smallest effective sample size of the weights, as a share of the draws; of those between the
+            posteriors before and after a batch, too.
         patience: a batch does not wait for a run that takes longer than this many times the longest one before.
 
     Raises:
@@ -112,8 +113,9 @@ class Step:
         mean: of the posterior (dim,).
         sd: of the posterior (dim,).
         error: of the predicted interface, root mean square along it, median over the posterior, mm.
-        change: largest shift of a mean since the step before, in standard deviations; None for the first one.
-        change_sd: largest relative change of a standard deviation.
+        moved: how far from the last step that had fewer runs by at least the number of inputs; None where there is none
+            since the last check.
+        since: runs of that step.
         check: what the batch found, where it was a check; of the posterior before it.
     """
 
@@ -123,8 +125,8 @@ class Step:
     mean: Float[np.ndarray, " dim"]
     sd: Float[np.ndarray, " dim"]
     error: float
-    change: float | None
-    change_sd: float | None
+    moved: Moved | None
+    since: int | None
     check: CheckResult | None
 
 
@@ -159,6 +161,7 @@ class ActiveDesign:
         self.state: State | None = None
         self.converged = False
         self.reasons: tuple[str, ...] = ()
+        self._remembered: list[Remembered] = []
         self._checked: tuple[Float[np.ndarray, "draw dim"], Float[np.ndarray, " draw"]] | None = None
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
@@ -275,38 +278,44 @@ class ActiveDesign:
     def _step(self, check: CheckResult | None) -> Step:
         state = self.state
         assert state is not None
-        mean, sd, before = state.mean, state.sd, self.steps[-1] if self.steps else None
         weights, errors = np.exp(state.log_weights), state.knowledge.surrogate.predicted_error(state.positions)
         order = np.argsort(errors)
         half = int(np.searchsorted(np.cumsum(weights[order]), 0.5))
+        kind, runs = self.batches[-1].kind, len(state.knowledge.x)
+        before = [one for one in self._remembered if one.runs <= runs - self.space.dim]
+        self._remembered = [*([] if kind == "check" else self._remembered), Remembered.of(state)]
         return Step(
-            runs=len(state.knowledge.x),
+            runs=runs,
             ok=int(state.knowledge.ok.sum()),
-            kind=self.batches[-1].kind,
-            mean=mean,
-            sd=sd,
+            kind=kind,
+            mean=state.mean,
+            sd=state.sd,
             error=float(errors[order[min(half, len(order) - 1)]]),
-            change=None if before is None else float(np.abs((mean - before.mean) / sd).max()),
-            change_sd=None if before is None else float(np.abs(np.log(sd / before.sd)).max()),
+            moved=before[-1].moved(state.knowledge) if before else None,
+            since=before[-1].runs if before else None,
             check=check,
         )
 
     def _stable(self) -> bool:
-        last = self.steps[-2:]
-        return len(last) == 2 and all(
-            step.change is not None
-            and step.change_sd is not None
-            and max(step.change, step.change_sd) < self.active.change
-            for step in last
-        )
+        """Tell whether the posterior has moved little to this step, and to the one from which that is told.
+
+        A check that has failed does not count as such a one: two batches are to follow it before the next.
+        """
+        last = self.steps[-1]
+        before = [step for step in self.steps if step.runs == last.since and step.kind != "check"]
+        return self._calm(last) and any(self._calm(step) for step in before)
+
+    def _calm(self, step: Step) -> bool:
+        m, a = step.moved, self.active
+        return m is not None and max(m.shift, m.width) < a.change and m.effective >= a.effective
 
     def _why_not(self, check: CheckResult | None) -> tuple[str, ...]:
         reasons = [f"all {self.active.runs} runs that were allowed are made"]
-        last = self.steps[-1]
-        if not self._stable() and last.change is not None and last.change_sd is not None:
+        moved = self.steps[-1].moved
+        if not self._stable() and moved is not None:
             reasons.append(
-                f"the last two batches still moved the posterior (by {last.change:.2f} standard deviations, its width "
-                f"by {last.change_sd:.0%} in the last one)"
+                f"the last two batches still moved the posterior (by {moved.shift:.2f} standard deviations, its width "
+                f"by {moved.width:.0%}, its draws to {moved.effective:.0%} effective ones in the last one)"
             )
         return (*reasons, *(("no check on the true model was made",) if check is None else check.reasons))
 

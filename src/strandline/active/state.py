@@ -18,7 +18,7 @@ from strandline.smc import SMCSettings, sample
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field, one_thread
 
-__all__ = ["Knowledge", "State", "learn", "posterior_state"]
+__all__ = ["Knowledge", "Moved", "Remembered", "State", "learn", "posterior_state"]
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
 """Of the posterior after each batch."""
@@ -114,6 +114,7 @@ class State:
         log_weights_tempered: of π_γ, normalised.
         log_weights_plug_in: of the posterior as if the predicted interfaces were exact.
         log_expected: log E[L] at the particles.
+        log_plug_in: log L of the predicted interfaces at the particles.
     """
 
     knowledge: Knowledge
@@ -122,6 +123,7 @@ class State:
     log_weights_tempered: Float[np.ndarray, " particle"]
     log_weights_plug_in: Float[np.ndarray, " particle"]
     log_expected: Float[np.ndarray, " particle"]
+    log_plug_in: Float[np.ndarray, " particle"]
 
     @property
     def mean(self) -> Float[np.ndarray, " dim"]:
@@ -132,6 +134,60 @@ class State:
     def sd(self) -> Float[np.ndarray, " dim"]:
         """Of the posterior."""
         return np.asarray(np.sqrt(np.exp(self.log_weights) @ (self.positions - self.mean) ** 2))
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How far a posterior is from an earlier one.
+
+    Args:
+        shift: largest shift of a mean, in standard deviations.
+        width: largest change of the logarithm of a standard deviation.
+        effective: effective sample size of the weights between the two, as a share.
+    """
+
+    shift: float
+    width: float
+    effective: float
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """What is kept of a posterior to tell later how far it has moved.
+
+    Args:
+        runs: that it was made of.
+        positions: particles (particle, dim).
+        log_weights: of the posterior, normalised.
+        log_plug_in: log L of the predicted interfaces at the particles.
+    """
+
+    runs: int
+    positions: Float[np.ndarray, "particle dim"]
+    log_weights: Float[np.ndarray, " particle"]
+    log_plug_in: Float[np.ndarray, " particle"]
+
+    @classmethod
+    def of(cls, state: State) -> "Remembered":
+        """Return what is kept of `state`."""
+        return cls(len(state.knowledge.x), state.positions, state.log_weights, state.log_plug_in)
+
+    def moved(self, knowledge: Knowledge) -> Moved:
+        """Return how far the posterior that `knowledge` leads to is from this one.
+
+        The same particles are weighted by the ratio of the two likelihoods: two samples, each of its own particles,
+        differ by their noise, which in seven dimensions is larger than what is looked for.
+        """
+        log_weights = log_softmax(self.log_weights + knowledge.plug_in(self.positions) - self.log_plug_in)
+        before, after = np.exp(self.log_weights), np.exp(log_weights)
+        means = before @ self.positions, after @ self.positions
+        sds = [np.sqrt(w @ (self.positions - m) ** 2) for w, m in zip((before, after), means, strict=True)]
+        tiny = np.finfo(float).tiny
+        return Moved(
+            shift=float(np.abs((means[1] - means[0]) / np.maximum(sds[0], tiny)).max()),
+            width=float(np.abs(np.log(np.maximum(sds[1], tiny) / np.maximum(sds[0], tiny))).max()),
+            effective=float(1.0 / (after @ np.exp(log_weights - self.log_weights))),
+        )
 
 
 def posterior_state(knowledge: Knowledge, space: ParameterSpace, host: OnHost, seed: tuple[int, ...]) -> State:
@@ -160,6 +216,7 @@ def posterior_state(knowledge: Knowledge, space: ParameterSpace, host: OnHost, s
         log_weights_tempered=tempered.log_weights,
         log_weights_plug_in=log_softmax(rest + exact),
         log_expected=expected,
+        log_plug_in=exact,
     )
 
 

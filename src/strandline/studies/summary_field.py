@@ -99,8 +99,10 @@ def _step(step: Step, names: tuple[str, ...]) -> dict[str, Any]:
         "mean": dict(zip(names, step.mean.tolist(), strict=True)),
         "sd": dict(zip(names, step.sd.tolist(), strict=True)),
         "error_um": TO_MICROMETRES * step.error,
-        "change": step.change,
-        "change_sd": step.change_sd,
+        "since": step.since,
+        "change": None if step.moved is None else step.moved.shift,
+        "change_sd": None if step.moved is None else step.moved.width,
+        "effective": None if step.moved is None else step.moved.effective,
     }
 
 
