@@ -88,11 +88,12 @@ def test_closed_polylines_may_begin_anywhere_and_run_either_way() -> None:
         assert error < 2e-3
 
 
-def test_surfaces_of_other_triangles_are_refused() -> None:
+def test_surfaces_of_other_triangles_are_projected() -> None:
     surface = sheet(5)
-    assert not common_layout([surface, sheet(5, height=0.1)]).by_arclength
-    with pytest.raises(InvalidInterface, match="triangles differ from run to run"):
-        common_layout([surface, divided(surface)])
+    assert common_layout([surface, sheet(5, height=0.1)]).way == "nodes"
+    layout = common_layout([surface, divided(surface)])
+    assert layout.way == "projection"
+    assert layout.weights.sum() == pytest.approx(1.0)
 
 
 def test_open_and_closed_ones_together_are_refused() -> None:
