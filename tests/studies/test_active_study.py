@@ -102,7 +102,7 @@ def test_the_surrogate_is_told(summary: dict[str, Any]) -> None:
     found = summary["surrogate"]
     assert (found["kind"], found["n_train"]) == ("field", summary["certificate"]["runs"])
     assert set(found["warps"]) == {"E"}
-    assert not found["by_arclength"]
+    assert found["common_points"] == "nodes"
     assert found["left_out_error_um"]["median"] <= found["left_out_error_um"]["q95"]
     assert abs(found["variance_effect"]["shift"]["E"]) < 0.05
     assert set(summary["comparison"]["inputs"]["E"]) == {"mean", "sd", "shift_sd", "sd_ratio"}

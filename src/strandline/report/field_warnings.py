@@ -38,6 +38,7 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
         yield f"{checked.failed} of {checked.draws} runs at draws of the posterior failed; the check leaves them out."
     if surrogate.registration_error > surrogate.modes.remainder and surrogate.registration_error > 0:
         yield (
-            "The runs' interfaces do not share their nodes and were brought to common points by their arclength, "
-            f"which moves them by up to {1e3 * surrogate.registration_error:.2g} µm."
+            "The runs' interfaces do not share their nodes and were brought to common points by "
+            f"{' and '.join(way for way in surrogate.ways if way != 'nodes')}, which moves them by up to "
+            f"{1e3 * surrogate.registration_error:.2g} µm."
         )

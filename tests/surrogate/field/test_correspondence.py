@@ -25,7 +25,7 @@ def ring(nodes: int, *, start: float = 0.0, stretch: float = 1.0) -> Interface:
 def test_nodes_that_correspond_are_taken_as_they_are() -> None:
     runs = [arc(20), arc(20, height=0.5)]
     layout = common_layout(runs)
-    assert not layout.by_arclength
+    assert layout.way == "nodes"
     points, error = registered(runs[1], layout)
     np.testing.assert_array_equal(points, runs[1].points)
     assert error == 0.0
@@ -49,7 +49,7 @@ def test_weights_of_a_surface_are_shares_of_the_area() -> None:
 def test_polylines_of_other_nodes_are_taken_by_arclength() -> None:
     runs = [arc(60, seed=1), arc(90, seed=2), arc(75, seed=3).reversed()]
     layout = common_layout(runs)
-    assert layout.by_arclength
+    assert layout.way == "arclength"
     assert len(layout.template.points) == 90
     taken = [registered(run, layout) for run in runs]
     for points, error in taken:
@@ -88,11 +88,12 @@ def test_closed_polylines_may_begin_anywhere_and_run_either_way() -> None:
         assert error < 2e-3
 
 
-def test_surfaces_of_other_triangles_are_refused() -> None:
+def test_surfaces_of_other_triangles_are_projected() -> None:
     surface = sheet(5)
-    assert not common_layout([surface, sheet(5, height=0.1)]).by_arclength
-    with pytest.raises(InvalidInterface, match="triangles differ from run to run"):
-        common_layout([surface, divided(surface)])
+    assert common_layout([surface, sheet(5, height=0.1)]).way == "nodes"
+    layout = common_layout([surface, divided(surface)])
+    assert layout.way == "projection"
+    assert layout.weights.sum() == pytest.approx(1.0)
 
 
 def test_open_and_closed_ones_together_are_refused() -> None:

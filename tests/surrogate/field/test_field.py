@@ -178,7 +178,7 @@ def test_runs_with_other_nodes_are_learnt_from_by_arclength() -> None:
         for i, run in enumerate(base.interfaces)
     ]
     found = fit_field(replace(base, interfaces=uneven))
-    assert found.layouts[""].by_arclength
+    assert found.layouts[""].way == "arclength"
     assert not found.gradients
     assert found.registration_error > 0
     predicted = found.interfaces(np.array([300.0, 0.1]))[""].resampled(41).points

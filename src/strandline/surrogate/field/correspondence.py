@@ -1,13 +1,18 @@
-"""Interfaces as fields over common points: node by node where they correspond, else by shares of the arclength."""
+"""Interfaces as fields over common points: node by node where they correspond, else as they can be compared.
+
+Polylines are taken by shares of their arclength, triangulated surfaces by projection of the nodes of one of them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
+from strandline.surrogate.field.projection import Reference, common_reference
 
 __all__ = ["Layout", "common_layout", "fields_of", "registered"]
 
@@ -21,11 +26,14 @@ class Layout:
 
     Args:
         template: an interface that has these points, for its cells and the weights of its points.
-        by_arclength: whether the points are at equal shares of the arclength, for want of nodes that correspond.
+        way: the nodes where they correspond; for want of that, points at equal shares of the arclength of a polyline,
+            or the template's nodes projected onto a surface.
+        reference: the template, to project onto surfaces; None for the other ways.
     """
 
     template: Interface
-    by_arclength: bool
+    way: Literal["nodes", "arclength", "projection"]
+    reference: Reference | None = None
 
     @property
     def weights(self) -> Float[np.ndarray, " point"]:
@@ -44,30 +52,42 @@ def common_layout(interfaces: Sequence[Interface]) -> Layout:
     """Return the layout that all of these interfaces can be brought to.
 
     Raises:
-        NoCommonPoints: they have no common parametrisation: surfaces of different triangles, open and closed
-            polylines together.
+        NoCommonPoints: they have no common parametrisation: polylines and surfaces, or open and closed ones,
+            together; surfaces that are too different to be projected onto each other.
     """
     first = interfaces[0]
     same = all(one.points.shape == first.points.shape and np.array_equal(one.cells, first.cells) for one in interfaces)
     if same:
-        return Layout(first, by_arclength=False)
-    if any(one.dim == 3 for one in interfaces):
-        raise _different("triangulated surfaces whose triangles differ from run to run")
+        return Layout(first, "nodes")
+    if len({one.dim for one in interfaces}) > 1:
+        raise _different("polylines in some runs, surfaces in others")
+    if first.dim == 3:
+        reference = common_reference(interfaces)
+        if isinstance(reference, str):
+            raise _different(reference)
+        return Layout(reference.surface, "projection", reference)
     if len({one.closed for one in interfaces}) > 1:
         raise _different("open polylines in some runs, closed ones in others")
     number = max(FEWEST_POINTS, max(len(one.points) for one in interfaces))
-    return Layout(first.resampled(number), by_arclength=True)
+    return Layout(first.resampled(number), "arclength")
 
 
 def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, "point xyz"], float]:
     """Return the points of `interface` in the layout, and the root mean square error that this makes, mm.
 
-    The error is the distance of the interface's own nodes from the polyline through the points.
+    The error is the distance of the interface's own nodes from the polyline or the triangles through the points.
 
     Raises:
         NoCommonPoints: it does not fit the layout.
     """
-    if not layout.by_arclength:
+    if layout.reference is not None:
+        if interface.dim != 3:
+            raise _different("a polyline where the others are surfaces")
+        found = layout.reference.on(interface)
+        if isinstance(found, str):
+            raise _different(found)
+        return found.points, found.error
+    if layout.way == "nodes":
         if interface.points.shape != layout.template.points.shape:
             raise _different("another number of points than in the other runs")
         return interface.points, 0.0

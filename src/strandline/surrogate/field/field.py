@@ -41,7 +41,7 @@ class FieldTraining:
 
     x: Float[np.ndarray, "run dim"]
     interfaces: Sequence[Mapping[str, Interface]]
-    gradients: Sequence[Mapping[str, Float[np.ndarray, "point xyz dim"]]] | None
+    gradients: Sequence[Mapping[str, Float[np.ndarray, "_ xyz dim"]]] | None
     low: Float[np.ndarray, " dim"]
     high: Float[np.ndarray, " dim"]
 
@@ -73,6 +73,11 @@ class FieldSurrogate:
     processes: tuple[ModeProcess, ...]
     registration_error: float
     gradients: bool
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """How the interfaces share their points, over the conditions: ``nodes``, ``arclength``, ``projection``."""
+        return tuple(sorted({layout.way for layout in self.layouts.values()}))
 
     @property
     def runs(self) -> int:
@@ -169,7 +174,8 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
             expected="interfaces that the inputs change",
             remedy="Look at the model: does it read its inputs?",
         )
-    gradients = None if any(layout.by_arclength for layout in layouts.values()) else _gradients(training, layouts)
+    corresponding = all(layout.way == "nodes" for layout in layouts.values())
+    gradients = _gradients(training, layouts) if corresponding else None
     weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
     data = _Data(training.x, fields, weights, gradients)
     with one_thread():
