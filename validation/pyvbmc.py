@@ -37,7 +37,6 @@ from strandline.active import Active, learn, posterior_state
 from strandline.active.choice import choose
 from strandline.design import sobol
 from strandline.errors import TooFewRuns
-from strandline.field_likelihood import OnHost
 from strandline.likelihood import InterfaceLikelihood
 from strandline.surrogate.field import one_thread
 
@@ -109,7 +108,7 @@ class Trace:
 def ours(problem: Problem, seed: int) -> Trace:
     """Make an active design of fixed batches, without the check that would end it, until it has held the last level."""
     space, batch, most = problem.space, problem.batch, problem.most[0]
-    host, marks, overhead = OnHost(space.low, space.high), list[Mark](), 0.0
+    marks, overhead = list[Mark](), 0.0
     x = space.to_physical(sobol(4 + 2 * space.dim, space.dim, scramble=seed))
     records = [problem.run(row) for row in x]
     while True:
@@ -117,7 +116,7 @@ def ours(problem: Problem, seed: int) -> Trace:
         try:
             with one_thread():
                 known = learn(x, records, space, problem.observations, problem.discrepancy)
-                state = posterior_state(known, space, host, (seed, len(x)))
+                state = posterior_state(known, space, (seed, len(x)))
                 picked = choose(
                     state,
                     space,

@@ -18,6 +18,7 @@ from scipy.special import log_softmax, logsumexp
 from strandline.active import FieldOutcome, VarianceEffect
 from strandline.calibration import Calibration, Observer, Problem, Settings, Stopwatch
 from strandline.cut import cut_by_quadrature, cut_reading
+from strandline.field_likelihood import OnHost
 from strandline.learning import Learning
 from strandline.models.protocol import require_conditions
 from strandline.parameters import ParameterSpace
@@ -32,7 +33,7 @@ from strandline.posterior import (
     sobol_indices,
 )
 from strandline.quadrature import QuadratureResult, integrate
-from strandline.refinement import Learnt
+from strandline.refinement import SAMPLING, Learnt
 from strandline.runs import (
     Executor,
     Ledger,
@@ -41,10 +42,14 @@ from strandline.smc import (
     SMCResult,
     sample,
 )
+from strandline.surrogate import GaussianProcess
 from strandline.surrogate.field import one_thread
 from strandline.targets import Target, of_field, of_process
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
+
+COMPARED = 2000
+"""Particles of the posterior that is only told beside the study's."""
 
 
 def calibrate(
@@ -165,11 +170,19 @@ def _described(
     feasible = float(posterior.weights @ np.exp(found.knowledge.log_feasibility(posterior.draws)))
     compared = None
     if learnt.surrogates:
-        other = _sample(of_process(learnt.surrogate.process), space, settings, Observer())
-        w = np.exp(other.log_weights)
-        centre = w @ other.positions
-        compared = {"mean": centre, "sd": np.sqrt(w @ (other.positions - centre) ** 2)}
+        compared = _by_log_likelihood(learnt.surrogate.process, space, settings.seed)
     return replace(found, effect=effect, feasible=feasible, compared=compared)
+
+
+def _by_log_likelihood(
+    process: GaussianProcess, space: ParameterSpace, seed: int
+) -> dict[str, Float[np.ndarray, " dim"]]:
+    """Return the moments of the posterior by the other surrogate; to be told beside the study's, not to be used."""
+    initial = space.prior_quantiles(np.random.default_rng(seed).random((COMPARED, space.dim)))
+    found = sample(jax.random.key(seed), OnHost(process.mean), space.log_prior, initial, settings=SAMPLING)
+    weights = np.exp(found.log_weights)
+    mean = weights @ found.positions
+    return {"mean": mean, "sd": np.sqrt(weights @ (found.positions - mean) ** 2)}
 
 
 def _quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> QuadratureResult | None:

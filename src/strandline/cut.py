@@ -4,7 +4,8 @@ It samples p(x | θ, Y) of a surrogate for values θ that represent p(θ) and po
 `strandline.posterior.under_uncertainty` for what the result means.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -16,7 +17,7 @@ from jaxtyping import Float
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Cut, nuisance_values, pooled
 from strandline.quadrature import QuadratureResult, integrate
-from strandline.smc import BatchedLogDensity, ConditionalLogDensity, SMCSettings, sample_each
+from strandline.smc import BatchedLogDensity, SMCSettings, is_on_host, sample_each
 
 __all__ = ["cut_by_quadrature", "cut_reading"]
 
@@ -72,12 +73,29 @@ def cut_by_quadrature(log_likelihood: BatchedLogDensity, cut: Cut) -> tuple[Quad
     return tuple(integrate(partial(log_density, theta=theta), calibrated.low, calibrated.high) for theta in cut.values)
 
 
-def _given(space: ParameterSpace, log_likelihood: BatchedLogDensity) -> ConditionalLogDensity:
+@dataclass(frozen=True)
+class _GivenOnHost:
+    """log L of NumPy arrays, of calibrated inputs and of as many nuisance inputs."""
+
+    log_likelihood: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
+    order: tuple[int, ...]
+    on_host = True
+
+    def __call__(
+        self, x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, "point nuisance"]
+    ) -> Float[np.ndarray, " point"]:
+        return self.log_likelihood(np.ascontiguousarray(np.concatenate([x, theta], axis=1)[:, self.order]))
+
+
+def _given(space: ParameterSpace, log_likelihood: Any) -> Any:
     """Return log L as a function of the calibrated inputs and of one value of the nuisance inputs."""
     order = np.argsort([*space.calibrated, *space.nuisance])
+    if is_on_host(log_likelihood):
+        return _GivenOnHost(log_likelihood, tuple(order.tolist()))
 
     def given(x: Float[jax.Array, "particle x"], theta: Float[jax.Array, " nuisance"]) -> Float[jax.Array, " particle"]:
         fixed = jnp.broadcast_to(theta, (len(x), len(theta)))
-        return log_likelihood(jnp.concatenate([x, fixed], axis=1)[:, order])
+        values: jax.Array = log_likelihood(jnp.concatenate([x, fixed], axis=1)[:, order])
+        return values
 
     return given

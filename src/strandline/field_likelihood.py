@@ -5,10 +5,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
@@ -87,37 +85,20 @@ class FieldLikelihood:
         return np.concatenate([of_modes, -of_modes]), np.concatenate([of_tail, -of_tail])
 
 
+@dataclass(frozen=True)
 class OnHost:
-    """A function of NumPy arrays for the compiled sampler, which remembers this object and compiles once.
-
-    Points outside the box get -inf without being looked at; the prior is zero there.
+    """A function of NumPy arrays for the sampler, which keeps it out of what it compiles.
 
     Args:
-        low: lower corner of the box.
-        high: upper corner.
+        function: log L of points.
     """
 
+    function: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
     on_host = True
 
-    def __init__(self, low: Float[np.ndarray, " dim"], high: Float[np.ndarray, " dim"]) -> None:
-        self.low, self.high = low, high
-        self.function: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]] | None = None
-
-    def __call__(self, x: Float[Array, "particle dim"]) -> Float[Array, " particle"]:
-        """Return the function's values of traced points."""
-        shape: Any = jax.ShapeDtypeStruct(x.shape[:1], jnp.result_type(float))  # type: ignore[no-untyped-call]
-        value: Array = jax.pure_callback(self._values, shape, x, vmap_method="broadcast_all")
-        return value
-
-    def _values(self, x: Any) -> Float[np.ndarray, "*case particle"]:
-        assert self.function is not None
-        x = np.asarray(x)
-        flat = x.reshape(-1, x.shape[-1])
-        inside = np.all((flat >= self.low) & (flat <= self.high), axis=1)
-        out = np.full(len(flat), -np.inf)
-        if inside.any():
-            out[inside] = self.function(flat[inside])
-        return out.reshape(x.shape[:-1])
+    def __call__(self, x: Any) -> Any:
+        """Return the function's values."""
+        return self.function(x)
 
 
 def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:

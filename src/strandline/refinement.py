@@ -21,7 +21,7 @@ from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, sample
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
 
-__all__ = ["Learnt", "Refinement", "Round", "refine", "shifts"]
+__all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts"]
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
 """Of the samplings between rounds: cheaper than the one that makes the posterior."""

@@ -45,13 +45,11 @@ def of_field(knowledge: Knowledge, space: ParameterSpace) -> Target:
 
     The Hessian is by central differences over a tenth of the scales.
     """
-    host = OnHost(space.low, space.high)
-    host.function = knowledge.plug_in
 
     def hessian(x: Float[np.ndarray, " dim"], scales: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "dim dim"]:
         return central_hessian(knowledge.plug_in, x, _STEP * scales, space.low, space.high)
 
-    return Target(host, knowledge.plug_in, hessian, knowledge.expected)
+    return Target(OnHost(knowledge.plug_in), knowledge.plug_in, hessian, knowledge.expected)
 
 
 def central_hessian(

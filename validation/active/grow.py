@@ -69,7 +69,7 @@ def grow(
         criterion: by which runs are chosen.
         spoil: what is done to a record, to make runs fail.
     """
-    space, host = one.space, OnHost(one.space.low, one.space.high)
+    space = one.space
     x = space.to_physical(sobol(initial_runs(space.dim, sensitivities=sensitivities), space.dim, scramble=seed))
     records = [spoil(one.run(row, sensitivities)) for row in x]
     while True:
@@ -77,7 +77,7 @@ def grow(
         try:
             with one_thread():
                 knowledge = learn(x, records, space, one.observations, one.measure)
-                state = posterior_state(knowledge, space, host, (seed, len(x)))
+                state = posterior_state(knowledge, space, (seed, len(x)))
                 more = choose(
                     state, space, batch, explore=EXPLORE, first=len(x), criterion=criterion, seed=seed + 7919 * len(x)
                 )
@@ -92,8 +92,7 @@ def grow(
 
 def delivered(one: Case, knowledge: Knowledge, seed: int) -> Moments:
     """Return the moments of the posterior as a study computes it at the end, with enough particles to judge it."""
-    host = OnHost(one.space.low, one.space.high)
-    host.function = knowledge.plug_in
+    host = OnHost(knowledge.plug_in)
     initial = one.space.prior_quantiles(np.random.default_rng([seed, 9]).random((PARTICLES, one.space.dim)))
     settings = SMCSettings(rejuvenation_steps=15, zeta=0.5)
     with one_thread():

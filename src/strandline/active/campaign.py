@@ -12,7 +12,6 @@ from strandline.active.outcome import Certificate
 from strandline.active.state import State, learn, posterior_state
 from strandline.discrepancy import Discrepancy
 from strandline.errors import TooFewRuns
-from strandline.field_likelihood import OnHost
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import ParameterSpace
@@ -50,14 +49,11 @@ class ActiveRuns:
     design: ActiveDesign = field(init=False)
 
     def __post_init__(self) -> None:
-        host, likelihood = (
-            OnHost(self.space.low, self.space.high),
-            InterfaceLikelihood(self.observations, self.discrepancy),
-        )
+        likelihood = InterfaceLikelihood(self.observations, self.discrepancy)
 
         def state(x: Points, records: Sequence[RunRecord]) -> State:
             known = learn(x, records, self.space, self.observations, self.discrepancy)
-            return posterior_state(known, self.space, host, (self.seed, len(x)))
+            return posterior_state(known, self.space, (self.seed, len(x)))
 
         self.design = ActiveDesign(
             self.active,

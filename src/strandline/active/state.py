@@ -190,19 +190,18 @@ class Remembered:
         )
 
 
-def posterior_state(knowledge: Knowledge, space: ParameterSpace, host: OnHost, seed: tuple[int, ...]) -> State:
+def posterior_state(knowledge: Knowledge, space: ParameterSpace, seed: tuple[int, ...]) -> State:
     """Return the posterior that `knowledge` leads to; the same arguments give the same bits.
 
     Args:
         knowledge: what the runs taught.
         space: the inputs with their priors.
-        host: kept between calls, so that the sampler is compiled once.
         seed: of the random numbers.
     """
     rng = np.random.default_rng([*seed, STREAM])
     number = PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
     initial = space.prior_quantiles(rng.random((number, space.dim)))
-    host.function = lambda x: TEMPERATURE * knowledge.plug_in(x)
+    host = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x))
     key = jax.random.key(int(rng.integers(2**32)))
     with one_thread():
         tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING)

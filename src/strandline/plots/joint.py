@@ -101,7 +101,8 @@ def plot_hexagons(
         percentiles: probabilities that the lines enclose, as fractions.
         bins: hexagons across.
         colour_bar: whether to draw one.
-        particles: at most so many make the lines; more are thinned by systematic resampling. Hexagons take all.
+        particles: at most so many make the lines, a fifth of them their bandwidth; more are thinned by systematic
+            resampling. Hexagons take all.
         ax: axes to draw in.
     """
     x, y = (posterior.space[name] for name in names)
@@ -123,7 +124,9 @@ def plot_hexagons(
         drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
         drawn.set_clim(vmin=0.0)
         thinned = _thinned(values, posterior.weights, particles)
-        _draw_kde(ax, *thinned, bounds=(x.interval, y.interval), shown=(across, up), percentiles=percentiles)
+        bounds = x.interval, y.interval
+        judged = max(particles // 5, 200)
+        _draw_kde(ax, *thinned, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
         ax.set(xlabel=x.label(), ylabel=y.label(), xlim=across, ylim=up)
         if colour_bar:
             figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
@@ -240,9 +243,10 @@ def _draw_kde(
     bounds: tuple[tuple[float, float], tuple[float, float]],
     shown: tuple[tuple[float, float], tuple[float, float]],
     percentiles: Sequence[float],
+    loo_points: int,
 ) -> None:
     try:
-        estimate = KernelDensity.fit(values, weights, bounds=bounds)
+        estimate = KernelDensity.fit(values, weights, bounds=bounds, loo_points=loo_points)
     except NumericsError:
         return  # draws on a line have no density in the plane: the hexagons say all
     axes = [np.linspace(*limits, _GRID) for limits in shown]

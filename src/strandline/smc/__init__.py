@@ -2,9 +2,11 @@
 
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each
 from strandline.smc.moves import BatchedLogDensity, Moved, metropolis
+from strandline.smc.on_host import is_on_host
 from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo
 from strandline.smc.resampling import systematic
-from strandline.smc.sampler import Particles, sample
+from strandline.smc.sampler import sample
+from strandline.smc.steps import Particles
 from strandline.smc.tempering import effective_sample_size, next_temperature
 
 __all__ = [
@@ -17,6 +19,7 @@ __all__ = [
     "SMCSettings",
     "StepInfo",
     "effective_sample_size",
+    "is_on_host",
     "metropolis",
     "next_temperature",
     "sample",

@@ -12,11 +12,9 @@ from jaxtyping import Array, Float, Key, UInt32
 from strandline.errors import InvalidInput, NumericsError
 from strandline.smc.devices import COMPILER_OPTIONS
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
+from strandline.smc.on_host import advance_each_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo
 from strandline.smc.sampler import (
-    Info,
-    Particles,
-    advance,
     check,
     checked_start,
     finished,
@@ -25,6 +23,7 @@ from strandline.smc.sampler import (
     require_double,
     require_steps_left,
 )
+from strandline.smc.steps import Info, Particles, advance
 
 __all__ = ["ConditionalLogDensity", "sample_each"]
 
@@ -48,7 +47,8 @@ def sample_each(
 
     Args:
         key: random key; not to be used again.
-        log_likelihood: log L of physical points for one θ, batched over the points and jittable; -inf allowed.
+        log_likelihood: log L of physical points for one θ, batched over the points and jittable; -inf allowed. One with
+            an attribute `on_host` that is true gets NumPy arrays, points of all cases and as many θ, in rows.
         log_prior: log p of physical points, batched, jittable, normalised.
         initial: draws of the prior for each case, physical.
         given: θ of each case.
@@ -63,6 +63,7 @@ def sample_each(
     target = hashable(log_likelihood), hashable(log_prior)
     values = jnp.asarray(given, float)
     keys = jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(len(values)))
+    host = is_on_host(log_likelihood)
     states = _start(*target, initial, values)
     shares = jnp.asarray(settings.zeta, float), jnp.asarray(settings.resample_below, float)
     steps: list[list[StepInfo]] = [[] for _ in given]
@@ -72,10 +73,15 @@ def sample_each(
         if not active.size:
             break
         require_steps_left(number, settings, _one(states, active[0]))
-        states, infos = _step(keys, number, states, values, *shares, target=target, moves=settings.rejuvenation_steps)
-        on_host = jax.tree.map(np.asarray, (states, infos))
+        common: dict[str, Any] = {"target": target, "moves": settings.rejuvenation_steps}
+        if host:
+            now = jax.vmap(partial(jax.random.fold_in, data=number))(keys)
+            states, infos = advance_each_on_host(now, states, given, *shares, **common)
+        else:
+            states, infos = _step(keys, number, states, values, *shares, **common)
+        fetched = jax.tree.map(np.asarray, (states, infos))
         for i in active:
-            state, info = _one(on_host, i)
+            state, info = _one(fetched, i)
             _told_with(given[i], check, info, float(before[i]), state)
             steps[i].append(report(state, info))
     return tuple(finished(_one(states, i), tuple(done), settings) for i, done in enumerate(steps))
@@ -120,12 +126,23 @@ def _start(
     """Return the checked states at γ = 0, cases on the leading axis."""
     require_double()
     positions = jnp.asarray(initial, float)
-    likelihood = jax.jit(jax.vmap(log_likelihood))(positions, given)
+    likelihood = _first_values(log_likelihood, positions, given)
     prior = jax.jit(jax.vmap(log_prior))(positions)
     cases = range(len(given))
     states = [_told_with(given[i], checked_start, positions[i], likelihood[i], prior[i]) for i in cases]
     stacked: Particles = jax.tree.map(lambda *parts: jnp.stack(parts), *states)
     return stacked
+
+
+def _first_values(
+    log_likelihood: Callable[..., Any], positions: Float[Array, "case particle dim"], given: Float[Array, "case given"]
+) -> Float[Array, "case particle"]:
+    if not is_on_host(log_likelihood):
+        values: Array = jax.jit(jax.vmap(log_likelihood))(positions, given)
+        return values
+    x, number = np.asarray(positions), positions.shape[1]
+    theta = np.repeat(np.asarray(given), number, axis=0)
+    return jnp.asarray(log_likelihood(x.reshape(-1, x.shape[2]), theta)).reshape(-1, number)
 
 
 def _one(tree: Any, case: Any) -> Any:

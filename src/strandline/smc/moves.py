@@ -7,7 +7,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key, UInt32
 
-__all__ = ["BatchedLogDensity", "Moved", "metropolis", "proposal_factor", "proposal_scale"]
+__all__ = [
+    "BatchedLogDensity",
+    "Moved",
+    "accepted",
+    "metropolis",
+    "proposal_factor",
+    "proposal_scale",
+    "proposed",
+    "unmoved",
+]
 
 BatchedLogDensity = Callable[[Float[Array, "particle dim"]], Float[Array, " particle"]]
 RandomKey = Key[Array, ""] | UInt32[Array, "2"]
@@ -86,25 +95,49 @@ def metropolis(
     """
 
     def move(step: Int[Array, ""], now: Moved) -> Moved:
-        walk, toss = jax.random.split(jax.random.fold_in(key, step))
-        proposal = now.positions + jax.random.normal(walk, positions.shape, positions.dtype) @ factor.T
+        proposal = proposed(key, step, now.positions, factor)
         prior, likelihood = target[1](proposal), target[0](proposal)
-        undefined = jnp.isfinite(prior) & (jnp.isnan(likelihood) | jnp.isposinf(likelihood))
-        likelihood = jnp.where(jnp.isneginf(prior) | undefined, -jnp.inf, likelihood)
-        gain = _tempered(likelihood, prior, temperature) - _tempered(now.log_likelihood, now.log_prior, temperature)
-        accept = jnp.log(jax.random.uniform(toss, gain.shape, gain.dtype)) < gain  # NaN (-inf - -inf) stays put
-        return Moved(
-            jnp.where(accept[:, None], proposal, now.positions),
-            jnp.where(accept, likelihood, now.log_likelihood),
-            jnp.where(accept, prior, now.log_prior),
-            now.acceptance + jnp.mean(accept.astype(gain.dtype)) / steps,
-            now.undefined + jnp.sum(undefined),
-        )
+        return accepted(key, step, now, proposal, likelihood, prior, temperature, steps=steps)
 
-    none = jnp.zeros((), log_prior.dtype)
-    start = Moved(positions, log_likelihood, log_prior, none, jnp.zeros((), int))
-    moved: Moved = jax.lax.fori_loop(0, steps, move, start)
+    moved: Moved = jax.lax.fori_loop(0, steps, move, unmoved(positions, log_likelihood, log_prior))
     return moved
+
+
+def unmoved(positions: Positions, log_likelihood: PerParticle, log_prior: PerParticle) -> Moved:
+    """Return particles before the first move."""
+    return Moved(positions, log_likelihood, log_prior, jnp.zeros((), log_prior.dtype), jnp.zeros((), int))
+
+
+def proposed(key: RandomKey, step: Int[Array, ""], positions: Positions, factor: Float[Array, "dim dim"]) -> Positions:
+    """Return the proposals of move `step`."""
+    walk, _ = jax.random.split(jax.random.fold_in(key, step))
+    return positions + jax.random.normal(walk, positions.shape, positions.dtype) @ factor.T
+
+
+def accepted(
+    key: RandomKey,
+    step: Int[Array, ""],
+    now: Moved,
+    proposal: Positions,
+    likelihood: PerParticle,
+    prior: PerParticle,
+    temperature: Scalar,
+    *,
+    steps: int,
+) -> Moved:
+    """Return the particles after move `step` of `steps`, given log L and log p at the proposals."""
+    _, toss = jax.random.split(jax.random.fold_in(key, step))
+    undefined = jnp.isfinite(prior) & (jnp.isnan(likelihood) | jnp.isposinf(likelihood))
+    likelihood = jnp.where(jnp.isneginf(prior) | undefined, -jnp.inf, likelihood)
+    gain = _tempered(likelihood, prior, temperature) - _tempered(now.log_likelihood, now.log_prior, temperature)
+    accept = jnp.log(jax.random.uniform(toss, gain.shape, gain.dtype)) < gain  # NaN (-inf - -inf) stays put
+    return Moved(
+        jnp.where(accept[:, None], proposal, now.positions),
+        jnp.where(accept, likelihood, now.log_likelihood),
+        jnp.where(accept, prior, now.log_prior),
+        now.acceptance + jnp.mean(accept.astype(gain.dtype)) / steps,
+        now.undefined + jnp.sum(undefined),
+    )
 
 
 def _tempered(log_likelihood: PerParticle, log_prior: PerParticle, temperature: Scalar) -> PerParticle:

@@ -5,7 +5,7 @@ One tempering step is a pure, jitted function (key, state) -> (state, info); the
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,23 +14,13 @@ from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
 from strandline.smc.devices import COMPILER_OPTIONS, spread
-from strandline.smc.moves import (
-    NARROWEST,
-    BatchedLogDensity,
-    RandomKey,
-    Scalar,
-    metropolis,
-    proposal_factor,
-    proposal_scale,
-)
+from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey
+from strandline.smc.on_host import advance_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo, require
-from strandline.smc.resampling import systematic
-from strandline.smc.tempering import effective_sample_size, next_temperature, reweighted
+from strandline.smc.steps import Info, Particles, advance
+from strandline.smc.tempering import effective_sample_size
 
 __all__ = [
-    "Info",
-    "Particles",
-    "advance",
     "check",
     "checked_start",
     "finished",
@@ -42,31 +32,7 @@ __all__ = [
 ]
 
 _DEFAULT = SMCSettings()
-_SLACK = 1e-3
-"""Relative: an effective sample size that was asked for is met from above, and counts as met."""
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-class Particles(NamedTuple):
-    """State between two tempering steps; `log_weights` are normalised."""
-
-    positions: Float[Array, "particle dim"]
-    log_weights: Float[Array, " particle"]
-    log_likelihood: Float[Array, " particle"]
-    log_prior: Float[Array, " particle"]
-    temperature: Float[Array, ""]
-    acceptance: Float[Array, ""]
-    narrowest: Float[Array, " dim"]
-
-
-class Info(NamedTuple):
-    """What one tempering step did, on the device."""
-
-    ess: Float[Array, ""]
-    resampled: Array
-    log_evidence_increment: Float[Array, ""]
-    covariance_scale: Float[Array, ""]
-    undefined: Array
 
 
 def sample(
@@ -86,8 +52,8 @@ def sample(
     Args:
         key: random key; not to be used again.
         log_likelihood: log L of physical points, batched and jittable; -inf allowed. Where log p is -inf its value
-            is ignored. With an attribute `on_host` that is true, it calls back to Python, and all particles stay on
-            one device.
+            is ignored. One with an attribute `on_host` that is true gets and returns NumPy arrays, is never asked
+            where log p is -inf, and is no part of what is compiled.
         log_prior: log p of physical points, batched, jittable, normalised if the evidence is to mean anything.
         initial: draws of the prior, physical.
         settings: the sampler's settings.
@@ -100,52 +66,16 @@ def sample(
     target = hashable(log_likelihood), hashable(log_prior)
     state = _start(*target, initial)
     shares = jnp.asarray(settings.zeta, float), jnp.asarray(settings.resample_below, float)
-    moves = settings.rejuvenation_steps
+    advanced = partial(advance_on_host if is_on_host(log_likelihood) else _step, moves=settings.rejuvenation_steps)
     steps: list[StepInfo] = []
     while (before := float(state.temperature)) < 1.0:
         require_steps_left(len(steps), settings, state)
-        state, info = _step(jax.random.fold_in(key, len(steps)), state, *shares, target=target, moves=moves)
+        state, info = advanced(jax.random.fold_in(key, len(steps)), state, *shares, target=target)
         check(info, before, state)
         steps.append(report(state, info))
         if on_step is not None:
             on_step(steps[-1])
     return finished(state, tuple(steps), settings)
-
-
-def advance(
-    key: RandomKey,
-    state: Particles,
-    zeta: Scalar,
-    resample_below: Scalar,
-    *,
-    target: tuple[BatchedLogDensity, BatchedLogDensity],
-    moves: int,
-) -> tuple[Particles, Info]:
-    """Temper, reweight, resample where needed, rejuvenate: one round of Algorithm 1."""
-    for_resampling, for_moves = jax.random.split(key)
-    number = len(state.log_weights)
-    temperature = next_temperature(state.log_weights, state.log_likelihood, state.temperature, zeta)
-    log_weights = reweighted(state.log_weights, state.log_likelihood, temperature - state.temperature)
-    increment = jax.nn.logsumexp(log_weights)
-    log_weights = log_weights - increment
-    ess = effective_sample_size(log_weights)
-    resample = ess <= resample_below * number * (1 + _SLACK)
-    chosen = jnp.where(resample, systematic(for_resampling, log_weights), jnp.arange(number))
-    log_weights = jnp.where(resample, -jnp.log(number), log_weights)
-    positions = state.positions[chosen]
-    scale = proposal_scale(state.acceptance)
-    moved = metropolis(
-        for_moves,
-        positions,
-        state.log_likelihood[chosen],
-        state.log_prior[chosen],
-        target=target,
-        temperature=temperature,
-        factor=jnp.sqrt(scale) * proposal_factor(positions, jnp.exp(log_weights), state.narrowest),
-        steps=moves,
-    )
-    after = Particles(*moved[:1], log_weights, *moved[1:3], temperature, moved.acceptance, state.narrowest)
-    return after, Info(ess, resample, increment, scale, moved.undefined)
 
 
 _step = partial(jax.jit, static_argnames=("target", "moves"), compiler_options=COMPILER_OPTIONS)(advance)
@@ -159,8 +89,10 @@ def _start(
     """Return the state at γ = 0 after checking all that can be checked."""
     require_double()
     positions = jnp.asarray(initial, float)
-    if not getattr(log_likelihood, "on_host", False):
-        positions = spread(positions)
+    if is_on_host(log_likelihood):
+        values = jnp.asarray(log_likelihood(np.asarray(positions)))  # type: ignore[arg-type]
+        return checked_start(positions, values, jax.jit(log_prior)(positions))
+    positions = spread(positions)
     return checked_start(positions, jax.jit(log_likelihood)(positions), jax.jit(log_prior)(positions))
 
 

@@ -1,0 +1,138 @@
+"""Tempering steps whose log-likelihood is a function of NumPy arrays: all the rest is compiled around it, in pieces.
+
+The pieces do not contain the function, so that they are kept from one process to the next, whatever it is.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+
+from strandline.smc.moves import BatchedLogDensity, Moved, Positions, RandomKey, Scalar, accepted, proposed
+from strandline.smc.steps import Begun, Info, Particles, begin, end
+
+__all__ = ["advance_each_on_host", "advance_on_host", "is_on_host"]
+
+HostDensity = Callable[[Float[np.ndarray, "particle dim"]], Float[np.ndarray, " particle"]]
+Keys = Key[Array, " case"] | UInt32[Array, "case 2"]
+
+
+def is_on_host(log_likelihood: Any) -> bool:
+    """Tell whether a log-likelihood wants NumPy arrays: it has an attribute `on_host` that is true."""
+    return bool(getattr(log_likelihood, "on_host", False))
+
+
+def advance_on_host(
+    key: RandomKey,
+    state: Particles,
+    zeta: Scalar,
+    resample_below: Scalar,
+    *,
+    target: tuple[Any, BatchedLogDensity],
+    moves: int,
+) -> tuple[Particles, Info]:
+    """Do what `strandline.smc.steps.advance` does, the same proposals and tosses, with log L outside of it."""
+    log_likelihood, log_prior = target
+    for_resampling, for_moves = jax.random.split(key)
+    begun = _begin(for_resampling, state, zeta, resample_below)
+    now = begun.start
+    for step in range(moves):
+        proposal, prior = _propose(for_moves, step, now.positions, begun.factor, log_prior=log_prior)
+        likelihood = _inside(log_likelihood, np.asarray(proposal), np.asarray(prior))
+        now = _accept(for_moves, step, now, proposal, likelihood, prior, begun.temperature, steps=moves)
+    return end(begun, now, state.narrowest)
+
+
+def advance_each_on_host(
+    keys: Keys,
+    states: Particles,
+    given: Float[np.ndarray, "case given"],
+    zeta: Scalar,
+    resample_below: Scalar,
+    *,
+    target: tuple[Callable[..., Any], BatchedLogDensity],
+    moves: int,
+) -> tuple[Particles, Info]:
+    """Advance every case that has not reached γ = 1; log L is asked for the particles of all of them at once.
+
+    Args:
+        keys: of the cases.
+        states: cases on the leading axis.
+        given: θ of each case.
+        zeta: share of the effective sample size to keep.
+        resample_below: share of the effective sample size from which on to resample.
+        target: log L of points and as many θ, in rows, and log p.
+        moves: number of them.
+    """
+    log_likelihood, log_prior = target
+    active = np.asarray(states.temperature) < 1.0
+    pairs = jax.vmap(jax.random.split)(keys)
+    begun = _begin_each(pairs[:, 0], states, zeta, resample_below)
+    now = begun.start
+    for step in range(moves):
+        proposal, prior = _propose_each(pairs[:, 1], step, now.positions, begun.factor, log_prior=log_prior)
+        likelihood = _inside_each(log_likelihood, np.asarray(proposal), np.asarray(prior), given, active)
+        now = _accept_each(pairs[:, 1], step, now, proposal, likelihood, prior, begun.temperature, steps=moves)
+    after, info = jax.vmap(end)(begun, now, states.narrowest)
+    kept: Particles = jax.tree.map(partial(jax.vmap(jnp.where), active), after, states)
+    return kept, info
+
+
+def _inside(
+    log_likelihood: HostDensity, x: Float[np.ndarray, "particle dim"], prior: Float[np.ndarray, " particle"]
+) -> Float[np.ndarray, " particle"]:
+    """Return log L where the prior is not zero."""
+    out, inside = np.full(len(x), -np.inf), ~np.isneginf(prior)
+    if inside.any():
+        out[inside] = log_likelihood(x[inside])
+    return out
+
+
+def _inside_each(
+    log_likelihood: Callable[..., Any],
+    x: Float[np.ndarray, "case particle dim"],
+    prior: Float[np.ndarray, "case particle"],
+    given: Float[np.ndarray, "case given"],
+    active: Bool[np.ndarray, " case"],
+) -> Float[np.ndarray, "case particle"]:
+    out, inside = np.full(prior.shape, -np.inf), ~np.isneginf(prior) & active[:, None]
+    if inside.any():
+        theta = np.broadcast_to(given[:, None], (*prior.shape, given.shape[1]))
+        out[inside] = log_likelihood(x[inside], theta[inside])
+    return out
+
+
+def _proposal(
+    key: RandomKey,
+    step: Int[Array, ""],
+    positions: Positions,
+    factor: Float[Array, "dim dim"],
+    *,
+    log_prior: BatchedLogDensity,
+) -> tuple[Positions, Float[Array, " particle"]]:
+    proposal = proposed(key, step, positions, factor)
+    return proposal, log_prior(proposal)
+
+
+_begin: Callable[..., Begun] = jax.jit(begin)
+_propose: Callable[..., Any] = partial(jax.jit, static_argnames="log_prior")(_proposal)
+_accept: Callable[..., Moved] = partial(jax.jit, static_argnames="steps")(accepted)
+_begin_each: Callable[..., Begun] = jax.jit(jax.vmap(begin, in_axes=(0, 0, None, None)))
+
+
+@partial(jax.jit, static_argnames="log_prior")
+def _propose_each(keys: Any, step: Any, positions: Any, factor: Any, *, log_prior: BatchedLogDensity) -> Any:
+    each = jax.vmap(partial(_proposal, log_prior=log_prior), in_axes=(0, None, 0, 0))
+    return each(keys, step, positions, factor)
+
+
+@partial(jax.jit, static_argnames="steps")
+def _accept_each(
+    keys: Any, step: Any, now: Moved, proposal: Any, likelihood: Any, prior: Any, temperature: Any, *, steps: int
+) -> Any:
+    each = jax.vmap(partial(accepted, steps=steps), in_axes=(0, None, 0, 0, 0, 0, 0))
+    return each(keys, step, now, proposal, likelihood, prior, temperature)
