@@ -36,9 +36,7 @@ def tasks(
                 if part == "s5":
                     yield partial(s5, rule, most=30 if gradients else 60, **common)  # type: ignore[arg-type]
                 if part == "s6":
-                    size = (
-                        {"batch": 4, "first": 17, "most": 45} if gradients else {"batch": 8, "first": 58, "most": 140}
-                    )
+                    size = {"batch": 4} | ({"first": 17, "most": 45} if gradients else {"first": 58, "most": 140})
                     yield partial(s6, rule, **common, **size)  # type: ignore[arg-type]
 
 
