@@ -12,6 +12,8 @@ from strandline.plots.style import BLUE, CYCLE, DASHES, axes_or_new, below, styl
 __all__ = ["ErrorsAlong", "plot_field_error"]
 
 MM_TO_MICROMETRES = 1e3
+DECADES = 1e-3
+"""Lowest error shown, as a share of the largest: ends that are held have errors of rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,9 @@ def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = Non
             for dashes, (label, values) in zip(DASHES, lines.items(), strict=False):
                 shown = np.where(values > 0, MM_TO_MICROMETRES * values, np.nan)  # fixed ends have no error
                 ax.semilogy(along.arc_length, shown, linestyle=dashes, color=colour, label=label + of)
+        highest = MM_TO_MICROMETRES * max(float(np.nanmax([a.left_out, a.predicted])) for a in errors.values())
+        if highest > 0:
+            ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))
         ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
         below(ax, columns=2)
     return ax

@@ -6,15 +6,17 @@ import numpy as np
 
 from strandline.active import FieldOutcome
 from strandline.calibrate import Calibration
+from strandline.field_likelihood import noise_length
 
 __all__ = ["field_warnings"]
+
+UNSURE = 0.5
+"""Error of the interface, in shifts of it that the noise hides, from which a value of the cut reading is told."""
 
 EFFECT = 0.25
 """Standard deviations that the surrogate's variance may move a mean."""
 TOUCHED = 0.05
 """Posterior mass where runs are likely to fail that is told."""
-APART = 0.5
-"""Standard deviations between the two surrogates' means that are told."""
 
 
 def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
@@ -36,9 +38,28 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     checked = None if certificate is None or certificate.checked is None else certificate.checked.check
     if checked is not None and checked.failed:
         yield f"{checked.failed} of {checked.draws} runs at draws of the posterior failed; the check leaves them out."
+    yield from _unsure_cut(calibration, found)
     if surrogate.registration_error > surrogate.modes.remainder and surrogate.registration_error > 0:
         yield (
             "The runs' interfaces do not share their nodes and were brought to common points by "
             f"{' and '.join(way for way in surrogate.ways if way != 'nodes')}, which moves them by up to "
             f"{1e3 * surrogate.registration_error:.2g} µm."
+        )
+
+
+def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
+    """The runs were chosen for the joint reading: values that the data speak against may lead where there are none."""
+    if calibration.under_uncertainty is None:
+        return
+    cut, problem = calibration.under_uncertainty.cut, calibration.problem
+    measure = next(iter(problem.discrepancies.values()))
+    hidden = min(noise_length(seen, measure) for seen in problem.observations)
+    errors = found.knowledge.surrogate.predicted_error(cut.extended.draws)
+    of_value = np.array([np.median(errors[cut.value_index == k]) for k in range(len(cut.values))])
+    unsure = of_value > UNSURE * hidden
+    if unsure.any():
+        yield (
+            f"The cut reading is a guess for {int(unsure.sum())} of its {len(cut.values)} values of the nuisance "
+            f"inputs: runs are rare there, and the interface is uncertain by up to {1e3 * of_value.max():.2g} µm where "
+            f"the noise hides {1e3 * hidden:.2g} µm. The joint reading does not depend on them."
         )
