@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from strandline.smc import STUDY, SMCSettings, sample, sampler
+from strandline.smc import STUDY, SMCSettings, sample, steps
 from strandline.testing import densities
 
 TARGET = densities.banana(centre=0.5, sd=1.0, bend=0.4, width=0.3)
@@ -90,8 +90,8 @@ def test_a_forgotten_increment_of_the_evidence_fails(hasty, forgotten):
 
 def planted(monkeypatch, change):
     """Run the replicates with `change` applied to the arguments of the moves."""
-    original = sampler.metropolis
-    monkeypatch.setattr(sampler, "metropolis", lambda *args, **kw: original(*args, **change(kw)))
+    original = steps.metropolis
+    monkeypatch.setattr(steps, "metropolis", lambda *args, **kw: original(*args, **change(kw)))
     return replicates(settings=STEADY, log_likelihood=lambda x: TARGET.log_likelihood(x))
 
 
@@ -101,19 +101,19 @@ def test_tempering_left_out_of_the_acceptance_fails(monkeypatch):
 
 
 def test_a_prior_left_out_of_the_acceptance_fails(monkeypatch):
-    original = sampler.metropolis
+    original = steps.metropolis
 
     def careless(*args, target, **kw):
         return original(*args, target=(target[0], lambda x: 0 * x[:, 0]), **kw)
 
-    monkeypatch.setattr(sampler, "metropolis", careless)
+    monkeypatch.setattr(steps, "metropolis", careless)
     found = replicates(CORNER, STEADY, lambda x: CORNER.log_likelihood(x))
     assert worst_z([weighted(r) for r in found], CORNER) > 2 * LIMIT
 
 
 def test_weights_reset_without_resampling_fail(monkeypatch):
-    original = sampler.systematic
-    monkeypatch.setattr(sampler, "systematic", lambda key, w: 0 * original(key, w) + jnp.arange(len(w)))
+    original = steps.systematic
+    monkeypatch.setattr(steps, "systematic", lambda key, w: 0 * original(key, w) + jnp.arange(len(w)))
     found = replicates(settings=HASTY, log_likelihood=lambda x: TARGET.log_likelihood(x))
     assert worst_z([weighted(r) for r in found], TARGET) > 2 * LIMIT
 

@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 from strandline.design import sobol
-from strandline.smc import STUDY, SMCResult, SMCSettings, sample, sampler
+from strandline.smc import STUDY, SMCResult, SMCSettings, sample, steps
 from strandline.surrogate import KERNELS, GaussianProcess, batched_mean, condition
 
 PARTICLES, LIMIT = 5000, 4.5
@@ -128,12 +128,12 @@ def test_study_settings_agree_with_gauss_legendre(ridge: GaussianProcess, exact_
 def test_temperature_left_out_of_the_acceptance_is_noticed(
     ridge: GaussianProcess, exact_ridge: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = sampler.metropolis
+    original = steps.metropolis
 
     def without_temperature(*arguments: Any, temperature: jax.Array, **others: Any) -> Any:
         return original(*arguments, temperature=jnp.ones_like(temperature), **others)
 
-    monkeypatch.setattr(sampler, "metropolis", without_temperature)
+    monkeypatch.setattr(steps, "metropolis", without_temperature)
     mean = batched_mean(ridge)
     found = errors([sampled(mean, 2, STUDY, seed) for seed in range(3)], exact_ridge)
     assert rms(found.log_evidence) > 0.1
