@@ -95,12 +95,26 @@ def test_a_check_that_fails_goes_on_until_the_runs_are_used_up() -> None:
     )
 
 
+def test_the_batch_that_moved_the_posterior_is_told() -> None:
+    """The one before the last did; the last one did not."""
+    one = design(Active(16 + 4 + 25), FakeLearner([0.2, 0.6, 0.6]))
+    one.start(FIRST)
+    x = FIRST
+    for _ in range(3):
+        batch = one.next(x, [record(row) for row in x])
+        assert batch is not None
+        x = np.concatenate([x, batch.points])
+    assert one.next(x, [record(row) for row in x]) is None
+    moved = [reason for reason in one.reasons if reason.startswith("one of the last two batches")]
+    assert not moved or "by 0.00" not in moved[0]
+
+
 def test_a_posterior_that_never_rests_says_so() -> None:
     one = design(Active(60), FakeLearner([0.2, -0.2] * 40))
     batches = kinds(played(one))
     assert sum(number for _, number in batches) == 60
     assert not one.converged
-    assert "the last two batches still moved the posterior (by 2." in one.reasons[1]
+    assert "one of the last two batches still moved the posterior (by 2." in one.reasons[1]
 
 
 def test_the_last_runs_are_kept_for_a_check() -> None:
@@ -119,7 +133,11 @@ def test_without_room_for_a_check_none_is_made() -> None:
     x = np.concatenate([batch.points for batch in one.batches])
     np.testing.assert_array_equal(x, SPACE.to_physical(sobol(24, 2)))
     assert one.next(x, [record(row) for row in x]) is None
-    assert one.reasons == ("all 37 runs that were allowed are made", "no check on the true model was made")
+    assert one.reasons == (
+        "13 of the 37 runs that were allowed are left, too few to go on to a check",
+        "the posterior has not stood still for two batches yet",
+        "no check on the true model was made",
+    )
     assert len(one.more_of_the_first().points) == 4  # type: ignore[union-attr]
 
 

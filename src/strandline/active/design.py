@@ -72,7 +72,13 @@ class Active:
         for name in ("change", "shift", "k_hat"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
         _require(self.patience >= 1, "patience", self.patience, "at least 1")
-        _require(self.runs >= (self.initial or 3) + self.check, "runs", self.runs, "at least initial + check")
+        least = (self.initial or 3) + self.check
+        _require(
+            self.runs >= least,
+            "runs",
+            self.runs,
+            f"at least {least}: {self.initial or 3} first ones and a check of {self.check}",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,17 +312,29 @@ class ActiveDesign:
         return self._calm(last) and any(self._calm(step) for step in before)
 
     def _calm(self, step: Step) -> bool:
-        m, a = step.moved, self.active
-        return m is not None and max(m.shift, m.width) < a.change and m.effective >= a.effective
+        return step.moved is not None and self._quiet(step.moved)
+
+    def _quiet(self, moved: Moved) -> bool:
+        return max(moved.shift, moved.width) < self.active.change and moved.effective >= self.active.effective
 
     def _why_not(self, check: CheckResult | None) -> tuple[str, ...]:
-        reasons = [f"all {self.active.runs} runs that were allowed are made"]
-        moved = self.steps[-1].moved
-        if not self._stable() and moved is not None:
+        left = self.active.runs - sum(len(batch.points) for batch in self.batches if batch.kind != "given")
+        reasons = [
+            f"all {self.active.runs} runs that were allowed are made"
+            if left <= 0
+            else f"{left} of the {self.active.runs} runs that were allowed are left, too few to go on to a check"
+        ]
+        last = self.steps[-1]
+        both = [step.moved for step in self.steps if step is last or step.runs == last.since]
+        unrest = [moved for moved in both if moved is not None and not self._quiet(moved)]
+        if unrest:
+            moved = unrest[-1]
             reasons.append(
-                f"the last two batches still moved the posterior (by {moved.shift:.2f} standard deviations, its width "
-                f"by {moved.width:.0%}, its draws to {moved.effective:.0%} effective ones in the last one)"
+                f"one of the last two batches still moved the posterior (by {moved.shift:.2f} standard deviations, its "
+                f"width by {moved.width:.0%}, with {moved.effective:.0%} of its draws effective after it)"
             )
+        elif not self._stable():
+            reasons.append("the posterior has not stood still for two batches yet")
         return (*reasons, *(("no check on the true model was made",) if check is None else check.reasons))
 
 

@@ -52,7 +52,8 @@ def command(study: Path) -> None:
     refine = loaded.settings.refine
     rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
     most = "at most " if loaded.settings.active is not None else ""
-    click.echo(f"  {most}{loaded.settings.planned_runs} forward runs planned{rounds}, {known} of them known already")
+    planned = max(loaded.settings.planned_runs, known)
+    click.echo(f"  {most}{planned} forward runs planned{rounds}, {known} of them known already")
     click.echo(f"next: strandline run {study}")
 
 

@@ -41,6 +41,11 @@ def _certified(certificate: Mapping[str, Any]) -> str:
     """Return what the last check of an active design has found, in a line."""
     check = certificate["check"]
     shift = max(abs(value) for value in check["shift"].values())
+    if check["by"] == "left-out runs":
+        return (
+            f"converged: {check['draws']} runs at hand, each predicted from the others, give {check['effective']:.0%} "
+            "effective weights by the true model; no new run was needed"
+        )
     return (
         f"converged: at {check['draws']} {check['by']} the true model gives {check['effective']:.0%} effective draws "
         f"and moves means by at most {shift:.2f} sd"

@@ -53,16 +53,17 @@ def _history(calibration: Calibration, found: FieldOutcome, truth: Mapping[str, 
 
 def _errors(found: FieldOutcome, x: Float[np.ndarray, "draw dim"]) -> dict[str, plots.ErrorsAlong]:
     surrogate = found.knowledge.surrogate
-    left_out = surrogate.left_out_fields()
     basis, roots = surrogate.modes.basis, surrogate.modes.roots
-    predicted = (surrogate.predict(x).variance @ basis**2 + np.sum(surrogate.modes.tail**2, axis=0)) / roots**2
+    cut_off = np.sum(surrogate.modes.tail**2, axis=0)
+    left_out = surrogate.left_out_fields() ** 2 + cut_off / roots**2
+    predicted = (surrogate.predict(x).variance @ basis**2 + cut_off) / roots**2
     out, begin = {}, 0
     for name, layout in surrogate.layouts.items():
         template = layout.template
         values = slice(begin, begin + template.points.size)
         begin += template.points.size
         shape = template.points.shape
-        squares, own = (a[:, values].reshape(-1, *shape).sum(axis=2) for a in (left_out**2, predicted))
+        squares, own = (a[:, values].reshape(-1, *shape).sum(axis=2) for a in (left_out, predicted))
         middle = (np.sqrt(np.median(a, axis=0)) for a in (squares, own))
         out[name] = plots.ErrorsAlong(_arc_length(template), *middle)
     return out
