@@ -54,6 +54,23 @@ def test_plain_lines(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
     ]
 
 
+def test_a_choice_that_takes_long_says_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    with observing() as observer:
+        observer.stage("choice")
+        observer.step(StepInfo(0.5, 1000.0, 0.3, False, 0.0, 1.0))
+        observer.step(STEP)
+        observer.stage("choice")
+        clock[0] += progress.SECONDS_BETWEEN_LINES + 1
+        observer.step(StepInfo(0.01, 1000.0, 0.3, False, 0.0, 1.0))
+        observer.step(STEP)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["next batch …", "next batch …", "  γ 0.0100, ESS 1000, accepted 30%"]
+
+
 def test_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     with observing(quiet=True) as observer:
         observer.stage("forward")

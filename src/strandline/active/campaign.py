@@ -16,6 +16,7 @@ from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
+from strandline.smc import StepInfo
 from strandline.surrogate.field import one_thread
 
 __all__ = ["ActiveRuns"]
@@ -36,6 +37,7 @@ class ActiveRuns:
         seed: of all random numbers.
         scramble: of the Sobol sequence of the first runs.
         aside: a context for the time that choosing takes.
+        on_step: called after each tempering step of the sampling that a choice begins with.
     """
 
     active: Active
@@ -46,6 +48,7 @@ class ActiveRuns:
     seed: int
     scramble: int | None
     aside: Callable[[], Any]
+    on_step: Callable[[StepInfo], None] | None = None
     design: ActiveDesign = field(init=False)
 
     def __post_init__(self) -> None:
@@ -53,7 +56,7 @@ class ActiveRuns:
 
         def state(x: Points, records: Sequence[RunRecord]) -> State:
             known = learn(x, records, self.space, self.observations, self.discrepancy)
-            return posterior_state(known, self.space, (self.seed, len(x)))
+            return posterior_state(known, self.space, (self.seed, len(x)), on_step=self.on_step)
 
         self.design = ActiveDesign(
             self.active,

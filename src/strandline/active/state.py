@@ -1,6 +1,6 @@
 """What is known after some runs: the surrogate of the field, where runs fail, and the posterior that follows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -14,7 +14,7 @@ from strandline.field_likelihood import FieldLikelihood, OnHost, noise_length
 from strandline.interface import Observation
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
-from strandline.smc import SMCSettings, sample
+from strandline.smc import SMCSettings, StepInfo, sample
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field, one_thread
 
@@ -190,13 +190,20 @@ class Remembered:
         )
 
 
-def posterior_state(knowledge: Knowledge, space: ParameterSpace, seed: tuple[int, ...]) -> State:
+def posterior_state(
+    knowledge: Knowledge,
+    space: ParameterSpace,
+    seed: tuple[int, ...],
+    *,
+    on_step: Callable[[StepInfo], None] | None = None,
+) -> State:
     """Return the posterior that `knowledge` leads to; the same arguments give the same bits.
 
     Args:
         knowledge: what the runs taught.
         space: the inputs with their priors.
         seed: of the random numbers.
+        on_step: called after every tempering step.
     """
     rng = np.random.default_rng([*seed, STREAM])
     number = PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
@@ -204,7 +211,7 @@ def posterior_state(knowledge: Knowledge, space: ParameterSpace, seed: tuple[int
     host = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x))
     key = jax.random.key(int(rng.integers(2**32)))
     with one_thread():
-        tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING)
+        tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING, on_step=on_step)
         x, exact = tempered.positions, tempered.log_likelihood / TEMPERATURE
         expected = knowledge.expected(x)
     rest = tempered.log_weights - tempered.log_likelihood

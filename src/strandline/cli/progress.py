@@ -73,13 +73,13 @@ def _bars(console: Console) -> Iterator[Observer]:
 
 
 def _lines(console: Console) -> Observer:
-    last = [time.monotonic()]
+    last, current = [time.monotonic()], [""]
 
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
     def stage(name: str) -> None:
-        last[0] = time.monotonic()
+        last[0], current[0] = time.monotonic(), name
         say(f"{STAGES.get(name, name)} …")
 
     def due(finished: bool) -> bool:
@@ -93,7 +93,7 @@ def _lines(console: Console) -> Observer:
             say(f"  {state.finished}/{state.total} {_run_note(state)}")
 
     def step(info: StepInfo) -> None:
-        if due(float(info.temperature) >= 1.0):
+        if due(current[0] == "sampling" and float(info.temperature) >= 1.0):
             say(f"  {_step_note(info)}")
 
     return Observer(stage=stage, run=run, step=step)

@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from strandline.discrepancy.many_distances import sums_of_squares
 from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import require_alike
 from strandline.errors import InvalidInput
@@ -68,11 +69,45 @@ class ClosestPoint:
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
-        """Return d² of interfaces of the same cells, all nodes projected together; None for the other directions."""
-        if (self.direction, self.weighting) != ("to_observed", "sum"):
-            return None
+        """Return d² of interfaces of the same cells, all of them together.
+
+        None for surfaces that the observed nodes are projected onto, and for a few polylines only.
+        """
+        require_alike(template, observed)
+        if self.direction == "to_observed":
+            return self._to_observed(points, template, observed)
+        if self.direction == "to_simulated":
+            return self._to_simulated(points, template, observed)
+        there, back = (way(points, template, observed) for way in (self._to_observed, self._to_simulated))
+        return None if there is None or back is None else 0.5 * (there + back)
+
+    def _to_observed(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"] | None:
+        weights = self._weights(points, template)
+        if observed.dim == 2:
+            found = sums_of_squares(points, observed.points[None], observed.cells, weights)
+            if found is not None:
+                return found
         squares = squared_distances(np.ascontiguousarray(points.reshape(-1, template.dim)), observed)
-        return np.asarray(squares.reshape(points.shape[:2]).sum(axis=1))
+        return np.asarray((weights * squares.reshape(points.shape[:2])).sum(axis=1))
+
+    def _to_simulated(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"] | None:
+        if observed.dim != 2:
+            return None
+        weights = self._weights(observed.points[None], observed)
+        return sums_of_squares(observed.points[None], points, template.cells, weights)
+
+    def _weights(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface
+    ) -> Float[np.ndarray, "#run point"]:
+        """Return what the squared distance of each node counts; one row where that is the same in all runs."""
+        if self.weighting == "sum":
+            return np.ones((1, points.shape[1]))
+        weights = _weights_of_many(points, template)
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def terms(self, observed: Interface) -> int | None:
         """Return the number of observed nodes where each gives one distance.
@@ -93,3 +128,15 @@ def node_weights(interface: Interface) -> Float[np.ndarray, " point"]:
     """Return the length (area) of the cells at each node, shared equally among their corners; mm (mm²)."""
     shares = np.repeat(interface.sizes / interface.dim, interface.dim)
     return np.bincount(interface.cells.ravel(), weights=shares, minlength=len(interface.points))
+
+
+def _weights_of_many(points: Float[np.ndarray, "run point xyz"], template: Interface) -> Float[np.ndarray, "run point"]:
+    """Return `node_weights` of each of the interfaces with these points and the cells of `template`."""
+    if template.dim == 3:
+        return np.stack([node_weights(Interface(row, template.cells)) for row in points])
+    i, j = template.cells.T
+    steps = points[:, j] - points[:, i]
+    halves, weights = 0.5 * np.hypot(steps[..., 0], steps[..., 1]), np.zeros(points.shape[:2])
+    weights[:, i] += halves
+    weights[:, j] += halves  # a polyline is a chain: a node begins one segment at most and ends one at most
+    return weights

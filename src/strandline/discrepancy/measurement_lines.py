@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from strandline.discrepancy.blocks import motion, similar
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_polylines
 from strandline.errors import InvalidInput
@@ -19,7 +20,7 @@ __all__ = ["LineReadings", "MeasurementLines"]
 REACH = 0.25
 """Default reach of a measurement line, as a share of the length of the observed interface."""
 
-_VALUES = 1 << 20  # worked on at once by `many`
+_BLOCK = 256  # interfaces worked on together by `many`
 Bases = Float[np.ndarray, "line 4"]
 
 
@@ -92,10 +93,11 @@ class MeasurementLines:
         """Return d² of polylines of the same segments, mm²."""
         require_polylines(template, observed)
         reach, lines = self.reach_on(observed), _placed(self, Snapshot.of(observed))
-        size = max(1, _VALUES // (len(lines) * len(template.points)))
-        blocks = [points[k : k + size] for k in range(0, len(points), size)]
-        found = np.concatenate([_nearest_crossings(block, template.cells, lines) for block in blocks])
-        return np.asarray(np.sum(np.minimum(np.abs(found), reach) ** 2, axis=1))
+        out = np.empty(len(points))
+        for rows in similar(points, _BLOCK):
+            distances = _least_distances(points[rows], template.cells, lines, reach)
+            out[rows] = np.sum(distances**2, axis=1)
+        return out
 
     def reach_on(self, observed: Interface) -> float:
         """Return the reach in use on `observed`, mm."""
@@ -141,26 +143,71 @@ def _equally_spaced(observed: Interface, number: int) -> Bases:
 
 
 def _nearest_crossings(
-    points: Float[np.ndarray, "*run point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases
-) -> Float[np.ndarray, "*run line"]:
+    points: Float[np.ndarray, "point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases
+) -> Float[np.ndarray, " line"]:
     """Return the signed distance from each line's point to its nearest crossing with a polyline; inf where none."""
-    delta = points[..., None, :, :] - lines[:, None, :2]
-    direction = lines[:, None, 2:]
-    along = np.sum(delta * direction, axis=-1)
-    side = direction[..., 0] * delta[..., 1] - direction[..., 1] * delta[..., 0]
+    along, side = _components(points, lines[:, None])
     i, j = cells.T
-    crossed = side[..., i] * side[..., j] <= 0
-    span = side[..., i] - side[..., j]
-    share = np.divide(side[..., i], span, out=_foot(along[..., i], along[..., j]), where=span != 0)
-    place = along[..., i] + share * (along[..., j] - along[..., i])
-    place = np.where(crossed, place, np.inf)
+    place = _crossings(along[:, i], along[:, j], side[:, i], side[:, j])
     nearest = np.argmin(np.abs(place), axis=-1)
     return np.asarray(np.take_along_axis(place, nearest[..., None], axis=-1)[..., 0])
 
 
-def _foot(
-    start: Float[np.ndarray, "*run line cell"], end: Float[np.ndarray, "*run line cell"]
-) -> Float[np.ndarray, "*run line cell"]:
+def _least_distances(
+    points: Float[np.ndarray, "run point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases, reach: float
+) -> Float[np.ndarray, "run line"]:
+    """Return the distance from each line's point to its nearest crossing with each polyline; `reach` at most.
+
+    Looked at are only the segments that may cross the line, within its reach, in some run.
+    """
+    line, cell = np.nonzero(_may_cross(points, cells, lines, reach))
+    out = np.full((len(points), len(lines)), reach)
+    if len(line):
+        i, j = cells[cell].T
+        (along_i, side_i), (along_j, side_j) = (_components(points[:, k], lines[line]) for k in (i, j))
+        first = np.flatnonzero(np.diff(line, prepend=-1))
+        distances = np.abs(_crossings(along_i, along_j, side_i, side_j))
+        out[:, line[first]] = np.minimum(np.minimum.reduceat(distances, first, axis=1), reach)
+    return out
+
+
+def _may_cross(
+    points: Float[np.ndarray, "run point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases, reach: float
+) -> Bool[np.ndarray, "line cell"]:
+    middle, moved = motion(points)
+    along, side = _components(middle, lines[:, None])
+    moved = moved + 1e-9 * float(np.abs(middle).max() + np.abs(lines).max())  # far more than rounding
+    i, j = cells.T
+
+    def beyond(values: Float[np.ndarray, "line point"], bound: float) -> Bool[np.ndarray, "line cell"]:
+        far = values - moved > bound
+        return np.asarray(far[:, i] & far[:, j])
+
+    return np.asarray(~(beyond(side, 0.0) | beyond(-side, 0.0) | beyond(along, reach) | beyond(-along, reach)))
+
+
+def _components(
+    points: Float[np.ndarray, "*#place 2"], lines: Float[np.ndarray, "*#line 4"]
+) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Return how far points are along lines, from the lines' points, and how far to the left of them."""
+    x, y = np.moveaxis(points - lines[..., :2], -1, 0)
+    dx, dy = np.moveaxis(lines[..., 2:], -1, 0)
+    return x * dx + y * dy, dx * y - dy * x
+
+
+def _crossings(
+    along_i: Float[np.ndarray, "*place"],
+    along_j: Float[np.ndarray, "*place"],
+    side_i: Float[np.ndarray, "*place"],
+    side_j: Float[np.ndarray, "*place"],
+) -> Float[np.ndarray, "*place"]:
+    """Return where along a line the segment from i to j crosses it; inf where it does not."""
+    span = side_i - side_j
+    share = np.divide(side_i, span, out=_foot(along_i, along_j), where=span != 0)
+    return np.where(side_i * side_j <= 0, along_i + share * (along_j - along_i), np.inf)
+
+
+def _foot(start: Float[np.ndarray, "*place"], end: Float[np.ndarray, "*place"]) -> Float[np.ndarray, "*place"]:
     """Return where on a segment that lies *in* the line, as a share of it, the line's point is nearest."""
     span = end - start
     return np.asarray(np.clip(np.divide(-start, span, out=np.zeros_like(span), where=span != 0), 0.0, 1.0))

@@ -1,0 +1,30 @@
+"""A batch of interfaces of the same cells in blocks of similar ones, and how far their nodes move within a block."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+__all__ = ["motion", "similar"]
+
+_LOOKED_AT = 16
+"""Nodes by which runs are told apart."""
+
+
+def similar(points: Float[np.ndarray, "run point xyz"], size: int) -> list[Int[np.ndarray, " some"]]:
+    """Return the numbers of the runs in blocks of at most `size`, those that are alike together.
+
+    They are ordered along the direction in which they differ most.
+    """
+    some = points[:, :: max(1, points.shape[1] // _LOOKED_AT)].reshape(len(points), -1)
+    apart = some - some.mean(axis=0)
+    _, vectors = np.linalg.eigh(apart.T @ apart)
+    order = np.argsort(apart @ vectors[:, -1], kind="stable")
+    return np.array_split(order, max(1, -(-len(points) // size)))
+
+
+def motion(
+    points: Float[np.ndarray, "run point xyz"],
+) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, " point"]]:
+    """Return the middle of the box that holds each node in all runs, and the largest distance of the node from it."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    apart = points - middle
+    return middle, np.sqrt(np.einsum("rpk,rpk->rp", apart, apart).max(axis=0))
