@@ -36,7 +36,7 @@ class DaskCluster:
 
     Args:
         cluster: ``local``, worker processes on this machine; ``slurm`` or ``pbs``, one worker per job.
-        address: of a scheduler that is there already, ``tcp://host:port``; instead of a cluster.
+        address: scheduler that is there already, ``tcp://host:port`` or ``tls://host:port``; instead of a cluster.
         workers: how many workers, or jobs; the same as `minimum` and `maximum`.
         minimum: jobs that are kept while there are fewer runs left than jobs.
         maximum: jobs at most. A job that vanishes is replaced.
