@@ -26,7 +26,7 @@ def key_in_memory() -> Any:
     from distributed.security import Security
 
     imported("cryptography")
-    return Security.temporary()
+    return Security.temporary()  # type: ignore[no-untyped-call]
 
 
 @contextlib.contextmanager
