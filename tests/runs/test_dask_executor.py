@@ -15,8 +15,7 @@ import pytest
 from strandline.errors import InvalidInput
 from strandline.models.protocol import fingerprint
 from strandline.runs import Counts, Ledger, run_campaign
-from strandline.runs.executors import dask as dask_executor
-from strandline.runs.executors import dask_cluster
+from strandline.runs.executors import dask_cluster, dask_driver
 from strandline.runs.executors.dask import DaskCluster
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, requests_for
 from strandline.testing.models import Cantilever, Counted, Faulty, Slow
@@ -186,7 +185,7 @@ if __name__ == "__main__":
 
 
 def test_a_scheduler_that_dies_costs_the_runs_under_way_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_executor, "SILENCE_BORNE_SECONDS", 2.0)
+    monkeypatch.setattr(dask_driver, "SILENCE_BORNE_SECONDS", 2.0)
     model, ends = Slow(seconds=0.5), []
     command = [sys.executable, "-c", SCHEDULER]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True) as scheduler:

@@ -1,20 +1,25 @@
 """Starting, reaching and ending Dask clusters."""
 
 import contextlib
-import importlib
 import logging
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from strandline.errors import InvalidInput
-from strandline.runs.executors.packing import require_not_loading
+from strandline.runs.executors.dask_security import key_in_memory, keys_in_files
+from strandline.runs.executors.packing import imported, require_not_loading
 from strandline.runs.workers import interrupts_held_back
 
-__all__ = ["JOB_OPTIONS", "Cluster", "imported", "opened"]
+__all__ = ["JOB_OPTIONS", "Cluster", "opened"]
 
 JOB_OPTIONS = ("cores", "memory", "walltime", "queue", "account", "interface", "extra", "prologue")
 REACH_SECONDS = 20.0
+LOOPBACK = "127.0.0.1:0"
+"""Where Dask puts the pages about a cluster, which show what runs and ask for no key: any free port, for this machine
+alone."""
 SETTINGS = {"distributed.deploy.lost-worker-timeout": "2s"}
 """A worker that is gone does not come back: its job is gone too, and is replaced at once, not after 15 s."""
 
@@ -64,53 +69,49 @@ class Submissions:
         return NotedJob
 
 
-def imported(module: str) -> Any:
-    """Return a module of the extra ``dask``.
-
-    Raises:
-        InvalidInput: it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise InvalidInput(
-            "the executor dask",
-            value=f"no module {error.name}",
-            expected="the extra `dask`",
-            remedy='Install it: pip install "strandline[dask]"',
-        ) from None
-
-
 @contextlib.contextmanager
 def opened(kind: str, address: str | None, workers: int, jobs: Mapping[str, Any]) -> Iterator[Cluster]:
-    """Give a cluster with `workers` workers, or jobs; one that was started here is ended afterwards."""
+    """Give a cluster with `workers` workers, or jobs; one that was started here is ended afterwards.
+
+    Raises:
+        InvalidInput: it does not start, or does not answer.
+    """
     import dask.config
 
-    submissions = Submissions() if kind in ("slurm", "pbs") else None
-    maker: Any = None if address is not None else _started(kind, workers, jobs, submissions)
-    try:
-        with _reached(maker, address) as client, dask.config.set(SETTINGS):
-            yield Cluster(client, address or str(maker.scheduler_address), maker, submissions)
-    finally:
-        if maker is not None:
-            with contextlib.suppress(TimeoutError, OSError):
-                maker.close(timeout=10)
+    with contextlib.ExitStack() as stack:
+        if address is not None:
+            client = stack.enter_context(_client(address, address))
+            stack.enter_context(dask.config.set(SETTINGS))
+            yield Cluster(client, address)
+            return
+        submissions = Submissions() if kind in ("slurm", "pbs") else None
+        security = key_in_memory() if submissions is None else stack.enter_context(keys_in_files(_shared_folder(kind)))
+        maker = _started(kind, workers, jobs, submissions, security)
+        stack.callback(_end, maker)
+        client = stack.enter_context(_client(maker, str(maker.scheduler_address)))
+        stack.enter_context(dask.config.set(SETTINGS))
+        yield Cluster(client, str(maker.scheduler_address), maker, submissions)
+
+
+def _end(maker: Any) -> None:
+    with contextlib.suppress(TimeoutError, OSError):
+        maker.close(timeout=10)
 
 
 @contextlib.contextmanager
-def _reached(maker: Any, address: str | None) -> Iterator[Any]:
+def _client(place: Any, address: str) -> Iterator[Any]:
+    """Give a client of the scheduler at `place`, an address or a cluster of ours."""
     from distributed import Client
 
     try:
-        client: Any = Client(  # type: ignore[no-untyped-call]
-            address if maker is None else maker, set_as_default=False, timeout=REACH_SECONDS
-        )
-    except (OSError, TimeoutError, ValueError) as error:
+        client: Any = Client(place, set_as_default=False, timeout=REACH_SECONDS)  # type: ignore[no-untyped-call]
+    except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
         raise InvalidInput(
             "Dask scheduler",
-            value=f"{address}: {error}",
-            expected="a scheduler that answers, tcp://host:port",
-            remedy="Start it (`dask scheduler`), or correct the address.",
+            value=f"{address}: {_first_line(error)}",
+            expected="a scheduler that answers: tcp://host:port; or tls://host:port, with Dask's setting "
+            "distributed.comm.tls naming the keys",
+            remedy="Start it (`dask scheduler`), correct the address, or give Dask the keys that it accepts.",
         ) from None
     try:
         yield client
@@ -118,14 +119,18 @@ def _reached(maker: Any, address: str | None) -> Iterator[Any]:
         client.close(timeout=5)
 
 
-def _started(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions | None) -> Any:
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
+def _started(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions | None, security: Any) -> Any:
     """Return a cluster of our own; its processes leave Ctrl-C to the driver."""
     require_not_loading()
     with interrupts_held_back():
-        return _local(workers) if submissions is None else _queued(kind, workers, jobs, submissions)
+        return _local(workers, security) if submissions is None else _queued(kind, workers, jobs, submissions, security)
 
 
-def _local(workers: int) -> Any:
+def _local(workers: int, security: Any) -> Any:
     from distributed import LocalCluster
 
     try:
@@ -135,7 +140,8 @@ def _local(workers: int) -> Any:
             processes=True,
             memory_limit=0,
             host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
+            security=security,
+            dashboard_address=LOOPBACK,
             silence_logs=logging.CRITICAL,
         )
     except RuntimeError as error:
@@ -147,11 +153,14 @@ def _local(workers: int) -> Any:
         ) from error
 
 
-def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions) -> Any:
+def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions, security: Any) -> Any:
     """Return a cluster whose workers are jobs, always adaptive: a job that is merely scaled for is never replaced."""
+    import dask.config
+
     queues: Any = imported("dask_jobqueue")
     options = {name: value for name, value in jobs.items() if name not in ("extra", "prologue")}
     cluster_type = {"slurm": queues.SLURMCluster, "pbs": queues.PBSCluster}[kind]
+    arguments = dask.config.get(f"jobqueue.{kind}.worker-extra-args", None) or []
     maker = cluster_type(
         **options,
         job_cls=submissions.noted(cluster_type.job_cls),
@@ -159,7 +168,30 @@ def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submi
         job_extra_directives=list(jobs.get("extra", ())),
         job_script_prologue=list(jobs.get("prologue", ())),
         silence_logs=logging.CRITICAL,
-        scheduler_options={"dashboard_address": ":0"},
+        security=security,
+        protocol="tls://",
+        scheduler_options=_listening(kind, jobs),
+        worker_extra_args=[*arguments, "--no-dashboard", "--dashboard-address", LOOPBACK],
     )
     maker.adapt(minimum_jobs=workers, maximum_jobs=workers, interval="1s")
     return maker
+
+
+def _listening(kind: str, jobs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the scheduler listens: at the one address by which the workers reach it, not at all of them."""
+    import dask.config
+    from distributed.utils import get_ip
+
+    options: dict[str, Any] = {"dashboard": False, "dashboard_address": LOOPBACK}
+    if not (jobs.get("interface") or dask.config.get(f"jobqueue.{kind}.interface", None)):
+        options["host"] = get_ip()  # type: ignore[no-untyped-call]
+    return options
+
+
+def _shared_folder(kind: str) -> Path:
+    """Return where keys lie that jobs read: where Dask's configuration says, otherwise in the home folder."""
+    import dask.config
+
+    imported("dask_jobqueue")
+    named = dask.config.get(f"jobqueue.{kind}.shared-temp-directory", None)
+    return Path(os.path.expandvars(named)).expanduser() if named else Path.home() / ".cache" / "strandline"

@@ -1,6 +1,8 @@
 """What a Dask worker does with a run: hand it to a worker process of strandline, which takes the harm."""
 
+import itertools
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -8,7 +10,32 @@ from dataclasses import dataclass
 from strandline.runs.executors.seat import Seat
 from strandline.runs.record import RunRecord, RunRequest
 
-__all__ = ["DaskJob", "end_session"]
+__all__ = ["DaskJob", "DaskStart", "end_session"]
+
+SESSIONS_REMEMBERED = 1000
+
+
+@dataclass(frozen=True)
+class DaskStart:
+    """The start of one worker process as Dask sees it; `DaskJob` uses the process.
+
+    Args:
+        session: call of the executor that it belongs to.
+        setup: model, from `packed_model`.
+    """
+
+    session: str
+    setup: bytes
+
+    def __call__(self) -> bool:
+        """Return whether a worker process is ready that was not there before.
+
+        Raises:
+            InvalidInput: the worker process cannot load the model.
+        """
+        _seats.end_others(self.session)
+        with _seats.kept(self.session, Seat(self.setup)) as seat:
+            return seat.start(wanted=_wanted())
 
 
 @dataclass(frozen=True)
@@ -33,46 +60,57 @@ class DaskJob:
         Raises:
             InvalidInput: the worker process cannot load the model.
         """
-        with _seats.taken(self.session, self.setup) as seat:
+        with _seats.kept(self.session, _seats.idle_one(self.session) or Seat(self.setup)) as seat:
             return seat.run(self.request, self.timeout, wanted=_wanted())
 
 
 def end_session(session: str) -> None:
-    """End the worker processes of `session` that are idle on this Dask worker."""
-    _seats.end_idle(session)
+    """End the worker processes of `session` on this Dask worker: the idle ones now, the others after their run."""
+    _seats.end(session)
 
 
 class _Seats:
-    """The seats of this process: one for each thread that has made runs, and the session that it is set up for."""
+    """The seats of this process that are idle, by the session that they are set up for."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
-        self.idle: dict[int, tuple[str, Seat]] = {}
+        self.idle: dict[str, list[Seat]] = {}
+        self.ended: deque[str] = deque(maxlen=SESSIONS_REMEMBERED)
+
+    def idle_one(self, session: str) -> Seat | None:
+        """Take a seat of `session`, where one is idle."""
+        with self.lock:
+            mine = self.idle.get(session)
+            return mine.pop() if mine else None
 
     @contextmanager
-    def taken(self, session: str, setup: bytes) -> Iterator[Seat]:
-        """Give the seat of the calling thread; a new one where its last one was of another session."""
-        me = threading.get_ident()
-        with self.lock:
-            of, seat = self.idle.pop(me, ("", None))
-        if seat is not None and of != session:
-            seat.close()
-            seat = None
-        seat = seat or Seat(setup)
+    def kept(self, session: str, seat: Seat) -> Iterator[Seat]:
+        """Give `seat`, which is idle afterwards; it is closed where the session has ended, or after an error."""
         try:
             yield seat
         except BaseException:
             seat.close()
             raise
         with self.lock:
-            self.idle[me] = (session, seat)
+            ended = session in self.ended
+            if not ended:
+                self.idle.setdefault(session, []).append(seat)
+        if ended:
+            seat.close()
 
-    def end_idle(self, session: str) -> None:
-        """Close the seats of `session` that are not taken."""
+    def end(self, session: str) -> None:
+        """Close the idle seats of `session`, and let none of it become idle any more."""
         with self.lock:
-            mine = [me for me, (of, _) in self.idle.items() if of == session]
-            seats = [self.idle.pop(me)[1] for me in mine]
+            self.ended.append(session)
+            seats = self.idle.pop(session, [])
         for seat in seats:
+            seat.close()
+
+    def end_others(self, session: str) -> None:
+        """Close the idle seats of other sessions: their drivers may be gone; otherwise they start new ones."""
+        with self.lock:
+            others = [self.idle.pop(of) for of in list(self.idle) if of != session]
+        for seat in itertools.chain.from_iterable(others):
             seat.close()
 
 

@@ -1,14 +1,16 @@
 """What a worker process needs to load the model, and what keeps it from doing so."""
 
+import importlib
 import os
 import pickle
 from multiprocessing import spawn
+from typing import Any
 
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
 from strandline.runs.worker import loads_main_module
 
-__all__ = ["packed_model", "require_not_loading", "require_posix"]
+__all__ = ["imported", "packed_model", "require_not_loading", "require_posix"]
 
 
 def packed_model(model: ForwardModel) -> bytes:
@@ -47,3 +49,20 @@ def require_posix() -> None:
         raise InvalidInput(
             "worker processes", value=os.name, expected="Linux or macOS", remedy="Use InProcess(), or run under WSL."
         )
+
+
+def imported(module: str) -> Any:
+    """Return a module of the extra ``dask``.
+
+    Raises:
+        InvalidInput: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise InvalidInput(
+            "the executor dask",
+            value=f"no module {error.name}",
+            expected="the extra `dask`",
+            remedy='Install it: pip install "strandline[dask]"',
+        ) from None

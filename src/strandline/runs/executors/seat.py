@@ -28,6 +28,14 @@ class Seat:
         self.worker: Worker | None = None
         self.launched = self.runs = 0
 
+    def start(self, *, wanted: Callable[[], bool]) -> bool:
+        """Start the worker process; return whether it has loaded the model, false where it is not `wanted` any more.
+
+        Raises:
+            InvalidInput: the worker process cannot load the model.
+        """
+        return self._ready_worker(wanted) is not None
+
     def run(self, request: RunRequest, timeout: float | None, *, wanted: Callable[[], bool]) -> RunRecord | None:
         """Return what came of a run; one that is not `wanted` any more is stopped within half a second, as out of time.
 

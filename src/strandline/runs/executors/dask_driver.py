@@ -1,0 +1,317 @@
+"""The driver of one call of the Dask executor: it gives each run to a free thread, and looks after the workers."""
+
+import contextlib
+import math
+import time
+import uuid
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from strandline.errors import InvalidInput
+from strandline.runs.executors.dask_cluster import Cluster
+from strandline.runs.executors.dask_job import DaskJob, DaskStart, end_session
+from strandline.runs.executors.options import SPARE_SECONDS
+from strandline.runs.record import NOT_NOW, RunRecord, RunRequest
+
+__all__ = ["Driver"]
+
+SECONDS_BETWEEN_DISMISSALS = 2.0
+SECONDS_BETWEEN_LOOKS = 1.0
+SECONDS_BETWEEN_QUESTIONS = 0.25
+"""How long the driver waits for news before it asks again for requests, where there was none the last time."""
+SILENCE_BORNE_SECONDS = 60.0
+"""How long the scheduler may be out of reach."""
+FETCH_SECONDS = 30.0
+
+
+@dataclass
+class _Out:
+    """A run that a worker was given."""
+
+    request: RunRequest
+    worker: str
+    future: Any
+    began: float
+
+
+class Driver:
+    """One call: the runs that are out, the records not handed over yet, and the workers that are there.
+
+    A thread gets runs once it has a worker process that has loaded the model, so that no run waits for its start.
+
+    Args:
+        cluster: where the runs are made.
+        setup: model, from `packed_model`.
+        requests: runs to make.
+        timeout: seconds after which a run is killed; None for never.
+        life: seconds that a worker lives; None where it has no end.
+        least: jobs that are kept while there are fewer runs left than jobs.
+        most: threads that are used at most.
+    """
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        setup: bytes,
+        requests: Iterator[RunRequest],
+        *,
+        timeout: float | None,
+        life: float | None,
+        least: int,
+        most: int,
+    ) -> None:
+        self.cluster, self.setup, self.requests = cluster, setup, requests
+        self.timeout, self.life, self.least, self.most = timeout, life, least, most
+        self.session, self.number = uuid.uuid4().hex, 0
+        self.exhausted = self.told_to_wait = False
+        self.held: RunRequest | None = None
+        self.out: dict[str, _Out] = {}
+        self.starts: dict[str, tuple[str, Any]] = {}
+        self.news: SimpleQueue[str] = SimpleQueue()
+        self.done: deque[tuple[str, RunRecord]] = deque()
+        self.threads: dict[str, int] = {}
+        self.ready: dict[str, int] = {}
+        self.first_seen: dict[str, float] = {}
+        self.retired: dict[str, float] = {}
+        self.looked = self.reached = time.monotonic()
+
+    def records(self) -> Iterator[RunRecord]:
+        """Yield records until every request that was pulled is answered."""
+        self._look()
+        while True:
+            while self.done:
+                _, record = self.done.popleft()
+                self._fill()
+                yield record
+            if self.told_to_wait:
+                self._hear(0.0)  # what has come meanwhile may be what the requests wait for
+                if self.done:
+                    continue
+                self.told_to_wait = False
+            self._fill()
+            if self.exhausted and self.held is None and not self.out and not self.done:
+                return
+            self._hear(self._patience())
+
+    def close(self) -> None:
+        """Stop the runs that are still out."""
+        if self.looked > self.reached:
+            return  # the scheduler is gone, or was a moment ago
+        client: Any = self.cluster.client
+        futures = [out.future for out in self.out.values()] + [future for _, future in self.starts.values()]
+        with contextlib.suppress(Exception):  # the scheduler may be gone, and the runs with it
+            client.cancel(futures, force=True)
+            client.run(end_session, self.session, on_error="ignore")
+
+    def _fill(self) -> None:
+        """Pull a request for each free thread, which starts it there."""
+        while (worker := self._free_worker()) is not None:
+            if self.held is None:
+                self.held = self._pulled()
+                if self.held is None:
+                    return
+                if time.monotonic() >= self.looked + SECONDS_BETWEEN_LOOKS:
+                    self._look()  # a worker may have gone while the next run was chosen
+                    continue
+            request, self.held = self.held, None
+            self._submit(request, worker)
+
+    def _free_worker(self) -> str | None:
+        """Return a worker with a free thread; lets those go whose job has too little time left."""
+        taken = Counter(out.worker for out in self.out.values()) + Counter(worker for worker, _ in self.done)
+        free = None
+        for worker, ready in self.ready.items():
+            if self._spent(worker):
+                if not taken[worker]:
+                    self._retire(worker)
+            elif free is None and taken[worker] < ready:
+                free = worker
+        return free
+
+    def _pulled(self) -> RunRequest | None:
+        """Return the next request; None where there is none now, or none any more."""
+        if self.exhausted or self.told_to_wait:
+            return None
+        try:
+            request = next(self.requests)
+        except StopIteration:
+            self._no_more()
+            return None
+        self.told_to_wait = request is NOT_NOW
+        return None if self.told_to_wait else request
+
+    def _submit(self, request: RunRequest, worker: str) -> None:
+        key, future = self._sent(DaskJob(self.session, self.setup, request, self.timeout), worker)
+        self.out[key] = _Out(request, worker, future, time.monotonic())
+        future.add_done_callback(lambda done: self.news.put(done.key))
+
+    def _start_processes(self) -> None:
+        """Have worker processes started for the threads that have none, as far as they may be used."""
+        starting = Counter(worker for worker, _ in self.starts.values())
+        room = self.most - sum(self.ready.values()) - starting.total()
+        for worker, threads in self.threads.items():
+            for _ in range(min(room, threads - self.ready.setdefault(worker, 0) - starting[worker])):
+                room -= 1
+                key, future = self._sent(DaskStart(self.session, self.setup), worker)
+                self.starts[key] = worker, future
+                future.add_done_callback(lambda done: self.news.put(done.key))
+
+    def _sent(self, job: DaskJob | DaskStart, worker: str) -> tuple[str, Any]:
+        self.number += 1
+        key = f"strandline-{self.session}-{self.number}"
+        future = self.cluster.client.submit(
+            job, key=key, workers=[worker], allow_other_workers=False, pure=False, retries=0
+        )
+        return key, future
+
+    def _patience(self) -> float:
+        """Return the seconds until something must be done even without news."""
+        if not self.threads:
+            return 0.1
+        return SECONDS_BETWEEN_QUESTIONS if self.told_to_wait else SECONDS_BETWEEN_LOOKS
+
+    def _hear(self, longest: float) -> None:
+        """Wait for news, up to `longest` seconds, and deal with all of it; look after the workers now and then."""
+        with contextlib.suppress(Empty):
+            self._take(self.news.get(timeout=longest) if longest else self.news.get_nowait())
+        while not self.news.empty():
+            self._take(self.news.get())
+        if time.monotonic() >= self.looked + SECONDS_BETWEEN_LOOKS or not self.threads:
+            self._look()
+
+    def _take(self, key: str) -> None:
+        """Keep the record of a run that has ended, or note that a thread is ready."""
+        if key in self.starts:
+            self._note_start(*self.starts.pop(key))
+        elif key in self.out:
+            out = self.out.pop(key)
+            self.done.append((out.worker, self._record(out)))
+
+    def _note_start(self, worker: str, future: Any) -> None:
+        if self._result(future) is True and worker in self.ready:
+            self.ready[worker] += 1
+
+    def _record(self, out: _Out) -> RunRecord:
+        result = self._result(out.future)
+        if isinstance(result, RunRecord):
+            return replace(result, key=out.request.key, inputs=out.request.inputs)
+        if isinstance(result, Exception):
+            self._look()  # where the scheduler is gone, nothing must be given to it
+            return _vanished(out, type(result).__name__)
+        return _vanished(out, "it was cancelled")
+
+    def _result(self, future: Any) -> Any:
+        """Return what a future holds, or the error that says that its worker is gone.
+
+        Raises:
+            InvalidInput: no run can be made there.
+        """
+        from distributed import KilledWorker
+        from distributed.client import FutureCancelledError
+
+        try:
+            return future.result(timeout=FETCH_SECONDS)
+        except InvalidInput:
+            raise
+        except (KilledWorker, FutureCancelledError, TimeoutError, OSError) as error:
+            return error
+        except Exception as error:
+            raise _unusable(error) from error
+        finally:
+            future.release()
+
+    def _look(self) -> None:
+        """Learn which workers are there; what was out at one that is not is lost."""
+        self.looked = time.monotonic()
+        try:
+            self.threads = dict(self.cluster.client.nthreads())
+        except (OSError, TimeoutError, RuntimeError) as error:
+            self.threads, self.ready = {}, {}
+            if time.monotonic() > self.reached + SILENCE_BORNE_SECONDS:
+                raise _out_of_reach(self.cluster.address, error) from error
+            return
+        self.reached = self.looked
+        if self.cluster.refused is not None and not self.threads:
+            raise _refused(self.cluster.refused)
+        self._forget_the_gone()
+        for worker in self.threads:
+            self.first_seen.setdefault(worker, self.looked)
+        self._start_processes()
+
+    def _forget_the_gone(self) -> None:
+        """Call the runs lost that were out at workers that are not there any more."""
+        self.ready = {worker: ready for worker, ready in self.ready.items() if worker in self.threads}
+        for key in [key for key, (worker, _) in self.starts.items() if worker not in self.threads]:
+            self.starts.pop(key)[1].cancel(force=True)
+        for key in [key for key, out in self.out.items() if out.worker not in self.threads]:
+            if self.out[key].future.status == "finished":
+                continue
+            out = self.out.pop(key)
+            out.future.cancel(force=True)
+            self.done.append((out.worker, _vanished(out, f"the Dask worker {out.worker} is gone")))
+
+    def _spent(self, worker: str) -> bool:
+        """Tell whether a run started there now might not end before its job does."""
+        if self.life is None or self.timeout is None:
+            return False
+        return time.monotonic() > self.first_seen[worker] + self.life - self.timeout - 0.5 * SPARE_SECONDS
+
+    def _retire(self, worker: str) -> None:
+        """Let a worker go whose job has too little time left; another job takes its place.
+
+        Dask keeps a worker that holds the only copy of a result, as it may of a run that has just ended, and tells
+        nobody: as long as the worker is there, it is told again.
+        """
+        now = time.monotonic()
+        if now < self.retired.get(worker, -math.inf) + SECONDS_BETWEEN_DISMISSALS:
+            return
+        self.retired[worker] = now
+        with contextlib.suppress(OSError, TimeoutError):
+            self.cluster.client.retire_workers([worker], close_workers=True)
+
+    def _no_more(self) -> None:
+        """Let jobs go for which there is nothing left to do."""
+        self.exhausted = True
+        self.cluster.shrink(max(self.least, len({out.worker for out in self.out.values()})))
+
+
+def _vanished(out: _Out, how: str) -> RunRecord:
+    return RunRecord(
+        out.request.key,
+        out.request.inputs,
+        "killed",
+        seconds=time.monotonic() - out.began,
+        failure_kind="worker_died",
+        message=f"the Dask worker of this run vanished: {how}",
+    )
+
+
+def _unusable(error: Exception) -> InvalidInput:
+    return InvalidInput(
+        "runs cannot be made on the Dask workers",
+        value=f"{type(error).__name__}: {error}",
+        expected="the same strandline, and the model, where the scheduler and its workers are",
+        remedy="Install both there, in the same versions as here.",
+    )
+
+
+def _refused(reason: str) -> InvalidInput:
+    lines = [line for line in reason.splitlines() if "error" in line.lower()]
+    return InvalidInput(
+        "the queueing system takes no job for a Dask worker",
+        value=lines[-1] if lines else reason,
+        expected="jobs with these cores, memory, walltime, queue and account",
+        remedy="Correct executor.dask.jobs, and run again: finished runs are kept.",
+    )
+
+
+def _out_of_reach(address: str, error: Exception) -> InvalidInput:
+    return InvalidInput(
+        f"the Dask scheduler at {address} cannot be reached any more",
+        value=f"{type(error).__name__}: {error}",
+        expected="an answer within a minute",
+        remedy="Start it again and repeat the command: finished runs are kept.",
+    )
