@@ -18,7 +18,7 @@ TABLES = (".csv", ".tsv", ".txt", ".dat", ".npy")
 SERIES = (".pvd", ".xdmf", ".xmf")
 """Suffixes of files that hold several times."""
 COMMON = {"file", "unit", "field", "select", "count"}
-OF_TABLES = COMMON | {"columns", "delimiter", "sort"}
+OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "sort"}
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -32,6 +32,7 @@ class Reading:
         unit: of lengths in it, a key of `TO_MM`.
         columns: of a table: two names, or two numbers from 1.
         delimiter: of a text table; left out, commas, semicolons and blanks.
+        decimal: of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or blanks.
         sort: points of a table by ``x`` or ``y``, where they are not in order along the interface.
         field: displacement to be added: of a mesh the name of its point data, of a table two columns.
         time: ``last``, ``{index: 3}`` or ``{value: 0.5}`` of a series.
@@ -44,6 +45,7 @@ class Reading:
         start: an open polyline begins at its end nearest to this place, a closed one at its nearest node.
         plane: the two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
         count: how many points there must be.
+        whole: Whether a text table must end with a line break, as what a program writes does; no option of a study.
 
     Raises:
         InvalidInput: an option that cannot be, or one that the format of the file does not take.
@@ -53,6 +55,7 @@ class Reading:
     unit: str
     columns: tuple[str | int, ...] | None = None
     delimiter: str | None = None
+    decimal: str | None = None
     sort: str | None = None
     field: str | tuple[str | int, ...] | None = None
     time: str | Mapping[str, Any] | None = None
@@ -65,13 +68,14 @@ class Reading:
     start: tuple[float, ...] | None = None
     plane: str = "xy"
     count: int | None = None
+    whole: bool = False
 
     @classmethod
     def from_options(cls, options: object, place: str) -> "Reading":
         """Return the reading that a study file asks for at `place`."""
         if not isinstance(options, Mapping):
             raise _unfit(place, options, "keys with values, e.g. {file: interface.csv, unit: mm}")
-        known = [f.name for f in dataclasses.fields(cls)]
+        known = [f.name for f in dataclasses.fields(cls) if f.name != "whole"]
         for name in options:
             if name not in known:
                 close = get_close_matches(str(name), known, n=1)
@@ -103,7 +107,11 @@ class Reading:
     @property
     def given(self) -> dict[str, Any]:
         """The options that are not left at their defaults, as plain data."""
-        return {f.name: v for f in dataclasses.fields(self) if (v := getattr(self, f.name)) != f.default}
+        return {
+            f.name: v
+            for f in dataclasses.fields(self)
+            if (v := getattr(self, f.name)) != f.default and f.name != "whole"
+        }
 
     def require_sound(self, place: str) -> None:
         """Refuse options that contradict the format."""
@@ -111,6 +119,8 @@ class Reading:
             raise _unfit(f"{place}.unit", self.unit, f"one of {', '.join(TO_MM)}")
         if self.plane not in PLANES:
             raise _unfit(f"{place}.plane", self.plane, f"one of {', '.join(PLANES)}")
+        if self.decimal == "," == self.delimiter:
+            raise _unfit(f"{place}.delimiter", ",", "another one than the decimal comma, e.g. ;")
         if self.near is not None and self.keep is not None:
             raise _unfit(place, "near and keep", "one of the two")
         allowed = OF_TABLES if self.suffix in TABLES else OF_MESHES
@@ -134,7 +144,7 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
     for name in ("file", "unit", "delimiter", "plane"):
         if not isinstance(values.get(name, ""), str):
             raise _unfit(f"{place}.{name}", values[name], "a text")
-    for name, words in (("sort", ("x", "y")), ("keep", ("longest",))):
+    for name, words in (("sort", ("x", "y")), ("keep", ("longest",)), ("decimal", (".", ","))):
         if name in values and values[name] not in words:
             raise _unfit(f"{place}.{name}", values[name], " or ".join(words))
     if "delimiter" in values and len(values["delimiter"]) != 1:

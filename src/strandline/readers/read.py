@@ -21,7 +21,7 @@ __all__ = ["READERS", "read_interface"]
 _TABLE = "strandline.readers.tables:read_text"
 _MESH = "strandline.readers.by_meshio:read_by_meshio"
 _VTK = "strandline.readers.vtk_xml:read_vtk_xml"
-_XDMF = "strandline.readers.series:read_xdmf"
+_XDMF = "strandline.readers.xdmf:read_xdmf"
 
 READERS: Mapping[str, str] = {
     ".csv": _TABLE,

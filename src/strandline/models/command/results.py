@@ -1,7 +1,7 @@
 """What a run must have left, looked at closely before it is believed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from strandline.errors import ForwardModelError, InvalidInput
@@ -82,7 +82,7 @@ def readings_of(result: object, results: object) -> dict[str, Reading]:
         place = f"results.{condition}" if condition else "result"
         reading = Reading.from_options(options, place)
         relative_name(reading.file, f"{place}.file")
-        readings[str(condition)] = reading
+        readings[str(condition)] = replace(reading, whole=True)
     return readings
 
 
