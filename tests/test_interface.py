@@ -184,10 +184,3 @@ def test_self_crossings_of_random_walks_against_shapely(closed):
 def test_observation_refuses_a_noise_variance_that_is_none(variance):
     with pytest.raises(InvalidInput, match="noise variance"):
         Observation(Interface.polyline(ZIGZAG), variance)
-
-
-def test_a_closed_polyline_may_repeat_its_first_point():
-    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    repeated = Interface.polyline(np.concatenate([corners, corners[:1]]), closed=True)
-    np.testing.assert_array_equal(repeated.points, corners)
-    np.testing.assert_array_equal(repeated.cells, Interface.polyline(corners, closed=True).cells)

@@ -70,13 +70,8 @@ class Interface:
 
     @classmethod
     def polyline(cls, points: Float[np.ndarray, "point 2"], *, closed: bool = False) -> "Interface":
-        """Return the open (or closed) polyline through points (point, 2) in their order.
-
-        The last point of a closed one may repeat the first; it is left out then.
-        """
+        """Return the open (or closed) polyline through points (point, 2) in their order."""
         points = np.ascontiguousarray(points, dtype=float)
-        if closed and len(points) > 3 and (points[0] == points[-1]).all():
-            points = points[:-1]
         first = np.arange(len(points) if closed else max(len(points) - 1, 0))
         return cls(points, np.stack([first, (first + 1) % max(len(points), 1)], axis=1))
 

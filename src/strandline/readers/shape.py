@@ -75,7 +75,7 @@ def _of_table(
     _require_finite(moved[order], name)
     chain = moved[order]
     closed = len(chain) > 3 and bool((chain[0] == chain[-1]).all())
-    polyline = Interface.polyline(chain, closed=closed)
+    polyline = Interface.polyline(chain[:-1] if closed else chain, closed=closed)
     polyline.require_simple()
     return polyline
 
