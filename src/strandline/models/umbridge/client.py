@@ -221,7 +221,7 @@ class Client:
 def _headers() -> dict[bytes, bytes]:
     """Return the headers of a request, with the server's secret where the environment has one."""
     token = os.environ.get(TOKEN_VARIABLE)
-    secret = {} if token is None else {b"Authorization": b"Bearer " + token.encode()}
+    secret = {b"Authorization": b"Bearer " + token.encode()} if token else {}
     return {b"Accept-Encoding": b"identity", **secret}
 
 
