@@ -4,6 +4,7 @@ An XDMF file names the HDF5 files that hold its numbers, and those can refer to 
 of the XDMF file is not opened.
 """
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -52,8 +53,7 @@ def _require_own_data(path: Path, root: ElementTree.Element) -> None:
 
 def _require_dataset(file: Path, place: str, allowance: Allowance) -> None:
     """Refuse what is no plain array of numbers within the file itself."""
-    import h5py
-
+    h5py: Any = import_module("h5py")
     with h5py.File(file, "r") as found:
         inner: Any = found
         for key in place.strip("/").split("/"):
