@@ -55,14 +55,14 @@ def test_only_what_a_program_writes_must_end_its_last_line(tmp_path: Path, end: 
     path = written(tmp_path, f"0,0\n1,1.2{end}")
     how = Reading.from_options({"file": path.name, "unit": "mm"}, "observation")
     assert read_interface(path, how).points[-1].tolist() == [1.0, 1.2]
-    assert read_interface(path, replace(how, whole=True, count=2)).points[-1].tolist() == [1.0, 1.2]
+    assert read_interface(path, replace(how, count=2), ended=True).points[-1].tolist() == [1.0, 1.2]
     if end:
-        assert read_interface(path, replace(how, whole=True)).points[-1].tolist() == [1.0, 1.2]
+        assert read_interface(path, how, ended=True).points[-1].tolist() == [1.0, 1.2]
         return
     with pytest.raises(
         Unreadable, match=r"points\.csv ends within a line: got 1,1\.2; expected a line break"
     ) as caught:
-        read_interface(path, replace(how, whole=True))
+        read_interface(path, how, ended=True)
     assert caught.value.kind == "result_unreadable"
 
 
@@ -261,7 +261,6 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         ({"file": "a.csv", "unit": "mm", "decimal": ";"}, ". or ,"),
         ({"file": "a.csv", "unit": "mm", "decimal": ",", "delimiter": ","}, "another one than the decimal comma"),
         ({"file": "a.vtu", "unit": "mm", "decimal": ","}, "no such option for a .vtu file"),
-        ({"file": "a.csv", "unit": "mm", "whole": True}, "unknown option"),
     ],
 )
 def test_options_that_cannot_be(options: Any, words: str) -> None:

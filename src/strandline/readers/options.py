@@ -45,7 +45,6 @@ class Reading:
         start: an open polyline begins at its end nearest to this place, a closed one at its nearest node.
         plane: the two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
         count: how many points there must be.
-        whole: Whether a text table must end with a line break, as what a program writes does; no option of a study.
 
     Raises:
         InvalidInput: an option that cannot be, or one that the format of the file does not take.
@@ -68,14 +67,13 @@ class Reading:
     start: tuple[float, ...] | None = None
     plane: str = "xy"
     count: int | None = None
-    whole: bool = False
 
     @classmethod
     def from_options(cls, options: object, place: str) -> "Reading":
         """Return the reading that a study file asks for at `place`."""
         if not isinstance(options, Mapping):
             raise _unfit(place, options, "keys with values, e.g. {file: interface.csv, unit: mm}")
-        known = [f.name for f in dataclasses.fields(cls) if f.name != "whole"]
+        known = [f.name for f in dataclasses.fields(cls)]
         for name in options:
             if name not in known:
                 close = get_close_matches(str(name), known, n=1)
@@ -107,11 +105,7 @@ class Reading:
     @property
     def given(self) -> dict[str, Any]:
         """The options that are not left at their defaults, as plain data."""
-        return {
-            f.name: v
-            for f in dataclasses.fields(self)
-            if (v := getattr(self, f.name)) != f.default and f.name != "whole"
-        }
+        return {f.name: v for f in dataclasses.fields(self) if (v := getattr(self, f.name)) != f.default}
 
     def require_sound(self, place: str) -> None:
         """Refuse options that contradict the format."""

@@ -10,7 +10,7 @@ from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import Unreadable, refused
 
-__all__ = ["read_npy", "read_text"]
+__all__ = ["missing", "read_npy", "read_text", "require_end"]
 
 Row = tuple[int, list[str]]
 """Number of a line, and its fields."""
@@ -21,7 +21,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
 
     A line of column names and lines that begin with # are passed over. Without `columns` each line holds x and y.
     """
-    lines = _lines(path, name, how)
+    lines = _lines(path, name)
     separator = _separator(lines, how, name)
     rows = [(number, _fields(line, separator)) for number, line in enumerate(lines, 1)]
     comments = [fields for _, fields in rows if fields and fields[0].startswith("#")]
@@ -145,11 +145,9 @@ def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
     return ",; \t"
 
 
-def _lines(path: Path, name: str, how: Reading) -> list[str]:
+def _lines(path: Path, name: str) -> list[str]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        _require_end(text, how, name)
-        return text.splitlines()
+        return path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
         raise missing(path, name) from None
     except (OSError, UnicodeDecodeError) as error:
@@ -161,12 +159,20 @@ def missing(path: Path, name: str) -> Unreadable:
     return refused(f"{name} is missing", str(path), "a file with two columns x, y", kind="result_missing")
 
 
-def _require_end(text: str, how: Reading, name: str) -> None:
-    """Refuse a program's result whose last line does not end: its last number may be cut. A `count` settles that."""
-    if how.whole and how.count is None and text.strip() and not text.endswith(("\n", "\r")):
+def require_end(path: Path, name: str) -> None:
+    """Refuse a program's result whose last line does not end: its last number may be cut off.
+
+    Raises:
+        Unreadable: with the last line.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise refused(f"{name} cannot be read", str(error), "a readable text file") from None
+    if content.strip() and not content.endswith((b"\n", b"\r")):
         raise refused(
             f"{name} ends within a line",
-            text.splitlines()[-1],
+            content.splitlines()[-1][-80:].decode("utf-8", "replace"),
             "a line break at the end; without it the last number may be cut off",
             "Have the program end the last line, or give `count`, the number of points.",
         )

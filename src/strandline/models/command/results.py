@@ -1,7 +1,7 @@
 """What a run must have left, looked at closely before it is believed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from strandline.errors import ForwardModelError, InvalidInput
@@ -82,7 +82,7 @@ def readings_of(result: object, results: object) -> dict[str, Reading]:
         place = f"results.{condition}" if condition else "result"
         reading = Reading.from_options(options, place)
         relative_name(reading.file, f"{place}.file")
-        readings[str(condition)] = replace(reading, whole=True)
+        readings[str(condition)] = reading
     return readings
 
 
@@ -109,7 +109,7 @@ def _read(reading: Reading, folder: Path, started: int) -> Interface:
     if path.exists() and path.stat().st_mtime_ns < started:
         raise ForwardModelError("result_old", f"{reading.file} is older than the run", state="invalid")
     try:
-        return read_interface(path, reading, name=reading.file)
+        return read_interface(path, reading, name=reading.file, ended=True)
     except Unreadable as error:
         raise ForwardModelError(error.kind, _told(error, folder), state="invalid") from None
 
