@@ -1,5 +1,6 @@
 """The linear solvers on coupled Jacobians of the coarse mesh: SciPy's SuperLU solves the same equations."""
 
+import ctypes
 import gc
 from collections.abc import Callable, Iterator
 from importlib import metadata
@@ -108,10 +109,13 @@ def test_factorisation_outlives_a_change_of_its_matrix(solver, jacobians):
 @pytest.mark.parametrize(
     "values", [(1.0, 2.0, 2.0, 4.0), (0.0, 0.0, 0.0, 0.0), (np.nan, 1.0, 1.0, 2.0)], ids=["rank 1", "zero", "nan"]
 )
-def test_singular_matrix_is_a_failure_of_the_linear_solve(solver, values):
+def test_singular_matrix_is_a_failure_of_the_linear_solve_and_prints_nothing(solver, values, capfd):
     with pytest.raises(ForwardModelError) as caught:
         Factorisation(small(*values), 2).solve(np.array([1.0, 0.0]))
     assert caught.value.kind == "linear_solve"
+    ctypes.CDLL(None).fflush(None)
+    print("afterwards")
+    assert capfd.readouterr() == ("afterwards\n", "")
 
 
 def test_jacobian_without_a_row_or_column_is_a_failure_of_the_linear_solve(solver, jacobians):

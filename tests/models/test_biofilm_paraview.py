@@ -27,6 +27,11 @@ def test_vtu_holds_the_fields(tmp_path):
     assert set(deformed.cell_data["part"][0].tolist()) == {0, 1}
     speed = np.linalg.norm(deformed.point_data["velocity [mm/s]"], axis=1)
     assert 250 < speed.max() < 300
+    stress = deformed.cell_data["Cauchy stress [Pa]"][0]
+    np.testing.assert_allclose(stress[:, [0, 1, 3, 2]], fields.stress)
+    assert not stress[:, 4:].any()
+    assert not stress[deformed.cell_data["part"][0] == 0].any()
+    assert np.abs(stress).max() > 1.0
 
 
 def test_vtu_numbers_the_parts_by_their_markers(tmp_path):

@@ -354,6 +354,28 @@ def test_check_tells_the_whole_of_what_a_result_lacks(tmp_path: Path, capsys: py
     )
 
 
+@pytest.mark.parametrize("count", [None, 2])
+def test_a_result_that_ends_within_a_line_is_not_whole_unless_its_points_are_counted(
+    folder: Path, count: int | None
+) -> None:
+    (folder / "run.sh").write_text("printf 'x,y\\n0,0\\n1,0.1' > out.csv")  # of 0.125
+    result = OPTIONS["result"] | ({} if count is None else {"count": count})
+    record = outcome(model(folder, result=result), a=1.0)
+    if count is not None:
+        assert record.ok
+        return
+    assert (record.state, record.failure_kind) == ("invalid", "result_unreadable")
+    assert "out.csv ends within a line: got 1,0.1; expected a line break at the end" in (record.message or "")
+
+
+def test_a_result_with_decimal_commas(folder: Path) -> None:
+    (folder / "run.sh").write_text("printf 'x;y\\n0;0\\n0,5;0,25\\n' > out.csv")
+    assert outcome(model(folder), a=1.0).failure_kind == "result_unreadable"
+    record = outcome(model(folder, result=OPTIONS["result"] | {"decimal": ","}), a=1.0)
+    assert record.interface is not None
+    assert record.interface.points.tolist() == [[0.0, 0.0], [0.5, 0.25]]
+
+
 def test_tags_of_yaml_are_refused(tmp_path: Path) -> None:
     folder = study(tmp_path)
     text = json.dumps(json.loads((folder / "study.yaml").read_text()) | {"model": "MODEL"})

@@ -23,6 +23,7 @@ from strandline.models.umbridge.server import UMBridgeServer
 from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest
 
 AT = [[0.5, -2.0]]
+POST = b"POST /Evaluate HTTP/1.1\r\nHost: localhost\r\n"
 
 
 def whole(blocks: list[list[float]]) -> list[list[float]]:
@@ -193,20 +194,35 @@ def test_requests_at_once_are_all_answered() -> None:
     "sent",
     [
         b"nonsense\r\n\r\n",
-        b"POST /Evaluate HTTP/1.1\r\nContent-Length: -1\r\n\r\n",
-        b"POST /Evaluate HTTP/1.1\r\nContent-Length: 99999999999999999999999\r\n\r\n",
-        b"POST /Evaluate HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n",
-        b"PUT /Evaluate HTTP/1.1\r\nContent-Length: 2\r\n\r\n{}",
+        b"GET http://[::1\r\n\r\n",
+        b"GET http://[::1 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET //[::1/Info HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET * HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        POST + b"Content-Length: -1\r\n\r\n",
+        POST + b"Content-Length: 99999999999999999999999\r\n\r\n",
+        POST + b"Content-Length: " + b"0" * 20 + b"99999999999\r\n\r\n",
+        POST + b"Content-Length: " + b"9" * 5001 + b"\r\n\r\n",
+        POST + b"Content-Length: 2\r\nContent-Length: 3\r\n\r\n{}",
+        POST + "Content-Length: ²\r\n\r\n".encode("latin-1"),
+        POST + b"Transfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n",
+        b"PUT /Evaluate HTTP/1.1\r\nHost: localhost\r\nContent-Length: 2\r\n\r\n{}",
         b"GET /" + b"a" * 70000 + b" HTTP/1.1\r\n\r\n",
+        b"GET /Info HTTP/99999999999999999999.1\r\n\r\n",
+        b"GET /Info HTTP/1.1\r\n" + b"a: b\r\n" * 200 + b"\r\n",
     ],
+    ids=range(16),
 )
-def test_what_is_no_proper_request_gets_an_error_and_the_next_one_an_answer(ours: str, sent: bytes) -> None:
+def test_what_is_no_proper_request_gets_an_error_and_the_next_one_an_answer(
+    ours: str, sent: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
     address = httpx.URL(ours)
-    with socket.create_connection((address.host, address.port or 0), timeout=30) as connection:
+    with socket.create_connection((address.host, address.port or 0), timeout=10) as connection:
         connection.sendall(sent)
         connection.shutdown(socket.SHUT_WR)
         reply = b"".join(iter(lambda: connection.recv(65536), b""))
     assert set(json.loads(reply.rpartition(b"\r\n")[2])["error"]) == {"type", "message"}
+    assert b" 4" in reply.partition(b"\r\n")[0] or reply.startswith((b"{", b"HTTP/1.1 5"))
+    assert capfd.readouterr().err == ""
     assert ModelUnderTest(ours, "whole", AT).ask("Evaluate", input=AT)
 
 

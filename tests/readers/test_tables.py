@@ -1,5 +1,6 @@
 """Points in text files and arrays."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,41 @@ def test_columns_by_name_and_number_in_another_unit(tmp_path: Path, columns: lis
     np.testing.assert_allclose(found.points, POINTS, rtol=1e-15)
 
 
+@pytest.mark.parametrize("text", ["0,0;0,0\n0,5;0,25\n1;-0,125", "# mm\nx, mm;y, mm\n0;0\n5e-1;0,25\n1,0;-0,125\n"])
+@pytest.mark.parametrize("options", [{}, {"columns": [1, 2]}, {"delimiter": ";"}])
+def test_decimal_commas_are_read_where_they_are_declared(tmp_path: Path, text: str, options: dict[str, Any]) -> None:
+    if "x, mm" in text and not options.get("delimiter"):
+        text = text.replace(", mm", "")
+    np.testing.assert_array_equal(read(written(tmp_path, text), decimal=",", **options).points, POINTS)
+
+
+@pytest.mark.parametrize("separator", [" ", "\t", "; "])
+def test_decimal_commas_between_blanks(tmp_path: Path, separator: str) -> None:
+    text = "\n".join(f"{x}{separator}{y}".replace(".", ",") for x, y in POINTS.tolist())
+    np.testing.assert_array_equal(read(written(tmp_path, text), decimal=",").points, POINTS)
+
+
+def test_a_separator_may_end_each_line(tmp_path: Path) -> None:
+    found = read(written(tmp_path, "x,y,\n0,0,\n1,1,\n"), columns=["x", "y"], delimiter=",")
+    assert len(found.points) == 2
+
+
+@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
+def test_only_what_a_program_writes_must_end_its_last_line(tmp_path: Path, end: str) -> None:
+    path = written(tmp_path, f"0,0\n1,1.2{end}")
+    how = Reading.from_options({"file": path.name, "unit": "mm"}, "observation")
+    assert read_interface(path, how).points[-1].tolist() == [1.0, 1.2]
+    assert read_interface(path, replace(how, count=2), ended=True).points[-1].tolist() == [1.0, 1.2]
+    if end:
+        assert read_interface(path, how, ended=True).points[-1].tolist() == [1.0, 1.2]
+        return
+    with pytest.raises(
+        Unreadable, match=r"points\.csv ends within a line: got 1,1\.2; expected a line break"
+    ) as caught:
+        read_interface(path, how, ended=True)
+    assert caught.value.kind == "result_unreadable"
+
+
 def test_displacements_are_added(tmp_path: Path) -> None:
     found = read(written(tmp_path, TABLE), columns=["x coord", "y coord"], field=["U1", "U2"], delimiter=",", unit="um")
     np.testing.assert_allclose(found.points, POINTS + np.array([[0, 0], [1, 2], [3, 4]]) / 1000, rtol=1e-15)
@@ -39,6 +75,15 @@ def test_displacements_are_added(tmp_path: Path) -> None:
 def test_names_stand_in_a_line_of_their_own_or_in_a_comment(tmp_path: Path, header: str) -> None:
     text = header + "\n" + "\n".join(f"{y!r} 9 {x!r}" for x, y in POINTS.tolist())
     np.testing.assert_array_equal(read(written(tmp_path, text, "points.dat"), columns=["c", "a"]).points, POINTS)
+
+
+def test_an_outline_closed_by_repeating_its_first_point_is_closed(tmp_path: Path) -> None:
+    square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+    found = read(written(tmp_path, "\n".join(f"{x},{y}" for x, y in [*square, square[0]])))
+    assert found.closed
+    assert found.points.tolist() == square
+    assert found.lengths.sum() == 4.0
+    assert not read(written(tmp_path, "\n".join(f"{x},{y}" for x, y in square))).closed
 
 
 def test_points_in_the_order_of_the_nodes_are_sorted(tmp_path: Path) -> None:
@@ -99,8 +144,18 @@ def test_a_pickle_is_never_read(tmp_path: Path) -> None:
         (b"\x00" * 100, {}, "holds no points", "result_unreadable"),
         ("", {}, "holds no points", "result_unreadable"),
         ("0,0\n0,0\n", {}, "no length", "invalid_interface"),
+        ("x;y\n0,5;1,0\n1,5;2,0\n", {"columns": ["x", "y"]}, "semicolons and commas in line 2", "result_unreadable"),
+        ("0,5;1,0\n1,5;2,0\n", {"columns": [1, 2]}, 'give `decimal: ","`', "result_unreadable"),
+        ("x y\n0,5 1,0\n1,5 2,0\n", {"columns": ["x", "y"]}, "too many fields in line 2", "result_unreadable"),
+        ("x y\n0,5 1,0\n1,5 2,0\n", {"columns": [1, 2]}, "4: 0 5 1 0; expected 2", "result_unreadable"),
+        ("# x y\n0,5 1,0\n1,5 2,0\n", {"columns": ["x", "y"]}, "too many fields in line 2", "result_unreadable"),
+        ("0 0\n0,5 1\n1 1\n", {"columns": [1, 2]}, "too many fields in line 2", "result_unreadable"),
+        ("n,x,y\n1,0,0\n2,1,1\n3,2", {"columns": [1, 2]}, "too few fields in its last line, 4", "result_unreadable"),
+        ("0,5;1.0\n", {"decimal": ","}, "decimal point in line 1: got 1.0", "result_unreadable"),
+        ("0,1_0\n1,1\n", {}, "no point in line 1", "result_unreadable"),
+        ("0,٣\n1,1\n", {}, "no point in line 1", "result_unreadable"),
     ],
-    ids=range(11),
+    ids=range(21),
 )
 def test_bad_text(tmp_path: Path, text: str | bytes, options: dict[str, Any], words: str, kind: str) -> None:
     with pytest.raises(Unreadable, match=r"points\.csv") as caught:
@@ -203,6 +258,9 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         ({"file": "a.vtu", "unit": "mm", "block": True}, "a number from 0"),
         ({"file": "a.vtu", "unit": "mm", "plane": "zx"}, "one of xy, xz, yz"),
         ({"file": "a.csv", "unit": "mm", "count": 1}, "at least 2"),
+        ({"file": "a.csv", "unit": "mm", "decimal": ";"}, ". or ,"),
+        ({"file": "a.csv", "unit": "mm", "decimal": ",", "delimiter": ","}, "another one than the decimal comma"),
+        ({"file": "a.vtu", "unit": "mm", "decimal": ","}, "no such option for a .vtu file"),
     ],
 )
 def test_options_that_cannot_be(options: Any, words: str) -> None:

@@ -1,7 +1,9 @@
 """Binary numbers in VTK's XML files, written here by the format's description."""
 
 import base64
+import lzma
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +94,34 @@ def test_damage_in_the_middle_is_an_error_or_other_numbers_but_no_crash(tmp_path
         except Unreadable:
             refusals += 1
     assert refusals > 100
+
+
+BOMB = 80 * 10**6
+
+
+@pytest.mark.parametrize(("name", "pack"), [("ZLib", zlib.compress), ("LZMA", lzma.compress)])
+def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path: Path, name: str, pack: Callable[[bytes], bytes]) -> None:
+    block = pack(bytes(BOMB // 4))
+    head = np.array([4, BOMB // 4, 0, *[len(block)] * 4], "<u4").tobytes()
+    text = (base64.b64encode(head) + base64.b64encode(4 * block)).decode()
+    path = tmp_path / "bomb.vtp"
+    path.write_text(
+        f'<VTKFile type="PolyData" compressor="vtk{name}DataCompressor"><PolyData><Piece NumberOfPoints="3"><Points>'
+        f'<DataArray type="Float64" NumberOfComponents="3" format="binary">{text}</DataArray></Points></Piece>'
+        "</PolyData></VTKFile>"
+    )
+    assert path.stat().st_size < 10**6
+    with pytest.raises(Unreadable, match=r"bomb\.vtp cannot be read: .*unpack to more than \d\d MB, from 0\.\d+ MB"):
+        read(path)
+
+
+def test_a_list_of_files_names_each_once_and_no_other_list(tmp_path: Path) -> None:
+    written(tmp_path / "a.vtp", "raw")
+    for sources, words in (
+        (["a.vtp", "a.vtp"], "names a.vtp more than once"),
+        (["p.pvtp"], "data of the type PPolyData"),
+    ):
+        pieces = "".join(f'<Piece Source="{source}"/>' for source in sources)
+        (tmp_path / "p.pvtp").write_text(f'<VTKFile type="PPolyData"><PPolyData>{pieces}</PPolyData></VTKFile>')
+        with pytest.raises(Unreadable, match=words):
+            read(tmp_path / "p.pvtp")

@@ -74,6 +74,15 @@ def test_nothing_is_loaded_from_outside(page: Page) -> None:
     assert not page.open
 
 
+def test_the_policy_allows_the_pages_own_style_and_pictures_and_nothing_else(page: Page) -> None:
+    (policy,) = [a["content"] for a in page.attributes("meta") if a.get("http-equiv") == "Content-Security-Policy"]
+    rules = dict(rule.strip().split(" ", 1) for rule in (policy or "").split(";"))
+    assert (rules["default-src"], rules["img-src"], rules["style-src"]) == ("'none'", "data:", "'unsafe-inline'")
+    assert "script-src" not in rules
+    tags = [tag for tag, _ in page.tags]
+    assert tags.index("meta") < tags.index("style")
+
+
 def test_the_style_loads_nothing(reported: Any) -> None:
     text = reported.outcome.report.read_text()
     style = text[text.index("<style>") : text.index("</style>")]

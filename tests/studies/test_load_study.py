@@ -111,6 +111,20 @@ def test_an_observed_file_is_read_in_its_unit_and_turned_round(tmp_path: Path) -
     assert load_study(tmp_path).turned == ()
 
 
+def test_an_observed_file_with_decimal_commas(tmp_path: Path) -> None:
+    from strandline.models.biofilm.outline import Outline
+
+    points = Outline().interface().points
+    (tmp_path / "o.csv").write_text("x;y\n" + "\n".join(f"{x!r};{y!r}".replace(".", ",") for x, y in points.tolist()))
+    observation = {"file": "o.csv", "unit": "mm", "columns": ["x", "y"]}
+    with pytest.raises(
+        InvalidStudy, match=r"semicolons and commas in line 2: .* With decimal commas give `decimal: \",\"`"
+    ):
+        load_study(write_study(tmp_path, **BIOFILM | {"observation": observation}))
+    study = load_study(write_study(tmp_path, **BIOFILM | {"observation": observation | {"decimal": ","}}))
+    np.testing.assert_array_equal(study.observed[""].points, points)
+
+
 def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
     from strandline.models.biofilm.outline import Outline
 

@@ -204,11 +204,22 @@ class TestServedModels:
         return load_study(write_study(tmp_path))
 
     def test_a_failing_solve_is_a_model_error(self, study: Study) -> None:
-        models = served_models(study, local(beam))
+        models = served_models(study, local(beam), outside=True)
         status, content = evaluate(models, "interface", 0.001, 0.0)
         assert status == 500
         assert content["error"]["type"] == "ModelError"
         assert content["error"]["message"].startswith("large_deflection: the tip would move by")
+
+    def test_inputs_outside_the_boxes_are_refused_unless_asked_for(self, study: Study) -> None:
+        low, high = study.space["E"].interval
+        models = served_models(study, local(beam))
+        for inside in (low, high):
+            assert evaluate(models, "interface", inside, 0.0)[0] == 200
+        for name in ("interface", "log_likelihood"):
+            status, content = evaluate(models, name, 1.01 * high, 0.0)
+            assert (status, content["error"]["type"]) == (400, "InvalidInput")
+            assert f"from {low:g} to {high:g}, the box of its prior" in content["error"]["message"]
+        assert evaluate(served_models(study, local(beam), outside=True), "interface", 1.01 * high, 0.0)[0] == 200
 
     def test_the_answer_of_a_run_out_of_time_has_its_kind_and_its_log(self, study: Study) -> None:
         solver = Solver(Faulty(fault="hang"), timeout=1.5)

@@ -1,7 +1,6 @@
 """`strandline serve`: a study's model for other programs, by UM-Bridge."""
 
 import dataclasses
-import ipaddress
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,22 +20,40 @@ __all__ = ["command"]
 @click.option("--port", type=click.IntRange(0, 65535), default=4242, help="To listen on; 0 takes any free one. [4242]")
 @click.option("--host", default="127.0.0.1", help="Address to listen on. [127.0.0.1, this machine alone]")
 @click.option("--workers", type=click.IntRange(1), default=1, metavar="N", help="Runs made at the same time. [1]")
-def command(study: Path, port: int, host: str, workers: int) -> None:
+@click.option("--token", metavar="TEXT", envvar="STRANDLINE_TOKEN", help="Answer only requests that carry this secret.")
+@click.option(
+    "--allow-host", "names", multiple=True, metavar="NAME", help="A further name it is called by; repeatable."
+)
+@click.option("--allow-origin", "origins", multiple=True, metavar="URL", help="A web page that may ask; repeatable.")
+@click.option("--outside", is_flag=True, help="Answer for inputs outside the boxes of the priors too.")
+def command(
+    study: Path,
+    port: int,
+    host: str,
+    workers: int,
+    token: str | None,
+    names: tuple[str, ...],
+    origins: tuple[str, ...],
+    outside: bool,
+) -> None:
     """Serve STUDY's model and its log-likelihood by UM-Bridge, until Ctrl-C; nothing goes into the ledger.
 
     `interface` takes the unknown inputs and yields the interface's points in mm, `log_likelihood` the log-likelihood
-    of the study's observation by the true model. There is no password: whoever reaches the port can make runs.
+    of the study's observation by the true model. Requests of web pages are refused. Without --token every program that
+    reaches the port can make runs; set it by the environment variable STRANDLINE_TOKEN where others see your processes.
     """
+    from strandline.models.umbridge.door import Door
     from strandline.models.umbridge.server import UMBridgeServer
     from strandline.studies import load_study
     from strandline.studies.serve import served_models
 
+    door = Door.of(host, names=names, origins=origins, token=token)
     loaded = load_study(study)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     solvers = _solvers(loaded, workers)
     try:
-        with UMBridgeServer((), host, port) as server:
-            server.models = served_models(loaded, *solvers)
+        with UMBridgeServer((), host, port, door=door) as server:
+            server.models = served_models(loaded, *solvers, outside=outside)
             _announce(loaded, server, host)
             server.serve_forever()
     except KeyboardInterrupt:
@@ -59,8 +76,9 @@ def _solvers(study: "Study", workers: int) -> list["Solver"]:
 
 def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
     from strandline.models.command.keep import RUNS
+    from strandline.models.umbridge.door import is_loopback
 
-    if not _is_local(host):
+    if not is_loopback(host) and server.door.token is None:
         click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)
     click.echo(f"{study.name}: serving {server.url}")
     click.echo(f"  inputs: [{', '.join(parameter.label() for parameter in study.space)}]")
@@ -71,10 +89,3 @@ def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
         sizes = " and ".join(str(size) for size in model.output_sizes)
         features = ", ".join(name for name, offered in model.support.items() if offered)
         click.echo(f"  {model.name}: {sizes} number{'s' if sizes != '1' else ''}; {features}")
-
-
-def _is_local(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

@@ -18,7 +18,7 @@ TABLES = (".csv", ".tsv", ".txt", ".dat", ".npy")
 SERIES = (".pvd", ".xdmf", ".xmf")
 """Suffixes of files that hold several times."""
 COMMON = {"file", "unit", "field", "select", "count"}
-OF_TABLES = COMMON | {"columns", "delimiter", "sort"}
+OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "sort"}
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -32,6 +32,7 @@ class Reading:
         unit: of lengths in it, a key of `TO_MM`.
         columns: of a table: two names, or two numbers from 1.
         delimiter: of a text table; left out, commas, semicolons and blanks.
+        decimal: of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or blanks.
         sort: points of a table by ``x`` or ``y``, where they are not in order along the interface.
         field: displacement to be added: of a mesh the name of its point data, of a table two columns.
         time: ``last``, ``{index: 3}`` or ``{value: 0.5}`` of a series.
@@ -53,6 +54,7 @@ class Reading:
     unit: str
     columns: tuple[str | int, ...] | None = None
     delimiter: str | None = None
+    decimal: str | None = None
     sort: str | None = None
     field: str | tuple[str | int, ...] | None = None
     time: str | Mapping[str, Any] | None = None
@@ -111,6 +113,8 @@ class Reading:
             raise _unfit(f"{place}.unit", self.unit, f"one of {', '.join(TO_MM)}")
         if self.plane not in PLANES:
             raise _unfit(f"{place}.plane", self.plane, f"one of {', '.join(PLANES)}")
+        if self.decimal == "," == self.delimiter:
+            raise _unfit(f"{place}.delimiter", ",", "another one than the decimal comma, e.g. ;")
         if self.near is not None and self.keep is not None:
             raise _unfit(place, "near and keep", "one of the two")
         allowed = OF_TABLES if self.suffix in TABLES else OF_MESHES
@@ -134,7 +138,7 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
     for name in ("file", "unit", "delimiter", "plane"):
         if not isinstance(values.get(name, ""), str):
             raise _unfit(f"{place}.{name}", values[name], "a text")
-    for name, words in (("sort", ("x", "y")), ("keep", ("longest",))):
+    for name, words in (("sort", ("x", "y")), ("keep", ("longest",)), ("decimal", (".", ","))):
         if name in values and values[name] not in words:
             raise _unfit(f"{place}.{name}", values[name], " or ".join(words))
     if "delimiter" in values and len(values["delimiter"]) != 1:

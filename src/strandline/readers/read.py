@@ -14,14 +14,14 @@ from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import Unreadable, refused
 from strandline.readers.shape import interface_of
-from strandline.readers.tables import missing
+from strandline.readers.tables import missing, require_end
 
 __all__ = ["READERS", "read_interface"]
 
 _TABLE = "strandline.readers.tables:read_text"
 _MESH = "strandline.readers.by_meshio:read_by_meshio"
 _VTK = "strandline.readers.vtk_xml:read_vtk_xml"
-_XDMF = "strandline.readers.series:read_xdmf"
+_XDMF = "strandline.readers.xdmf:read_xdmf"
 
 READERS: Mapping[str, str] = {
     ".csv": _TABLE,
@@ -43,19 +43,23 @@ READERS: Mapping[str, str] = {
 """Suffixes of files → ``module:function`` that reads them; others are read as text."""
 
 
-def read_interface(path: Path, how: Reading, *, name: str = "") -> Interface:
+def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = False) -> Interface:
     """Return the interface in the file at `path`, in mm.
 
     Args:
         path: of the file.
         how: to read it.
         name: for messages.
+        ended: Whether a text table without a `count` must end with a line break, as what a program writes does.
 
     Raises:
         Unreadable: the file is missing, cut off, garbage, not finite, or holds no interface that can be told.
         InvalidInput: an optional package is missing.
     """
     name = name or path.name
+    _require_file(path, name)
+    if ended and how.count is None and READERS.get(how.suffix, _TABLE) == _TABLE:
+        require_end(path, name)
     contents = _contents(path, how, name)
     try:
         return interface_of(contents, how, name)
@@ -73,7 +77,6 @@ def read_interface(path: Path, how: Reading, *, name: str = "") -> Interface:
 
 def _contents(path: Path, how: Reading, name: str) -> Contents:
     """Return what is in the file, whatever it is that a damaged one makes its reader raise."""
-    _require_file(path, name)
     module, _, function = READERS.get(how.suffix, _TABLE).partition(":")
     reader: Callable[[Path, Reading, str], Contents] = getattr(import_module(module), function)
     try:

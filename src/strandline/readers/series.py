@@ -1,4 +1,4 @@
-"""Files of several times: PVD, and XDMF by way of meshio."""
+"""Files of several times: PVD, and which of the times is meant."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,13 +6,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from strandline.readers.by_meshio import converted, imported
 from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import refused
-from strandline.readers.vtk_xml import beside, joined, read_vtk_xml
+from strandline.readers.vtk_xml import beside, joined, read_vtk_xml, require_each_once
 
-__all__ = ["read_pvd", "read_xdmf"]
+__all__ = ["chosen_time", "read_pvd"]
 
 
 def read_pvd(path: Path, how: Reading, name: str) -> Contents:
@@ -23,19 +22,9 @@ def read_pvd(path: Path, how: Reading, name: str) -> Contents:
     ]
     times = sorted({time for time, _ in found})
     chosen = times[chosen_time(times, how, name)]
-    return joined([read_vtk_xml(beside(path, file), how, name) for time, file in found if time == chosen])
-
-
-def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
-    """Return what an XDMF file, or one time of it, holds."""
-    meshio = imported(name)
-    if "CollectionType" not in path.read_text(encoding="utf-8", errors="replace"):
-        return converted(meshio.xdmf.read(str(path)))
-    with meshio.xdmf.TimeSeriesReader(str(path)) as series:
-        points, cells = series.read_points_cells()
-        times = [float(step.find("Time").attrib["Value"]) for step in series.collection]
-        _, point_data, cell_data = series.read_data(chosen_time(times, how, name))
-    return converted(meshio.Mesh(points, cells, point_data=point_data, cell_data=cell_data))
+    files = [file for time, file in found if time == chosen]
+    require_each_once(files)
+    return joined([read_vtk_xml(beside(path, file), how, name) for file in files])
 
 
 def chosen_time(times: Sequence[float], how: Reading, name: str) -> int:

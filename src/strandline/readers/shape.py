@@ -73,7 +73,9 @@ def _of_table(
             "Choose a box that the interface enters once.",
         )
     _require_finite(moved[order], name)
-    polyline = Interface.polyline(moved[order])
+    chain = moved[order]
+    closed = len(chain) > 3 and bool((chain[0] == chain[-1]).all())
+    polyline = Interface.polyline(chain[:-1] if closed else chain, closed=closed)
     polyline.require_simple()
     return polyline
 

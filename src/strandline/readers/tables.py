@@ -10,7 +10,7 @@ from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import Unreadable, refused
 
-__all__ = ["read_npy", "read_text"]
+__all__ = ["missing", "read_npy", "read_text", "require_end"]
 
 Row = tuple[int, list[str]]
 """Number of a line, and its fields."""
@@ -21,17 +21,24 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
 
     A line of column names and lines that begin with # are passed over. Without `columns` each line holds x and y.
     """
-    rows = [(number, _fields(line, how.delimiter)) for number, line in enumerate(_lines(path, name), 1)]
+    lines = _lines(path, name)
+    separator = _separator(lines, how, name)
+    rows = [(number, _fields(line, separator)) for number, line in enumerate(lines, 1)]
     comments = [fields for _, fields in rows if fields and fields[0].startswith("#")]
     rows = [(number, fields) for number, fields in rows if any(fields) and not fields[0].startswith("#")]
     header = [[field.lstrip("# ") for field in fields if field != "#"] for fields in comments[-1:]]
+    names = rows[0][1] if rows else []
+    if how.decimal == ",":
+        rows = _with_points(name, rows)
     if rows and not any(_is_number(field) for field in rows[0][1]):
-        header, rows = [rows[0][1]], rows[1:]
+        header, rows = [names], rows[1:]
     if not rows:
         raise refused(f"{name} holds no points", None, "two columns x, y with one point a line")
     titles = header[0] if header else []
     if how.columns is None and how.field is None:
         return Contents(np.array([_point(name, number, fields, titles) for number, fields in rows]))
+    by_name = any(isinstance(column, str) for column in (*(how.columns or ()), *(how.field or ())))
+    _require_one_width(name, rows, titles if by_name or titles is names else ())
     points = _columns(name, rows, titles, how.columns or (1, 2))
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     return Contents(points, displacement=moved)
@@ -89,6 +96,55 @@ def _place(name: str, column: str | int, titles: Sequence[str], fields: Sequence
     return titles.index(column)
 
 
+def _with_points(name: str, rows: Sequence[Row]) -> list[Row]:
+    """Return rows with decimal points for decimal commas."""
+    for number, fields in rows:
+        odd = next((field for field in fields if _is_number(field) and "." in field), None)
+        if odd is not None:
+            expected = 'decimal commas, as `decimal: ","` says'
+            raise refused(f"{name} has a decimal point in line {number}", odd, expected, "Remove one of the two.")
+    return [(number, [field.replace(",", ".") for field in fields]) for number, fields in rows]
+
+
+def _require_one_width(name: str, rows: Sequence[Row], titles: Sequence[str]) -> None:
+    """Refuse rows with more fields than there are column names, or than most rows have, and a last row with fewer."""
+    counts = [len(fields) - (not fields[-1]) for _, fields in rows]  # a separator may end the line
+    usual = max(set(counts), key=counts.count)
+    most = len(titles) or usual
+    for (number, fields), count in zip(rows, counts, strict=True):
+        if count > most:
+            raise refused(
+                f"{name} has too many fields in line {number}",
+                f"{count}: {' '.join(fields)}",
+                f"{most}, as there are {'column names' if titles else 'in most lines'}",
+                'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.',
+            )
+    if counts[-1] < usual:
+        number, fields = rows[-1]
+        raise refused(f"{name} has too few fields in its last line, {number}", " ".join(fields), f"{usual}, as before")
+
+
+def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
+    """Return the characters between fields: one, or several of which each separates.
+
+    Raises:
+        Unreadable: a line has semicolons and commas, and it is not said which are decimal.
+    """
+    if how.delimiter is not None:
+        return how.delimiter
+    if how.decimal == ",":
+        return "; \t"
+    for number, line in enumerate(lines, 1):
+        if ";" in line and "," in line and not line.lstrip().startswith("#"):
+            raise refused(
+                f"{name} has semicolons and commas in line {number}",
+                line.strip(),
+                "one of them between the fields",
+                'With decimal commas give `decimal: ","`; else say what separates the fields, e.g. `delimiter: ";"`.',
+            )
+    return ",; \t"
+
+
 def _lines(path: Path, name: str) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
@@ -103,10 +159,31 @@ def missing(path: Path, name: str) -> Unreadable:
     return refused(f"{name} is missing", str(path), "a file with two columns x, y", kind="result_missing")
 
 
-def _fields(line: str, delimiter: str | None) -> list[str]:
-    if delimiter is not None:
-        return [field.strip().strip('"') for field in line.split(delimiter)] if line.strip() else []
-    return line.replace(",", " ").replace(";", " ").split()
+def require_end(path: Path, name: str) -> None:
+    """Refuse a program's result whose last line does not end: its last number may be cut off.
+
+    Raises:
+        Unreadable: with the last line.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise refused(f"{name} cannot be read", str(error), "a readable text file") from None
+    if content.strip() and not content.endswith((b"\n", b"\r")):
+        raise refused(
+            f"{name} ends within a line",
+            content.splitlines()[-1][-80:].decode("utf-8", "replace"),
+            "a line break at the end; without it the last number may be cut off",
+            "Have the program end the last line, or give `count`, the number of points.",
+        )
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    if len(separator) == 1:
+        return [field.strip().strip('"') for field in line.split(separator)] if line.strip() else []
+    for character in separator:
+        line = line.replace(character, " ")
+    return line.split()
 
 
 def _point(name: str, number: int, fields: list[str], titles: Sequence[str]) -> tuple[float, float]:
@@ -128,4 +205,4 @@ def _is_number(text: str) -> bool:
         float(text)
     except ValueError:
         return False
-    return True
+    return text.isascii() and "_" not in text

@@ -7,11 +7,14 @@ import lzma
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Shaped
+
+from strandline.readers.unpacking import COMPRESSORS, Allowance
 
 __all__ = ["Encoding", "numbers", "split"]
 
@@ -27,10 +30,6 @@ TYPES = {
     "Float32": "f4",
     "Float64": "f8",
 }
-COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
-    "vtkZLibDataCompressor": zlib.decompress,
-    "vtkLZMADataCompressor": lzma.decompress,
-}
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Encoding:
     Args:
         order: of the bytes, ``<`` or ``>``.
         header: type of the counts in front of binary data.
-        decompress: undoes the compression; None for none.
+        decompress: undoes the compression, up to the file's allowance; None for none.
         appended: all appended data, behind its underscore.
         raw: whether they are bytes and not base64.
     """
@@ -52,13 +51,14 @@ class Encoding:
     raw: bool
 
     @classmethod
-    def of(cls, root: ElementTree.Element, appended: bytes, *, raw: bool) -> "Encoding":
-        """Return the encoding that the root of a file declares."""
+    def of(cls, root: ElementTree.Element, appended: bytes, *, raw: bool, size: int) -> "Encoding":
+        """Return the encoding that the root of a file of `size` bytes declares."""
         compressor = root.get("compressor", "")
         if compressor and compressor not in COMPRESSORS:
             raise ValueError(f"compressed by {compressor}, which is not read; write with zlib or without")
         order = ">" if root.get("byte_order") == "BigEndian" else "<"
-        return cls(order, TYPES[root.get("header_type", "UInt32")], COMPRESSORS.get(compressor), appended, raw)
+        unpack = partial(COMPRESSORS[compressor], Allowance(size)) if compressor else None
+        return cls(order, TYPES[root.get("header_type", "UInt32")], unpack, appended, raw)
 
     def dtype(self, name: str) -> np.dtype[Any]:
         """Return a type of numbers in this file."""
@@ -82,7 +82,7 @@ def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
         raw = b"raw" in attributes
         head, appended = head + appended[end + len(b"</AppendedData>") :], appended[:end]
     root = ElementTree.fromstring(head)
-    return root, Encoding.of(root, appended, raw=raw)
+    return root, Encoding.of(root, appended, raw=raw, size=len(content))
 
 
 def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray, "..."]:

@@ -12,7 +12,7 @@ from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_arrays import Encoding, numbers, split
 
-__all__ = ["beside", "joined", "read_vtk_xml"]
+__all__ = ["beside", "joined", "read_vtk_xml", "require_each_once"]
 
 KINDS = {
     3: "line",
@@ -44,12 +44,19 @@ def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
     Raises:
         ValueError: (also KeyError, IndexError, SyntaxError) a damaged file, or one of another kind.
     """
+    return _read(path, parallel=True)
+
+
+def _read(path: Path, *, parallel: bool) -> Contents:
+    """Return what a file holds; one that lists files is read where it may be `parallel`."""
     root, encoding = split(path.read_bytes())
     form = root.get("type", "")
     (data,) = [child for child in root if child.tag == form] or [root]
     pieces = data.findall("Piece")
-    if form in ("PUnstructuredGrid", "PPolyData"):
-        parts = [read_vtk_xml(beside(path, piece.attrib["Source"]), how, name) for piece in pieces]
+    if parallel and form in ("PUnstructuredGrid", "PPolyData"):
+        files = [piece.attrib["Source"] for piece in pieces]
+        require_each_once(files)
+        parts = [_read(beside(path, file), parallel=False) for file in files]
     elif form in ("UnstructuredGrid", "PolyData"):
         parts = [_piece(piece, encoding, poly=form == "PolyData") for piece in pieces]
     else:
@@ -66,6 +73,13 @@ def beside(path: Path, source: str) -> Path:
     if not target.resolve().is_relative_to(path.parent.resolve()):
         raise ValueError(f"it refers to {source}, outside of its folder")
     return target
+
+
+def require_each_once(files: Sequence[str]) -> None:
+    """Refuse a list of files that names one of them again, which costs memory and adds nothing."""
+    again = next((file for file in files if files.count(file) > 1), None) if len(set(files)) < len(files) else None
+    if again is not None:
+        raise ValueError(f"it names {again} more than once")
 
 
 def joined(parts: Sequence[Contents]) -> Contents:

@@ -73,6 +73,7 @@ class ObservationFile(_Strict):
     unit: Literal["mm", "um", "µm", "m"] | None = None
     columns: Any = None
     delimiter: Any = None
+    decimal: Any = None
     sort: Any = None
     field: Any = None
     time: Any = None

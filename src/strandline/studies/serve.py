@@ -16,6 +16,7 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import ForwardModel, with_sensitivities
 from strandline.models.umbridge.answers import Blocks, ServedModel
 from strandline.models.umbridge.layout import flattened
+from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, run_key
 from strandline.runs.on_call import OnCall
 from strandline.studies.build import check_values
@@ -87,6 +88,7 @@ class _Served:
     solve: Solve
     differentiate: Solve | None
     likelihood: InterfaceLikelihood
+    outside: bool
 
     def models(self, example: RunRecord) -> Iterator[ServedModel]:
         """Yield a model of each condition's interface, of the sizes of `example`, and the likelihood."""
@@ -131,13 +133,17 @@ class _Served:
     def _run(self, blocks: Blocks, solve: Solve) -> RunRecord:
         values = dict(zip(self.study.space.names, blocks[0], strict=True))
         check_values(values, self.study.model, "input")
+        if not self.outside:
+            _check_box(values, self.study.space)
         record = solve({**self.study.fixed, **values})
         if not record.ok:
             raise ForwardModelError(record.failure_kind or record.state, record.message or "no message")
         return record
 
 
-def served_models(study: Study, solve: Solve, differentiate: Solve | None = None) -> tuple[ServedModel, ...]:
+def served_models(
+    study: Study, solve: Solve, differentiate: Solve | None = None, *, outside: bool = False
+) -> tuple[ServedModel, ...]:
     """Return the models `interface`, or ``interface:CONDITION`` for each condition, and `log_likelihood`.
 
     One run is made at the medians of the priors, which tells the sizes of the outputs, and one for a synthetic
@@ -149,6 +155,7 @@ def served_models(study: Study, solve: Solve, differentiate: Solve | None = None
         study: from `load_study`.
         solve: makes a run; called by several threads at once.
         differentiate: makes a run with sensitivities; None where the model has none.
+        outside: Whether inputs outside the boxes of the priors are answered too.
 
     Raises:
         InvalidStudy: one of these runs fails.
@@ -156,7 +163,7 @@ def served_models(study: Study, solve: Solve, differentiate: Solve | None = None
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
     likelihood = InterfaceLikelihood(_observations(study, solve), next(iter(study.discrepancies.values())))
-    return tuple(_Served(study, solve, differentiate, likelihood).models(example))
+    return tuple(_Served(study, solve, differentiate, likelihood, outside).models(example))
 
 
 def differentiating(model: ForwardModel) -> ForwardModel | None:
@@ -166,6 +173,19 @@ def differentiating(model: ForwardModel) -> ForwardModel | None:
     except InvalidInput:
         return None
     return asked
+
+
+def _check_box(values: Mapping[str, float], space: ParameterSpace) -> None:
+    """Refuse inputs outside the boxes of the priors."""
+    for parameter in space:
+        low, high = parameter.interval
+        if not low <= values[parameter.name] <= high:
+            raise InvalidInput(
+                f"input.{parameter.name}",
+                value=values[parameter.name],
+                expected=f"a number from {low:g} to {high:g}, the box of its prior",
+                remedy="Stay within it, or start the server with `serve --outside`.",
+            )
 
 
 def _observations(study: Study, solve: Solve) -> tuple[Observation, ...]:

@@ -42,7 +42,8 @@ class ModelUnderTest:
     def post(self, endpoint: str, content: Any) -> httpx.Response:
         """Return the response to POST, `content` as JSON; bytes go as they are."""
         body = content if isinstance(content, bytes) else json.dumps(content).encode()
-        return httpx.post(f"{self.url}/{endpoint}", content=body, **self._options)
+        headers = {"Content-Type": "application/json"}
+        return httpx.post(f"{self.url}/{endpoint}", content=body, headers=headers, **self._options)
 
     def ask(self, endpoint: str, **content: Any) -> Any:
         """Return the answer to a request that must succeed."""

@@ -17,6 +17,7 @@ from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivi
 from strandline.models.biofilm.materials import Law
 from strandline.models.biofilm.steady import steady_state
 from strandline.models.biofilm.strain import Strain, StrainProbe
+from strandline.models.biofilm.stress import stress_at_nodes
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
 
@@ -46,6 +47,7 @@ class FlowFields:
         velocity: mm/s, zero in the solid.
         pressure: fluid pressure, Pa, zero in the solid.
         displacement: mm; in the fluid that of the mesh.
+        stress: Cauchy stress of the solid per triangle, (σxx, σyy, σxy, σzz), Pa, zero in the fluid.
     """
 
     points: Points
@@ -54,6 +56,7 @@ class FlowFields:
     velocity: Points
     pressure: Float[np.ndarray, " point"]
     displacement: Points
+    stress: Float[np.ndarray, "cell 4"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +216,7 @@ class FlowCell:
         return jacobian_bound(self.mesh, self.system.state.components[2], self.is_solid)
 
     def fields(self) -> FlowFields:
-        """Return velocity, pressure and displacement of the present state."""
+        """Return velocity, pressure, displacement and stress of the present state."""
         velocity, pressure, displacement, *_ = self.system.state.components
         nodes, count = quadratic_nodes(self.mesh)
         fluid, everywhere = ~self.is_solid, np.ones(self.mesh.ne, bool)
@@ -234,6 +237,7 @@ class FlowCell:
             velocity=nodal(velocity, fluid) * VELOCITY_SCALE,
             pressure=nodal(pressure, fluid)[:, 0] * STRESS_SCALE,
             displacement=d,
+            stress=stress_at_nodes(self.system, self.part)[:, split].mean(axis=2).reshape(-1, 4) * STRESS_SCALE,
         )
 
     def _prescribe_inflow(self) -> None:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from ngsolve import la
 
 from strandline.errors import ForwardModelError, InvalidInput
+from strandline.models.biofilm.silence import without_prints
 
 __all__ = ["SOLVERS", "Factorisation", "linear_solver"]
 
@@ -85,7 +86,8 @@ class _LU(Protocol):
 
 class _Umfpack:
     def __init__(self, matrix: Any, size: int) -> None:
-        self._inverse = matrix.Inverse(inverse="umfpack")
+        with without_prints():  # a singular matrix makes it print a line before it raises
+            self._inverse = matrix.Inverse(inverse="umfpack")
         self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
 
     def solve(self, right: Vector) -> Vector:

@@ -22,9 +22,11 @@ COLLECTION = """<?xml version="1.0"?>
 def write_vtu(fields: FlowFields, folder: Path) -> Path:
     """Write undeformed.vtu, deformed.vtu and flow.pvd into `folder`, made if needed; return the path of the last.
 
-    Both meshes carry velocity [mm/s], pressure [Pa] and displacement [mm] at the nodes and, per cell, the `part`: 0 in
-    the fluid, 1, 2, … in the solid in the order of the partition's markers. In the fluid the displacement is that of
-    the mesh; in the solid velocity and pressure are 0. The times 0 and 1 of the PVD stand for undeformed and deformed.
+    Both meshes carry velocity [mm/s], pressure [Pa] and displacement [mm] at the nodes. Per cell they carry the `part`,
+    0 in the fluid, 1, 2, … in the solid in the order of the partition's markers, and the solid's Cauchy stress [Pa], 0
+    in the fluid, with the components in ParaView's order xx, yy, zz, xy, yz, xz. In the fluid the displacement is that
+    of the mesh; in the solid velocity and pressure are 0. The times 0 and 1 of the PVD stand for undeformed and
+    deformed.
 
     Args:
         fields: from `Biofilm.fields`.
@@ -53,7 +55,10 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
                     "pressure [Pa]": fields.pressure,
                     "displacement [mm]": _in_space(fields.displacement),
                 },
-                cell_data={"part": [fields.cell_part.astype(np.int8)]},
+                cell_data={
+                    "part": [fields.cell_part.astype(np.int8)],
+                    "Cauchy stress [Pa]": [_symmetric(fields.stress)],
+                },
             )
             mesh.write(folder / f"{name}.vtu")
         (folder / "flow.pvd").write_text(COLLECTION, encoding="utf-8")
@@ -70,3 +75,9 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
 def _in_space(vectors: np.ndarray) -> np.ndarray:
     """Return plane vectors with a third component 0."""
     return np.column_stack([vectors, np.zeros(len(vectors))])
+
+
+def _symmetric(stress: np.ndarray) -> np.ndarray:
+    """Return (xx, yy, xy, zz) as (xx, yy, zz, xy, yz, xz)."""
+    xx, yy, xy, zz = stress.T
+    return np.column_stack([xx, yy, zz, xy, 0.0 * xy, 0.0 * xy])

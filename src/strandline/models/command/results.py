@@ -109,7 +109,7 @@ def _read(reading: Reading, folder: Path, started: int) -> Interface:
     if path.exists() and path.stat().st_mtime_ns < started:
         raise ForwardModelError("result_old", f"{reading.file} is older than the run", state="invalid")
     try:
-        return read_interface(path, reading, name=reading.file)
+        return read_interface(path, reading, name=reading.file, ended=True)
     except Unreadable as error:
         raise ForwardModelError(error.kind, _told(error, folder), state="invalid") from None
 

@@ -6,6 +6,7 @@ is none of UM-Bridge's, or not of this model), ``model_error`` (the server says 
 
 import contextlib
 import json
+import os
 import re
 import socket
 import ssl
@@ -34,7 +35,9 @@ LONGEST_LOG = 8192
 """Characters of what a server says of a failure behind the first line; a served study ends it with the log."""
 NUMBERS_OF_PYTHON = re.compile(r"(?<![\w\"])-?(nan|inf)(?![\w\"])")
 """What `repr` makes of numbers that are not finite; servers that build JSON from it send this."""
-BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature")
+BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature", "Unauthorized", "Forbidden")
+TOKEN_VARIABLE = "STRANDLINE_TOKEN"
+"""Environment variable with the secret of a server started by `strandline serve --token`."""
 
 Vector = Float[np.ndarray, " number"]
 
@@ -53,7 +56,7 @@ class Client:
     """Calls one model of one server.
 
     Every call has a connection of its own, so that a load balancer can spread calls; redirects, proxies and .netrc
-    are not followed.
+    are not followed. The environment variable STRANDLINE_TOKEN, where it is set, is sent as ``Authorization: Bearer``.
 
     Args:
         url: of the server.
@@ -151,7 +154,9 @@ class Client:
         answer = _parsed(body)
         error = answer.get("error") if isinstance(answer, dict) else None
         if isinstance(error, dict):
-            kind = "protocol" if error.get("type") in BLAMES_THE_CALL else "model_error"
+            kind = {"Busy": "connection", **dict.fromkeys(BLAMES_THE_CALL, "protocol")}.get(
+                str(error.get("type")), "model_error"
+            )
             reason, _, log = str(error.get("message")).strip().partition("\n")
             message = f"the server says {_short(error.get('type'))}: {_told(reason)}"
             raise ForwardModelError(kind, message, log=log[-LONGEST_LOG:])
@@ -178,7 +183,7 @@ class Client:
                     method,
                     f"{self.url.rstrip('/')}/{place}",
                     json=asked,
-                    headers={"Accept-Encoding": "identity"},
+                    headers=_headers(),
                     extensions={"trace": trace},
                 ) as response,
             ):
@@ -211,6 +216,13 @@ class Client:
 
     def _breach(self, what: str) -> ForwardModelError:
         return ForwardModelError("protocol", f"the server at {self.url} {what}")
+
+
+def _headers() -> dict[bytes, bytes]:
+    """Return the headers of a request, with the server's secret where the environment has one."""
+    token = os.environ.get(TOKEN_VARIABLE)
+    secret = {b"Authorization": b"Bearer " + token.encode()} if token else {}
+    return {b"Accept-Encoding": b"identity", **secret}
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@
 and failing models with a page of text instead of the protocol's errors, and writes NaN as `nan`, which is no JSON.
 """
 
+import contextlib
 import json
 import socket
 import sys
@@ -11,17 +12,22 @@ from collections.abc import Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
-from urllib.parse import urlsplit
 
 from strandline.errors import InvalidInput
 from strandline.models.umbridge.answers import Answer, Refused, ServedModel, answer
+from strandline.models.umbridge.connections import Connections
+from strandline.models.umbridge.door import Door
 
-__all__ = ["LARGEST_REQUEST", "UMBridgeServer"]
+__all__ = ["LARGEST_REQUEST", "MOST_CONNECTIONS", "UMBridgeServer"]
 
 LARGEST_REQUEST = 10 * 1000**2
 """Bytes of a request's body."""
-PATIENCE_SECONDS = 30
-"""How long a client may be silent within a request, or between two."""
+MOST_CONNECTIONS = 128
+"""Connections open at the same time, with a thread each."""
+PATIENCE_SECONDS = 30.0
+"""How long a client may take to send a request, and how long a connection may be idle between two."""
+DRAINED_BYTES = 65536
+"""A refused request is read up to this size, so that the client gets to read why."""
 
 
 class UMBridgeServer(ThreadingHTTPServer):
@@ -33,15 +39,31 @@ class UMBridgeServer(ThreadingHTTPServer):
         models: the models, with different names.
         host: the address to listen on; the default is reached from this machine alone.
         port: 0 for any free one; `url` tells which.
+        door: Decides which requests are answered; by default those of programs that call it by an address of its own.
+        connections: Largest number of connections, and of threads.
+        patience: Seconds that a client gets to send a whole request.
 
     Raises:
         InvalidInput: the address cannot be listened on.
     """
 
     daemon_threads = True
+    request_queue_size = MOST_CONNECTIONS
 
-    def __init__(self, models: Sequence[ServedModel], host: str = "127.0.0.1", port: int = 4242) -> None:
+    def __init__(
+        self,
+        models: Sequence[ServedModel],
+        host: str = "127.0.0.1",
+        port: int = 4242,
+        *,
+        door: Door | None = None,
+        connections: int = MOST_CONNECTIONS,
+        patience: float = PATIENCE_SECONDS,
+    ) -> None:
         self.models = tuple(models)
+        self.door = Door.of(host) if door is None else door
+        self.patience = patience
+        self.connections = Connections(connections, patience)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
             super().__init__((host, port), _Handler)
@@ -63,10 +85,41 @@ class UMBridgeServer(ThreadingHTTPServer):
         """Bind, without the look-up of the machine's name that the base class makes and that can take seconds."""
         super(ThreadingHTTPServer, self).server_bind()
 
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread, or turn the client away if all are at work."""
+        if not self.connections.admit(request):
+            self._turn_away(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self.connections.leave(request)
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer the requests of one connection."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self.connections.leave(request)
+
+    def service_actions(self) -> None:
+        """End connections that have been silent for too long; called twice a second."""
+        self.connections.end_overdue()
+
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of clients that go away."""
-        if not isinstance(sys.exception(), OSError):
-            super().handle_error(request, client_address)
+        """Say nothing of clients that go away, and one line of anything else."""
+        error = sys.exception()
+        if not isinstance(error, OSError):
+            print(f"a request could not be answered: {type(error).__name__}: {str(error)[:200]!r}", file=sys.stderr)
+
+    def _turn_away(self, request: Any) -> None:
+        content = json.dumps(Refused("Busy", "too many connections; try again later", 503).answer.content).encode()
+        head = f"HTTP/1.1 503 Service Unavailable\r\nContent-Length: {len(content)}\r\nConnection: close\r\n\r\n"
+        with contextlib.suppress(OSError):
+            request.settimeout(0.0)
+            request.send(head.encode() + content)
+        self.shutdown_request(request)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -74,9 +127,16 @@ class _Handler(BaseHTTPRequestHandler):
 
     server: UMBridgeServer
     protocol_version = "HTTP/1.1"
-    timeout = PATIENCE_SECONDS
     disable_nagle_algorithm = True
     wbufsize = -1
+
+    def setup(self) -> None:
+        super().setup()
+        self.connection.settimeout(self.server.patience)
+
+    def handle_one_request(self) -> None:
+        self.server.connections.waits(self.connection)
+        super().handle_one_request()
 
     def do_GET(self) -> None:
         self._reply()
@@ -97,22 +157,38 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _reply(self) -> None:
         try:
-            body = self._body()
+            body = self._body(self._length())
         except Refused as refused:
             self.close_connection = True
             self._send(refused.answer)
             return
-        self._send(answer(self.server.models, self.command, urlsplit(self.path).path.rstrip("/"), body))
+        self.server.connections.works(self.connection)
+        path = self.path.partition("?")[0].partition("#")[0].rstrip("/")
+        self._send(answer(self.server.models, self.command, path, body))
 
-    def _body(self) -> bytes:
-        """Return the body of the request; one whose length is not told or too large is not read."""
-        length = self.headers.get("Content-Length", "0")
-        if "Transfer-Encoding" in self.headers or not (length.isascii() and length.isdigit()):
+    def _length(self) -> int:
+        """Return the bytes of the request's body."""
+        told = set(self.headers.get_all("Content-Length", ["0"]))
+        length = told.pop().strip()
+        if told or "Transfer-Encoding" in self.headers or not (length.isascii() and length.isdigit()):
             raise Refused("InvalidInput", "the request does not tell its length; send Content-Length", 411)
-        if int(length[:20]) > LARGEST_REQUEST:
+        digits = length.lstrip("0")[: len(str(LARGEST_REQUEST)) + 1] or "0"
+        if int(digits) > LARGEST_REQUEST:
             raise Refused("InvalidInput", f"a request of more than {LARGEST_REQUEST // 1000**2} MB", 413)
-        body = self.rfile.read(int(length))
-        if len(body) < int(length):
+        return int(digits)
+
+    def _body(self, length: int) -> bytes:
+        """Return the body of a request that the door lets in; that of another one is not kept."""
+        try:
+            if not self.path.startswith("/"):
+                raise Refused("InvalidInput", f"the path: got {self.path[:80]!r}; expected one such as /Info")
+            self.server.door.check(self.command, self.headers)
+        except Refused:
+            if length <= DRAINED_BYTES:
+                self.rfile.read(length)
+            raise
+        body = self.rfile.read(length)
+        if len(body) < length:
             raise Refused("InvalidInput", f"{len(body)} of {length} bytes of the request came")
         return body
 
@@ -121,6 +197,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_response(given.status)
         self.send_header("Content-Type", "application/json")
         self.send_header("Content-Length", str(len(content)))
+        if given.status == HTTPStatus.UNAUTHORIZED:
+            self.send_header("WWW-Authenticate", "Bearer")
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()

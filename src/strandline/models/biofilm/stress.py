@@ -1,0 +1,41 @@
+"""The Cauchy stress of the solid, σ = J⁻¹ F S Fᵀ (Holzapfel, Nonlinear Solid Mechanics, 2000, Eq. 3.66)."""
+
+from typing import Any
+
+import ngsolve as ng
+import numpy as np
+from jaxtyping import Float, Int
+
+from strandline.models.biofilm.distortion import on_elements
+from strandline.models.biofilm.materials import Law, deformation_gradient
+from strandline.models.biofilm.system import CoupledSystem
+
+__all__ = ["cauchy_stress", "stress_at_nodes"]
+
+Form = Any  # an NGSolve coefficient function
+
+
+def cauchy_stress(law: Law, d: Form, solid_pressure: Form, young: Form, poisson: Form) -> Form:
+    """Return (σxx, σyy, σxy, σzz) in plane strain.
+
+    Out of the plane, where F is 1 and the strain 0, both laws leave S = pₛ.
+    """
+    F = deformation_gradient(d)
+    J = ng.Det(F)
+    stress = F * law(d, solid_pressure, young, poisson).second_piola * F.trans / J
+    return ng.CF((stress[0, 0], stress[1, 1], stress[0, 1], solid_pressure / J))
+
+
+def stress_at_nodes(system: CoupledSystem, part: Int[np.ndarray, " element"]) -> Float[np.ndarray, "element 6 4"]:
+    """Return the scaled stress at the six P2 nodes of each element, as `cauchy_stress` orders it; 0 in the fluid.
+
+    Args:
+        system: At the state of interest.
+        part: For each element 0 in the fluid, else the number of the solid's part from 1.
+    """
+    displacement = system.state.components[2]
+    result = np.zeros((len(part), 6, 4))
+    for k, (young, poisson) in enumerate(zip(system.young, system.poisson, strict=True)):
+        stress = cauchy_stress(system.law, displacement, system.state.components[3 + k], young, poisson)
+        result[part == k + 1] = on_elements(system.mesh, stress)[part == k + 1]
+    return result
