@@ -373,10 +373,3 @@ def test_proxies_of_the_environment_are_passed_by(monkeypatch: pytest.MonkeyPatc
         monkeypatch.setenv(name, "http://127.0.0.1:1")
     with running(UMBridgeServer([POINTS], port=0)) as url:
         assert run(model(url)).ok
-
-
-@pytest.mark.parametrize("timeout", [3.0e6, 1.0e9])
-def test_a_timeout_of_more_than_24_days_is_no_error(timeout: float) -> None:
-    with hostile(hangs, sick="/Nothing") as (url, _):
-        record = run(model(url, timeout=timeout), 300.0)
-    assert record.ok, record.message

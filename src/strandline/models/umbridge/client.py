@@ -28,8 +28,6 @@ __all__ = ["LARGEST_ANSWER", "PROTOCOL_VERSION", "Client", "Description"]
 
 PROTOCOL_VERSION = 1.0
 LARGEST_ANSWER = 64 * 2**20
-LONGEST_SOCKET_WAIT = 2.0e6
-"""Seconds; a socket takes no timeout above 2³¹ milliseconds, 24.8 days."""
 """Bytes of an answer; a million points in space take 60 MB."""
 SHOWN_CHARACTERS = 200
 LONGEST_LOG = 8192
@@ -171,12 +169,11 @@ class Client:
 
         method, place = ("GET", "Info") if asked is None else ("POST", endpoint)
         verify = ssl.create_default_context() if self.url.startswith("https:") else False
-        patience = self.timeout if self.timeout < LONGEST_SOCKET_WAIT else None  # the deadline ends it then
         begun = time.monotonic()
         try:
             with (
                 _deadline(self.timeout) as trace,
-                httpx.Client(verify=verify, timeout=patience, follow_redirects=False, trust_env=False) as client,
+                httpx.Client(verify=verify, timeout=self.timeout, follow_redirects=False, trust_env=False) as client,
                 client.stream(
                     method,
                     f"{self.url.rstrip('/')}/{place}",
