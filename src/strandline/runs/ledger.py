@@ -23,6 +23,7 @@ from filelock import BaseFileLock, FileLock, Timeout
 
 from strandline.errors import LedgerError
 from strandline.runs import schema, tables
+from strandline.runs.hold import Hold
 from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
 from strandline.runs.plans import Plan, read_plan, rows_to_write
 from strandline.runs.record import RunRecord, RunRequest
@@ -63,6 +64,7 @@ class Ledger:
         self.path = path
         self._connection = connection
         self._lock = lock
+        self._hold: Hold | None = None
         self._session: int | None = None
 
     @classmethod
@@ -109,6 +111,7 @@ class Ledger:
                 tables.create(path, model=model, description=description)
             connection = tables.connect(path)
         ledger = cls(path, connection, lock)
+        ledger._hold = Hold(path, lock)
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
             tables.require_sound(path, connection)
@@ -137,6 +140,8 @@ class Ledger:
     def close(self) -> None:
         """Close the file and release the lock; a second call does nothing."""
         self._connection.close()
+        if self._hold is not None:
+            self._hold.release()
         if self._lock is not None:
             self._lock.release()
 
@@ -288,6 +293,9 @@ class Ledger:
                 expected="a ledger opened for writing",
                 remedy="Open it without read_only.",
             )
+        if self._hold is not None:
+            with translated(self.path):
+                self._hold.require(self._connection, self._session)
         return self._session
 
     @contextlib.contextmanager
@@ -330,7 +338,7 @@ def _locked(path: Path) -> BaseFileLock:
     except Timeout:
         raise LedgerError(
             f"{path} is locked",
-            value=f"another run is using it, {_last_driver(path)}",
+            value=f"another run is using it, {tables.last_driver(path)}",
             expected="one driver at a time",
             remedy="Wait for the other run to end, or stop it; finished runs stay.",
         ) from None
@@ -342,13 +350,3 @@ def _locked(path: Path) -> BaseFileLock:
             remedy="Create the folder or correct its permissions; read_only=True reads without writing.",
         ) from error
     return lock
-
-
-def _last_driver(path: Path) -> str:
-    """Return process id and host of the driver that opened the ledger last."""
-    try:
-        with contextlib.closing(tables.opened_for_reading(path)) as connection:
-            row = connection.execute("SELECT pid, host FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
-    except (LedgerError, sqlite3.Error):
-        row = None
-    return f"process {row[0]} on {row[1]}" if row else "process unknown"

@@ -18,6 +18,7 @@ __all__ = [
     "connect_read_only",
     "create",
     "has_table",
+    "last_driver",
     "opened_for_reading",
     "require_model",
     "require_sound",
@@ -157,6 +158,16 @@ def opened_for_reading(path: Path) -> sqlite3.Connection:
         )
     with translated(path):
         return connect_read_only(path)
+
+
+def last_driver(path: Path) -> str:
+    """Return process id and host of the driver that opened the ledger last."""
+    try:
+        with contextlib.closing(opened_for_reading(path)) as connection:
+            row = connection.execute("SELECT pid, host FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
+    except (LedgerError, sqlite3.Error):
+        row = None
+    return f"process {row[0]} on {row[1]}" if row else "process unknown"
 
 
 def require_sound(path: Path, connection: sqlite3.Connection) -> None:
