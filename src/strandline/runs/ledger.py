@@ -2,7 +2,7 @@
 
 A run is STARTED before it is handed out and gets an outcome when it ends; STARTED without an outcome means running
 while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each write is
-on the disk when the call returns (write-ahead log, full synchronisation). Arrays are stored as raw little-endian
+on the disk when the call returns (full synchronisation; see `journal`). Arrays are stored as raw little-endian
 numbers and each outcome carries a checksum; nothing is pickled. A ledger of an earlier version is read as it is and
 becomes one of the present version, in one transaction that touches none of its rows, when a driver opens it. The file
 must lie on a disk of the driving machine or on a file system with working locks.
@@ -312,13 +312,18 @@ class Ledger:
             self._connection.execute("COMMIT")
 
     def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
-        sql = f"""SELECT attempt, key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)
-            WHERE attempt IN ({attempts}) ORDER BY attempt"""
-        with translated(self.path):
-            extended = False
-            for number, *row in self._connection.execute(sql, values):
+        numbers = self._rows(f"SELECT attempt FROM outcomes WHERE attempt IN ({attempts}) ORDER BY attempt", values)
+        sql = (
+            f"SELECT key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
+        )
+        extended = False
+        for (
+            number,
+        ) in numbers:  # one by one: a statement that waits for its caller would keep the driver from writing
+            (row,) = self._rows(sql, (number,))
+            with translated(self.path):
                 extended = extended or tables.has_table(self._connection, "arrays")
-                yield schema.record_of(self.path, tuple(row), self._arrays(number) if extended else [])
+                yield schema.record_of(self.path, row, self._arrays(number) if extended else [])
 
     def _arrays(self, number: int) -> list[Any]:
         sql = f"SELECT {schema.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
