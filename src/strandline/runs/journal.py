@@ -66,10 +66,10 @@ def is_network(kind: str | None) -> bool:
     return kind is not None and NETWORK.fullmatch(kind) is not None
 
 
-def file_system(path: Path, *, mounts: Path = MOUNTS) -> str | None:
+def file_system(path: Path, *, mounts: Path | None = None) -> str | None:
     """Return the type of the file system that `path` lies on; None where the system does not say."""
     try:
-        lines = mounts.read_text("utf-8", "surrogateescape").splitlines()
+        lines = (mounts or MOUNTS).read_text("utf-8", "surrogateescape").splitlines()
     except OSError:
         return None
     place, found, longest = path.parent.resolve(), None, -1
