@@ -128,3 +128,12 @@ def test_what_ended_before_a_ledger_was_moved_is_in_it(path: Path, ledger: Ledge
     path.with_name("moved.sqlite").rename(path)
     with Ledger.open(path, model="m") as after:
         assert after.counts() == Counts(failed=1)
+
+
+def test_an_outcome_that_another_program_has_written_is_no_damage(ledger: Ledger) -> None:
+    with ledger:
+        number = ledger.started(RunRequest("a", {}))
+        ledger.finished(RunRecord("a", {}, "failed"))
+        with pytest.raises(LedgerError, match=r"does not take this row.*no other program writes") as caught:
+            ledger._finish(number, RunRecord("a", {}, "failed"))
+    assert "damaged" not in str(caught.value)

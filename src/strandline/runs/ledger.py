@@ -171,8 +171,9 @@ class Ledger:
         """Record the outcome of the last start of the run that has none yet.
 
         Raises:
-            LedgerError: the run was not started, or already has its outcome.
+            LedgerError: the run was not started, or already has its outcome; see `Hold.require` too.
         """
+        self._writing_session()
         sql = "SELECT max(attempt) FROM starts WHERE key = ? AND attempt NOT IN (SELECT attempt FROM outcomes)"
         (number,) = self._rows(sql, (record.key,))[0]
         if number is None:

@@ -254,6 +254,13 @@ def translated(path: Path) -> Iterator[None]:
             expected="a readable file in a folder that can be written, with room on the disk",
             remedy="Correct permissions or disk space and run again: finished runs stay.",
         ) from error
+    except sqlite3.IntegrityError as error:
+        raise LedgerError(
+            f"ledger {path} does not take this row",
+            value=str(error),
+            expected="rows that are added once and never changed, by one driver at a time",
+            remedy="See that no other program writes to it, and run again: finished runs stay.",
+        ) from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise _damaged(path, str(error)) from error
 

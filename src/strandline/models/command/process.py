@@ -118,7 +118,7 @@ def _started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[b
         )
     except OSError as error:
         if error.errno in SHORT_OF_MEMORY:
-            raise _no_room(error.strerror) from None
+            raise _no_room(error.strerror or str(error)) from None
         raise
 
 
