@@ -168,11 +168,13 @@ def test_readers_and_a_driver_do_not_stop_each_other(path: Path) -> None:
 
 
 WRITER = """
-import sys
+import select, sys
 from strandline.runs import Ledger, RunRecord, RunRequest
 with Ledger.open(sys.argv[1], model="m") as ledger:
     print("open", flush=True)
-    for k in range(150):
+    for k in range(100_000):
+        if select.select([sys.stdin], [], [], 0.02)[0]:
+            break
         ledger.started(RunRequest(str(k), {}))
         ledger.finished(RunRecord(str(k), {}, "failed"))
 """
@@ -181,17 +183,19 @@ with Ledger.open(sys.argv[1], model="m") as ledger:
 def test_a_reader_beside_a_driver_of_another_process_sees_whole_runs(path: Path) -> None:
     environment = {**os.environ, VARIABLE: "delete"}
     command = [sys.executable, "-c", WRITER, str(path)]
-    seen = []
-    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as writer:
+    seen: list[int] = []
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as writer:
         assert writer.stdout is not None
         writer.stdout.readline()
-        while writer.poll() is None:
+        until = time.monotonic() + 30.0
+        while len(set(seen)) < 3 and writer.poll() is None and time.monotonic() < until:
             with Ledger.open(path, model="m", read_only=True) as reader:
                 seen.append(len(list(reader)))
                 assert reader.counts().open <= 1
+        writer.communicate()
     assert writer.returncode == 0
     assert seen == sorted(seen)
-    assert len(set(seen)) > 2
+    assert len(set(seen)) == 3
 
 
 KILLED_WHILE_WRITING = """

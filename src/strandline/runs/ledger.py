@@ -34,6 +34,7 @@ __all__ = ["INTERRUPTED", "Counts", "Ledger"]
 COPIED_STATES = frozenset({"ok", "failed", "invalid"})
 """What the model itself decided; a timeout or a vanished process says something about the other machine only."""
 KEYS_PER_QUERY = 500
+RECORDS_PER_READING = 100
 LAST_OUTCOMES = "SELECT max(attempt) FROM outcomes JOIN starts USING (attempt)"
 
 
@@ -314,17 +315,29 @@ class Ledger:
 
     def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
         numbers = self._rows(f"SELECT attempt FROM outcomes WHERE attempt IN ({attempts}) ORDER BY attempt", values)
-        sql = (
-            f"SELECT key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
-        )
-        extended = False
-        for (
-            number,
-        ) in numbers:  # one by one: a statement that waits for its caller would keep the driver from writing
-            (row,) = self._rows(sql, (number,))
-            with translated(self.path):
-                extended = extended or tables.has_table(self._connection, "arrays")
-                yield schema.record_of(self.path, row, self._arrays(number) if extended else [])
+        columns = f"key, inputs, {schema.OUTCOME_COLUMNS}"
+        sql = f"SELECT {columns} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
+        for first in range(0, len(numbers), RECORDS_PER_READING):
+            with self._reading():  # it ends before the caller goes on: a driver cannot write meanwhile
+                extended = tables.has_table(self._connection, "arrays")
+                records = [
+                    schema.record_of(self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else [])
+                    for number in numbers[first : first + RECORDS_PER_READING]
+                ]
+            yield from records
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Take the lock of a reader once for all that is read inside."""
+        with translated(self.path):
+            alone = not self._connection.in_transaction
+            if alone:
+                self._connection.execute("BEGIN")
+            try:
+                yield
+            finally:
+                if alone:
+                    self._connection.execute("COMMIT")
 
     def _arrays(self, number: int) -> list[Any]:
         sql = f"SELECT {schema.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
