@@ -238,10 +238,10 @@ with Ledger.open(sys.argv[1], model=fingerprint(model)) as ledger:
 
 
 def test_nothing_is_lost_or_repeated_when_drivers_are_killed(path: Path, tmp_path: Path) -> None:
-    rng, number, lost = random.Random(1), 400, 0
+    rng, number, lost = random.Random(1), 200, 0
     environment = {**os.environ, VARIABLE: "delete"}
     known: dict[str, bytes] = {}
-    for _ in range(4):
+    for _ in range(3):
         with subprocess.Popen([sys.executable, "-c", CAMPAIGN, str(path), str(number)], env=environment) as driver:
             while driver.poll() is None and len(points_of(path)) < len(known) + 5:
                 time.sleep(0.01)
