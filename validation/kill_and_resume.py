@@ -10,7 +10,6 @@ Run it with:  python -m validation.kill_and_resume [DRIVER_KILLS WORKER_KILLS]
 import os
 import random
 import signal
-import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from strandline.posterior import read
+from strandline.runs.tables import connect_read_only
 from strandline.studies.template import write_template
 
 RUNS = 160
@@ -47,7 +47,7 @@ def repeated(folder: Path, states: Sequence[str] = OWN_ACCOUNT) -> int:
 
 
 def _rows(folder: Path, sql: str, values: Sequence[str]) -> list[tuple[str, ...]]:
-    with closing(sqlite3.connect(f"file:{folder / 'ledger.sqlite'}?mode=ro", uri=True)) as connection:
+    with closing(connect_read_only(folder / "ledger.sqlite")) as connection:
         return connection.execute(sql, values).fetchall()
 
 

@@ -17,6 +17,8 @@ StrandlineError
 from collections.abc import Mapping
 from typing import Any, Literal
 
+EndState = Literal["failed", "timeout", "killed", "invalid"]
+
 
 class StrandlineError(Exception):
     """Root of all exceptions raised on purpose."""
@@ -67,8 +69,9 @@ class ForwardModelError(StrandlineError):
         kind: short machine-readable reason, e.g. ``newton_stalled``.
         message: one sentence for a person.
         evidence: figures that support the kind, e.g. the load reached.
-        state: how the run ended: ``failed`` | ``timeout`` | ``invalid``, with a result that cannot be used. Left out,
-            ``timeout`` where the kind is, else ``failed``.
+        state: how the run ended: ``failed`` | ``timeout`` | ``killed``, by something other than itself, so that it
+            deserves another try | ``invalid``, with a result that cannot be used. Left out, ``timeout`` where the kind
+            is, else ``failed``.
         log: tail of what the simulator printed.
     """
 
@@ -78,11 +81,11 @@ class ForwardModelError(StrandlineError):
         message: str,
         evidence: Mapping[str, float] | None = None,
         *,
-        state: Literal["failed", "timeout", "invalid"] | None = None,
+        state: EndState | None = None,
         log: str = "",
     ) -> None:
         self.kind, self.message, self.evidence = kind, message, dict(evidence or {})
-        self.state: Literal["failed", "timeout", "invalid"] = state or ("timeout" if kind == "timeout" else "failed")
+        self.state: EndState = state or ("timeout" if kind == "timeout" else "failed")
         self.log = log
         super().__init__(f"{kind}: {message}")
 
@@ -106,7 +109,7 @@ def _rebuild_failure(
     kind: str,
     message: str,
     evidence: Mapping[str, float],
-    state: Literal["failed", "timeout", "invalid"],
+    state: EndState,
     log: str,
 ) -> ForwardModelError:
     return ForwardModelError(kind, message, evidence, state=state, log=log)

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import click
 
 from strandline import __version__
+from strandline.cli.signals import Ended, end_as_ctrl_c
 from strandline.errors import InvalidInput, StrandlineError
 
 __all__ = ["main"]
@@ -31,7 +33,11 @@ COMMANDS = {
 
 
 class _Interrupted(BaseException):
-    """Ctrl-C, kept from click, which would write an empty line of its own."""
+    """Ctrl-C, or another signal, kept from click, which would write an empty line of its own."""
+
+    def __init__(self, cause: KeyboardInterrupt) -> None:
+        self.cause = cause
+        super().__init__()
 
 
 class _LazyGroup(click.Group):
@@ -40,8 +46,8 @@ class _LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise _Interrupted from None
+        except KeyboardInterrupt as cause:
+            raise _Interrupted(cause) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -68,7 +74,8 @@ def _group() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; exit code 0 done, 1 numerics failed, 2 bad input, 130 interrupted."""
+    """Run the command line; exit code 0 done, 1 numerics failed, 2 bad input, 128 + n ended by the signal n."""
+    end_as_ctrl_c()
     for name, value in _environment().items():
         os.environ.setdefault(name, value)
     try:
@@ -80,8 +87,10 @@ def main(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(0) from None
-    except (KeyboardInterrupt, _Interrupted):
-        _end("interrupted; what is finished is kept, and the same command goes on from there", 130)
+    except KeyboardInterrupt as cause:
+        _end_interrupted(cause)
+    except _Interrupted as interrupted:
+        _end_interrupted(interrupted.cause)
 
 
 def _environment() -> dict[str, str]:
@@ -116,6 +125,11 @@ def _call(arguments: list[str] | None) -> Any:
         _end(f"{error.format_message()} See `{where} --help`.", 2)
     except click.ClickException as error:
         _end(error.format_message(), 2)
+
+
+def _end_interrupted(cause: KeyboardInterrupt) -> None:
+    by, number = (f" by {cause.number.name}", cause.number) if isinstance(cause, Ended) else ("", signal.SIGINT)
+    _end(f"interrupted{by}; what is finished is kept, and the same command goes on from there", 128 + number)
 
 
 def _end(message: str, code: int) -> None:

@@ -26,6 +26,7 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
     """
     from dataclasses import replace
 
+    from strandline.cli.journal import say_journal
     from strandline.cli.progress import observing
     from strandline.cli.results import show
     from strandline.runs.executors import with_workers
@@ -35,6 +36,7 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
 
     loaded = load_study(study)
     require_kinds(kinds, failure_kinds(loaded))
+    say_journal(loaded, quiet=quiet)
     policy = replace(loaded.settings.failures, again=frozenset(kinds))
     loaded = replace(loaded, settings=replace(loaded.settings, failures=policy))
     executor = with_workers(loaded.executor, workers)

@@ -2,7 +2,7 @@
 
 A run is STARTED before it is handed out and gets an outcome when it ends; STARTED without an outcome means running
 while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each write is
-on the disk when the call returns (write-ahead log, full synchronisation). Arrays are stored as raw little-endian
+on the disk when the call returns (full synchronisation; see `journal`). Arrays are stored as raw little-endian
 numbers and each outcome carries a checksum; nothing is pickled. A ledger of an earlier version is read as it is and
 becomes one of the present version, in one transaction that touches none of its rows, when a driver opens it. The file
 must lie on a disk of the driving machine or on a file system with working locks.
@@ -23,6 +23,7 @@ from filelock import BaseFileLock, FileLock, Timeout
 
 from strandline.errors import LedgerError
 from strandline.runs import schema, tables
+from strandline.runs.hold import Hold
 from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
 from strandline.runs.plans import Plan, read_plan, rows_to_write
 from strandline.runs.record import RunRecord, RunRequest
@@ -33,6 +34,7 @@ __all__ = ["INTERRUPTED", "Counts", "Ledger"]
 COPIED_STATES = frozenset({"ok", "failed", "invalid"})
 """What the model itself decided; a timeout or a vanished process says something about the other machine only."""
 KEYS_PER_QUERY = 500
+RECORDS_PER_READING = 100
 LAST_OUTCOMES = "SELECT max(attempt) FROM outcomes JOIN starts USING (attempt)"
 
 
@@ -63,6 +65,7 @@ class Ledger:
         self.path = path
         self._connection = connection
         self._lock = lock
+        self._hold: Hold | None = None
         self._session: int | None = None
 
     @classmethod
@@ -109,6 +112,7 @@ class Ledger:
                 tables.create(path, model=model, description=description)
             connection = tables.connect(path)
         ledger = cls(path, connection, lock)
+        ledger._hold = Hold(path, lock)
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
             tables.require_sound(path, connection)
@@ -137,6 +141,8 @@ class Ledger:
     def close(self) -> None:
         """Close the file and release the lock; a second call does nothing."""
         self._connection.close()
+        if self._hold is not None:
+            self._hold.release()
         if self._lock is not None:
             self._lock.release()
 
@@ -166,8 +172,9 @@ class Ledger:
         """Record the outcome of the last start of the run that has none yet.
 
         Raises:
-            LedgerError: the run was not started, or already has its outcome.
+            LedgerError: the run was not started, or already has its outcome; see `Hold.require` too.
         """
+        self._writing_session()
         sql = "SELECT max(attempt) FROM starts WHERE key = ? AND attempt NOT IN (SELECT attempt FROM outcomes)"
         (number,) = self._rows(sql, (record.key,))[0]
         if number is None:
@@ -288,6 +295,9 @@ class Ledger:
                 expected="a ledger opened for writing",
                 remedy="Open it without read_only.",
             )
+        if self._hold is not None:
+            with translated(self.path):
+                self._hold.require(self._connection, self._session)
         return self._session
 
     @contextlib.contextmanager
@@ -304,13 +314,30 @@ class Ledger:
             self._connection.execute("COMMIT")
 
     def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
-        sql = f"""SELECT attempt, key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)
-            WHERE attempt IN ({attempts}) ORDER BY attempt"""
+        numbers = self._rows(f"SELECT attempt FROM outcomes WHERE attempt IN ({attempts}) ORDER BY attempt", values)
+        columns = f"key, inputs, {schema.OUTCOME_COLUMNS}"
+        sql = f"SELECT {columns} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
+        for first in range(0, len(numbers), RECORDS_PER_READING):
+            with self._reading():  # it ends before the caller goes on: a driver cannot write meanwhile
+                extended = tables.has_table(self._connection, "arrays")
+                records = [
+                    schema.record_of(self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else [])
+                    for number in numbers[first : first + RECORDS_PER_READING]
+                ]
+            yield from records
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Take the lock of a reader once for all that is read inside."""
         with translated(self.path):
-            extended = False
-            for number, *row in self._connection.execute(sql, values):
-                extended = extended or tables.has_table(self._connection, "arrays")
-                yield schema.record_of(self.path, tuple(row), self._arrays(number) if extended else [])
+            alone = not self._connection.in_transaction
+            if alone:
+                self._connection.execute("BEGIN")
+            try:
+                yield
+            finally:
+                if alone:
+                    self._connection.execute("COMMIT")
 
     def _arrays(self, number: int) -> list[Any]:
         sql = f"SELECT {schema.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
@@ -330,7 +357,7 @@ def _locked(path: Path) -> BaseFileLock:
     except Timeout:
         raise LedgerError(
             f"{path} is locked",
-            value=f"another run is using it, {_last_driver(path)}",
+            value=f"another run is using it, {tables.last_driver(path)}",
             expected="one driver at a time",
             remedy="Wait for the other run to end, or stop it; finished runs stay.",
         ) from None
@@ -342,13 +369,3 @@ def _locked(path: Path) -> BaseFileLock:
             remedy="Create the folder or correct its permissions; read_only=True reads without writing.",
         ) from error
     return lock
-
-
-def _last_driver(path: Path) -> str:
-    """Return process id and host of the driver that opened the ledger last."""
-    try:
-        with contextlib.closing(tables.opened_for_reading(path)) as connection:
-            row = connection.execute("SELECT pid, host FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
-    except (LedgerError, sqlite3.Error):
-        row = None
-    return f"process {row[0]} on {row[1]}" if row else "process unknown"

@@ -1,6 +1,7 @@
 """One forward run: what is asked, what came of it, and the one place where a simulator is called."""
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
@@ -129,7 +130,10 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
     except InvalidInterface as error:
         ending = _ended(request, "invalid", "invalid_interface", str(error))
     except (Exception, SystemExit) as error:
-        ending = _ended(request, "failed", "exception", _told(error))
+        if _is_want_of_memory(error):
+            ending = _ended(request, "killed", "out_of_memory", _told(error))
+        else:
+            ending = _ended(request, "failed", "exception", _told(error))
     ending = _retained(replace(ending, seconds=time.perf_counter() - begin), model, workdir)
     return with_log(ending, log)
 
@@ -196,6 +200,11 @@ def _ended(
     """Return the record of a run without an interface."""
     figures, message = _figures(evidence or {}), _short(_clean(message))
     return RunRecord(request.key, request.inputs, state, {}, figures, failure_kind=_clean(kind), message=message)
+
+
+def _is_want_of_memory(error: BaseException) -> bool:
+    """Tell whether the machine, and not the simulator, is to blame: another try may find it less busy."""
+    return isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
 
 
 def _figures(given: Mapping[str, object]) -> dict[str, float]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from strandline.errors import LedgerError
+from strandline.runs import journal
 
 __all__ = [
     "ATTEMPTS",
@@ -18,6 +19,7 @@ __all__ = [
     "connect_read_only",
     "create",
     "has_table",
+    "last_driver",
     "opened_for_reading",
     "require_model",
     "require_sound",
@@ -105,6 +107,7 @@ def create(path: Path, *, model: str, description: str) -> None:
             stale.unlink(missing_ok=True)
         with contextlib.closing(sqlite3.connect(draft, isolation_level=None)) as connection:
             _fill(connection, model, description)
+            journal.settle(connection, path)
         draft.replace(path)
         _synchronise(path.parent)
     except BaseException:
@@ -116,8 +119,7 @@ def connect(path: Path) -> sqlite3.Connection:
     """Return a connection that writes durably: each statement is on the disk when it returns."""
     connection = sqlite3.connect(path, isolation_level=None, timeout=30.0)
     try:
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = FULL")
+        journal.settle(connection, path)
         connection.execute("PRAGMA foreign_keys = ON")
     except BaseException:
         connection.close()
@@ -128,14 +130,26 @@ def connect(path: Path) -> sqlite3.Connection:
 def connect_read_only(path: Path) -> sqlite3.Connection:
     """Return a connection that cannot write.
 
-    Where no write-ahead log lies beside the file nobody is writing it, and it is taken as it is: SQLite would otherwise
-    make a log's index that a reader cannot remove, or fail in a folder that cannot be written.
+    Where a ledger that has one is without its write-ahead log nobody is writing it, and it is taken as it is: SQLite
+    would otherwise make a log's index that a reader cannot remove, or fail in a folder that cannot be written. With a
+    rollback journal, readers and the driver wait for each other. Where a driver was killed while it wrote, the reader
+    undoes what that had begun, as SQLite prescribes; this takes the right to write.
     """
-    being_written = path.with_name(path.name + "-wal").exists()
-    address = path.resolve().as_uri() + ("?mode=ro" if being_written else "?mode=ro&immutable=1")
-    connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=30.0)
+    may_be_written = path.with_name(path.name + "-wal").exists() or journal.has_rollback_journal(path)
     try:
-        connection.execute("SELECT count(*) FROM sqlite_schema")
+        return _looked_at(path, "?mode=ro" if may_be_written else "?mode=ro&immutable=1")
+    except sqlite3.OperationalError:
+        if not path.with_name(path.name + "-journal").exists():
+            raise
+        return _looked_at(path, "?mode=rw")
+
+
+def _looked_at(path: Path, options: str) -> sqlite3.Connection:
+    """Return a connection that has read the ledger and cannot write to it."""
+    connection = sqlite3.connect(path.resolve().as_uri() + options, uri=True, isolation_level=None, timeout=30.0)
+    try:
+        connection.execute("PRAGMA query_only = ON")
+        connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()
     except BaseException:
         connection.close()
         raise
@@ -157,6 +171,16 @@ def opened_for_reading(path: Path) -> sqlite3.Connection:
         )
     with translated(path):
         return connect_read_only(path)
+
+
+def last_driver(path: Path) -> str:
+    """Return process id and host of the driver that opened the ledger last."""
+    try:
+        with contextlib.closing(opened_for_reading(path)) as connection:
+            row = connection.execute("SELECT pid, host FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
+    except (LedgerError, sqlite3.Error):
+        row = None
+    return f"process {row[0]} on {row[1]}" if row else "process unknown"
 
 
 def require_sound(path: Path, connection: sqlite3.Connection) -> None:
@@ -230,6 +254,13 @@ def translated(path: Path) -> Iterator[None]:
             expected="a readable file in a folder that can be written, with room on the disk",
             remedy="Correct permissions or disk space and run again: finished runs stay.",
         ) from error
+    except sqlite3.IntegrityError as error:
+        raise LedgerError(
+            f"ledger {path} does not take this row",
+            value=str(error),
+            expected="rows that are added once and never changed, by one driver at a time",
+            remedy="See that no other program writes to it, and run again: finished runs stay.",
+        ) from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise _damaged(path, str(error)) from error
 
@@ -259,11 +290,10 @@ def _guards(tables: Sequence[str]) -> str:
 
 
 def _fill(connection: sqlite3.Connection, model: str, description: str) -> None:
-    """Create tables and guards in one transaction and switch to the write-ahead log."""
+    """Create tables and guards in one transaction."""
     connection.executescript(f"BEGIN;\n{TABLES}{_guards(APPEND_ONLY)}{_added(list(ADDED))}COMMIT;")
     facts = {"schema_version": VERSION, "model": model, "description": description, "created_at": time.time()}
     connection.executemany("INSERT INTO meta VALUES (?, ?)", [(key, str(value)) for key, value in facts.items()])
-    connection.execute("PRAGMA journal_mode = WAL")
 
 
 def _synchronise(folder: Path) -> None:

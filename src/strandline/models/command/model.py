@@ -77,6 +77,7 @@ class CommandModel:
     folder: Path = Path()
     failure_kinds: ClassVar[tuple[str, ...]] = (
         "exit_code",
+        "simulator_killed",
         "command_not_found",
         "no_success",
         "result_missing",
@@ -201,6 +202,8 @@ class CommandModel:
             message = f"still running after {self.timeout:g} s, and ended with all its processes"
             raise ForwardModelError("timeout", message)
         codes, code = self._parts.exit_codes, ended.exit_code
+        if ended.killed and code not in (codes or ()):
+            raise _killed(ended, program)
         if code is None or (codes is not None and code not in codes):
             raise ForwardModelError(
                 "exit_code", f"{program} ended with {ended.how}", {} if code is None else {"exit_code": float(code)}
@@ -280,6 +283,16 @@ def _require_distinct(targets: list[str]) -> None:
                 expected="each name in the folder of the run once",
                 remedy="Choose another name.",
             )
+
+
+def _killed(ended: Ended, program: str) -> ForwardModelError:
+    """Return the error of a command that something other than itself, and other than strandline, has killed."""
+    message = f"{program} ended with {ended.how}: something killed it from outside"
+    evidence = {"exit_code": float(ended.exit_code or 0)}
+    if ended.out_of_memory:
+        message = f"{program} ended with {ended.how} while the machine was out of memory"
+        return ForwardModelError("out_of_memory", message, evidence, state="killed")
+    return ForwardModelError("simulator_killed", message, evidence, state="killed")
 
 
 def _now(workdir: Path) -> int:

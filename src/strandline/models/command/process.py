@@ -1,6 +1,7 @@
 """The worker's end of a command: have it run under a supervisor, hear how it ended."""
 
 import contextlib
+import errno
 import json
 import signal
 import subprocess
@@ -17,6 +18,10 @@ __all__ = ["Ended", "supervised"]
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 LOG_LIMIT = 1_000_000
 """Bytes kept of the beginning, and of the end, of what a command prints."""
+LOG_TAIL_BYTES = 8192
+KILLED_IN_A_SHELL = 128 + signal.SIGKILL
+"""Exit code of a shell, or a launcher such as mpirun, whose own child was ended by SIGKILL."""
+SHORT_OF_MEMORY = frozenset({errno.ENOMEM, errno.EAGAIN})
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,7 @@ class Ended:
         seconds: wall-clock time.
         tail: the last that it printed.
         problem: why it could not be started; "" where it could.
+        out_of_memory: whether the kernel killed a process for lack of memory meanwhile.
     """
 
     exit_code: int | None
@@ -36,6 +42,12 @@ class Ended:
     seconds: float
     tail: str
     problem: str = ""
+    out_of_memory: bool = False
+
+    @property
+    def killed(self) -> bool:
+        """Whether SIGKILL ended it, and it was not ours: an operator, the kernel or a batch system sent it."""
+        return not self.timed_out and self.exit_code in (-signal.SIGKILL, KILLED_IN_A_SHELL)
 
     @property
     def how(self) -> str:
@@ -67,7 +79,7 @@ def supervised(
         log: file for what it prints, of at most twice `LOG_LIMIT` bytes.
 
     Raises:
-        ForwardModelError: ``supervisor_died``.
+        ForwardModelError: ``supervisor_died`` or ``out_of_memory``, both of the state ``killed``; ``processes_left``.
     """
     asked = {
         "arguments": list(arguments),
@@ -77,14 +89,7 @@ def supervised(
         "log": str(log),
         "log_limit": LOG_LIMIT,
     }
-    process = subprocess.Popen(
-        [sys.executable, "-I", "-S", str(SUPERVISOR)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        cwd=folder,
-        env=dict(environment),
-        start_new_session=True,
-    )
+    process = _started(folder, environment)
     assert process.stdin is not None
     assert process.stdout is not None
     with process.stdin, process.stdout:
@@ -97,19 +102,51 @@ def supervised(
             with contextlib.suppress(BrokenPipeError):
                 process.stdin.close()
             process.wait()
-    return _ended(answer, process.returncode)
+    return _ended(answer, process.returncode, log)
 
 
-def _ended(answer: bytes, code: int) -> Ended:
-    if not answer:
-        raise ForwardModelError(
-            "supervisor_died", f"the process that watches over the simulator ended with exit code {code}"
+def _started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """Return a supervisor that waits to be told what to run."""
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-I", "-S", str(SUPERVISOR)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            cwd=folder,
+            env=dict(environment),
+            start_new_session=True,
         )
-    told: dict[str, Any] = json.loads(answer)
+    except OSError as error:
+        if error.errno in SHORT_OF_MEMORY:
+            raise _no_room(error.strerror or str(error)) from None
+        raise
+
+
+def _ended(answer: bytes, code: int, log: Path) -> Ended:
+    try:
+        told: dict[str, Any] = json.loads(answer)
+    except ValueError:  # nothing, or the beginning of an answer
+        how = Ended(code, False, 0.0, "").how
+        message = f"the process that watches over the simulator ended with {how}, and the simulator with it"
+        raise ForwardModelError("supervisor_died", message, state="killed", log=_end_of(log)) from None
+    if told.get("errno") in SHORT_OF_MEMORY:
+        raise _no_room(told["error"])
     if "error" in told:
         return Ended(None, False, 0.0, "", told["error"])
     if told["left"]:
         raise ForwardModelError(
             "processes_left", f"{told['left']} process(es) of the simulator survive SIGKILL", log=told["tail"]
         )
-    return Ended(told["exit_code"], told["timeout"], told["seconds"], told["tail"])
+    return Ended(told["exit_code"], told["timeout"], told["seconds"], told["tail"], out_of_memory=told["out_of_memory"])
+
+
+def _no_room(reason: str) -> ForwardModelError:
+    message = f"the system had no room for the simulator's process: {reason}"
+    return ForwardModelError("out_of_memory", message, state="killed")
+
+
+def _end_of(log: Path) -> str:
+    """Return the last part of what the supervisor has written of the log; its own memory of it is gone."""
+    with contextlib.suppress(OSError):
+        return log.read_bytes()[-LOG_TAIL_BYTES:].decode("utf-8", "replace")
+    return ""

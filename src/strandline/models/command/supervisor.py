@@ -28,6 +28,8 @@ GIVEN_UP_AFTER = 10.0
 """Seconds after which a process that survives SIGKILL (it hangs in the kernel) is left to itself."""
 TAIL_REPORTED = 8192
 CHUNK = 65536
+LONGEST_POLL = 3600.0
+"""Seconds; poll() takes no more than 2³¹ milliseconds, 24.8 days."""
 
 
 class Log:
@@ -84,9 +86,9 @@ class Tree:
         os.close(write_end)
 
     def wait(self, deadline: float) -> None:
-        """Pass on output until something happens, at the latest at `deadline`."""
-        patience = max(0.0, deadline - time.monotonic())
-        for descriptor, _ in self.poll.poll(None if patience == float("inf") else 1000 * patience + 1):
+        """Pass on output until something happens, at the latest at `deadline`, or after `LONGEST_POLL` seconds."""
+        patience = min(max(0.0, deadline - time.monotonic()), LONGEST_POLL)
+        for descriptor, _ in self.poll.poll(1000 * patience + 1):
             if descriptor == self.output:
                 self._read()
             elif descriptor == 0:
@@ -218,11 +220,12 @@ def run(asked) -> dict[str, object]:  # type: ignore[no-untyped-def]
     log = Log(asked["log"], asked["log_limit"])
     began = time.monotonic()
     deadline = float("inf") if asked["timeout"] is None else began + asked["timeout"]
+    oom_before = oom_kills()
     try:
         tree = Tree(asked["arguments"], asked["environment"], log)
     except OSError as error:
         log.close()
-        return {"error": error.strerror or str(error)}
+        return {"error": error.strerror or str(error), "errno": error.errno}
     while tree.alive() and tree.status is None and not tree.lifeline_lost and time.monotonic() < deadline:
         tree.wait(deadline)
     timed_out = tree.status is None and not tree.lifeline_lost
@@ -235,7 +238,15 @@ def run(asked) -> dict[str, object]:  # type: ignore[no-untyped-def]
         "tail": log.close(),
         "printed": log.total,
         "left": left,
+        "out_of_memory": oom_kills() > oom_before,
     }
+
+
+def oom_kills() -> int:
+    """Return how many processes of this machine the kernel has killed for lack of memory; 0 where it does not say."""
+    with contextlib.suppress(OSError, ValueError), open("/proc/vmstat") as file:  # noqa: PTH123
+        return sum(int(line.split()[1]) for line in file if line.startswith("oom_kill "))
+    return 0
 
 
 def main() -> None:

@@ -1,12 +1,12 @@
 """Runs in this process."""
 
-import tempfile
+import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from strandline.models.protocol import ForwardModel
 from strandline.runs.record import RunRecord, RunRequest, attempt
+from strandline.runs.scratch import scratch_folder
 
 __all__ = ["InProcess"]
 
@@ -21,6 +21,9 @@ class InProcess:
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
         """Yield a record for each request, in their order."""
         for request in requests:
-            with tempfile.TemporaryDirectory(prefix="strandline-run-", ignore_cleanup_errors=True) as folder:
-                record = attempt(model, request, Path(folder))
+            folder = scratch_folder()
+            try:
+                record = attempt(model, request, folder)
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
             yield record

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import shutil
-import tempfile
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -18,6 +17,7 @@ from strandline.runs.executors.options import require_count, require_timeout
 from strandline.runs.executors.packing import packed_model, require_posix
 from strandline.runs.executors.seat import KILLED_STARTS_BORNE, LONGEST_WAIT_SECONDS, killed_while_starting
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest
+from strandline.runs.scratch import scratch_folder
 from strandline.runs.workers import Worker
 
 __all__ = ["LocalProcesses", "usable_cores"]
@@ -58,12 +58,15 @@ class LocalProcesses:
 
     def _run(self, setup: bytes, requests: Iterable[RunRequest], limit: int) -> Iterator[RunRecord]:
         number = max(1, min(limit, length_hint(requests, limit)))
-        with tempfile.TemporaryDirectory(prefix="strandline-runs-", ignore_cleanup_errors=True) as folder:
-            pool = _Pool(Path(folder), setup, iter(requests), self.timeout)
+        folder = scratch_folder()
+        try:
+            pool = _Pool(folder, setup, iter(requests), self.timeout)
             try:
                 yield from pool.records(number)
             finally:
                 pool.close()
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 class _Pool:

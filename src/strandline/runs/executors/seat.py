@@ -2,13 +2,12 @@
 
 import contextlib
 import shutil
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from strandline.errors import InvalidInput
 from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.scratch import scratch_folder
 from strandline.runs.workers import Worker
 
 __all__ = ["KILLED_STARTS_BORNE", "LONGEST_WAIT_SECONDS", "Seat", "killed_while_starting"]
@@ -22,7 +21,7 @@ class Seat:
     """One worker process on this machine, replaced where a run takes it down; `close` it in the end."""
 
     def __init__(self, setup: bytes) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="strandline-runs-"))
+        self.folder = scratch_folder()
         self.setup = self.folder / "model.pickle"
         self.setup.write_bytes(setup)
         self.worker: Worker | None = None

@@ -1,0 +1,85 @@
+"""A driver's hold on its ledger: that the file is still in its place, and that no other driver has come in."""
+
+import os
+import sqlite3
+from pathlib import Path
+
+from filelock import BaseFileLock, FileLock, Timeout
+
+from strandline.errors import LedgerError
+from strandline.runs.tables import last_driver
+
+__all__ = ["Hold"]
+
+
+class Hold:
+    """The lock of the driver that has opened the ledger at `path`, and the two files as they were then.
+
+    A lock keeps others out only as long as its file is there: whoever deletes it lets a second driver in, which locks
+    a new file of that name. A database file that is deleted or moved can still be written, but nobody finds it again.
+    """
+
+    def __init__(self, path: Path, lock: BaseFileLock) -> None:
+        self.path, self._lock = path, lock
+        self._lock_path = Path(lock.lock_file)
+        self._file, self._lock_file = _identity(path), _identity(self._lock_path)
+
+    def require(self, connection: sqlite3.Connection, session: int) -> None:
+        """Refuse to write where the ledger is not this driver's any more.
+
+        Args:
+            connection: to the ledger.
+            session: of this driver.
+
+        Raises:
+            LedgerError: the ledger was deleted, moved or replaced, or another driver uses it.
+        """
+        if _identity(self.path) != self._file:
+            raise _moved(self.path)
+        if _identity(self._lock_path) != self._lock_file:
+            self._lock_again(connection, session)
+
+    def release(self) -> None:
+        """Let the next driver in."""
+        self._lock.release()
+
+    def _lock_again(self, connection: sqlite3.Connection, session: int) -> None:
+        """Lock the file that has the lock's name now; refuse where another driver has been quicker."""
+        lock = FileLock(self._lock_path)
+        try:
+            lock.acquire(timeout=0)
+        except (Timeout, OSError):
+            raise _taken_over(self.path) from None
+        (newest,) = connection.execute("SELECT max(session) FROM sessions").fetchone()
+        if newest != session:
+            lock.release()
+            raise _taken_over(self.path)
+        self._lock.release()
+        self._lock, self._lock_file = lock, _identity(self._lock_path)
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return device and number of a file; None where it is not there."""
+    try:
+        found = os.stat(path)  # noqa: PTH116
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _moved(path: Path) -> LedgerError:
+    return LedgerError(
+        f"ledger {path} is not the file that this run opened",
+        value="deleted, moved or replaced" if path.exists() else "deleted or moved",
+        expected="the ledger in its place until the run ends",
+        remedy="Put it back and run again; it has the runs that ended before.",
+    )
+
+
+def _taken_over(path: Path) -> LedgerError:
+    return LedgerError(
+        f"another driver took the ledger {path} over",
+        value=f"its lock file was deleted, and {last_driver(path)} opened it",
+        expected="one driver at a time, and its lock file in its place",
+        remedy="Let the other run go on, or stop it and run again: finished runs are in the ledger.",
+    )

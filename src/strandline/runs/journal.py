@@ -1,0 +1,123 @@
+"""Which journal of SQLite a ledger has: a write-ahead log on a local disk, a rollback journal on a network disk.
+
+A write-ahead log needs memory that all processes share, which those on several machines do not have, and which network
+file systems do not offer reliably. A rollback journal needs file locks alone. Linux says what a folder lies on;
+elsewhere `STRANDLINE_JOURNAL` does. Standard library alone.
+"""
+
+import contextlib
+import os
+import re
+import sqlite3
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from strandline.errors import InvalidInput, LedgerError
+
+__all__ = ["VARIABLE", "Journal", "file_system", "has_rollback_journal", "is_network", "journal_for", "note", "settle"]
+
+Journal = Literal["wal", "delete"]
+VARIABLE = "STRANDLINE_JOURNAL"
+"""Of the environment: ``wal`` or ``delete``, whatever the ledger lies on."""
+MOUNTS = Path("/proc/self/mountinfo")
+NETWORK = re.compile(
+    r"nfs4?|lustre|gpfs|mmfs|cifs|smb2|smb3|smbfs|ncpfs|davfs|9p|virtiofs|vboxsf|afs|acfs|coda|ceph|glusterfs|gfs2?|ocfs2|"
+    r"beegfs|fhgfs|panfs|pvfs2|orangefs|wekafs|fuse(\..*)?"
+)
+"""Types of file systems that several machines may write; all of FUSE counts, for sshfs and rclone are of it."""
+BUSY_SECONDS = 120.0
+"""How long a driver waits for readers, which keep a ledger with a rollback journal from being written."""
+ROLLBACK = 1
+FORMAT_BYTE = 18
+"""Of a database file: 1 with a rollback journal, 2 with a write-ahead log."""
+
+
+def journal_for(path: Path, *, environment: Mapping[str, str] | None = None) -> Journal:
+    """Return which journal the ledger at `path` should have.
+
+    Raises:
+        InvalidInput: another word than ``wal`` or ``delete`` in the environment.
+    """
+    asked = (os.environ if environment is None else environment).get(VARIABLE, "")
+    if asked in ("wal", "delete"):
+        return "wal" if asked == "wal" else "delete"
+    if asked:
+        raise InvalidInput(
+            f"{VARIABLE} in the environment",
+            value=asked,
+            expected="wal or delete",
+            remedy="Leave it out, and the file system decides.",
+        )
+    return "delete" if is_network(file_system(path)) else "wal"
+
+
+def note(path: Path) -> str | None:
+    """Return a line for whoever runs a study, where its ledger at `path` has a rollback journal; else None."""
+    if journal_for(path) == "wal":
+        return None
+    kind = file_system(path)
+    why = f"lies on a network file system ({kind})" if is_network(kind) else f"is to have one ({VARIABLE}=delete)"
+    return f"the ledger {why}: a rollback journal keeps it safe there; each write takes a little longer"
+
+
+def is_network(kind: str | None) -> bool:
+    """Tell whether several machines may write a file system of this type."""
+    return kind is not None and NETWORK.fullmatch(kind) is not None
+
+
+def file_system(path: Path, *, mounts: Path | None = None) -> str | None:
+    """Return the type of the file system that `path` lies on; None where the system does not say."""
+    try:
+        lines = (mounts or MOUNTS).read_text("utf-8", "surrogateescape").splitlines()
+    except OSError:
+        return None
+    place, found, longest = path.parent.resolve(), None, -1
+    for line in lines:
+        before, _, after = line.partition(" - ")
+        columns = before.split(" ")
+        if len(columns) > 4 and after:
+            point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), columns[4]))
+            if place.is_relative_to(point) and len(point.parts) >= longest:  # of equal ones, the last covers the others
+                found, longest = after.split(" ")[0], len(point.parts)
+    return found
+
+
+def settle(connection: sqlite3.Connection, path: Path) -> None:
+    """Give the ledger at `path` the journal that it should have; `connection` has not looked at it yet.
+
+    Raises:
+        LedgerError: others read a ledger that must be converted.
+    """
+    if journal_for(path) == "wal":
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        return
+    connection.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_SECONDS)}")
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # a write-ahead log is read without shared memory then
+    try:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    except sqlite3.OperationalError as error:
+        if "locked" in str(error):
+            raise _is_read(path) from None
+        raise
+    connection.execute("PRAGMA locking_mode = NORMAL")
+    connection.execute("PRAGMA synchronous = EXTRA")
+    connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()  # gives the lock back
+
+
+def has_rollback_journal(path: Path) -> bool:
+    """Tell whether the ledger at `path` has a rollback journal."""
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        file.seek(FORMAT_BYTE)
+        return file.read(1) == bytes([ROLLBACK])
+    return False
+
+
+def _is_read(path: Path) -> LedgerError:
+    return LedgerError(
+        f"ledger {path} cannot be given a rollback journal, which it needs on this disk",
+        value="a ledger that another program is reading",
+        expected="no other program at it, for a moment",
+        remedy="Let it end, and run again.",
+    )
