@@ -28,6 +28,7 @@ from strandline.runs import (
     Progress,
     RunRecord,
 )
+from strandline.set_aside import SetAside
 from strandline.smc import (
     SMCResult,
     SMCSettings,
@@ -101,7 +102,8 @@ class Calibration:
     With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
     `cut_quadrature` has one result for each value of the nuisance inputs; else both are None. With a surrogate of the
     field, `field` is what it knows; `surrogates`, of the log-likelihood, are then there to compare, or empty.
-    `no_field` says why there is none though it was asked for.
+    `no_field` says why there is none though it was asked for. `set_aside` are runs that ended ok and were not used;
+    unless one measure alone cannot use them, they stand in `records` as invalid.
     """
 
     problem: Problem
@@ -122,6 +124,7 @@ class Calibration:
     sensitivity: SobolIndices | None = None
     field: FieldOutcome | None = None
     no_field: str | None = None
+    set_aside: tuple[SetAside, ...] = ()
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:

@@ -13,7 +13,7 @@ from strandline.errors import InvalidStudy
 from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.runs.plans import Plan
-from strandline.runs.tables import ATTEMPTS
+from strandline.runs.tables import ATTEMPTS, EXCLUDED
 from strandline.studies.build import failure_words
 from strandline.studies.folder import REFINEMENT, write_json
 from strandline.studies.study import Study
@@ -105,7 +105,7 @@ def _runs_at_hand(study: Study, ledger: Ledger) -> list[dict[str, float]]:
     for path in (None, *(path for path in study.reuse if path.is_file())):
         with nullcontext(ledger) if path is None else Ledger.open(path, model=ledger.model, read_only=True) as source:
             for record in source:
-                if record.final and record.key != truth and _belongs(record, study):
+                if record.final and record.state != EXCLUDED and record.key != truth and _belongs(record, study):
                     found[record.key] = dict(record.inputs)
     return [found[key] for key in sorted(found)]
 
@@ -192,7 +192,8 @@ def failure_kinds(study: Study) -> set[str]:
     if not study.ledger_path.is_file():
         return set()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-        failed = [record for record in ledger.latest(needed_keys(study)).values() if not record.ok]
+        latest = ledger.latest(needed_keys(study)).values()
+    failed = [record for record in latest if not record.ok and record.state != EXCLUDED]
     return {word for record in failed for word in (record.failure_kind, record.state) if word}
 
 
