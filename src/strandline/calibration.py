@@ -136,13 +136,14 @@ class Calibration:
 class Observer:
     """Who wants to know how far it is: functions called as the work goes on; by default nobody.
 
-    `draws` hears of the inputs of each round of refinement before they are run.
+    `draws` hears of the inputs of each round of refinement before they are run, `note` of what a person should know.
     """
 
     stage: Callable[[str], None] = lambda name: None
     draws: Callable[[Sequence[Mapping[str, float]]], None] = lambda inputs: None
     run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
     step: Callable[[StepInfo], None] = lambda info: None
+    note: Callable[[str], None] = lambda text: None
 
 
 class Stopwatch:

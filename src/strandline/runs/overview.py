@@ -152,6 +152,12 @@ class Overview:
         with translated(self.path):
             return read_plan(self._connection, study_sha256)
 
+    def model(self) -> str | None:
+        """Return the fingerprint of the model whose runs these are."""
+        with translated(self.path):
+            row = self._connection.execute("SELECT value FROM meta WHERE key = 'model'").fetchone()
+        return None if row is None else str(row[0])
+
     def runs(self) -> list[Run]:
         """Return all distinct runs, in the order of their last starts."""
         found: dict[str, list[Attempt]] = {}

@@ -27,6 +27,7 @@ from strandline.studies.ledgers import (
     write_round,
 )
 from strandline.studies.observed import noisy
+from strandline.studies.provenance import require_its_own_text
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
@@ -51,15 +52,19 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         observer: who is told how far it is.
 
     Raises:
-        InvalidStudy: the folder cannot be written to, or the synthetic observation cannot be made.
+        InvalidStudy: the folder cannot be written to, the synthetic observation cannot be made, or the study was
+            changed after it was loaded.
         LedgerError: the ledger is locked, belongs to another model, or is damaged.
         InvalidInput: a measure that cannot be evaluated on the observed interface.
         TooFewRuns: too few forward runs succeeded.
     """
+    require_its_own_text(study)
     require_writable(study.folder)
     check_ledgers(study)
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
+        if ledger.backup is not None:
+            observer.note(f"the ledger was of an earlier version; a copy of it is {ledger.backup}")
         given = begin_active(study, ledger)
         ledger.plan(plan_of(study))
         take_over(study, ledger)
@@ -92,6 +97,7 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
         InvalidStudy: the folder cannot be written to.
         LedgerError: the ledger is locked, belongs to another model, or is damaged.
     """
+    require_its_own_text(study)
     require_writable(study.folder)
     check_ledgers(study)
     tell = observer or Observer()
