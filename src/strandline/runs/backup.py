@@ -24,9 +24,21 @@ def copied(connection: sqlite3.Connection, target: Path) -> None:
             (found,) = copy.execute("PRAGMA quick_check(1)").fetchone()
         if found != "ok":
             raise sqlite3.DatabaseError(found)
-        os.link(partial, target) if hasattr(os, "link") else partial.rename(target)
+        _moved(partial, target)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _moved(partial: Path, target: Path) -> None:
+    """Give the finished copy its name, and never overwrite a file; some disks know no hard links."""
+    try:
+        os.link(partial, target)
+    except FileExistsError:
+        raise
+    except (OSError, AttributeError):
+        if target.exists():
+            raise FileExistsError(f"{target} exists") from None
+        partial.rename(target)
 
 
 def backup_before_upgrade(path: Path, connection: sqlite3.Connection) -> Path:

@@ -1,7 +1,7 @@
 """What the ledgers of a study hold of the runs that it needs."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -35,6 +35,7 @@ __all__ = [
     "require_finished",
     "settled",
     "take_over",
+    "tell_backup",
     "unheard_kinds",
     "write_round",
 ]
@@ -252,6 +253,12 @@ def take_over(study: Study, ledger: Ledger) -> None:
         missing = [key for key in keys if key not in known or _lacks_sensitivities(known[key], study)]
         if missing and other.is_file():
             ledger.copy_from(other, missing, sensitivities=study.sensitivities)
+
+
+def tell_backup(ledger: Ledger, note: Callable[[str], None]) -> None:
+    """Say where the copy of a ledger lies that was upgraded when it was opened."""
+    if ledger.backup is not None:
+        note(f"{ledger.path.name} was of an earlier version; a copy of it is {ledger.backup}")
 
 
 def _lacks_sensitivities(record: RunRecord, study: Study) -> bool:

@@ -24,6 +24,7 @@ from strandline.studies.ledgers import (
     end_active,
     plan_of,
     take_over,
+    tell_backup,
     write_round,
 )
 from strandline.studies.observed import noisy
@@ -63,8 +64,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     check_ledgers(study)
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
-        if ledger.backup is not None:
-            observer.note(f"the ledger was of an earlier version; a copy of it is {ledger.backup}")
+        tell_backup(ledger, observer.note)
         given = begin_active(study, ledger)
         ledger.plan(plan_of(study))
         take_over(study, ledger)
@@ -103,6 +103,7 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
     tell = observer or Observer()
     inputs = [*([] if study.truth is None else [study.truth]), *design_inputs(study)]
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
+        tell_backup(ledger, tell.note)
         take_over(study, ledger)
         tell.stage("forward")
         run_campaign(study.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
