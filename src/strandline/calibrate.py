@@ -123,6 +123,7 @@ def calibrate(
         sensitivity=sensitivity,
         field=field_,
         no_field=lesson.no_field,
+        set_aside=lesson.set_aside,
     )
 
 

@@ -28,6 +28,7 @@ from strandline.runs import (
     Progress,
     RunRecord,
 )
+from strandline.set_aside import SetAside
 from strandline.smc import (
     SMCResult,
     SMCSettings,
@@ -101,7 +102,8 @@ class Calibration:
     With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
     `cut_quadrature` has one result for each value of the nuisance inputs; else both are None. With a surrogate of the
     field, `field` is what it knows; `surrogates`, of the log-likelihood, are then there to compare, or empty.
-    `no_field` says why there is none though it was asked for.
+    `no_field` says why there is none though it was asked for. `set_aside` are runs that ended ok and were not used;
+    unless one measure alone cannot use them, they stand in `records` as invalid.
     """
 
     problem: Problem
@@ -122,6 +124,7 @@ class Calibration:
     sensitivity: SobolIndices | None = None
     field: FieldOutcome | None = None
     no_field: str | None = None
+    set_aside: tuple[SetAside, ...] = ()
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:
@@ -133,13 +136,14 @@ class Calibration:
 class Observer:
     """Who wants to know how far it is: functions called as the work goes on; by default nobody.
 
-    `draws` hears of the inputs of each round of refinement before they are run.
+    `draws` hears of the inputs of each round of refinement before they are run, `note` of what a person should know.
     """
 
     stage: Callable[[str], None] = lambda name: None
     draws: Callable[[Sequence[Mapping[str, float]]], None] = lambda inputs: None
     run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
     step: Callable[[StepInfo], None] = lambda info: None
+    note: Callable[[str], None] = lambda text: None
 
 
 class Stopwatch:

@@ -3,16 +3,16 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.active import Active, ActiveRuns, FieldOutcome, VarianceEffect, learn
+from strandline.active import Active, ActiveRuns, FieldOutcome, Knowledge, VarianceEffect, learn
 from strandline.calibration import Observer, Problem, Settings, Stopwatch
 from strandline.design import sobol
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
-from strandline.likelihood import InterfaceLikelihood
 from strandline.refinement import Learnt, Refinement, Round, refine
 from strandline.runs import (
     Executor,
@@ -22,6 +22,7 @@ from strandline.runs import (
     run_campaign,
 )
 from strandline.runs.executors import usable_cores
+from strandline.set_aside import Judge, SetAside
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood
 
 __all__ = ["Learning", "Lesson"]
@@ -41,12 +42,14 @@ class Lesson:
         rounds: of refinement.
         field: what is known of the field; None where the surrogate is one of the log-likelihood.
         no_field: why it is, though one of the field was asked for.
+        set_aside: runs that ended ok and were not used.
     """
 
     learnt: Learnt
     rounds: tuple[Round, ...] = ()
     field: FieldOutcome | None = None
     no_field: str | None = None
+    set_aside: tuple[SetAside, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,11 @@ class Learning:
     executor: Executor
     tell: Observer
     watch: Stopwatch
+
+    @cached_property
+    def judge(self) -> Judge:
+        """Says which runs can be used."""
+        return Judge(self.problem.observations, self.problem.discrepancies, self.settings.failures)
 
     def lesson(self, given: Float[np.ndarray, "run dim"] | None) -> Lesson:
         """Make all forward runs and learn from them, by the surrogate that the settings name where that can be.
@@ -75,9 +83,10 @@ class Learning:
         try:
             learnt, found = self._by_field(begin, choosing)
         except NoCommonPoints as error:
+            self.judge.forget_exceptions()
             asked = begin if choosing is None else choosing.asked
             return replace(self._instead(asked), no_field=str(error.value))
-        return Lesson(learnt, field=found)
+        return Lesson(learnt, field=found, set_aside=self.judge.set_aside(learnt.records))
 
     def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
         space = self.problem.space
@@ -93,7 +102,7 @@ class Learning:
             seed=self.settings.seed,
             stage=lambda: self.watch("refinement", self.tell),
         )
-        return Lesson(learnt, rounds)
+        return Lesson(learnt, rounds, set_aside=self.judge.set_aside(learnt.records))
 
     def _instead(self, asked: Float[np.ndarray, "run dim"]) -> Lesson:
         """Learn the log-likelihood from the runs `asked` for so far, and from what an active design may still make.
@@ -125,11 +134,9 @@ class Learning:
         if known is not None:
             points, records = np.concatenate([known.design, points]), (*known.records, *records)
         with self.watch("surrogate", self.tell):
-            training, log_likelihoods = _training_set(self.problem, points, records)
-            surrogates = {
-                name: fit_log_likelihood(training, values, kernel=self.settings.kernel)
-                for name, values in log_likelihoods.items()
-            }
+            records = self.judge.usable(records)
+            training, log_likelihoods = _training_set(self.judge, points, records)
+            surrogates = _trained(training, log_likelihoods, self.settings.kernel)
         return Learnt(points, records, training, log_likelihoods, surrogates)
 
     def _by_field(
@@ -144,17 +151,29 @@ class Learning:
             records = self._run(first, choosing)
         points = np.array([[record.inputs[name] for name in space.names] for record in records], float)
         with self.watch("surrogate", self.tell):
-            training, log_likelihoods = _training_set(self.problem, points, records)
             if choosing is None or choosing.design.state is None:
-                (measure, *_), seen = self.problem.discrepancies.values(), self.problem.observations
-                knowledge = learn(points, records, space, seen, measure)
+                knowledge, records = self._known_field(points, records)
             else:
-                knowledge = choosing.design.state.knowledge
+                knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
+            training, log_likelihoods = _training_set(self.judge, points, records)
             surrogates = _to_compare(training, log_likelihoods, self.settings.kernel)
         learnt = Learnt(points, records, training, log_likelihoods, surrogates)
         none = VarianceEffect(np.zeros(space.dim), np.ones(space.dim), 1.0)
         certificate = None if choosing is None else choosing.certificate
         return learnt, FieldOutcome(knowledge, none, 1.0, certificate)
+
+    def _known_field(
+        self, points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    ) -> tuple[Knowledge, tuple[RunRecord, ...]]:
+        """Learn the field; return the records too, those that it was not learnt from turned into invalid ones."""
+        measure = next(iter(self.problem.discrepancies.values()))
+        while True:
+            used = self.judge.usable(records)
+            _require_enough(sum(record.ok for record in used), used, self.problem.space.dim)
+            try:
+                return learn(points, used, self.problem.space, self.problem.observations, measure), used
+            except NoCommonPoints as error:
+                self.judge.without_exceptions(records, error)
 
     def _run(self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
         model, inputs = self.problem.model, self._inputs(first)
@@ -185,6 +204,7 @@ class Learning:
             batch=active.batch or min(max(workers, 2), LARGEST_BATCH),
             seed=self.settings.seed,
             scramble=self.settings.scramble,
+            judge=self.judge,
             aside=lambda: self.watch("choice", self.tell),
             on_step=self.tell.step,
         )
@@ -193,27 +213,37 @@ class Learning:
         return [{**self.problem.fixed, **self.problem.space.as_mapping(x)} for x in points]
 
 
+def _trained(
+    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], kernel: str
+) -> dict[str, LogLikelihoodSurrogate]:
+    """Return a surrogate for each measure; none of one, beside the first, that too few runs can be compared by."""
+    found = {}
+    for name, values in log_likelihoods.items():
+        usable = np.isfinite(values)
+        if usable.all():
+            found[name] = fit_log_likelihood(training, values, kernel=kernel)
+        elif usable.sum() >= training.shape[1] + 2:
+            found[name] = fit_log_likelihood(training[usable], values[usable], kernel=kernel)
+    return found
+
+
 def _to_compare(
     training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], kernel: str
 ) -> dict[str, LogLikelihoodSurrogate]:
     """Return the surrogates of the log-likelihood, none where one cannot be trained."""
     try:
-        return {name: fit_log_likelihood(training, v, kernel=kernel) for name, v in log_likelihoods.items()}
+        return _trained(training, log_likelihoods, kernel)
     except (NumericsError, TooFewRuns):
         return {}
 
 
 def _training_set(
-    problem: Problem, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    judge: Judge, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
 ) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
-    """Return the inputs of the successful runs and their log-likelihood under each measure."""
+    """Return the inputs of the usable runs and their log-likelihood under each measure, NaN where it has none."""
     succeeded = [i for i, record in enumerate(records) if record.ok]
-    interfaces = [records[i].interfaces for i in succeeded]
-    _require_enough(len(succeeded), records, problem.space.dim)
-    values = {}
-    for name, discrepancy in problem.discrepancies.items():
-        likelihood = InterfaceLikelihood(problem.observations, discrepancy)
-        values[name] = np.array([likelihood(simulated) for simulated in interfaces])
+    _require_enough(len(succeeded), records, design.shape[1])
+    values = {name: np.array([judge.value(name, records[i]) for i in succeeded]) for name in judge.likelihoods}
     return design[succeeded], values
 
 

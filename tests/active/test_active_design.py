@@ -18,7 +18,8 @@ from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.posterior import reweight
-from strandline.runs import RunRecord
+from strandline.runs import FailurePolicy, RunRecord
+from strandline.set_aside import Judge
 
 FIRST = SPACE.to_physical(sobol(12, 2))
 MEAN = np.array([0.2, 0.1])
@@ -260,9 +261,9 @@ def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch: pytest.Monk
     learner = FakeLearner(fewest=6)
     monkeypatch.setattr(campaign_module, "learn", lambda x, records, *others: (x, records))
     monkeypatch.setattr(campaign_module, "posterior_state", lambda given, *others: learner(*given))
-    runs = ActiveRuns(
-        Active(60), SPACE, (Observation(interface(MEAN), 0.01),), TrackedPoints(), 4, 1, None, aside=nullcontext
-    )
+    seen, measure = (Observation(interface(MEAN), 0.01),), TrackedPoints()
+    judge = Judge(seen, {"tracked_points": measure}, FailurePolicy())
+    runs = ActiveRuns(Active(60), SPACE, seen, measure, 4, 1, None, judge, aside=nullcontext)
     first = SPACE.to_physical(sobol(5, 2))
     runs.design.start(first)
     found = runs([record(row) for row in first])

@@ -1,6 +1,7 @@
 """`strandline runs`: the list, its filters, one run in full, exports, and what is refused."""
 
 import csv
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -229,7 +230,10 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--state", "fine"], "--state: got fine; expected one of ok, failed, timeout, killed, invalid, open."),
+        (
+            ["--state", "fine"],
+            "--state: got fine; expected one of ok, failed, timeout, killed, invalid, open, excl",
+        ),
         (
             ["--kind", "stalld"],
             "--kind: got stalld; expected one of limit_point, non_finite, stalled, timeout, worker_died.",
@@ -291,3 +295,49 @@ def test_earlier_ledgers_are_listed(tmp_path: Path, name: str, capsys: pytest.Ca
         assert len(rows) == ledger.counts().total
         assert sum(row[1] == "ok" for row in rows) == ledger.counts().ok
     printed(capsys, str(tmp_path), "--export", str(tmp_path / "runs.nc"))
+
+
+def test_a_run_is_excluded_and_included_again(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = printed(capsys, str(folder), "--exclude", "aa1", "--why", "the mesh folded")
+    assert said.startswith("run aa1 is excluded: it is not used and not made again")
+    assert [row[:3] for row in listed(capsys, str(folder), "--state", "excluded")[:-1]] == [
+        ["aa1", "excluded", "excluded"]
+    ]
+    assert printed(capsys, str(folder), "--show", "aa1").splitlines()[-1].endswith(", the mesh folded")
+    assert "included again" in printed(capsys, str(folder), "--include", "aa1")
+    assert [row[1] for row in listed(capsys, str(folder))[:-1] if row[0] == "aa1"] == ["ok"]
+
+
+def test_runs_that_the_analysis_set_aside_are_invalid(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    aside = {"key": "aa1", "inputs": {}, "kind": "not_comparable", "measure": "tracked_points", "why": "5 points"}
+    summary = {"likelihood": {"discrepancy": "tracked_points"}, "set_aside": [aside]}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    rows = listed(capsys, str(folder), "--state", "invalid")[:-1]
+    assert [row[:3] for row in rows] == [["aa1", "invalid", "not_comparable"], ["ae6", "invalid", "non_finite"]]
+    assert "set aside by the last analysis: not_comparable, 5 points" in printed(capsys, str(folder), "--show", "aa1")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--exclude", "aa1"], "expected --why REASON"),
+        (["--exclude", "aa1", "--why", ""], "an empty text"),
+        (["--why", "odd"], "--why alone"),
+        (["--exclude", "aa1", "--include", "aa2", "--why", "odd"], "either --exclude KEY"),
+        (["--exclude", "aa1", "--why", "odd", "--state", "ok"], "either --exclude KEY"),
+        (
+            ["--exclude", "a", "--why", "odd"],
+            "--exclude: got a; expected the beginning of the key of one run, not",
+        ),
+        (["--exclude", "af7", "--why", "odd"], "no outcome yet"),
+        (["--include", "aa1"], "not excluded"),
+    ],
+)
+def test_what_cannot_be_excluded_or_included(
+    folder: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["runs", str(folder), *options])
+    shown = capsys.readouterr()
+    assert (ended.value.code, shown.out, shown.err.count("\n")) == (2, "", 1)
+    assert message in shown.err

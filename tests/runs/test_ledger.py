@@ -459,7 +459,7 @@ def test_a_driver_upgrades_version_1_and_touches_no_row(tmp_path):
         Ledger.open(path, model="m")
     assert content(path)[0] == "1"
     Ledger.open(path, model=model).close()
-    assert content(path) == (str(tables.VERSION), names | {"arrays", "plans"}, rows)
+    assert content(path) == (str(tables.VERSION), names | {"arrays", "plans", "exclusions"}, rows)
     with Ledger.open(path, model=model) as ledger:
         put(ledger, records()[0])
         assert exact(ledger.latest(["two"])["two"]) == exact(records()[0])
@@ -533,7 +533,7 @@ def test_a_driver_upgrades_version_2_and_touches_no_row(tmp_path, name):
     (version, names, rows), arrays = content(path), array_rows(path)
     assert (version, "plans" in names) == ("2", False)
     Ledger.open(path, model=model).close()
-    assert content(path) == (str(tables.VERSION), names | {"plans"}, rows)
+    assert content(path) == (str(tables.VERSION), names | {"plans", "exclusions"}, rows)
     assert array_rows(path) == arrays
     fresh = tmp_path / "fresh.sqlite"
     Ledger.open(fresh, model=model).close()

@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.active.design import Active, ActiveDesign
+from strandline.active.design import Active, ActiveDesign, Batch
 from strandline.active.outcome import Certificate
 from strandline.active.state import State, learn, posterior_state
 from strandline.discrepancy import Discrepancy
-from strandline.errors import TooFewRuns
+from strandline.errors import NoCommonPoints, TooFewRuns
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
+from strandline.set_aside import Judge
 from strandline.smc import StepInfo
 from strandline.surrogate.field import one_thread
 
@@ -36,6 +37,7 @@ class ActiveRuns:
         batch: runs chosen together.
         seed: of all random numbers.
         scramble: of the Sobol sequence of the first runs.
+        judge: says which runs can be used.
         aside: a context for the time that choosing takes.
         on_step: called after each tempering step of the sampling that a choice begins with.
     """
@@ -47,6 +49,7 @@ class ActiveRuns:
     batch: int
     seed: int
     scramble: int | None
+    judge: Judge
     aside: Callable[[], Any]
     on_step: Callable[[StepInfo], None] | None = None
     design: ActiveDesign = field(init=False)
@@ -76,12 +79,21 @@ class ActiveRuns:
         """Return the inputs of the next batch, none to stop; more of the first design where too few succeeded."""
         with self.aside(), one_thread():
             try:
-                batch = self.design.next(self.points(records), records)
+                batch = self._next(records)
             except TooFewRuns:
                 batch = self.design.more_of_the_first()
                 if batch is None:
                     raise
         return np.empty((0, self.space.dim)) if batch is None else batch.points
+
+    def _next(self, records: Sequence[RunRecord]) -> Batch | None:
+        """Return the next batch; the design stays as it was where the runs make no field yet."""
+        points = self.points(records)
+        while True:
+            try:
+                return self.design.next(points, self.judge.usable(records))
+            except NoCommonPoints as error:
+                self.judge.without_exceptions(records, error)
 
     @property
     def asked(self) -> Points:

@@ -14,6 +14,7 @@ from strandline.field_likelihood import FieldLikelihood, OnHost, noise_length
 from strandline.interface import Observation
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
+from strandline.set_aside import says_whether_runs_succeed
 from strandline.smc import SMCSettings, StepInfo, sample
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field, one_thread
@@ -98,7 +99,8 @@ def learn(
             remedy="Let the simulator return more nodes, or nodes that are the same in all runs.",
         )
     z = surrogate.warping.standardise(x)
-    feasibility = learn_feasibility(z, ok)
+    told = np.array([says_whether_runs_succeed(record) for record in records], bool)
+    feasibility = learn_feasibility(z[told], ok[told])
     highest = float(feasibility.log_probability(z).max())
     return Knowledge(x, ok, FieldLikelihood(surrogate, observations, discrepancy), feasibility, highest)
 

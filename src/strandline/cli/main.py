@@ -24,6 +24,8 @@ COMMANDS = {
     "retry": "Make failed runs again, then the rest of the study.",
     "status": "Tell how many runs are done, and how the others ended.",
     "runs": "List the runs of a study, show one in full, export them.",
+    "doctor": "Look for damage, gaps and drift in a study folder.",
+    "backup": "Copy a study's ledger, while it may be running.",
     "report": "Make posterior, figures and report anew from finished runs.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "forward": "Make one forward run at chosen inputs.",

@@ -34,7 +34,7 @@ def observing(*, quiet: bool = False) -> Iterator[Observer]:
     """Give an observer that shows how far the study is, on standard error."""
     console = Console(stderr=True)
     if quiet:
-        yield Observer()
+        yield Observer(note=lambda text: _say(console, text))
     elif console.is_terminal:
         with _bars(console) as bars:
             yield bars
@@ -68,7 +68,7 @@ def _bars(console: Console) -> Iterator[Observer]:
         def step(info: StepInfo) -> None:
             progress.update(tasks[-1], total=1.0, completed=float(info.temperature), note=_step_note(info))
 
-        yield Observer(stage=stage, run=run, step=step)
+        yield Observer(stage=stage, run=run, step=step, note=lambda text: _say(console, text))
         end_stage()
 
 
@@ -76,7 +76,7 @@ def _lines(console: Console) -> Observer:
     last, current = [time.monotonic()], [""]
 
     def say(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True)
+        _say(console, text)
 
     def stage(name: str) -> None:
         last[0], current[0] = time.monotonic(), name
@@ -96,7 +96,11 @@ def _lines(console: Console) -> Observer:
         if due(current[0] == "sampling" and float(info.temperature) >= 1.0):
             say(f"  {_step_note(info)}")
 
-    return Observer(stage=stage, run=run, step=step)
+    return Observer(stage=stage, run=run, step=step, note=say)
+
+
+def _say(console: Console, text: str) -> None:
+    console.print(text, highlight=False, soft_wrap=True, markup=False)
 
 
 def _run_note(state: Runs) -> str:

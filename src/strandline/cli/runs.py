@@ -21,30 +21,50 @@ SUFFIXES = (".csv", ".nc")
 
 @click.command("runs")
 @click.argument("study", type=click.Path(path_type=Path))
-@click.option("--state", help="Only runs of this state: ok, failed, timeout, killed, invalid or open.")
+@click.option("--state", help="Only runs of this state: ok, failed, timeout, killed, invalid, excluded or open.")
 @click.option("--kind", help="Only runs that failed for this reason.")
 @click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N, the last to be started.")
 @click.option("--show", metavar="KEY", help="Show one run in full; the first characters of its key are enough.")
 @click.option(
     "--export", type=click.Path(path_type=Path), metavar="FILE", help="Write them to FILE.csv or FILE.nc instead."
 )
+@click.option("--exclude", metavar="KEY", help="Use this run no more, and do not make it again; needs --why.")
+@click.option("--include", metavar="KEY", help="Use an excluded run again.")
+@click.option("--why", metavar="REASON", help="Reason for --exclude or --include, kept in the ledger.")
 def command(
-    study: Path, state: str | None, kind: str | None, limit: int | None, show: str | None, export: Path | None
+    study: Path,
+    state: str | None,
+    kind: str | None,
+    limit: int | None,
+    show: str | None,
+    export: Path | None,
+    exclude: str | None,
+    include: str | None,
+    why: str | None,
 ) -> None:
     """List the runs in the ledger of STUDY in the order of their start; it may be running meanwhile.
 
-    State `open`: started and not ended, under way or lost. FILE.csv has a row per run, FILE.nc the interfaces too.
+    State `open`: started and not ended, under way or lost; `excluded`: by --exclude, which needs the ledger for itself.
+    FILE.csv has a row per run, FILE.nc the interfaces too.
     """
+    from strandline.cli.leaving_out import as_used, change, reasons
     from strandline.runs.overview import Overview
     from strandline.studies.folder import LEDGER
 
     _require_known(state)
     _require_target(export)
+    if exclude is not None or include is not None or why is not None:
+        option = _require_one_change(exclude, include, state, kind, limit, show, export)
+        with Overview(study / LEDGER) as ledger:
+            run = _found(exclude or include or "", ledger.runs(), option)
+        change(study, run.key, why, exclude=exclude is not None)
+        return
     with Overview(study / LEDGER) as ledger:
-        runs = ledger.runs()
+        runs = as_used(ledger.runs(), study)
         if show is not None:
             _require_alone(state, kind, limit, export)
-            click.echo("\n".join(_in_full(_found(show, runs), ledger)))
+            run = _found(show, runs)
+            click.echo("\n".join((*_in_full(run, ledger), *reasons(run, study))))
             return
         _require_kind(kind, runs)
         chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
@@ -57,9 +77,11 @@ def command(
 
 def _require_known(state: str | None) -> None:
     from strandline.runs.overview import STATES
+    from strandline.runs.tables import EXCLUDED
 
-    if state is not None and state not in STATES:
-        raise InvalidInput("--state", value=state, expected=f"one of {', '.join(STATES)}", remedy="Correct the option.")
+    known = (*STATES, EXCLUDED)
+    if state is not None and state not in known:
+        raise InvalidInput("--state", value=state, expected=f"one of {', '.join(known)}", remedy="Correct the option.")
 
 
 def _require_kind(kind: str | None, runs: Sequence["Run"]) -> None:
@@ -104,12 +126,24 @@ def _require_alone(*others: object) -> None:
         )
 
 
-def _found(key: str, runs: Sequence["Run"]) -> "Run":
+def _require_one_change(exclude: str | None, include: str | None, *others: object) -> str:
+    """Return the option that was given; refuse both at once, --why alone, or other options beside them."""
+    if (exclude is None) == (include is None) or any(other is not None for other in others):
+        raise InvalidInput(
+            "--exclude, --include and --why",
+            value="several options that do not go together, or --why alone",
+            expected="either --exclude KEY --why REASON or --include KEY",
+            remedy="Give one of the two, without options that list, show or export runs.",
+        )
+    return "--exclude" if include is None else "--include"
+
+
+def _found(key: str, runs: Sequence["Run"], option: str = "--show") -> "Run":
     """Return the run whose key begins with `key`."""
     matching = [run for run in runs if key and run.key.startswith(key)]
     if len(matching) != 1:
         raise InvalidInput(
-            "--show",
+            option,
             value=key,
             expected="the beginning of the key of one run"
             + (f", not of {len(matching)}" if matching else f"; there is none among {len(runs)} that begins so"),

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
+from strandline.models.sources import sources_of
 
 __all__ = [
     "ForwardModel",
@@ -24,6 +25,7 @@ __all__ = [
     "declared_conditions",
     "declared_failure_kinds",
     "declared_inputs",
+    "earlier_fingerprint",
     "fingerprint",
     "require_conditions",
     "the_only_interface",
@@ -196,16 +198,37 @@ def _has_field(model: Any, name: str) -> bool:
 def fingerprint(model: ForwardModel) -> str:
     """Return what identifies `model` in a ledger.
 
-    Its own `fingerprint` where it has one; otherwise a hash of its class or function source and of its fields, but for
-    `sensitivities`, which change no interface.
+    Its own `fingerprint` where it has one; otherwise a hash of its class or function, of the file that this is in and
+    of the files of the same package that this imports, and of its fields, but for `sensitivities`, which change no
+    interface.
     """
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
         return own
+    subject, fields = _described(model)
+    try:
+        sources = sources_of(subject.__module__)
+    except OSError:  # typed into a notebook or a terminal
+        return earlier_fingerprint(model)
+    text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=repr)
+    return "python-files:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def earlier_fingerprint(model: ForwardModel) -> str:
+    """Return what identified `model` before its whole file counted: the source of its class or function alone."""
+    own = getattr(model, "fingerprint", None)
+    if isinstance(own, str):
+        return own
+    subject, fields = _described(model)
+    text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
+    return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _described(model: ForwardModel) -> tuple[Any, dict[str, Any]]:
+    """Return the function, or the class and the fields, that `model` is made of."""
     instance: Any = model
     subject = instance if inspect.isfunction(instance) else type(instance)
     is_record = dataclasses.is_dataclass(instance) and not isinstance(instance, type)
     fields = dataclasses.asdict(instance) if is_record else {}
     fields.pop("sensitivities", None)
-    text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
-    return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    return subject, fields

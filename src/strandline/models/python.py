@@ -16,6 +16,7 @@ from strandline.models.protocol import (
     declared_conditions,
     declared_failure_kinds,
     declared_inputs,
+    earlier_fingerprint,
     fingerprint,
     with_sensitivities,
 )
@@ -35,11 +36,13 @@ class PythonModel:
     ``conditions``, the names under which a `Simulation` of several interfaces holds them, and ``failure_kinds``, the
     kinds with which it raises `ForwardModelError`. Without ``inputs`` nothing is known of units and of the values that
     make sense: the study's unit (optional then) is taken as it stands and no range is checked. Without
-    ``fingerprint`` runs belong to the function's own source; code that it calls elsewhere can change unseen.
+    ``fingerprint`` runs belong to the source of the function's file and of the files of the same package, or beside it,
+    that this imports; code that it calls elsewhere can change unseen.
 
     Args:
         function: ``module:name``; the module must be importable (installed, or on PYTHONPATH).
         sensitivities: have the callable, a dataclass with a field of that name, compute them too.
+        function_alone: Have the fingerprint cover the function's own source alone, as in ledgers of version 0.1.
 
     Raises:
         InvalidInput: there is no such module, or no such callable in it, or it offers no sensitivities.
@@ -47,6 +50,7 @@ class PythonModel:
 
     function: str
     sensitivities: bool = False
+    function_alone: bool = False
 
     def __post_init__(self) -> None:
         self._target()
@@ -68,9 +72,9 @@ class PythonModel:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with the function's source, or as its own ``fingerprint`` says."""
+        """Changes with the source of the function's file and package, or as its own ``fingerprint`` says."""
         try:
-            return fingerprint(_found(self.function))
+            return (earlier_fingerprint if self.function_alone else fingerprint)(_found(self.function))
         except (OSError, TypeError):
             raise InvalidInput(
                 f"the source of {self.function} cannot be read",

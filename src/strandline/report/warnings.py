@@ -9,6 +9,7 @@ from strandline.parameters import Parameter
 from strandline.posterior import Posterior
 from strandline.quadrature import mixture
 from strandline.report.field_warnings import field_warnings
+from strandline.runs.tables import EXCLUDED
 
 __all__ = ["find_warnings", "small_share"]
 
@@ -44,6 +45,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     else:
         yield from field_warnings(calibration, calibration.field)
     yield from _runs(calibration)
+    yield from _set_aside(calibration)
     yield from _prior(calibration)
     yield from _sampler(calibration)
     yield from _cut(calibration)
@@ -75,6 +77,26 @@ def _runs(calibration: Calibration) -> Iterator[str]:
         yield (
             f"{failed} of {len(calibration.records)} forward runs failed: the surrogate knows nothing there. "
             "See where they lie before you trust a posterior close to them."
+        )
+
+
+def _set_aside(calibration: Calibration) -> Iterator[str]:
+    """Yield a sentence on the runs that ended ok and were not used, and one on those excluded by hand."""
+    for measure in dict.fromkeys(one.measure for one in calibration.set_aside):
+        some = [one for one in calibration.set_aside if one.measure == measure]
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in some[0].inputs.items())
+        what = "run that ended ok was" if len(some) == 1 else "runs that ended ok were"
+        beside = "" if measure in (None, next(iter(calibration.problem.discrepancies))) else f" for {measure} alone"
+        yield (
+            f"{len(some)} {what} set aside as invalid{beside}; the first is {some[0].key[:12]} at {where}: "
+            f"{some[0].why.rstrip('.')}. `strandline runs STUDY --state invalid` lists them."
+        )
+    excluded = [record for record in calibration.records if record.state == EXCLUDED]
+    if excluded:
+        what = "run was" if len(excluded) == 1 else "runs were"
+        yield (
+            f"{len(excluded)} {what} excluded by hand and not used; the first is {excluded[0].key[:12]}: "
+            f"{excluded[0].message}."
         )
 
 

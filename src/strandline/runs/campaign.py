@@ -12,6 +12,7 @@ from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy, aborted
 from strandline.runs.ledger import INTERRUPTED, Ledger
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
+from strandline.runs.tables import EXCLUDED
 
 __all__ = ["Campaign", "Progress", "Starts", "run_campaign"]
 
@@ -194,6 +195,8 @@ class Campaign:
 
     def _deserves_another(self, record: RunRecord) -> bool:
         """Tell whether a run that ended like this is to be tried again."""
+        if record.state == EXCLUDED:
+            return False
         allowed = self.policy.attempts(record, killed=self.maximum_attempts)
         return not record.ok and self._attempts(record.key, since_final=record.state == "killed") < allowed
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from strandline.errors import CampaignStopped, InvalidInput
 from strandline.runs.record import RunRecord
+from strandline.runs.tables import EXCLUDED
 
 __all__ = ["COMMON_KINDS", "FailurePolicy", "Retry", "aborted", "require_kinds"]
 
@@ -29,6 +30,9 @@ COMMON_KINDS = (
     "cancelled",
     "preempted",
     "damaged_result",
+    "not_comparable",
+    "flipped",
+    "no_common_points",
 )
 """What can befall a run of any model, beside the kinds that the model itself has."""
 
@@ -100,6 +104,8 @@ class FailurePolicy:
 
     def tries_again(self, record: RunRecord) -> bool:
         """Tell whether a failure of an earlier campaign is not taken as final: it ended that, or it is asked for."""
+        if record.state == EXCLUDED:
+            return False
         wanted = bool(self.again & {record.failure_kind, record.state})
         return not record.ok and (wanted or self.aborts(record))
 

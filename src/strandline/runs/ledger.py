@@ -13,7 +13,7 @@ import os
 import socket
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -23,10 +23,11 @@ from filelock import BaseFileLock, FileLock, Timeout
 
 from strandline.errors import LedgerError
 from strandline.runs import schema, tables
+from strandline.runs.exclusions import Exclusion, read_exclusions, require_reason, write_exclusion
 from strandline.runs.hold import Hold
 from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
 from strandline.runs.plans import Plan, read_plan, rows_to_write
-from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.record import RunRecord, RunRequest, excluded
 from strandline.runs.tables import INTERRUPTED, translated
 
 __all__ = ["INTERRUPTED", "Counts", "Ledger"]
@@ -67,6 +68,7 @@ class Ledger:
         self._lock = lock
         self._hold: Hold | None = None
         self._session: int | None = None
+        self.backup: Path | None = None
 
     @classmethod
     def open(cls, path: Path | str, *, model: str | None, description: str = "", read_only: bool = False) -> "Ledger":
@@ -116,7 +118,7 @@ class Ledger:
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
             tables.require_sound(path, connection)
-            tables.upgrade(connection)
+            ledger.backup = tables.upgrade(path, connection)
             columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
             row = connection.execute(
                 f"INSERT INTO sessions {columns}", (os.getpid(), socket.gethostname(), time.time())
@@ -187,7 +189,7 @@ class Ledger:
         self._finish(number, record)
 
     def latest(self, keys: Iterable[str]) -> dict[str, RunRecord]:
-        """Return the last outcome of each of the runs `keys` that has one.
+        """Return the last outcome of each of the runs `keys` that has one; of an excluded run, that it is excluded.
 
         Raises:
             LedgerError: a stored outcome does not match its checksum.
@@ -199,11 +201,40 @@ class Ledger:
             marks = ",".join("?" * len(some))
             last = f"SELECT max(attempt) FROM outcomes JOIN starts USING (attempt) WHERE key IN ({marks}) GROUP BY key"
             found |= {record.key: record for record in self._records(last, some)}
-        return found
+        left_out = self.exclusions()
+        return {key: excluded(one, left_out[key].why) if key in left_out else one for key, one in found.items()}
 
     def __iter__(self) -> Iterator[RunRecord]:
-        """Yield the last outcome of every run, in the order in which they were started."""
-        return self._records(f"{LAST_OUTCOMES} GROUP BY key")
+        """Yield the last outcome of every run, in the order in which they were started; of an excluded run, that."""
+        left_out = self.exclusions()
+        for record in self._records(f"{LAST_OUTCOMES} GROUP BY key"):
+            yield excluded(record, left_out[record.key].why) if record.key in left_out else record
+
+    def exclusions(self) -> Mapping[str, Exclusion]:
+        """Return the runs that are excluded by hand, by key."""
+        with translated(self.path):
+            return read_exclusions(self._connection)
+
+    def exclude(self, key: str, why: str) -> None:
+        """Use this run no more, and do not make it again; its outcome stays as it is.
+
+        Raises:
+            LedgerError: no reason, no outcome, or excluded already.
+        """
+        self._decide(key, why, exclude=True)
+
+    def include(self, key: str, why: str = "") -> None:
+        """Use an excluded run again.
+
+        Raises:
+            LedgerError: it is not excluded.
+        """
+        self._decide(key, why or "included again", exclude=False)
+
+    def _decide(self, key: str, why: str, *, exclude: bool) -> None:
+        session, reason = self._writing_session(), require_reason(why)
+        with translated(self.path):
+            write_exclusion(self._connection, session, key, excluded=exclude, why=reason, at=time.time())
 
     def attempts(self, key: str) -> int:
         """Return how often the run was tried; starts that the driver itself interrupted do not count."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import TracebackType
 
 from strandline.runs import tables
+from strandline.runs.exclusions import Exclusion, read_exclusions
 from strandline.runs.plans import Plan, read_plan
 from strandline.runs.tables import ATTEMPTS, INTERRUPTED, translated
 
@@ -55,10 +56,11 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Run:
-    """A run with all its starts, in their order."""
+    """A run with all its starts, in their order, and why it is excluded, if somebody has done that by hand."""
 
     key: str
     attempts: tuple[Attempt, ...]
+    exclusion: Exclusion | None = None
 
     @property
     def last(self) -> Attempt:
@@ -81,6 +83,8 @@ class Run:
         ended = self.outcome
         if ended is None:
             return False
+        if self.exclusion is not None:
+            return True
         lacking = sensitivities and ended.state == "ok" and not ended.sensitivities
         return (ended.state != "killed" and not lacking) or self._tries() >= ATTEMPTS
 
@@ -148,13 +152,20 @@ class Overview:
         with translated(self.path):
             return read_plan(self._connection, study_sha256)
 
+    def model(self) -> str | None:
+        """Return the fingerprint of the model whose runs these are."""
+        with translated(self.path):
+            row = self._connection.execute("SELECT value FROM meta WHERE key = 'model'").fetchone()
+        return None if row is None else str(row[0])
+
     def runs(self) -> list[Run]:
         """Return all distinct runs, in the order of their last starts."""
         found: dict[str, list[Attempt]] = {}
         with translated(self.path):
             for key, attempt in self._attempts():
                 found.setdefault(key, []).append(attempt)
-        runs = [Run(key, tuple(attempts)) for key, attempts in found.items()]
+            excluded = read_exclusions(self._connection)
+        runs = [Run(key, tuple(attempts), excluded.get(key)) for key, attempts in found.items()]
         return sorted(runs, key=lambda run: run.last.number)
 
     def details(self, numbers: Iterable[int]) -> dict[int, Details]:

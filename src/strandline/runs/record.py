@@ -17,7 +17,7 @@ from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, Sensitivities, asks_sensitivities, declared_conditions
 from strandline.runs.result import InvalidResult, checked
-from strandline.runs.tables import LOG_TITLE
+from strandline.runs.tables import EXCLUDED, LOG_TITLE
 
 __all__ = [
     "NOT_NOW",
@@ -26,14 +26,18 @@ __all__ = [
     "RunRequest",
     "State",
     "attempt",
+    "excluded",
     "run_key",
     "told_folder",
     "with_log",
 ]
 
-State = Literal["ok", "failed", "timeout", "killed", "invalid"]
+State = Literal["ok", "failed", "timeout", "killed", "invalid", "excluded"]
 STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
-"""How a run ends: with an interface | by its own account | out of time | its process vanished | with no interface."""
+"""How a run ends: with an interface | by its own account | out of time | its process vanished | with no interface.
+
+Beside these a ledger gives ``excluded``, whatever the end, for a run that somebody has excluded by hand.
+"""
 
 MESSAGE_CHARACTERS = 4000
 MESSAGE_LOG_LINES = 10
@@ -60,7 +64,7 @@ class RunRecord:
     Args:
         key: content address of the run, see `run_key`.
         inputs: inputs by name.
-        state: one of `STATES`.
+        state: one of `STATES`, or ``excluded``.
         interfaces: the predicted interfaces by condition where `state` is ``ok``, else empty.
         diagnostics: figures about the run; the evidence of the failure where it failed.
         seconds: wall-clock time of the run.
@@ -101,6 +105,11 @@ class RunRecord:
     def settles(self, *, sensitivities: bool) -> bool:
         """Tell whether the run need not be made again, where `sensitivities` are (or are not) asked for."""
         return self.final and (not sensitivities or not self.ok or bool(self.sensitivities))
+
+
+def excluded(record: RunRecord, why: str) -> RunRecord:
+    """Return what stands for a run that somebody has excluded by hand: it is not used, and not made again."""
+    return RunRecord(record.key, record.inputs, EXCLUDED, failure_kind=EXCLUDED, message=f"excluded by hand: {why}")
 
 
 def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:

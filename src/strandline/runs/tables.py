@@ -6,12 +6,15 @@ import sqlite3
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Final
 
 from strandline.errors import LedgerError
 from strandline.runs import journal
+from strandline.runs.backup import backup_before_upgrade
 
 __all__ = [
     "ATTEMPTS",
+    "EXCLUDED",
     "INTERRUPTED",
     "LOG_TITLE",
     "VERSION",
@@ -28,8 +31,11 @@ __all__ = [
     "upgrade",
 ]
 
-VERSION = 3
-"""1: one unnamed interface per outcome. 2: a table of further arrays: named conditions, sensitivities. 3: plans."""
+VERSION = 4
+"""1: one unnamed interface per outcome. 2: a table of further arrays: named conditions, sensitivities. 3: plans.
+4: runs excluded by hand."""
+EXCLUDED: Final = "excluded"
+"""State of a run that somebody has excluded by hand, whatever its outcome."""
 INTERRUPTED = "interrupted"
 """Failure kind of a run that its own driver stopped, by Ctrl-C or for another run's end: it is no attempt."""
 LOG_TITLE = "last lines of its log:"
@@ -95,7 +101,18 @@ CREATE INDEX plans_by_study ON plans (study_sha256);
 CREATE INDEX outcomes_told ON outcomes (attempt, state, kind, seconds, origin, finished_at);
 """
 """What version 3 adds: which runs a study asks for, and how runs ended without a look past their interfaces."""
-ADDED = {"arrays": ARRAYS, "plans": PLANS}
+EXCLUSIONS = """
+CREATE TABLE exclusions (
+    exclusion INTEGER PRIMARY KEY,
+    session INTEGER NOT NULL REFERENCES sessions,
+    key TEXT NOT NULL,
+    excluded INTEGER NOT NULL CHECK (excluded IN (0, 1)),
+    why TEXT NOT NULL,
+    decided_at REAL NOT NULL
+);
+"""
+"""What version 4 adds: the last row of a key says whether that run is excluded by hand."""
+ADDED = {"arrays": ARRAYS, "plans": PLANS, "exclusions": EXCLUSIONS}
 """The tables that came after version 1, in order, with what makes them."""
 
 
@@ -224,11 +241,16 @@ def has_table(connection: sqlite3.Connection, name: str) -> bool:
     return bool(connection.execute(sql, (name,)).fetchone()[0])
 
 
-def upgrade(connection: sqlite3.Connection) -> None:
-    """Make a ledger of an earlier version one of this, in one transaction; no row that it holds is touched."""
+def upgrade(path: Path, connection: sqlite3.Connection) -> Path | None:
+    """Make a ledger of an earlier version one of this, in one transaction; no row that it holds is touched.
+
+    Returns:
+        The backup made before; None where there was nothing to upgrade.
+    """
     missing = [table for table in ADDED if not has_table(connection, table)]
     if not missing:
-        return
+        return None
+    backup = backup_before_upgrade(path, connection)
     try:
         connection.executescript(
             f"BEGIN IMMEDIATE;\n{_added(missing)}"
@@ -238,6 +260,7 @@ def upgrade(connection: sqlite3.Connection) -> None:
         if connection.in_transaction:
             connection.execute("ROLLBACK")
         raise
+    return backup
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.check_file import Compared, describe
 from strandline.studies.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable, write_json
-from strandline.studies.ledgers import require_finished, settled
+from strandline.studies.ledgers import require_finished, settled, tell_backup
 from strandline.studies.observed import noisy
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
@@ -126,6 +126,7 @@ def _run(
     inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in positions]
     keys = {run_key(identity, entry) for entry in inputs}
     with Ledger.open(study.folder / CHECK_LEDGER, model=identity, description=f"{study.name}, checked") as ledger:
+        tell_backup(ledger, observer.note)
         known = len(settled(ledger, keys))
         records = run_campaign(model, inputs, ledger=ledger, executor=executor, on_record=observer.run)
     return records, len(keys) - known

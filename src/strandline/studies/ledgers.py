@@ -1,7 +1,7 @@
 """What the ledgers of a study hold of the runs that it needs."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -13,7 +13,7 @@ from strandline.errors import InvalidStudy
 from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.runs.plans import Plan
-from strandline.runs.tables import ATTEMPTS
+from strandline.runs.tables import ATTEMPTS, EXCLUDED
 from strandline.studies.build import failure_words
 from strandline.studies.folder import REFINEMENT, write_json
 from strandline.studies.study import Study
@@ -35,6 +35,7 @@ __all__ = [
     "require_finished",
     "settled",
     "take_over",
+    "tell_backup",
     "unheard_kinds",
     "write_round",
 ]
@@ -105,7 +106,7 @@ def _runs_at_hand(study: Study, ledger: Ledger) -> list[dict[str, float]]:
     for path in (None, *(path for path in study.reuse if path.is_file())):
         with nullcontext(ledger) if path is None else Ledger.open(path, model=ledger.model, read_only=True) as source:
             for record in source:
-                if record.final and record.key != truth and _belongs(record, study):
+                if record.final and record.state != EXCLUDED and record.key != truth and _belongs(record, study):
                     found[record.key] = dict(record.inputs)
     return [found[key] for key in sorted(found)]
 
@@ -192,7 +193,8 @@ def failure_kinds(study: Study) -> set[str]:
     if not study.ledger_path.is_file():
         return set()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-        failed = [record for record in ledger.latest(needed_keys(study)).values() if not record.ok]
+        latest = ledger.latest(needed_keys(study)).values()
+    failed = [record for record in latest if not record.ok and record.state != EXCLUDED]
     return {word for record in failed for word in (record.failure_kind, record.state) if word}
 
 
@@ -251,6 +253,12 @@ def take_over(study: Study, ledger: Ledger) -> None:
         missing = [key for key in keys if key not in known or _lacks_sensitivities(known[key], study)]
         if missing and other.is_file():
             ledger.copy_from(other, missing, sensitivities=study.sensitivities)
+
+
+def tell_backup(ledger: Ledger, note: Callable[[str], None]) -> None:
+    """Say where the copy of a ledger lies that was upgraded when it was opened."""
+    if ledger.backup is not None:
+        note(f"{ledger.path.name} was of an earlier version; a copy of it is {ledger.backup}")
 
 
 def _lacks_sensitivities(record: RunRecord, study: Study) -> bool:

@@ -7,14 +7,14 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
 from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
-from strandline.runs.tables import INTERRUPTED
+from strandline.runs.tables import EXCLUDED, INTERRUPTED
 from strandline.studies.folder import LEDGER, STUDY, SUMMARY
 
 if TYPE_CHECKING:
@@ -187,7 +187,8 @@ class _Counted:
         if run.last.state == OPEN and self._may_be_under_way(run.last):
             self.open += 1
         elif run.outcome is not None and run.settled(sensitivities=self.plan.sensitivities):
-            (self.ok if run.outcome.state == "ok" else self.failed).append(run.outcome)
+            ended = run.outcome if run.exclusion is None else replace(run.outcome, state=EXCLUDED, kind=EXCLUDED)
+            (self.ok if ended.state == "ok" else self.failed).append(ended)
         elif run.last.state == OPEN:
             self.lost += 1
 

@@ -24,9 +24,11 @@ from strandline.studies.ledgers import (
     end_active,
     plan_of,
     take_over,
+    tell_backup,
     write_round,
 )
 from strandline.studies.observed import noisy
+from strandline.studies.provenance import require_its_own_text
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
@@ -51,15 +53,18 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         observer: who is told how far it is.
 
     Raises:
-        InvalidStudy: the folder cannot be written to, or the synthetic observation cannot be made.
+        InvalidStudy: the folder cannot be written to, the synthetic observation cannot be made, or the study was
+            changed after it was loaded.
         LedgerError: the ledger is locked, belongs to another model, or is damaged.
         InvalidInput: a measure that cannot be evaluated on the observed interface.
         TooFewRuns: too few forward runs succeeded.
     """
+    require_its_own_text(study)
     require_writable(study.folder)
     check_ledgers(study)
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
+        tell_backup(ledger, observer.note)
         given = begin_active(study, ledger)
         ledger.plan(plan_of(study))
         take_over(study, ledger)
@@ -92,11 +97,13 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
         InvalidStudy: the folder cannot be written to.
         LedgerError: the ledger is locked, belongs to another model, or is damaged.
     """
+    require_its_own_text(study)
     require_writable(study.folder)
     check_ledgers(study)
     tell = observer or Observer()
     inputs = [*([] if study.truth is None else [study.truth]), *design_inputs(study)]
     with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
+        tell_backup(ledger, tell.note)
         take_over(study, ledger)
         tell.stage("forward")
         run_campaign(study.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from strandline.smc import SMCSettings
 from strandline.studies import build
 from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
+from strandline.studies.known_model import as_in_ledgers
 from strandline.studies.observed import SyntheticNoise, read_points, require_plausible
 from strandline.studies.parse import parse_study
 from strandline.studies.schema import ConditionFile, ObservationFile, StudyFile
@@ -48,6 +49,7 @@ class Study:
         settings: how the posterior is computed.
         executor: where forward runs are made.
         reuse: ledgers of other studies whose runs are taken over where they fit.
+        as_loaded: What study.yaml says, to notice what was replaced since; None for a study made otherwise.
     """
 
     folder: Path
@@ -65,6 +67,7 @@ class Study:
     settings: Settings
     executor: Executor
     reuse: tuple[Path, ...]
+    as_loaded: "Study | None" = field(default=None, repr=False, compare=False)
 
     @property
     def ledger_path(self) -> Path:
@@ -90,10 +93,12 @@ def load_study(folder: Path) -> Study:
     """
     content, text = parse_study(folder)
     model = build.build_model(content.model, folder, sensitivities=content.sensitivities)
+    reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
+    model = as_in_ledgers(model, (folder / LEDGER, *reuse))
     space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
     observed, turned = ({}, ()) if truth is not None else _observed(folder, content.observation, model)
-    return Study(
+    study = Study(
         folder=folder,
         name=content.name,
         text=text,
@@ -108,8 +113,9 @@ def load_study(folder: Path) -> Study:
         turned=turned,
         settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
-        reuse=tuple(_reused_ledger(folder, other) for other in content.reuse),
+        reuse=reuse,
     )
+    return replace(study, as_loaded=study)
 
 
 def _settings(content: StudyFile, model: ForwardModel) -> Settings:

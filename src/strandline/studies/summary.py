@@ -18,6 +18,9 @@ from strandline.posterior import Posterior, Reading
 from strandline.quadrature import QuadratureResult, mixture
 from strandline.refinement import shifts
 from strandline.report.warnings import find_warnings
+from strandline.runs.soundness import outcome_digest
+from strandline.runs.tables import EXCLUDED
+from strandline.studies.ledgers import needed_keys
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate
 from strandline.surrogate import LogLikelihoodSurrogate
@@ -46,6 +49,13 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "seed": study.settings.seed,
         "model": fingerprint(study.model),
         "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
+        "ledger_sha256": outcome_digest(study.ledger_path, frozenset(needed_keys(study))),
+        "set_aside": [asdict(one) for one in calibration.set_aside],
+        "excluded": [
+            {"key": record.key, "inputs": dict(record.inputs), "why": record.message}
+            for record in calibration.records
+            if record.state == EXCLUDED
+        ],
         "refinement": _refinement(calibration),
         "fixed": dict(study.fixed),
         "truth": None if study.truth is None else dict(study.truth),

@@ -1,0 +1,173 @@
+"""What is wrong with a study folder, and what to do about it; nothing is changed."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from strandline import __version__
+from strandline.errors import StrandlineError
+from strandline.models.protocol import fingerprint
+from strandline.models.python import PythonModel
+from strandline.runs.overview import Overview
+from strandline.runs.soundness import outcome_digest, unsound
+from strandline.studies.folder import CHECK, CHECK_LEDGER, LEDGER, POSTERIOR, SUMMARY
+from strandline.studies.ledgers import needed_keys
+from strandline.studies.progress import StudyProgress, progress_of
+from strandline.studies.study import Study, load_study
+from strandline.studies.summary import versions
+
+__all__ = ["Finding", "examine"]
+
+LEFTOVERS = ("*.partial", ".*.partial", "*.sqlite.new", "*.sqlite.new-*")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is wrong, or has changed.
+
+    Args:
+        what: Fact in a sentence.
+        remedy: What to do about it.
+    """
+
+    what: str
+    remedy: str
+
+
+def examine(folder: Path) -> list[Finding]:
+    """Return all that is found in the study folder; an empty list where it is sound."""
+    found = list(_ledgers(folder))
+    damaged = bool(found)
+    try:
+        study = load_study(folder)
+        found += _other_ledgers(study)
+    except StrandlineError as error:
+        return [*found, Finding(f"study.yaml cannot be used: {_line(error)}", "Correct it.")]
+    if damaged:
+        return [*found, *_files(folder, at_work=False)]
+    try:
+        state = progress_of(study)
+        found += [*_gaps(study, state), *_files(folder, at_work=bool(state.driver and state.driver.at_work))]
+        found += [*_model(study), *_results(study, state)]
+    except StrandlineError as error:
+        found.append(Finding(_line(error), "Do what it says; the other checks come after that."))
+    return found
+
+
+def _ledgers(folder: Path) -> Iterator[Finding]:
+    for name in (LEDGER, CHECK_LEDGER):
+        if (folder / name).is_file():
+            for what in unsound(folder / name):
+                yield Finding(
+                    f"{name}: {what}",
+                    f"Restore {name} from a backup (`strandline backup` makes one), or move it away and run again.",
+                )
+
+
+def _other_ledgers(study: Study) -> Iterator[Finding]:
+    for path in study.reuse:
+        if not path.is_file():
+            yield Finding(f"the reused ledger {path} is not there", "Run that study first, or remove it from `reuse`.")
+            continue
+        for what in unsound(path):
+            yield Finding(f"the reused ledger {path}: {what}", "Restore it from a backup, or remove it from `reuse`.")
+
+
+def _gaps(study: Study, state: StudyProgress) -> Iterator[Finding]:
+    """Yield planned runs without an outcome; none while a driver is at work on them."""
+    at_work = state.detached or (state.driver is not None and state.driver.at_work is not False and state.open > 0)
+    missing = state.planned - state.done
+    if missing > 0 and not at_work:
+        lost = f"; {state.lost} of them were started and lost with their driver" if state.lost else ""
+        yield Finding(
+            f"{missing} of {state.planned} planned runs have no outcome{lost}",
+            f"Make them: strandline run {study.folder}",
+        )
+
+
+def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
+    """Yield what a killed process has left behind; the lock file itself stays and is harmless."""
+    if at_work:
+        return
+    left = sorted({path.name for pattern in LEFTOVERS for path in folder.glob(pattern)})
+    if left:
+        yield Finding(f"left by a process that was killed: {', '.join(left)}", "Delete them.")
+    for name in (LEDGER, CHECK_LEDGER):
+        if (folder / f"{name}-wal").exists() and (folder / f"{name}-wal").stat().st_size > 0:
+            yield Finding(
+                f"{name}-wal: the last driver of {name} did not end by itself",
+                f"Leave it where it is, beside {name}: the next `strandline run` takes what is in it.",
+            )
+    if any((folder / "slurm").glob("*/batch.json")):
+        yield Finding("results of a SLURM array are not collected", f"Collect them: strandline run {folder}")
+
+
+def _model(study: Study) -> Iterator[Finding]:
+    """Yield how the model differs from the one that made the runs."""
+    if not study.ledger_path.is_file():
+        return
+    with Overview(study.ledger_path) as ledger:
+        kept, now = ledger.model(), fingerprint(study.model)
+    if kept != now:
+        yield Finding(
+            f"the model has changed: its fingerprint is {now}, the ledger keeps runs of {kept}",
+            f"Undo the change, or move {LEDGER} away (or copy study.yaml to a new folder) and run again.",
+        )
+    elif isinstance(study.model, PythonModel) and study.model.function_alone:
+        yield Finding(
+            f"{LEDGER} was begun when a fingerprint covered {study.model.function} alone: "
+            "a change of what the function calls is not noticed",
+            "If any of that has changed, move the ledger away and run again.",
+        )
+
+
+def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
+    """Yield how the results differ from what study.yaml, ledger, model and packages would give now."""
+    report = f"Make them anew: strandline report {study.folder}"
+    summary = _read(study.folder / SUMMARY)
+    if not summary:
+        there = [name for name in (POSTERIOR, "report.html") if (study.folder / name).exists()]
+        if there:
+            yield Finding(f"{', '.join(there)} without a readable {SUMMARY}: the last analysis did not end", report)
+        return
+    if summary.get("study_sha256") != study.text_digest:
+        yield Finding("the results are of another study.yaml", f"Make them anew: strandline run {study.folder}")
+        return
+    missing = [name for name in (POSTERIOR, "report.html", "figures") if not (study.folder / name).exists()]
+    if missing:
+        yield Finding(f"missing beside {SUMMARY}: {', '.join(missing)}", report)
+    if summary.get("model") != fingerprint(study.model):
+        yield Finding(f"the results were made with the model {summary.get('model')}", report)
+    digest = summary.get("ledger_sha256")
+    if digest is not None and digest != outcome_digest(study.ledger_path, frozenset(needed_keys(study))):
+        yield Finding("the ledger has changed since the results were made (runs made again, or excluded)", report)
+    yield from _environment(summary, report)
+    check = _read(study.folder / CHECK)
+    if check and check.get("study_sha256") != study.text_digest:
+        yield Finding(f"{CHECK} is of another study.yaml", f"Check again: strandline posterior check {study.folder}")
+
+
+def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:
+    then = {"strandline": summary.get("version"), **summary.get("versions", {})}
+    now = {"strandline": __version__, **versions()}
+    names = [name for name in dict.fromkeys([*then, *now]) if then.get(name) != now.get(name)]
+    if names:
+        changes = ", ".join(f"{name} {then.get(name) or 'none'} → {now.get(name) or 'none'}" for name in names)
+        yield Finding(
+            f"the results were made with other versions: {changes}",
+            f"Install those to get the same bits, or leave the results as they are. {report}",
+        )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

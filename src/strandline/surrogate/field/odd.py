@@ -1,0 +1,82 @@
+"""Which of many interfaces differ in kind from the others: the exceptions that make no field with the rest."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from strandline.errors import NoCommonPoints
+from strandline.interface import Interface
+from strandline.surrogate.field.correspondence import Layout, common_layout, registered
+from strandline.surrogate.field.projection import Reference
+
+__all__ = ["FLIPPED", "flipped", "odd_ones"]
+
+FLIPPED = "flipped"
+CANDIDATES = 3
+"""Surfaces tried as the one that the others are projected onto."""
+SHARES = 33
+NEARER = 0.1
+"""An open polyline counts as flipped where, turned round, the sum of its squared distances is so much smaller."""
+
+
+def flipped(interface: Interface | None, other: Interface) -> bool:
+    """Tell whether a polyline is, beyond doubt, `other` (or one close to it) run through the other way round."""
+    if interface is None or interface.dim != 2 or other.dim != 2 or interface.closed != other.closed:
+        return False
+    if interface.closed:
+        return interface.runs_against(other)
+    mine, theirs = interface.resampled(SHARES).points, other.resampled(SHARES).points
+    return bool(np.sum((mine - theirs[::-1]) ** 2) < NEARER * np.sum((mine - theirs) ** 2))
+
+
+def odd_ones(runs: Sequence[Mapping[str, Interface]], hidden: float) -> dict[int, str]:
+    """Return the numbers of the runs that have no common points with most others, each with the reason.
+
+    Args:
+        runs: Interfaces by condition.
+        hidden: Largest root mean square distance, mm, between an interface and its common points.
+    """
+    kinds = [tuple(_kind(one) for one in run.values()) for run in runs]
+    ((usual, _),) = Counter(kinds).most_common(1)
+    odd = {
+        i: f"its interface is {' and '.join(kind)}, most others are {' and '.join(usual)}"
+        for i, kind in enumerate(kinds)
+        if kind != usual
+    }
+    for name in runs[0]:
+        odd |= _misfits({i: run[name] for i, run in enumerate(runs) if i not in odd}, hidden)
+    return odd
+
+
+def _kind(interface: Interface) -> str:
+    if interface.dim == 3:
+        return "a surface"
+    return "a closed polyline" if interface.closed else "an open polyline"
+
+
+def _misfits(interfaces: Mapping[int, Interface], hidden: float) -> dict[int, str]:
+    """Return those that cannot be brought to the points of the others, by the layout that leaves out the fewest."""
+    layouts = _layouts(list(interfaces.values()))
+    return min((_left_out(interfaces, layout, hidden) for layout in layouts), key=len)
+
+
+def _layouts(interfaces: Sequence[Interface]) -> list[Layout]:
+    first = interfaces[0]
+    same = all(one.points.shape == first.points.shape and np.array_equal(one.cells, first.cells) for one in interfaces)
+    if same or first.dim == 2:
+        return [common_layout(interfaces)]
+    return [Layout(one, "projection", Reference(one)) for one in interfaces[:CANDIDATES]]
+
+
+def _left_out(interfaces: Mapping[int, Interface], layout: Layout, hidden: float) -> dict[int, str]:
+    out = {}
+    for i, interface in interfaces.items():
+        try:
+            _, error = registered(interface, layout)
+        except NoCommonPoints as problem:
+            out[i] = str(problem.value)
+            continue
+        if error > hidden:
+            out[i] = f"common points would lie {error:.3g} mm away from its interface, more than {hidden:.3g} mm"
+    return out
