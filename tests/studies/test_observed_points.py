@@ -82,10 +82,10 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 def test_a_wrong_unit_shows_in_the_size(scale: float, fits: bool) -> None:
     model, observed = Interface.polyline(POINTS), Interface.polyline(POINTS * scale)
     if fits:
-        require_plausible(Path("o.csv"), observed, model, unit="mm")
+        require_plausible("observation o.csv", observed, model, unit="mm")
     else:
         with pytest.raises(InvalidStudy, match=r"o\.csv, read in mm: got .* mm across; expected about 1 mm"):
-            require_plausible(Path("o.csv"), observed, model, unit="mm")
+            require_plausible("observation o.csv", observed, model, unit="mm")
 
 
 def test_options_of_reading_reach_the_observation(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
+from strandline.readers.pictures import require_no_picture
 from strandline.readers.problems import Unreadable, refused
 from strandline.readers.shape import interface_of
 from strandline.readers.tables import missing
@@ -74,6 +75,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "") -> Interface:
 def _contents(path: Path, how: Reading, name: str) -> Contents:
     """Return what is in the file, whatever it is that a damaged one makes its reader raise."""
     _require_file(path, name)
+    require_no_picture(path, name)
     module, _, function = READERS.get(how.suffix, _TABLE).partition(":")
     reader: Callable[[Path, Reading, str], Contents] = getattr(import_module(module), function)
     try:
