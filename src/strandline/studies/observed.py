@@ -86,14 +86,14 @@ def read_points(
         ) from None
 
 
-def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str) -> None:
+def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str = "") -> None:
     """Refuse an interface ten times larger or smaller than the model's: a wrong unit.
 
     Args:
         name: What messages call the observation.
         observed: The observed interface, mm.
         simulated: The model's, deformed or not, mm.
-        unit: The unit in which the observation was read.
+        unit: The unit in which the observation was read, where it is known.
 
     Raises:
         InvalidStudy: The extents differ by a factor of 10 or more; with both, and the likely mistake.
@@ -102,7 +102,7 @@ def require_plausible(name: str, observed: Interface, simulated: Interface, *, u
     mistake = unit_mistake(ratio)
     if mistake:
         raise InvalidStudy(
-            f"size of the {name}, read in {unit}",
+            f"size of the {name}{f', read in {unit}' if unit else ''}",
             value=f"{extent(observed):.4g} mm across, {ratio:.3g} times the model's interface",
             expected=f"about {extent(simulated):.4g} mm, the size of the model's interface",
             remedy=f"{mistake[0].upper()}{mistake[1:]}. Correct observation.unit (mm, um or m), the file or the model.",
