@@ -93,9 +93,10 @@ def _cell(model: Biofilm, size: MeshSize) -> FlowCell:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print the table, of the outlines whose names contain one of the arguments."""
-    names = [name for name in CASES if not arguments or any(word in name for word in arguments)]
-    print(table(names).markdown())
+    """Print a table for each outline, or for those whose names contain one of the arguments."""
+    for name in CASES:
+        if not arguments or any(word in name for word in arguments):
+            print(table([name]).markdown(), flush=True)
 
 
 if __name__ == "__main__":

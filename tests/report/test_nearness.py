@@ -14,12 +14,14 @@ from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import Simulation
-from strandline.parameters import ParameterSpace
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import Uniform
 from strandline.report.nearness import Nearest, as_json, nearest_runs, nothing_near
 from strandline.runs import RunRecord
 from strandline.testing.studies import beam, write_study
 
 X = np.linspace(0.0, 1.0, 33)
+SPACE = ParameterSpace((Parameter("h", Uniform(0.1, 0.3)),))
 MEASURES = [
     ("tracked_points", {}, 1e-6),
     ("measurement_lines", {"lines": 10}, 1e-6),
@@ -49,7 +51,7 @@ def found(
     observations = (Observation(observed, variance),)
     likelihood = InterfaceLikelihood(observations, measure)
     values = np.array([likelihood(record.interfaces) for record in records])
-    problem = Problem(lambda *_: Simulation.of(arch(0.1)), ParameterSpace(()), {}, observations, {"m": measure})
+    problem = Problem(lambda *_: Simulation.of(arch(0.1)), SPACE, {}, observations, {"m": measure})
     (nearest,) = nearest_runs(problem, records, values)
     return nearest
 
@@ -73,7 +75,7 @@ class TestEveryMeasure:
     def test_a_simulator_in_micrometres(self, name: str, options: dict[str, Any], variance: float) -> None:
         nearest = found(arch(0.2), self.heights, DISCREPANCIES[name](**options), variance, scale=1e3)
         assert not nearest.near
-        assert "has 0.001 times the extent of the run's: µm and mm differ by 1000" in nearest.message
+        assert "has 0.001 times the extent of the run's: perhaps" in nearest.message
 
     def test_an_observation_500_mm_away(self, name: str, options: dict[str, Any], variance: float) -> None:
         nearest = found(moved(arch(0.2), shift=(500.0, 0.0)), self.heights, DISCREPANCIES[name](**options), variance)
@@ -134,7 +136,7 @@ def elsewhere(folder: Path) -> dict[str, Any]:
     ("plant", "words"),
     [
         (None, None),
-        (in_um, "µm and mm differ by 1000"),
+        (in_um, "µm and mm differ by a factor of 1000"),
         (elsewhere, "Their centres lie 500 mm apart"),
     ],
     ids=["sound", "micrometres", "elsewhere"],
@@ -150,7 +152,17 @@ def test_planted_in_a_study(
     np.savetxt(tmp_path / "observed.csv", observed.points, delimiter=",")
     planted = {} if plant is None else plant(tmp_path)
     observation = {"file": "observed.csv", "unit": "mm"}
-    main(["run", str(write_study(tmp_path, observation=observation, **SMALL, **changes, **planted)), "--quiet"])
+    arguments = ["run", str(write_study(tmp_path, observation=observation, **SMALL, **changes, **planted)), "--quiet"]
+    if plant is in_um and not changes:
+        with pytest.raises(SystemExit) as ended:  # weights of log-likelihoods of -1e12 cannot be normalised
+            main(arguments)
+        shown = capsys.readouterr()
+        assert (ended.value.code, len(shown.err.splitlines())) == (1, 1)
+        assert shown.err.startswith("strandline: NOTHING IN THE BOX COMES NEAR")
+        assert words is not None
+        assert words in shown.err
+        return
+    main(arguments)
     last = capsys.readouterr().out.splitlines()[-1]
     summary = json.loads((tmp_path / "summary.json").read_text("utf-8"))["nearest"]
     page = (tmp_path / "report.html").read_text("utf-8")

@@ -13,7 +13,7 @@ from strandline.interface import Interface
 from strandline.models.protocol import Simulation
 from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
-from strandline.testing.studies import TWO_LOADS_STUDY, beam, write_study
+from strandline.testing.studies import TWO_LOADS_STUDY, beam, two_loads, write_study
 
 TRUTH = {"E": 430.0, "tilt": 0.02, "load": 1e-5}
 OBSERVED = {"file": "observed.csv", "unit": "mm"}
@@ -51,27 +51,32 @@ class Rough(Resting):
 resting, strict, rough = Resting(), Strict(), Rough()
 
 
-def model(name: str) -> dict[str, Any]:
-    return {"python": {"function": f"{__name__}:{name}"}}
-
-
 def observe(folder: Path, points: np.ndarray) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     np.savetxt(folder / "observed.csv", points, delimiter=",")
     return folder
 
 
-def checked(folder: Path, capsys: pytest.CaptureFixture[str], *options: str, **changes: Any) -> str:
-    main(["check", str(write_study(folder, **changes)), *options])
+def check(folder: Path, simulator: Any, *options: str, **changes: Any) -> None:
+    """Check the study with `simulator` in place of the model that study.yaml names."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("strandline.studies.build.build_model", lambda *_, **__: simulator)
+        main(["check", str(write_study(folder, **changes)), *options])
+
+
+def checked(
+    folder: Path, capsys: pytest.CaptureFixture[str], *options: str, simulator: Any = beam, **changes: Any
+) -> str:
+    check(folder, simulator, *options, **changes)
     shown = capsys.readouterr()
     assert shown.err == ""
     return shown.out
 
 
-def refused(folder: Path, capsys: pytest.CaptureFixture[str], **changes: Any) -> str:
+def refused(folder: Path, capsys: pytest.CaptureFixture[str], simulator: Any, **changes: Any) -> str:
     before = sorted(folder.iterdir())
     with pytest.raises(SystemExit) as ended:
-        main(["check", str(write_study(folder, **changes))])
+        check(folder, simulator, **changes)
     shown = capsys.readouterr()
     assert (ended.value.code, shown.out) == (2, "")
     assert len(shown.err.splitlines()) == 1
@@ -100,14 +105,14 @@ def test_the_residual_is_in_micrometres(tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("scale", "ratio", "units"),
     [
-        (1000.0, "1e+03 times", "µm and mm differ by 1000: perhaps the observation is in µm and was read in mm"),
-        (149.0, "149 times", "µm and mm differ by 1000"),
-        (10.001, "10 times", "mm and cm differ by 10"),
-        (1e-3, "0.001 times", "perhaps the observation is in mm and was read in µm"),
-        (0.0999, "0.0999 times", "mm and cm differ by 10"),
+        (1000.0, "1e+03 times", "Perhaps the observation is in µm and was read in mm"),
+        (149.0, "149 times", "µm and mm differ by a factor of 1000"),
+        (10.001, "10 times", "mm and cm differ by a factor of 10"),
+        (1e-3, "0.001 times", "Perhaps the observation is in mm and was read in µm"),
+        (0.0999, "0.0999 times", "mm and cm differ by a factor of 10"),
     ],
 )
-@pytest.mark.parametrize("name", ["resting", "beam"])
+@pytest.mark.parametrize("simulator", [resting, beam], ids=["resting", "beam"])
 def test_another_size_is_refused(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -115,11 +120,10 @@ def test_another_size_is_refused(
     scale: float,
     ratio: str,
     units: str,
-    name: str,
+    simulator: Any,
 ) -> None:
     folder = observe(tmp_path / "s", scale * points)
-    chosen = {"python": {"function": "strandline.testing.studies:beam"}} if name == "beam" else model(name)
-    line = refused(folder, capsys, observation=OBSERVED, model=chosen)
+    line = refused(folder, capsys, simulator, observation=OBSERVED)
     assert "size of the observation" in line
     assert ratio in line
     assert units in line
@@ -133,25 +137,24 @@ def test_less_than_ten_times_is_not_refused(
     assert "warning: their ends lie" in shown
 
 
-@pytest.mark.parametrize("name", ["resting", "beam"])
+@pytest.mark.parametrize("simulator", [resting, beam], ids=["resting", "beam"])
 def test_a_reversed_contour_is_no_upside_down_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, name: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, simulator: Any
 ) -> None:
-    chosen = {"python": {"function": "strandline.testing.studies:beam"}} if name == "beam" else model(name)
     folder = observe(tmp_path / "s", points[::-1])
-    shown = checked(folder, capsys, observation=OBSERVED, model=chosen, discrepancy=CLOSEST)
+    shown = checked(folder, capsys, observation=OBSERVED, simulator=simulator, discrepancy=CLOSEST)
     assert "y upwards" not in shown
-    assert ("will be turned round" in shown) == (name == "resting")
-    assert ("warning: the observed points run against this run's interface" in shown) == (name == "beam")
+    assert ("will be turned round" in shown) == (simulator is resting)
+    assert ("warning: the observed points run against this run's interface" in shown) == (simulator is beam)
     upside_down = points[:, ::-1]
-    assert "y upwards" in checked(observe(folder, upside_down), capsys, observation=OBSERVED, model=chosen)
+    assert "y upwards" in checked(observe(folder, upside_down), capsys, observation=OBSERVED, simulator=simulator)
 
 
 @pytest.mark.parametrize(("sd", "hidden"), [(0.003, False), (0.2, False), (10.0, True)])
 def test_the_displacement_in_units_of_the_noise(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, sd: float, hidden: bool
 ) -> None:
-    shown = checked(tmp_path / "s", capsys, model=model("resting"), noise={"sd": sd})
+    shown = checked(tmp_path / "s", capsys, simulator=resting, noise={"sd": sd})
     moved = points[-1, 1]
     assert f"largest displacement: {1e3 * moved:.3g} µm, {moved / sd:.3g} × σ_N" in shown
     assert ("below the noise: the data cannot tell" in shown) == hidden
@@ -160,7 +163,7 @@ def test_the_displacement_in_units_of_the_noise(
 def test_a_norm_has_a_noise_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A shift of the beam by the length that is printed costs d² = σ_N²."""
     currents = {"currents": {"width": 0.05}}
-    shown = checked(tmp_path / "s", capsys, model=model("resting"), discrepancy=currents, noise={"variance": 1e-4})
+    shown = checked(tmp_path / "s", capsys, simulator=resting, discrepancy=currents, noise={"variance": 1e-4})
     (line,) = [line for line in shown.splitlines() if "largest displacement" in line]
     assert "× the shift that the noise hides" in line
     length = 1e-3 * float(line.split()[-2])
@@ -170,18 +173,18 @@ def test_a_norm_has_a_noise_length(tmp_path: Path, capsys: pytest.CaptureFixture
     assert min(squares) < 1e-4 < max(squares)
 
 
-@pytest.mark.parametrize(("name", "words", "warns"), [("resting", "at most 0 µm", False), ("rough", "0.4 µm", True)])
+@pytest.mark.parametrize(("simulator", "words", "warns"), [(resting, "0 µm", False), (rough, "0.4 µm", True)])
 def test_the_next_finer_mesh(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, words: str, warns: bool
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], simulator: Any, words: str, warns: bool
 ) -> None:
-    shown = checked(tmp_path / "s", capsys, model=model(name))
-    assert f"next finer mesh: the interface differs by {words if words[0] == 'a' else 'at most ' + words}" in shown
+    shown = checked(tmp_path / "s", capsys, simulator=simulator)
+    assert f"next finer mesh: the interface differs by at most {words}, " in shown
     assert "0.13 × σ_N, 3 µm" in shown or not warns
     assert ("the mesh is too coarse for this noise" in shown) == warns
 
 
 def test_a_finer_mesh_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shown = checked(tmp_path / "s", capsys, model=model("strict"))
+    shown = checked(tmp_path / "s", capsys, simulator=strict)
     assert "on the next finer mesh this run fails (limit_point)" in shown
 
 
@@ -198,7 +201,11 @@ def test_the_range_of_the_log_likelihood(
     assert f"log-likelihood over the box: {low}, {high}, by 16 known runs" in shown
 
 
-@pytest.mark.parametrize("changes", [{}, {"observation": OBSERVED}, TWO_LOADS_STUDY], ids=["synthetic", "file", "two"])
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"observation": OBSERVED}, {**TWO_LOADS_STUDY, "simulator": two_loads}],
+    ids=["synthetic", "file", "two"],
+)
 def test_the_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, changes: dict[str, Any]
 ) -> None:
@@ -217,7 +224,7 @@ def test_the_picture_shows_what_there_is(
     drawn: list[Any] = []
     monkeypatch.setattr(plots, "plot_interfaces", lambda *a, **k: drawn.append((a, k)) or _axes())
     folder = observe(tmp_path / "s", points)
-    checked(folder, capsys, "--plot", observation=OBSERVED, model=model("resting"))
+    checked(folder, capsys, "--plot", observation=OBSERVED, simulator=resting)
     (((seen,), options),) = drawn
     np.testing.assert_array_equal(seen.points, points)
     np.testing.assert_array_equal(options["reference"].points, resting.undeformed().points)

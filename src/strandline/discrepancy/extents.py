@@ -26,7 +26,7 @@ def extent_ratio(observed: Interface, simulated: Interface) -> float:
 
 
 def unit_mistake(ratio: float) -> str:
-    """Return a clause on the unit that was probably mistaken; empty where the extents are of one size.
+    """Return a clause, "perhaps …", on the unit that was probably mistaken; empty where the extents are of one size.
 
     Args:
         ratio: The extent of the observed interface divided by that of the simulated one.
@@ -37,5 +37,7 @@ def unit_mistake(ratio: float) -> str:
     nearest = min(_FACTORS, key=lambda k: abs(k - power))
     small, large = _FACTORS[nearest]
     observed, simulated = (small, large) if ratio > 1 else (large, small)
-    read = f"the observation is in {observed} and was read in {simulated}"
-    return f"{small} and {large} differ by {10**nearest:g}: perhaps {read}, or the model's output the other way round"
+    return (
+        f"perhaps the observation is in {observed} and was read in {simulated}, or the model's output the other way "
+        f"round ({small} and {large} differ by a factor of {10**nearest:g})"
+    )

@@ -18,7 +18,8 @@ def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Int
     where d² is no sum of squared distances: then σ_N is no distance either.
     """
     own = getattr(measure, "distances", None)
-    return independent_terms(measure, observed) if own is None else own(simulated, observed)
+    count = independent_terms(measure, observed) if own is None else own(simulated, observed)
+    return None if count is None else float(count)
 
 
 def noise_units(square: float, variance: float, count: float | None) -> float:

@@ -45,6 +45,7 @@ class Nearest:
         noise: The noise as a length, mm: σ_N where d² sums distances, else the shift for which d² = σ_N². None where
             it was not needed.
         offset: Distance of their centres, mm.
+        extent: Extent of the observed interface, mm.
         extent_ratio: Extent of the observed interface divided by that of the run.
         near: Whether the run is near in any of these senses.
     """
@@ -56,6 +57,7 @@ class Nearest:
     distance: float
     noise: float | None
     offset: float
+    extent: float
     extent_ratio: float
     near: bool
 
@@ -70,7 +72,7 @@ class Nearest:
             reason = f"The observed interface has {self.extent_ratio:.3g} times the extent of the run's" + (
                 f": {mistake}." if mistake else "."
             )
-        elif self.offset > self.distance / 2:
+        elif self.offset > self.extent:
             reason = f"Their centres lie {_length(self.offset)} apart: do both have the same origin and axes?"
         return (
             f"NOTHING IN THE BOX COMES NEAR the observation{of}: the best run ({where}) is {self.residual:.3g} noise "
@@ -122,6 +124,7 @@ def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: lis
         distance=distance,
         noise=noise,
         offset=float(np.linalg.norm(centres[0] - centres[1])),
+        extent=extent(seen.interface),
         extent_ratio=extent_ratio(seen.interface, simulated),
         near=not far,
     )

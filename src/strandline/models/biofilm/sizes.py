@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.interface import Interface
-from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.channel import ON_WALL, Channel
 
 __all__ = ["FINER", "MESHES", "MeshSize", "gap_sizes", "is_adapted", "segment_sizes"]
 
@@ -42,8 +42,8 @@ FINER = {
 """The next finer element sizes by the name of a mesh."""
 
 NARROW = 0.5
-"""Free height between the outline and the top, mm, below which elements shrink with it; 0.53 in the study."""
-SHARE = 0.3
+"""Free height between the outline and the top, mm, that calls for smaller elements; it is 0.53 in the study."""
+SHARE = 0.25
 """Largest element in a narrow gap, as a share of the free height."""
 SHARP = 12.0
 """Angle between two segments, degrees, from which they carry more elements; at most 9.8 in the study."""
@@ -55,20 +55,22 @@ Places = Float[np.ndarray, "place 3"]
 
 
 def gap_sizes(interface: Interface, size: MeshSize, channel: Channel) -> Places:
-    """Return (x, y, largest element), mm, at places in the narrow part of the gap; none where it is wide enough.
+    """Return (x, y, largest element), mm, at places between outline and top; none where the flow has room.
 
-    A gap has the elements across that one of 0.5 mm has with `size`, and at least three.
+    A layer, and a bump that comes within half a millimetre of the top, have the elements across the free height that
+    half a millimetre has with `size`, and at least four.
     """
+    free = channel.height - interface.points[:, 1]
+    on_floor = interface.points[[0, -1], 1] < ON_WALL
+    if on_floor.all() and free.min() >= NARROW:
+        return np.empty((0, 3))
     share = min(SHARE, size.far / NARROW)
-    narrowest = channel.height - float(interface.points[:, 1].max())
-    spacing = share * min(narrowest, NARROW)
-    number = int(np.clip(np.ceil(interface.lengths.sum() / spacing), len(interface.points), _MOST))
-    x, y = interface.resampled(number).points.T
+    number = int(np.ceil(interface.lengths.sum() / (share * free.min())))
+    x, y = interface.resampled(int(np.clip(number, len(interface.points), _MOST))).points.T
     free = channel.height - y
-    narrow = free < NARROW
-    x, y, free = x[narrow], y[narrow], free[narrow]
-    shares = (0.5, 1.0)
-    return np.concatenate([np.stack([x, y + part * free, share * free], axis=1) for part in shares])
+    small = share * free < size.far
+    x, y, free = x[small], y[small], free[small]
+    return np.concatenate([np.stack([x, y + part * free, share * free], axis=1) for part in (0.5, 1.0)])
 
 
 def segment_sizes(interface: Interface, size: MeshSize) -> Float[np.ndarray, " cell"]:
