@@ -156,7 +156,7 @@ def test_the_displacement_in_units_of_the_noise(
 ) -> None:
     shown = checked(tmp_path / "s", capsys, simulator=resting, noise={"sd": sd})
     moved = points[-1, 1]
-    assert f"largest displacement: {1e3 * moved:.3g} µm, {moved / sd:.3g} × σ_N" in shown
+    assert f"largest displacement: {1e3 * moved:.3g} µm, {moved / sd:.3g} σ_N (σ_N = " in shown
     assert ("below the noise: the data cannot tell" in shown) == hidden
 
 
@@ -165,21 +165,34 @@ def test_a_norm_has_a_noise_length(tmp_path: Path, capsys: pytest.CaptureFixture
     currents = {"currents": {"width": 0.05}}
     shown = checked(tmp_path / "s", capsys, simulator=resting, discrepancy=currents, noise={"variance": 1e-4})
     (line,) = [line for line in shown.splitlines() if "largest displacement" in line]
-    assert "× the shift that the noise hides" in line
-    length = 1e-3 * float(line.split()[-2])
+    assert line.endswith(" µm that the noise hides")
+    length = 1e-3 * float(line.split()[-6])
     rest = resting.undeformed()
     measure = load_study(tmp_path / "s").discrepancies["currents"]
     squares = [measure(Interface.polyline(rest.points + length * axis), rest) for axis in np.eye(2)]
     assert min(squares) < 1e-4 < max(squares)
 
 
-@pytest.mark.parametrize(("simulator", "words", "warns"), [(resting, "0 µm", False), (rough, "0.4 µm", True)])
+@pytest.mark.parametrize(
+    ("simulator", "observation", "words", "warns"),
+    [
+        (resting, OBSERVED, "0 µm, 0 σ_N", False),
+        (rough, OBSERVED, "0.4 µm, 0.133 σ_N (σ_N = 3 µm)", True),
+        (rough, {"synthetic": TRUTH}, "0.4 µm, 0.133 σ_N (σ_N = 3 µm)", False),
+    ],
+    ids=["fine enough", "too coarse", "made on the same mesh"],
+)
 def test_the_next_finer_mesh(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], simulator: Any, words: str, warns: bool
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    points: np.ndarray,
+    simulator: Any,
+    observation: dict[str, Any],
+    words: str,
+    warns: bool,
 ) -> None:
-    shown = checked(tmp_path / "s", capsys, simulator=simulator)
-    assert f"next finer mesh: the interface differs by at most {words}, " in shown
-    assert "0.13 × σ_N, 3 µm" in shown or not warns
+    shown = checked(observe(tmp_path / "s", points), capsys, simulator=simulator, observation=observation)
+    assert f"next finer mesh: the interface differs by at most {words}" in shown
     assert ("the mesh is too coarse for this noise" in shown) == warns
 
 

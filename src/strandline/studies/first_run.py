@@ -42,11 +42,17 @@ class Noise:
 
     Args:
         mm: The length.
-        name: What messages call it.
+        is_sd: Whether it is σ_N itself, the standard deviation of a distance.
     """
 
     mm: float
-    name: str
+    is_sd: bool
+
+    def times(self, mm: float) -> str:
+        """Return a length, mm, in words as a multiple of the noise."""
+        if self.is_sd:
+            return f"{mm / self.mm:.3g} σ_N (σ_N = {_length(self.mm)})"
+        return f"{mm / self.mm:.3g} times the shift of {_length(self.mm)} that the noise hides"
 
 
 def noise_of(study: Study, interface: Interface) -> Noise:
@@ -56,8 +62,8 @@ def noise_of(study: Study, interface: Interface) -> Noise:
     """
     measure = _measure(study)
     if count_of_distances(measure, interface, interface) is not None:
-        return Noise(float(np.sqrt(study.noise_variance)), "σ_N")
-    return Noise(noise_length(Observation(interface, study.noise_variance), measure), "the shift that the noise hides")
+        return Noise(float(np.sqrt(study.noise_variance)), True)
+    return Noise(noise_length(Observation(interface, study.noise_variance), measure), False)
 
 
 def observations_of(study: Study) -> Mapping[str, Interface]:
@@ -137,9 +143,7 @@ def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
             continue
         of, noise = f" ({condition})" if condition else "", noise_of(study, undeformed)
         moved = _largest_displacement(run, undeformed)
-        yield (
-            f"largest displacement{of}: {_length(moved)}, {moved / noise.mm:.3g} × {noise.name}, {_length(noise.mm)}"
-        )
+        yield f"largest displacement{of}: {_length(moved)}, {noise.times(moved)}"
         if _hidden(measure, run, undeformed, study.noise_variance):
             yield f"warning{of}: the displacement is below the noise: the data cannot tell"
 
@@ -184,7 +188,8 @@ def known_range(study: Study) -> str | None:
 def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield how far the run's interfaces move on the next finer mesh; nothing for a model that offers none.
 
-    A model offers it by a method ``on_finer_mesh(inputs)``, which returns the interfaces by condition.
+    A model offers it by a method ``on_finer_mesh(inputs)``, which returns the interfaces by condition. Too large a
+    difference is worth a warning, but not where the model itself makes the observation, on the same mesh.
     """
     solve: Any = getattr(study.model, "on_finer_mesh", None)
     if solve is None:
@@ -197,12 +202,8 @@ def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
     for condition, interface in finer.items():
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""
         moved, noise = float(np.linalg.norm(interface.points - run.points, axis=1).max()), noise_of(study, run)
-        share = moved / noise.mm
-        yield (
-            f"next finer mesh{of}: the interface differs by at most {_length(moved)}, {share:.2g} × {noise.name}, "
-            f"{_length(noise.mm)}"
-        )
-        if share > MESH_SHARE:
+        yield f"next finer mesh{of}: the interface differs by at most {_length(moved)}, {noise.times(moved)}"
+        if moved > MESH_SHARE * noise.mm and study.truth is None:
             yield (
                 f"warning{of}: the mesh is too coarse for this noise; take a finer one, such as `mesh: default`, "
                 "or state a larger noise"
