@@ -17,6 +17,7 @@ from strandline.discrepancy import (
     noise_units,
     unit_mistake,
 )
+from strandline.errors import InvalidInput, NumericsError
 from strandline.field_likelihood import noise_length
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
@@ -86,14 +87,14 @@ def nothing_near(found: list[Nearest]) -> str | None:
 
 
 def nearest_runs(
-    problem: Problem, records: Sequence[RunRecord], log_likelihood: Float[np.ndarray, " ok"]
+    problem: Problem, records: Sequence[RunRecord], log_likelihood: Float[np.ndarray, " ok"] | None = None
 ) -> list[Nearest]:
     """Return how near the best run comes to each observation.
 
     Args:
         problem: What is asked; its first measure counts.
         records: The runs, at least one successful one among them.
-        log_likelihood: Of the successful runs under the first measure.
+        log_likelihood: Of the successful runs under the first measure, where it is known already.
 
     A run is far where all of these hold: its residual is above 5 noise units, or d² no longer grows with the distance;
     the interfaces are further apart than 5 times the noise; and further than the runs are from each other, so that no
@@ -101,6 +102,8 @@ def nearest_runs(
     """
     measure = next(iter(problem.discrepancies.values()))
     runs = [record for record in records if record.ok]
+    if log_likelihood is None or len(log_likelihood) != len(runs):
+        log_likelihood = _log_likelihood(problem, measure, runs)
     best = runs[int(np.argmax(log_likelihood))]
     return [_nearest(seen, measure, best, runs) for seen in problem.observations]
 
@@ -128,6 +131,19 @@ def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: lis
         extent_ratio=extent_ratio(seen.interface, simulated),
         near=not far,
     )
+
+
+def _log_likelihood(problem: Problem, measure: Discrepancy, runs: list[RunRecord]) -> Float[np.ndarray, " ok"]:
+    """Return the log-likelihood of each run; -inf where the measure refuses its interface."""
+    likelihood = InterfaceLikelihood(problem.observations, measure)
+
+    def value(record: RunRecord) -> float:
+        try:
+            return likelihood(record.interfaces)
+        except (InvalidInput, NumericsError):
+            return -np.inf
+
+    return np.array([value(record) for record in runs])
 
 
 def _noise(seen: Observation, measure: Discrepancy, simulated: Interface) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import Discrepancy, apart, count_of_distances
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.field_likelihood import noise_length
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
@@ -177,12 +177,22 @@ def known_range(study: Study) -> str | None:
         return None
     observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
     likelihood = InterfaceLikelihood(observations, _measure(study))
-    values = np.array([likelihood(record.interfaces) for record in chosen])
-    of = f" {len(chosen)} of" if len(chosen) < len(known) else ""
+    values = np.array([value for record in chosen if (value := _value(likelihood, record)) is not None])
+    if not len(values):
+        return None
+    of = f" {len(values)} of" if len(values) < len(known) else ""
     return (
         f"log-likelihood over the box: from {values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}, "
         f"by{of} {len(known)} known runs"
     )
+
+
+def _value(likelihood: InterfaceLikelihood, record: RunRecord) -> float | None:
+    """Return the log-likelihood of a run; None where the measure refuses its interface."""
+    try:
+        return likelihood(record.interfaces)
+    except (InvalidInput, NumericsError):
+        return None
 
 
 def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:

@@ -8,13 +8,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from strandline import __version__
 from strandline.calibrate import Calibration, Observer, Problem, calibrate
 from strandline.errors import InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation
-from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
 from strandline.posterior import to_datatree, write
 from strandline.report import write_report
@@ -123,9 +120,7 @@ def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Ite
         records = [record for record in known.values() if record.ok]
         if not records:
             raise
-        likelihood = InterfaceLikelihood(problem.observations, next(iter(problem.discrepancies.values())))
-        values = np.array([likelihood(record.interfaces) for record in records])
-        message = nothing_near(nearest_runs(problem, records, values))
+        message = nothing_near(nearest_runs(problem, records))
         if message is None:
             raise
         raise NumericsError(f"{message} The analysis failed: {error}") from error
