@@ -82,10 +82,10 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 def test_a_wrong_unit_shows_in_the_size(scale: float, fits: bool) -> None:
     model, observed = Interface.polyline(POINTS), Interface.polyline(POINTS * scale)
     if fits:
-        require_plausible(Path("o.csv"), observed, model, unit="mm")
+        require_plausible("observation o.csv", observed, model, unit="mm")
     else:
         with pytest.raises(InvalidStudy, match=r"o\.csv, read in mm: got .* mm across; expected about 1 mm"):
-            require_plausible(Path("o.csv"), observed, model, unit="mm")
+            require_plausible("observation o.csv", observed, model, unit="mm")
 
 
 def test_options_of_reading_reach_the_observation(tmp_path: Path) -> None:
@@ -99,3 +99,14 @@ def test_options_of_reading_reach_the_observation(tmp_path: Path) -> None:
         load_study(write_study(tmp_path, observation=observation | {"sort": "z"}))
     with pytest.raises(InvalidStudy, match="beside a `file` only"):
         load_study(write_study(tmp_path, observation={"synthetic": {"E": 400}, "sort": "x"}))
+
+
+@pytest.mark.parametrize(
+    ("begin", "kind"),
+    [(b"\x89PNG\r\n\x1a\n", "PNG"), (b"\xff\xd8\xff\xe0", "JPEG"), (b"II*\x00", "TIFF"), (b"MM\x00*", "TIFF")],
+)
+@pytest.mark.parametrize("name", ["observed.png", "observed.csv", "observed.vtu"])
+def test_a_picture_is_not_a_contour_yet(tmp_path: Path, begin: bytes, kind: str, name: str) -> None:
+    (tmp_path / name).write_bytes(begin + bytes(range(256)))
+    with pytest.raises(InvalidStudy, match=rf"{name} is a picture: got a {kind} image; .*segment it"):
+        load_study(write_study(tmp_path, observation={"file": name, "unit": "mm"}))

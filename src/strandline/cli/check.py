@@ -1,6 +1,6 @@
-"""`strandline check`: everything validated, one forward run made."""
+"""`strandline check`: validate everything, make one forward run and say what it shows."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,16 +12,20 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-FAR_APART = 0.05
-"""Share of the interface's length."""
+PICTURE = "check.png"
 
 
 @click.command("check")
 @click.argument("study", type=click.Path(path_type=Path))
-def command(study: Path) -> None:
-    """Validate STUDY (a folder) and make one forward run at the medians of the priors; nothing is written."""
+@click.option("--plot", is_flag=True, help="Draw check.png in the study folder: observed, undeformed, simulated.")
+def command(study: Path, plot: bool) -> None:
+    """Validate STUDY (a folder) and make one forward run at the medians of the priors.
+
+    The biofilm model also solves on the next finer mesh. Nothing is written without --plot.
+    """
     from strandline.report.warnings import small_share
     from strandline.studies import load_study
+    from strandline.studies.first_run import require_same_size
     from strandline.studies.folder import require_writable
     from strandline.studies.ledgers import check_ledgers, known_runs, unheard_kinds
 
@@ -29,8 +33,10 @@ def command(study: Path) -> None:
     require_writable(loaded.folder)
     check_ledgers(loaded)
     record, told = _forward_run(loaded)
+    require_same_size(loaded, record)
     log_likelihoods = _measured(loaded, record)
-    known = known_runs(loaded)
+    lines, known = list(_lines(loaded, record, log_likelihoods)), known_runs(loaded)
+    picture = _drawn(loaded, record) if plot else None
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
         cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
@@ -43,10 +49,8 @@ def command(study: Path) -> None:
         of = f" of {condition}" if condition else ""
         click.echo(f"  the observed points{of} run against the model's interface and will be turned round")
     click.echo(f"  {told}")
-    for line in _shapes(loaded, record):
+    for line in lines:
         click.echo(f"  {line}")
-    for name, value in log_likelihoods.items():
-        click.echo(f"  {name}: log-likelihood {value:.6g} there")
     for kind in unheard_kinds(loaded):
         click.echo(f"  warning: failures.kinds.{kind}: no run has ended so yet; is the word the model's own?")
     refine = loaded.settings.refine
@@ -54,24 +58,46 @@ def command(study: Path) -> None:
     most = "at most " if loaded.settings.active is not None else ""
     planned = max(loaded.settings.planned_runs, known)
     click.echo(f"  {most}{planned} forward runs planned{rounds}, {known} of them known already")
+    if picture is not None:
+        click.echo(f"wrote {picture}")
     click.echo(f"next: strandline run {study}")
 
 
-def _shapes(study: "Study", record: "RunRecord") -> Iterator[str]:
-    """Yield where observed interfaces and those of the run lie, and a warning where their ends are far apart."""
-    import numpy as np
+def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
+    """Yield what the run shows: shapes, residual, log-likelihoods, displacement, error of the mesh."""
+    from strandline.studies.first_run import displacement_lines, known_range, mesh_lines, shape_lines
 
-    for condition, observed in study.observed.items():
-        run, of = record.interfaces[condition], f" ({condition})" if condition else ""
-        for name, interface in (("observed", observed), ("this run", run)):
-            first, last = (np.round(interface.points[k], 4).tolist() for k in (0, -1))
-            yield f"{name}{of}: from {first} to {last}, length {interface.lengths.sum():.4g} mm"
-        apart = max(float(np.linalg.norm(observed.points[k] - run.points[k])) for k in (0, -1))
-        if apart > FAR_APART * run.lengths.sum():
-            yield (
-                f"warning{of}: their ends lie {apart:.3g} mm apart. Are the columns x, y, is y upwards, and are "
-                "origin, unit and extent those of the model?"
-            )
+    yield from shape_lines(study, record)
+    for name, value in log_likelihoods.items():
+        yield f"{name}: log-likelihood {value:.6g} there"
+    known = known_range(study)
+    if known is not None:
+        yield known
+    yield from displacement_lines(study, record)
+    yield from mesh_lines(study, record)
+
+
+def _drawn(study: "Study", record: "RunRecord") -> Path:
+    """Draw observed, undeformed and simulated interface into the study folder; return the picture's path."""
+    from typing import Any
+
+    from strandline.plots import plot_conditions, plot_interfaces
+    from strandline.studies.first_run import observations_of
+    from strandline.studies.folder import told_if_unwritable, whole_file
+
+    observed, state = observations_of(study), getattr(study.model, "undeformed", None)
+    reference, label = None if state is None else state(), "simulated, medians of the priors"
+    if len(record.interfaces) == 1:
+        ((condition, run),) = record.interfaces.items()
+        figure: Any = plot_interfaces(observed.get(condition), reference=reference, simulated={label: run}).figure
+    else:
+        simulated = {condition: {label: run} for condition, run in record.interfaces.items()}
+        shown = {condition: observed.get(condition) for condition in record.interfaces}
+        figure = plot_conditions(shown, reference=reference, simulated=simulated)
+    target = study.folder / PICTURE
+    with told_if_unwritable(study.folder), whole_file(target) as partial:
+        figure.savefig(partial, dpi=200, format="png")
+    return target
 
 
 def _forward_run(study: "Study") -> tuple["RunRecord", str]:

@@ -35,6 +35,8 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
         click.echo(f"warning: {warning}")
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     click.echo(f"seconds: {seconds}\nreport: {report}")
+    if summary["nearest"]["message"]:
+        click.echo(summary["nearest"]["message"])
 
 
 def _certified(certificate: Mapping[str, Any]) -> str:

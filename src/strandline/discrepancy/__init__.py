@@ -2,9 +2,11 @@
 
 from strandline.discrepancy.closest_point import ClosestPoint
 from strandline.discrepancy.currents import Currents
+from strandline.discrepancy.extents import extent, extent_ratio, unit_mistake
 from strandline.discrepancy.many import squared_discrepancies
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
 from strandline.discrepancy.protocol import Discrepancy, independent_terms, unit_of
+from strandline.discrepancy.residuals import apart, count_of_distances, noise_units
 from strandline.discrepancy.tracked_points import TrackedPoints
 
 __all__ = [
@@ -15,8 +17,14 @@ __all__ = [
     "LineReadings",
     "MeasurementLines",
     "TrackedPoints",
+    "apart",
+    "count_of_distances",
+    "extent",
+    "extent_ratio",
     "independent_terms",
+    "noise_units",
     "squared_discrepancies",
+    "unit_mistake",
     "unit_of",
 ]
 

@@ -116,6 +116,13 @@ class ClosestPoint:
         """
         return len(observed.points) if (self.direction, self.weighting) == ("to_simulated", "sum") else None
 
+    def distances(self, simulated: Interface, observed: Interface) -> float:
+        """Return how many distances d² sums: one for a mean, half the nodes of both where both ways are averaged."""
+        if self.weighting == "length":
+            return 1.0
+        nodes = {"to_observed": len(simulated.points), "to_simulated": len(observed.points)}
+        return float(nodes.get(self.direction, 0.5 * sum(nodes.values())))
+
     def _one_way(self, source: Interface, target: Interface) -> float:
         squares = squared_distances(source.points, target)
         if self.weighting == "sum":

@@ -16,7 +16,8 @@ class Discrepancy(Protocol):
 
     - `unit`: the unit of d², e.g. ``mm²``; the noise variance σ_N² has the same;
     - `surface_unit`: that unit where the interfaces are surfaces, if it is another one;
-    - `terms(observed)`: of how many independent Gaussian residuals d² is the sum, None where it is no such sum.
+    - `terms(observed)`: of how many independent Gaussian residuals d² is the sum, None where it is no such sum;
+    - `distances(simulated, observed)`: how many distances d² sums, where that is another number.
     """
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:

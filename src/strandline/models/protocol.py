@@ -104,7 +104,9 @@ class ForwardModel(Protocol):
     do), where a run yields several interfaces or one with a name, their `conditions` (a tuple of names), and the kinds
     of its failures, `failure_kinds` (a tuple of words), so that others are refused in a study. A model that can compute
     sensitivities is a dataclass with a field `sensitivities`, which says whether it does; they come on top and change
-    no interface, so they are no part of its fingerprint. It is pickled once per worker process.
+    no interface, so they are no part of its fingerprint. A model with a method ``on_finer_mesh(inputs)``, which returns
+    the interfaces by condition, lets `strandline check` state the error of its mesh. It is pickled once per worker
+    process.
 
     Raises:
         ForwardModelError: the run failed, with its kind.

@@ -49,7 +49,7 @@ def plot_interfaces(
 
 
 def plot_conditions(
-    observed: Mapping[str, Interface],
+    observed: Mapping[str, Interface | None],
     *,
     reference: Interface | None = None,
     simulated: Mapping[str, Mapping[str, Interface]] | None = None,
@@ -58,7 +58,7 @@ def plot_conditions(
     """Draw the interfaces of several conditions, a panel each, as `plot_interfaces` does for one.
 
     Args:
-        observed: by condition.
+        observed: by condition; None for a condition that was not observed.
         reference: the undeformed interface of the specimen.
         simulated: by condition and label; the same labels in each, for one legend under the last panel explains all.
         figure: to draw in.

@@ -12,6 +12,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
+from strandline.readers.pictures import require_no_picture
 from strandline.readers.problems import Unreadable, refused
 from strandline.readers.shape import interface_of
 from strandline.readers.tables import missing, require_end
@@ -58,6 +59,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     """
     name = name or path.name
     _require_file(path, name)
+    require_no_picture(path, name)
     if ended and how.count is None and READERS.get(how.suffix, _TABLE) == _TABLE:
         require_end(path, name)
     contents = _contents(path, how, name)

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from strandline.discrepancy import extent, extent_ratio, unit_mistake
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
 from strandline.readers import Reading, read_interface
 from strandline.readers.options import TO_MM
 
 __all__ = ["TO_MM", "SyntheticNoise", "noisy", "read_points", "require_plausible"]
-
-LARGEST_RATIO = 10.0
-"""An observed interface that differs from the undeformed one by more than this factor in size has another unit."""
 
 
 @dataclass(frozen=True)
@@ -88,17 +86,24 @@ def read_points(
         ) from None
 
 
-def require_plausible(path: Path, observed: Interface, undeformed: Interface, *, unit: str) -> None:
-    """Refuse an interface of quite another size than the model's: a wrong unit.
+def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str = "") -> None:
+    """Refuse an interface ten times larger or smaller than the model's: a wrong unit.
+
+    Args:
+        name: What messages call the observation.
+        observed: The observed interface, mm.
+        simulated: The model's, deformed or not, mm.
+        unit: The unit in which the observation was read, where it is known.
 
     Raises:
-        InvalidStudy: with both sizes.
+        InvalidStudy: The extents differ by a factor of 10 or more; with both, and the likely mistake.
     """
-    size, expected = (float(np.ptp(i.points, axis=0).max()) for i in (observed, undeformed))
-    if not 1 / LARGEST_RATIO < size / expected < LARGEST_RATIO:
+    ratio = extent_ratio(observed, simulated)
+    mistake = unit_mistake(ratio)
+    if mistake:
         raise InvalidStudy(
-            f"size of the observation {path.name}, read in {unit}",
-            value=f"{size:.3g} mm across",
-            expected=f"about {expected:.3g} mm, the size of the model's interface",
-            remedy="Correct observation.unit (mm, um or m) or the file.",
+            f"size of the {name}{f', read in {unit}' if unit else ''}",
+            value=f"{extent(observed):.4g} mm across, {ratio:.3g} times the model's interface",
+            expected=f"about {extent(simulated):.4g} mm, the size of the model's interface",
+            remedy=f"P{mistake[1:]}. Correct observation.unit (mm, um or m), the file or the model.",
         )

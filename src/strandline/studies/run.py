@@ -1,7 +1,8 @@
 """From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -9,11 +10,12 @@ from typing import Any
 
 from strandline import __version__
 from strandline.calibrate import Calibration, Observer, Problem, calibrate
-from strandline.errors import InvalidStudy
+from strandline.errors import InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation
 from strandline.models.protocol import fingerprint
 from strandline.posterior import to_datatree, write
 from strandline.report import write_report
+from strandline.report.nearness import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
@@ -21,6 +23,7 @@ from strandline.studies.ledgers import (
     begin_active,
     check_ledgers,
     design_inputs,
+    design_keys,
     end_active,
     plan_of,
     take_over,
@@ -72,14 +75,15 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
         problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
         _try_measures(problem)
-        calibration = calibrate(
-            problem,
-            study.settings,
-            ledger=ledger,
-            executor=executor,
-            observer=_noting_rounds(made.listening(observer), study, ledger),
-            given=given,
-        )
+        with _told_if_nothing_near(study, problem, ledger):
+            calibration = calibrate(
+                problem,
+                study.settings,
+                ledger=ledger,
+                executor=executor,
+                observer=_noting_rounds(made.listening(observer), study, ledger),
+                given=given,
+            )
         end_active(study)
         ledger.plan(plan_of(study))
     return _write_results(study, calibration, made.number, observer)
@@ -107,6 +111,26 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
         take_over(study, ledger)
         tell.stage("forward")
         run_campaign(study.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
+
+
+@contextmanager
+def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Iterator[None]:
+    """Name the cause of an analysis that fails because no run comes near the observation.
+
+    Raises:
+        NumericsError: With the best run, and what may be the reason.
+    """
+    try:
+        yield
+    except (NumericsError, ArithmeticError, ValueError) as error:
+        known = ledger.latest(design_keys(study))
+        records = [record for record in known.values() if record.ok]
+        if not records:
+            raise
+        message = nothing_near(nearest_runs(problem, records))
+        if message is None:
+            raise
+        raise NumericsError(f"{message} The analysis failed: {error}") from error
 
 
 def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer:

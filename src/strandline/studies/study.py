@@ -200,7 +200,7 @@ def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> tuple[I
     undeformed = getattr(model, "undeformed", None)
     if undeformed is None:
         return interface, False
-    require_plausible(path, interface, undeformed(), unit=str(source.unit))
+    require_plausible(f"observation {path.name}", interface, undeformed(), unit=str(source.unit))
     turned = interface.runs_against(undeformed())
     return (interface.reversed() if turned else interface), turned
 

@@ -17,6 +17,7 @@ from strandline.models.protocol import fingerprint
 from strandline.posterior import Posterior, Reading
 from strandline.quadrature import QuadratureResult, mixture
 from strandline.refinement import shifts
+from strandline.report.nearness import as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
@@ -56,6 +57,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
             for record in calibration.records
             if record.state == EXCLUDED
         ],
+        "nearest": _nearest(calibration),
         "refinement": _refinement(calibration),
         "fixed": dict(study.fixed),
         "truth": None if study.truth is None else dict(study.truth),
@@ -157,6 +159,12 @@ def _runs(calibration: Calibration) -> dict[str, Any]:
         "failed": len(failed),
         "by_kind": dict(Counter(record.failure_kind or record.state for record in failed)),
     }
+
+
+def _nearest(calibration: Calibration) -> dict[str, Any]:
+    """Return how near the best run comes to each observation."""
+    values = np.asarray(next(iter(calibration.log_likelihoods.values())))
+    return as_json(nearest_runs(calibration.problem, calibration.records, values))
 
 
 def _refinement(calibration: Calibration) -> list[dict[str, Any]]:

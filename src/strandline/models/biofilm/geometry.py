@@ -1,41 +1,19 @@
 """The mesh of a flow cell: a channel with a solid on its floor; the interface polygon consists of mesh edges."""
 
-from dataclasses import dataclass
 from typing import Any
 
 from netgen.geom2d import SplineGeometry
+from netgen.meshing import MeshingParameters
 from ngsolve import Mesh
 
 from strandline.interface import Interface
 from strandline.models.biofilm.channel import ON_WALL, Channel
+from strandline.models.biofilm.sizes import MESHES, MeshSize, gap_sizes, segment_sizes
 from strandline.models.biofilm.subdivision import Edge, Partition, Point, Subdivision
 
 __all__ = ["MESHES", "MeshSize", "mesh_flow_cell", "subdivide"]
 
 FLUID = "fluid"
-
-
-@dataclass(frozen=True)
-class MeshSize:
-    """Largest element sizes, mm: away from the interface, along it, at its two feet; `grading` as Netgen has it."""
-
-    far: float
-    interface: float
-    foot: float
-    grading: float
-
-
-MESHES = {
-    "coarse": MeshSize(far=0.25, interface=0.075, foot=0.015, grading=0.7),
-    "default": MeshSize(far=0.1, interface=0.0225, foot=0.01, grading=0.3),
-    "fine": MeshSize(far=0.05, interface=0.0112, foot=0.005, grading=0.25),
-}
-"""Element sizes by the name used in study files.
-
-The nodes of the study's outline are 0.022 mm apart, so there `interface` of ``coarse`` acts on base and inner edges
-alone. Its values are the best of several hundred; others close by make up to three times the error, at random.
-Measure every change of them with ``python -m validation.biofilm_mesh``.
-"""
 
 
 def subdivide(interface: Interface, channel: Channel, partition: Partition) -> tuple[Subdivision, list[str]]:
@@ -81,6 +59,7 @@ def mesh_flow_cell(
     figure, parts = subdivide(interface, channel, partition)
     number = {FLUID: 1} | {name: k for k, name in enumerate(parts, 2)}
     geometry = SplineGeometry()
+    along = segment_sizes(interface, size)
     ids = [geometry.AppendPoint(x, y) for x, y in figure.vertices]
     for edge in sorted(figure.edges(), key=lambda e: _place(e, figure, channel)):
         name = _name(edge, figure, channel)
@@ -89,11 +68,14 @@ def mesh_flow_cell(
             leftdomain=number[edge.left],
             rightdomain=number[edge.right] if edge.right else 0,
             bc=name,
-            maxh=_size(edge, name, size, len(interface.points)),
+            maxh=along[min(edge.start, edge.end)] if name == "interface" else _size(name, size),
         )
     for name, k in number.items():
         geometry.SetMaterial(k, name)
-    return Mesh(geometry.GenerateMesh(maxh=size.far, grading=size.grading))
+    parameters = MeshingParameters(maxh=size.far, grading=size.grading)
+    for x, y, largest in gap_sizes(interface, size, channel).tolist():
+        parameters.RestrictH(x=x, y=y, z=0.0, h=largest)
+    return Mesh(geometry.GenerateMesh(parameters))
 
 
 def _place(edge: Edge, figure: Subdivision, channel: Channel) -> tuple[int, float]:
@@ -123,8 +105,6 @@ def _name(edge: Edge, figure: Subdivision, channel: Channel) -> str:
     return "inlet" if at_left == (channel.inlet == "left") else "outlet"
 
 
-def _size(edge: Edge, name: str, size: MeshSize, count: int) -> float:
-    """Return the largest element edge: fine along the interface and finest at its feet."""
-    if name == "interface":
-        return size.foot if {edge.start, edge.end} & {0, count - 1} else size.interface
+def _size(name: str, size: MeshSize) -> float:
+    """Return the largest element edge off the interface."""
     return 2 * size.interface if name in ("base", "inner") else size.far

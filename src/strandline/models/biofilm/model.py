@@ -15,10 +15,11 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, is_condition
 from strandline.models.biofilm.cell import FlowCell, FlowFields
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
-from strandline.models.biofilm.geometry import MESHES, subdivide
+from strandline.models.biofilm.geometry import subdivide
 from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.sizes import FINER, MESHES, MeshSize, is_adapted
 from strandline.models.biofilm.subdivision import Partition, check_partition
 from strandline.models.protocol import ModelInput, Simulation
 
@@ -26,6 +27,8 @@ __all__ = ["Biofilm", "FlowFields"]
 
 REVISION = 2
 """Raised whenever the results of the model change."""
+SIZES = 1
+"""Raised whenever the rule changes by which elements shrink in narrow gaps and at sharp bends of the outline."""
 
 
 @dataclass(frozen=True)
@@ -116,12 +119,18 @@ class Biofilm:
 
     @property
     def fingerprint(self) -> str:
-        """What identifies the model in a ledger; sensitivities leave the interface as it is and do not count."""
+        """What identifies the model in a ledger.
+
+        Sensitivities leave the interface as it is and do not count. The rule for element sizes counts only where the
+        outline makes it act: so the ledgers of other outlines, the study's among them, stay valid.
+        """
         chosen = [
             f"{field.name}={getattr(self, field.name)!r}"
             for field in dataclasses.fields(self)
             if field.name not in ("mesh", "sensitivities") and getattr(self, field.name) != field.default
         ]
+        if _is_adapted(self.outline, self.mesh, self.channel):
+            chosen.append(f"sizes={SIZES}")
         digest = ":" + hashlib.sha256("|".join(chosen).encode()).hexdigest()[:16] if chosen else ""
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
@@ -156,6 +165,20 @@ class Biofilm:
         rate = rates[condition or next(reversed(rates))]
         cell.solve(*self._material_values(inputs), rate)
         return cell.fields()
+
+    def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
+        """Return the deformed interfaces by condition on the next finer mesh, at the same nodes; a check of accuracy.
+
+        Raises:
+            ForwardModelError: As a run does.
+        """
+        cell = _new_cell(self._geometry, FINER[self.mesh])
+        rates = self.inflow_rates or (("", float(inputs.get("V_in", 0.0))),)
+        found = {}
+        for name, rate in rates:
+            solution = cell.solve(*self._material_values(inputs), rate, budget=self.failure_budget)
+            found[name] = Interface.polyline(cell.outline.points + solution.displacement)
+        return found
 
     @property
     def _geometry(self) -> "Biofilm":
@@ -281,10 +304,19 @@ def _check_rate(name: object, rate: object) -> None:
 
 @lru_cache(maxsize=2)
 def _flow_cell(model: Biofilm) -> FlowCell:
+    return _new_cell(model, MESHES[model.mesh])
+
+
+def _new_cell(model: Biofilm, size: MeshSize) -> FlowCell:
     return FlowCell(
         model.outline.interface(),
-        MESHES[model.mesh],
+        size,
         channel=model.channel,
         partition=model.partition,
         law=LAWS[model.material],
     )
+
+
+@lru_cache(maxsize=16)
+def _is_adapted(outline: Outline, mesh: str, channel: Channel) -> bool:
+    return is_adapted(outline.interface(), MESHES[mesh], channel)

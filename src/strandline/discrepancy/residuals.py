@@ -1,0 +1,42 @@
+"""How far apart two interfaces are, in units of the noise and in mm, whatever the measure."""
+
+import math
+
+import numpy as np
+
+from strandline.discrepancy.nearest import squared_distances
+from strandline.discrepancy.protocol import Discrepancy, independent_terms
+from strandline.interface import Interface
+
+__all__ = ["apart", "count_of_distances", "noise_units"]
+
+
+def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Interface) -> float | None:
+    """Return how many distances d² sums, so that √(d²/count) is their root mean square.
+
+    A measure says so by a method ``distances(simulated, observed)``; without one, its independent terms count. None
+    where d² is no sum of squared distances: then σ_N is no distance either.
+    """
+    own = getattr(measure, "distances", None)
+    count = independent_terms(measure, observed) if own is None else own(simulated, observed)
+    return None if count is None else float(count)
+
+
+def noise_units(square: float, variance: float, count: float | None) -> float:
+    """Return a residual in units of σ_N: the root mean square of its distances, or √d² where it is no sum.
+
+    Args:
+        square: d², in the measure's unit.
+        variance: σ_N², in the same unit.
+        count: The number of distances, from `count_of_distances`.
+    """
+    return math.sqrt(square / (variance * (count or 1.0)))
+
+
+def apart(one: Interface, other: Interface) -> tuple[float, float]:
+    """Return the distance of two interfaces, mm: root mean square and largest.
+
+    Taken from the nodes of each to the closest points of the other; of the two directions the larger.
+    """
+    squares = [squared_distances(a.points, b) for a, b in ((one, other), (other, one))]
+    return math.sqrt(max(float(s.mean()) for s in squares)), math.sqrt(max(float(np.max(s)) for s in squares))

@@ -1,0 +1,45 @@
+"""Pictures given where the points of an interface belong."""
+
+from pathlib import Path
+
+from strandline.readers.problems import refused
+
+__all__ = ["require_no_picture"]
+
+_BEGINNINGS = {
+    b"\x89PNG\r\n\x1a\n": "PNG",
+    b"\xff\xd8\xff": "JPEG",
+    b"II*\x00": "TIFF",
+    b"MM\x00*": "TIFF",
+    b"II+\x00": "TIFF",
+    b"MM\x00+": "TIFF",
+    b"GIF87a": "GIF",
+    b"GIF89a": "GIF",
+}
+"""The first bytes of a file → the picture format that begins with them."""
+
+
+def require_no_picture(path: Path, name: str) -> None:
+    """Refuse a file that is a picture, whatever its suffix.
+
+    Args:
+        path: The file, which exists.
+        name: What messages call the file.
+
+    Raises:
+        Unreadable: The file begins as a PNG, JPEG, TIFF or GIF picture does.
+    """
+    try:
+        with path.open("rb") as file:
+            begin = file.read(max(map(len, _BEGINNINGS)))
+    except OSError:
+        return  # the reader says why
+    for beginning, kind in _BEGINNINGS.items():
+        if begin.startswith(beginning):
+            raise refused(
+                f"{name} is a picture",
+                f"a {kind} image",
+                "the points of a contour, two columns x, y in their order along the interface",
+                "A picture is not a contour yet: segment it with an image program, trace the interface, scale pixels "
+                "to a length, and give the points.",
+            )

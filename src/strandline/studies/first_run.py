@@ -1,0 +1,229 @@
+"""What one forward run tells about a study before the others are made."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from strandline.discrepancy import Discrepancy, apart, count_of_distances
+from strandline.errors import ForwardModelError, InvalidInput, NumericsError
+from strandline.field_likelihood import noise_length
+from strandline.interface import Interface, Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.models.protocol import fingerprint
+from strandline.runs import Ledger, RunRecord, run_key
+from strandline.studies.ledgers import needed_keys
+from strandline.studies.observed import noisy, require_plausible
+from strandline.studies.study import Study
+
+__all__ = [
+    "Noise",
+    "displacement_lines",
+    "known_range",
+    "mesh_lines",
+    "noise_of",
+    "observations_of",
+    "require_same_size",
+    "shape_lines",
+]
+
+FAR_APART = 0.05
+"""Share of the interface's length: ends or centres further apart than this are worth a warning."""
+MESH_SHARE = 0.1
+"""Share of the noise above which the difference to the next finer mesh is worth a warning."""
+MOST_KNOWN = 200
+"""Known runs whose log-likelihood is computed."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The noise as a length.
+
+    Args:
+        mm: The length.
+        is_sd: Whether it is σ_N itself, the standard deviation of a distance.
+    """
+
+    mm: float
+    is_sd: bool
+
+    def times(self, mm: float) -> str:
+        """Return a length, mm, in words as a multiple of the noise."""
+        if self.is_sd:
+            return f"{mm / self.mm:.3g} σ_N (σ_N = {_length(self.mm)})"
+        return f"{mm / self.mm:.3g} times the shift of {_length(self.mm)} that the noise hides"
+
+
+def noise_of(study: Study, interface: Interface) -> Noise:
+    """Return the noise of the first measure as a length.
+
+    σ_N where the measure sums squared distances; otherwise the shift of `interface` for which d² = σ_N².
+    """
+    measure = _measure(study)
+    if count_of_distances(measure, interface, interface) is not None:
+        return Noise(float(np.sqrt(study.noise_variance)), True)
+    return Noise(noise_length(Observation(interface, study.noise_variance), measure), False)
+
+
+def observations_of(study: Study) -> Mapping[str, Interface]:
+    """Return the observed interfaces; a synthetic one where the ledger has its run, else nothing."""
+    if study.truth is None or not study.ledger_path.is_file():
+        return study.observed
+    identity = fingerprint(study.model)
+    key = run_key(identity, study.truth)
+    with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
+        record = ledger.latest([key]).get(key)
+    return noisy(record.interfaces, study.synthetic_noise) if record is not None and record.ok else {}
+
+
+def require_same_size(study: Study, record: RunRecord) -> None:
+    """Refuse an observed interface ten times larger or smaller than that of the run.
+
+    Raises:
+        InvalidStudy: With the ratio and the unit that was probably mistaken.
+    """
+    for condition, observed in study.observed.items():
+        name = f"observation ({condition})" if condition else "observation"
+        if observed.dim == record.interfaces[condition].dim:
+            require_plausible(name, observed, record.interfaces[condition])
+
+
+def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield where observed interfaces and those of the run lie, how far apart they are, and doubts about that."""
+    for condition, observed in study.observed.items():
+        run, of = record.interfaces[condition], f" ({condition})" if condition else ""
+        for name, interface in (("observed", observed), ("this run", run)):
+            yield f"{name}{of}: {_place(interface)}"
+        if observed.dim == run.dim:
+            rms, largest = apart(run, observed)
+            yield f"residual{of}: root mean square {_length(rms)}, largest {_length(largest)}"
+        if observed.dim == run.dim == 2:
+            yield from _doubts(observed, run, of)
+
+
+def _place(interface: Interface) -> str:
+    if interface.dim == 3:
+        low, high = (np.round(f(interface.points, axis=0), 4).tolist() for f in (np.min, np.max))
+        return f"from {low} to {high}, area {interface.areas.sum():.4g} mm²"
+    length = f"length {interface.lengths.sum():.4g} mm"
+    if interface.closed:
+        return f"closed around {np.round(interface.centres.mean(axis=0), 4).tolist()}, {length}"
+    first, last = (np.round(interface.points[k], 4).tolist() for k in (0, -1))
+    return f"from {first} to {last}, {length}"
+
+
+def _doubts(observed: Interface, run: Interface, of: str) -> Iterator[str]:
+    """Yield a warning for opposite directions and one for ends, or centres of closed contours, that are far apart."""
+    far = FAR_APART * float(run.lengths.sum())
+    if observed.closed and run.closed:
+        apart_by = float(np.linalg.norm(observed.centres.mean(axis=0) - run.centres.mean(axis=0)))
+        what = "centres lie"
+    else:
+        if observed.runs_against(run):
+            observed = observed.reversed()
+            yield f"warning{of}: the observed points run against this run's interface. Reverse their order in the file."
+        apart_by = max(float(np.linalg.norm(observed.points[k] - run.points[k])) for k in (0, -1))
+        what = "ends lie"
+    if apart_by > far:
+        yield (
+            f"warning{of}: their {what} {apart_by:.3g} mm apart. Are the columns x, y, is y upwards, and are "
+            "origin, unit and extent those of the model?"
+        )
+
+
+def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield the largest displacement of the run in µm and in units of the noise; nothing without undeformed state."""
+    state = getattr(study.model, "undeformed", None)
+    if state is None:
+        return
+    undeformed, measure = state(), _measure(study)
+    for condition, run in record.interfaces.items():
+        if run.dim != undeformed.dim:
+            continue
+        of, noise = f" ({condition})" if condition else "", noise_of(study, undeformed)
+        moved = _largest_displacement(run, undeformed)
+        yield f"largest displacement{of}: {_length(moved)}, {noise.times(moved)}"
+        if _hidden(measure, run, undeformed, study.noise_variance):
+            yield f"warning{of}: the displacement is below the noise: the data cannot tell"
+
+
+def _largest_displacement(run: Interface, undeformed: Interface) -> float:
+    if run.points.shape == undeformed.points.shape:
+        return float(np.linalg.norm(run.points - undeformed.points, axis=1).max())
+    return apart(run, undeformed)[1]
+
+
+def _hidden(measure: Discrepancy, run: Interface, undeformed: Interface, variance: float) -> bool:
+    """Tell whether the undeformed interface explains the run within the noise: d² < σ_N²."""
+    try:
+        return float(measure(run, undeformed)) < variance
+    except InvalidInput:  # e.g. nodes that do not correspond
+        return apart(run, undeformed)[1] ** 2 < variance
+
+
+def known_range(study: Study) -> str | None:
+    """Return a line on the log-likelihoods of the runs that the ledger has; None where there are none to compare."""
+    observed = observations_of(study)
+    if not observed or not study.ledger_path.is_file():
+        return None
+    identity = fingerprint(study.model)
+    truth = None if study.truth is None else run_key(identity, study.truth)
+    with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
+        latest = ledger.latest([key for key in needed_keys(study) if key != truth])
+    known = [latest[key] for key in sorted(latest) if latest[key].ok]
+    chosen = known[:: max(1, -(-len(known) // MOST_KNOWN))]
+    if not chosen:
+        return None
+    observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+    likelihood = InterfaceLikelihood(observations, _measure(study))
+    values = np.array([value for record in chosen if (value := _value(likelihood, record)) is not None])
+    if not len(values):
+        return None
+    of = f" {len(values)} of" if len(values) < len(known) else ""
+    return (
+        f"log-likelihood over the box: from {values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}, "
+        f"by{of} {len(known)} known runs"
+    )
+
+
+def _value(likelihood: InterfaceLikelihood, record: RunRecord) -> float | None:
+    """Return the log-likelihood of a run; None where the measure refuses its interface."""
+    try:
+        return likelihood(record.interfaces)
+    except (InvalidInput, NumericsError):
+        return None
+
+
+def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield how far the run's interfaces move on the next finer mesh; nothing for a model that offers none.
+
+    A model offers it by a method ``on_finer_mesh(inputs)``, which returns the interfaces by condition. Too large a
+    difference is worth a warning, but not where the model itself makes the observation, on the same mesh.
+    """
+    solve: Any = getattr(study.model, "on_finer_mesh", None)
+    if solve is None:
+        return
+    try:
+        finer: Mapping[str, Interface] = solve(record.inputs)
+    except ForwardModelError as error:
+        yield f"warning: on the next finer mesh this run fails ({error.kind}), so that its accuracy is not known"
+        return
+    for condition, interface in finer.items():
+        run, of = record.interfaces[condition], f" ({condition})" if condition else ""
+        moved, noise = float(np.linalg.norm(interface.points - run.points, axis=1).max()), noise_of(study, run)
+        yield f"next finer mesh{of}: the interface differs by at most {_length(moved)}, {noise.times(moved)}"
+        if moved > MESH_SHARE * noise.mm and study.truth is None:
+            yield (
+                f"warning{of}: the mesh is too coarse for this noise; take a finer one, such as `mesh: default`, "
+                "or state a larger noise"
+            )
+
+
+def _measure(study: Study) -> Discrepancy:
+    return next(iter(study.discrepancies.values()))
+
+
+def _length(mm: float) -> str:
+    """Return a length in µm, or in mm from 1 mm up."""
+    return f"{mm:.3g} mm" if mm >= 1 else f"{1e3 * mm:.3g} µm"
