@@ -104,7 +104,7 @@ def plot_field(
             _draw_detail(ax, detail, np.exp(detail.values - top), lines | {"levels": np.unique(steps)})
         elif grid.truth is not None:
             mark(ax, grid.truth, RED, "ground truth", marker="o")
-        ax.set(xlabel=grid.x.label(), ylabel=grid.y.label(), xlim=grid.x.interval, ylim=grid.y.interval)
+        ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
         if colour_bar:
             extend = "min" if float(values.min()) < float(norm.vmin or 0.0) else "neither"
             bar = figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind], extend=extend)
@@ -166,7 +166,7 @@ def plot_profile(
             ax.plot(failed, foot, "x", color=GREY, label="failed run", clip_on=False)
         if truth is not None:
             ax.axvline(truth, color=RED, linestyle=":", label="ground truth")
-        ax.set(xlabel=x.label(), ylabel=label, xlim=x.interval)
+        ax.set(xlabel=x.figure_label(), ylabel=label, xlim=x.interval)
         if ax.get_legend_handles_labels()[0]:
             ax.legend()
     return ax

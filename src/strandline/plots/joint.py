@@ -127,7 +127,7 @@ def plot_hexagons(
         bounds = x.interval, y.interval
         judged = max(particles // 5, 200)
         _draw_kde(ax, *thinned, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
-        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=across, ylim=up)
+        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
         if colour_bar:
             figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
     return ax
@@ -204,7 +204,7 @@ def _pair_panel(
     if row == column:
         shown = shown_interval(posterior, across)
         draw_marginal(ax, parameter, posterior.draws[:, row], posterior.weights, shown=shown, bins=bins)
-        ax.set(yticks=[], xlabel=parameter.label(), xlim=shown)
+        ax.set(yticks=[], xlabel=parameter.figure_label(), xlim=shown)
     elif row < column:
         ax.set_axis_off()
     else:

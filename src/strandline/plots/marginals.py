@@ -14,6 +14,7 @@ from strandline.parameters import Parameter
 from strandline.plots.style import BLACK, BLUE, PURPLE, RED, SKY, axes_or_new, figure_or_new, styled
 from strandline.plots.view import shown_interval
 from strandline.posterior import KernelDensity, Posterior, histogram
+from strandline.typeset import unit_text
 
 __all__ = ["Curve", "plot_marginal", "plot_marginals"]
 
@@ -54,7 +55,7 @@ def plot_marginal(
             ax.plot(overlay.x, overlay.density, color=PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
         if truth is not None:
             ax.axvline(truth, color=BLUE, linestyle=":", label="ground truth")
-        ax.set(xlabel=parameter.label(), ylabel=density_label(parameter), xlim=shown)
+        ax.set(xlabel=parameter.figure_label(), ylabel=density_label(parameter), xlim=shown)
         if legend:
             ax.legend()
     return ax
@@ -118,8 +119,12 @@ def draw_marginal(
 
 
 def density_label(parameter: Parameter) -> str:
-    """Return the label of a density axis with its unit: ``density [1/Pa]``."""
-    return "density" if parameter.unit in ("", "1") else f"density [1/({parameter.unit})]".replace("(Pa)", "Pa")
+    """Return the label of a density axis with its unit: ``density [Pa⁻¹]``."""
+    unit = parameter.unit.strip()
+    if unit in ("", "1"):
+        return "density"
+    inverse = unit_text(f"1/({unit})") if "/" not in unit else f"1/({unit_text(unit)})"
+    return f"density [{inverse}]".replace("$", r"\$")
 
 
 def _line(

@@ -66,7 +66,7 @@ def plot_parallel(
                     markeredgewidth=2.0, markersize=7, zorder=6, label=label, clip_on=False,
                 )  # fmt: skip
         ax.set(xlim=(-0.55, len(order) - 0.85), ylim=(-0.02, 1.02), yticks=[])
-        labels = [DENSITY.replace(" ", "\n", 1) if n == DENSITY else posterior.space[n].label() for n in order]
+        labels = [DENSITY.replace(" ", "\n", 1) if n == DENSITY else posterior.space[n].figure_label() for n in order]
         ax.set_xticks(across, labels)
         ax.tick_params(axis="x", length=0, pad=6, labelsize=9)
         ax.spines[:].set_visible(False)

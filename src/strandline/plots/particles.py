@@ -30,6 +30,6 @@ def plot_particles(
         area = largest * weights / weights.max()
         drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
         drawn.set(edgecolors="white", linewidths=0.15)
-        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=across, ylim=up)
+        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
         figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
     return ax

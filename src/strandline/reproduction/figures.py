@@ -78,7 +78,7 @@ def plot_nested_likelihoods(
         for ax in panels[len(steps) :]:
             ax.remove()
         for ax in panels[: len(steps)]:
-            ax.set(xlabel=space.parameters[0].label(), ylabel=space.parameters[1].label())
+            ax.set(xlabel=space.parameters[0].figure_label(), ylabel=space.parameters[1].figure_label())
             ax.label_outer()
         figure.colorbar(drawn, ax=list(panels[: len(steps)]), label="likelihood / maximum", pad=0.01)
     return figure
