@@ -3,26 +3,29 @@
 import html
 import re
 
-__all__ = ["figure_text", "html_text", "unit_text"]
+__all__ = ["RAISED", "figure_text", "html_text", "unit_text"]
 
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEVEL = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _FACTOR = re.compile(r"([^\W\d_]+|%|°|1)(?:\^?(-?\d+))?")
 _SPACE = "\u00a0"
 
 
-def unit_text(unit: str) -> str:
+def unit_text(unit: str, *, inverse: bool = False) -> str:
     """Return a unit with raised exponents and negative ones for divisors; as it stands where it cannot be read.
 
     ``mm^2/s`` becomes ``mm² s⁻¹``, ``1/Pa`` becomes ``Pa⁻¹``; a pure number has none. Blanks in it do not break.
+    `inverse` gives one over the unit, as a density has it.
     """
     plain = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: "^" + found[0].translate(_LEVEL), unit.strip()).replace("**", "^")
     if plain in ("", "1"):
         return ""
     factors = _factors(plain)
     if factors is None:
-        return unit.strip().replace(" ", _SPACE)
-    return _SPACE.join(name if power == 1 else f"{name}{str(power).translate(_RAISED)}" for name, power in factors)
+        text = unit.strip().replace(" ", _SPACE)
+        return f"1/({text})" if inverse else text
+    powers = [(name, -power if inverse else power) for name, power in factors]
+    return _SPACE.join(name if power == 1 else f"{name}{str(power).translate(RAISED)}" for name, power in powers)
 
 
 def _factors(unit: str) -> list[tuple[str, int]] | None:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from strandline import plots
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
 from strandline.models.biofilm.model import Biofilm
+from strandline.plots.style import DOTS_PER_INCH, styled
 from strandline.reproduction.evidence import Evidence
 from strandline.reproduction.figures import plot_convergence, plot_nested_likelihoods
 
@@ -105,5 +106,6 @@ def _parts(evidence: Evidence) -> Figure:
 
 def _png(figure: Any) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=160)
+    with styled():
+        figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
     return buffer.getvalue()
