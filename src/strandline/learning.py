@@ -186,6 +186,7 @@ class Learning:
             seed=self.settings.seed,
             scramble=self.settings.scramble,
             aside=lambda: self.watch("choice", self.tell),
+            told=self.tell.batch,
         )
 
     def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:

@@ -24,6 +24,7 @@ FIGURES = [
     "log_likelihood",
     "log_likelihood_sd",
     "marginals",
+    "offsets",
     "particles",
     "posterior",
     "sensitivity",

@@ -4,6 +4,7 @@ from strandline.active.campaign import ActiveRuns
 from strandline.active.choice import CRITERIA
 from strandline.active.design import Active, ActiveDesign, Batch, CheckResult, Step
 from strandline.active.outcome import Certificate, FieldOutcome, VarianceEffect
+from strandline.active.reported import BatchReport
 from strandline.active.state import Knowledge, State, learn, posterior_state
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "ActiveDesign",
     "ActiveRuns",
     "Batch",
+    "BatchReport",
     "Certificate",
     "CheckResult",
     "FieldOutcome",

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from strandline.active.design import Active, ActiveDesign
 from strandline.active.outcome import Certificate
+from strandline.active.reported import BatchReport, report_batch
 from strandline.active.state import State, learn, posterior_state
 from strandline.discrepancy import Discrepancy
 from strandline.errors import TooFewRuns
@@ -36,6 +37,7 @@ class ActiveRuns:
         seed: of all random numbers.
         scramble: of the Sobol sequence of the first runs.
         aside: a context for the time that choosing takes.
+        told: hears of each batch once the posterior is updated.
     """
 
     active: Active
@@ -46,6 +48,7 @@ class ActiveRuns:
     seed: int
     scramble: int | None
     aside: Callable[[], Any]
+    told: Callable[[BatchReport], None] = lambda report: None
     design: ActiveDesign = field(init=False)
 
     def __post_init__(self) -> None:
@@ -73,7 +76,10 @@ class ActiveRuns:
         """Return the inputs of the next batch, none to stop; more of the first design where too few succeeded."""
         with self.aside(), one_thread():
             try:
+                before = len(self.design.steps)
                 batch = self.design.next(self.points(records), records)
+                if len(self.design.steps) > before:
+                    self.told(report_batch(self.design, self.space))
             except TooFewRuns:
                 batch = self.design.more_of_the_first()
                 if batch is None:

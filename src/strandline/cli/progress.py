@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from strandline.active import BatchReport
 from strandline.calibrate import Observer
 from strandline.runs import Progress as Runs
 from strandline.runs import RunRecord
@@ -68,7 +69,10 @@ def _bars(console: Console) -> Iterator[Observer]:
         def step(info: StepInfo) -> None:
             progress.update(tasks[-1], total=1.0, completed=float(info.temperature), note=_step_note(info))
 
-        yield Observer(stage=stage, run=run, step=step)
+        def batch(report: BatchReport) -> None:
+            progress.console.print(report.line, highlight=False, soft_wrap=True)
+
+        yield Observer(stage=stage, run=run, step=step, batch=batch)
         end_stage()
 
 
@@ -96,7 +100,10 @@ def _lines(console: Console) -> Observer:
         if due(float(info.temperature) >= 1.0):
             say(f"  {_step_note(info)}")
 
-    return Observer(stage=stage, run=run, step=step)
+    def batch(report: BatchReport) -> None:
+        say(f"  {report.line}")
+
+    return Observer(stage=stage, run=run, step=step, batch=batch)
 
 
 def _run_note(state: Runs) -> str:

@@ -68,7 +68,7 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
         return "the surrogate predicts log-likelihoods above 0"
     if certificate is not None and not certificate.converged:
         return "not converged, " + certificate.reasons[-1] if certificate.reasons else "not converged"
-    if check is not None and check["verdict"] == "not to be used":
+    if check is not None and check["verdict"] == "bad":
         return "the check with the true model failed"
     if calibration.field is None and calibration.surrogate.validation.loo_rms_near_mode > LOO_LIMIT:
         error = calibration.surrogate.validation.loo_rms_near_mode
