@@ -51,7 +51,8 @@ def test_fonts_are_embedded_as_truetype() -> None:
 def test_figures_are_as_wide_as_columns_and_their_text_is_legible() -> None:
     one = drawn(plot_marginals(posterior()))
     assert one.get_figwidth() == pytest.approx(SINGLE)
-    assert pytest.approx(88) == 25.4 * SINGLE and pytest.approx(180) == 25.4 * DOUBLE
+    assert pytest.approx(88) == 25.4 * SINGLE
+    assert pytest.approx(180) == 25.4 * DOUBLE
     sizes = [text.get_fontsize() for text in one.findobj(lambda a: hasattr(a, "get_fontsize")) if text.get_text()]
     assert min(sizes) >= 7.0
 

@@ -42,7 +42,7 @@ class Section:
 
 
 def _place(picture: Picture) -> tuple[int, str, str]:
-    """Return the place of a picture in the study's order: number, letter, then the figure itself before its variants."""
+    """Return the place of a picture in the study's order: number, letter, the figure itself before its variants."""
     number, _, variant = picture.number.partition(",")
     digits = number.rstrip("abcd")
     return int(digits), number[len(digits) :], variant
