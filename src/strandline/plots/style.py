@@ -141,7 +141,7 @@ def _fitting(legend: Callable[[int], Legend], columns: int, width: float) -> Non
 
 def mark_doubt(figure: Figure, why: str) -> None:
     """Write across the top of a figure that what it shows is not to be trusted, and why."""
-    wide = max(30, int(17 * figure.get_figwidth()))
+    wide = max(30, int(13 * figure.get_figwidth()))
     text = "\n".join(textwrap.wrap(f"DO NOT TRUST THIS POSTERIOR: {why}", wide))
     frame = {"boxstyle": "square,pad=0.35", "facecolor": "#fff1e8", "edgecolor": RED}
     with styled():
