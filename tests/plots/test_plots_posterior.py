@@ -159,7 +159,7 @@ def test_marginals_and_pairs_of_any_number_of_inputs(dim):
     posterior = ridge_posterior(dim, 200)
     figure = plot_marginals(posterior, truth={"E": 400.0})
     render(figure)
-    assert [ax.get_xlabel() for ax in figure.axes] == [p.label() for p in posterior.space]
+    assert [ax.get_xlabel() for ax in figure.axes] == [p.figure_label() for p in posterior.space]
     pairs = plot_pairs(posterior, truth={"E": 400.0, "nu": 0.3})
     render(pairs)
     hexagons = [ax for ax in pairs.axes if any(isinstance(c, PolyCollection) for c in ax.collections)]
