@@ -41,7 +41,7 @@ def drawn(figure: object) -> Figure:
 
 
 def test_fonts_are_embedded_as_truetype() -> None:
-    figure, stream = drawn(plot_tempering([0.1, 1.0], [90, 80], [0.4, 0.3])), io.BytesIO()
+    figure, stream = drawn(plot_tempering([0.1, 1.0], [90.0, 80.0], [0.4, 0.3])), io.BytesIO()
     with styled():
         figure.savefig(stream, format="pdf")
     assert b"/Type3" not in stream.getvalue()

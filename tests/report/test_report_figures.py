@@ -4,7 +4,6 @@ import re
 import struct
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,11 +28,6 @@ def sure(calibration: Any, error: float = 0.1) -> Any:
     return replace(calibration, surrogates={"tracked_points": replace(surrogate, validation=validation)})
 
 
-def certified(calibration: Any, *, converged: bool) -> Any:
-    certificate = SimpleNamespace(converged=converged, reasons=() if converged else ("all runs are made",))
-    return replace(calibration, field=SimpleNamespace(certificate=certificate))
-
-
 def test_reasons_to_doubt(reported: Any) -> None:
     good = sure(reported.outcome.calibration)
     assert reason_to_doubt(good) is None
@@ -42,8 +36,6 @@ def test_reasons_to_doubt(reported: Any) -> None:
     assert "leave-one-out error near the mode 0.9" in str(reason_to_doubt(sure(good, LOO_LIMIT + 0.4)))
     high = replace(good.posterior, log_likelihood=good.posterior.log_likelihood + 50.0)
     assert "above 0" in str(reason_to_doubt(replace(good, posterior=high)))
-    assert reason_to_doubt(certified(good, converged=True)) is None
-    assert reason_to_doubt(certified(good, converged=False)) == "not converged, all runs are made"
 
 
 @pytest.mark.parametrize(
@@ -83,7 +75,6 @@ def test_the_offsets_of_the_best_runs_and_of_the_observation(reported: Any) -> N
     labels = [str(line.get_label()) for line in ax.lines]
     assert labels[-2:] == ["best run", "observed"]
     assert len(labels) == 6
-    assert not list(offsets_of_runs(replace(calibration, field=SimpleNamespace())))
 
 
 def test_failed_runs_of_three_inputs_have_a_picture(reported: Any) -> None:
