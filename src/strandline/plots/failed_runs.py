@@ -17,7 +17,7 @@ __all__ = ["plot_failed_runs"]
 def plot_failed_runs(
     space: ParameterSpace,
     ok: Float[np.ndarray, "run dim"],
-    failed: Mapping[str, Float[np.ndarray, "run dim"]],
+    failed: Mapping[str, Float[np.ndarray, "_ dim"]],
     *,
     ax: Axes | None = None,
 ) -> Axes:
