@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.active import Active, FieldOutcome
+from strandline.active import Active, BatchReport, FieldOutcome
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation
 from strandline.models.protocol import ForwardModel
@@ -136,7 +136,8 @@ class Calibration:
 class Observer:
     """Who wants to know how far it is: functions called as the work goes on; by default nobody.
 
-    `draws` hears of the inputs of each round of refinement before they are run, `note` of what a person should know.
+    `draws` hears of the inputs of each round of refinement before they are run, `batch` of the posterior after each
+    batch of an active design, `note` of what a person should know.
     """
 
     stage: Callable[[str], None] = lambda name: None
@@ -144,6 +145,7 @@ class Observer:
     run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
     step: Callable[[StepInfo], None] = lambda info: None
     note: Callable[[str], None] = lambda text: None
+    batch: Callable[[BatchReport], None] = lambda report: None
 
 
 class Stopwatch:

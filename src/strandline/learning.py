@@ -207,6 +207,7 @@ class Learning:
             judge=self.judge,
             aside=lambda: self.watch("choice", self.tell),
             on_step=self.tell.step,
+            told=self.tell.batch,
         )
 
     def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:

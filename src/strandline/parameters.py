@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 from strandline.priors import Prior, Truncated, truncate
+from strandline.typeset import figure_text, unit_text
 
 __all__ = ["Parameter", "ParameterSpace"]
 
@@ -24,6 +25,7 @@ class Parameter:
         unit: e.g. ``Pa``; ``1`` for a pure number.
         box: interval in which forward runs are made; where it is left out, the support of the prior.
         nuisance: not asked for, only uncertain (θ of the paper): the answer is an average over it.
+        symbol: what figures, report and tables call it, e.g. ``ν`` or ``V̇_in``; its name where there is none.
 
     A prior that reaches beyond the box is truncated to it, and `mass_cut` tells how much was cut off: outside the box
     nothing is known of the simulator.
@@ -34,6 +36,7 @@ class Parameter:
     unit: str = "1"
     box: tuple[float, float] | None = None
     nuisance: bool = False
+    symbol: str = ""
 
     def __post_init__(self) -> None:
         low, high = self.interval
@@ -63,8 +66,19 @@ class Parameter:
         return prior.mass_cut if isinstance(prior, Truncated) else 0.0
 
     def label(self) -> str:
-        """Return name and unit for an axis: ``E [Pa]``, ``nu``."""
+        """Return name and unit as plain text: ``E [Pa]``, ``nu``."""
         return self.name if self.unit in ("", "1") else f"{self.name} [{self.unit}]"
+
+    @property
+    def shown(self) -> str:
+        """Its symbol, or else its name."""
+        return self.symbol or self.name
+
+    def figure_label(self) -> str:
+        """Return symbol and typeset unit for an axis of a figure."""
+        symbol = figure_text(self.symbol) if self.symbol else self.name.replace("$", r"\$")
+        unit = unit_text(self.unit).replace("$", r"\$")
+        return f"{symbol} [{unit}]" if unit else symbol
 
 
 @dataclass(frozen=True)

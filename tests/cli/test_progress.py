@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from strandline.active import BatchReport
 from strandline.cli import progress
 from strandline.cli.progress import observing
 from strandline.runs import Progress as Runs
@@ -69,6 +70,12 @@ def test_a_choice_that_takes_long_says_how_far_it_is(
         observer.step(STEP)
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["next batch …", "next batch …", "  γ 0.0100, ESS 1000, accepted 30%"]
+
+
+def test_each_batch_of_an_active_design_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with observing() as observer:
+        observer.batch(BatchReport(3, ("E 396 ± 31",), 0.05, "check"))
+    assert capsys.readouterr().err.splitlines() == ["  batch 3: E 396 ± 31, moved 0.05 sd; next: check"]
 
 
 def test_quiet(capsys: pytest.CaptureFixture[str]) -> None:

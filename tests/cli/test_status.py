@@ -69,6 +69,12 @@ def test_a_study_under_way() -> None:
             {"driver": driver(True), "rate": 0.5, "seconds_left": 9600.0},
             "  driver at work, process 4711 on desk: 0.5 runs a minute, about 2.7 h left",
         ),
+        (
+            {"driver": driver(True), "rate": 60.0, "seconds_left": 80.0, "active": True},
+            "  driver at work, process 4711 on desk: 60 runs a minute, at most 80 s left",
+        ),
+        ({"active": True}, "bent: 0 of at most 80 runs of the design done"),
+        ({"last_batch": "batch 3: E 396 ± 31; next: check"}, "  batch 3: E 396 ± 31; next: check"),
         ({"results": "outdated"}, "  results: of an earlier study.yaml"),
     ],
 )  # fmt: skip

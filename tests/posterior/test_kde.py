@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.stats import chi2, gaussian_kde
+from scipy.stats import chi2, gaussian_kde, truncnorm, uniform
 from sklearn.neighbors import KernelDensity as ReferenceDensity
 
 from strandline.errors import InvalidInput, NumericsError
@@ -152,3 +152,44 @@ def test_draws_without_spread_are_refused():
         KernelDensity.fit(np.ones((10, 1)), np.full(10, 0.1))
     with pytest.raises(InvalidInput, match="percentile"):
         KernelDensity.fit(*cloud(20)).percentile_levels([50.0])
+
+
+BOUNDED = {
+    "uniform": (uniform(-1e-9, 1 + 2e-9), 0.11),
+    "normal, mode outside": (truncnorm(1.0 - 1e-9, 6.0 + 1e-9, loc=-0.2, scale=0.2), 0.07),
+    "normal, falls to the upper bound": (truncnorm(-3.5, 0.5 + 1e-9, loc=0.9, scale=0.2), 0.08),
+}
+"""Densities on [0, 1] and the largest error that is allowed, as a share of their maximum."""
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+def test_the_largest_error_of_a_density_with_bounds(name: str):
+    exact, allowed = BOUNDED[name]
+    draws = np.clip(exact.rvs(5000, random_state=np.random.default_rng(3)), 0.0, 1.0)[:, None]
+    grid = np.linspace(0.0, 1.0, 201)
+    found = KernelDensity.fit(draws, np.full(5000, 1 / 5000), bounds=[(0.0, 1.0)]).density(grid[:, None])
+    truth = exact.pdf(grid)
+    assert np.abs(found - truth).max() / truth.max() < allowed
+    assert np.trapezoid(found, grid) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_mirrored_kernels_alone_miss_the_slope_at_a_bound(monkeypatch: pytest.MonkeyPatch):
+    exact, allowed = BOUNDED["normal, mode outside"]
+    draws = np.clip(exact.rvs(5000, random_state=np.random.default_rng(3)), 0.0, 1.0)[:, None]
+    monkeypatch.setattr("strandline.posterior.kde.slope_correction", lambda points, *rest: np.zeros(len(points)))
+    found = KernelDensity.fit(draws, np.full(5000, 1 / 5000), bounds=[(0.0, 1.0)]).density(np.zeros((1, 1)))
+    assert abs(found[0] - exact.pdf(0.0)) / exact.pdf(0.0) > allowed
+
+
+def test_the_estimate_does_not_overshoot_where_the_density_falls_to_zero_at_its_bound():
+    draws = np.random.default_rng(0).beta(2.0, 3.0, 5000)[:, None]
+    found = KernelDensity.fit(draws, np.full(5000, 1 / 5000), bounds=[(0.0, 1.0)]).density(np.zeros((1, 1)))
+    assert found[0] < 0.1 * 1.7778, "mirrored kernels give 0.16 of the maximum"
+
+
+def test_no_slope_is_taken_away_far_from_the_bounds():
+    draws, weights = cloud(400, dim=1)
+    free = KernelDensity.fit(draws, weights, bandwidth=0.3)
+    boxed = KernelDensity.fit(draws, weights, bandwidth=0.3, bounds=[(-3000.0, 3000.0)])
+    grid = np.linspace(-300.0, 300.0, 51)[:, None]
+    np.testing.assert_allclose(boxed.density(grid), free.density(grid), rtol=1e-6)

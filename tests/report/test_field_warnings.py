@@ -15,6 +15,8 @@ from strandline.models.protocol import fingerprint
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.report.field_warnings import field_warnings
+from strandline.report.run_figures import offsets_of_runs
+from strandline.report.warnings import reason_to_doubt
 from strandline.runs import InProcess, Ledger
 from strandline.smc import SMCSettings
 from strandline.testing.studies import beam
@@ -64,6 +66,11 @@ def test_what_has_not_converged_is_told_first(calibration: Calibration, found: F
     assert line.startswith("NOT CONVERGED: all 30 runs that were allowed are made.")
     assert "design.active.runs" in line
     assert told(calibration, replace(found, certificate=replace(certificate, converged=True))) == []
+    unsure = replace(calibration, field=replace(found, certificate=certificate))
+    assert reason_to_doubt(unsure) == "not converged, all 30 runs that were allowed are made"
+    sure = replace(found, certificate=replace(certificate, converged=True))
+    assert reason_to_doubt(replace(calibration, field=sure)) is None
+    assert not list(offsets_of_runs(calibration)), "a surrogate of the field has a figure of its own draws"
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ FIGURES = [
     "log_likelihood",
     "log_likelihood_sd",
     "marginals",
+    "offsets",
     "particles",
     "posterior",
     "sensitivity",
@@ -118,7 +119,7 @@ def test_the_numbers_are_those_of_the_summary(page: Page, reported: Any) -> None
             assert f"{figure:.4g}" in page.text
     for warning in summary["warnings"]:
         assert warning in page.text
-    assert f"Log-evidence {summary['log_evidence']:.5g}" in page.text
+    assert f"evidence {summary['log_evidence']:.5g}".replace("-", "−") in page.text
     assert "64 of 64 runs of the design succeeded" in page.text
     assert "closest point" in page.text
     assert "400 particles" in page.text

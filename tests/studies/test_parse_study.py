@@ -180,3 +180,13 @@ def test_a_folder_in_place_of_the_file(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").mkdir()
     with pytest.raises(InvalidStudy, match="not a study folder"):
         parse_study(tmp_path)
+
+
+def test_a_label_is_a_symbol_on_one_line(tmp_path: Path) -> None:
+    inputs = {**BEAM_STUDY["inputs"], "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa", "label": " E_1 "}}
+    assert parsed(tmp_path, inputs=inputs).inputs["E"].label == "E_1"
+    study = load_study(write_study(tmp_path / "other", inputs=inputs))
+    assert [parameter.shown for parameter in study.space] == ["E_1", "tilt"]
+    for bad in ("", "  ", "a\nb", "x" * 31):
+        inputs["E"] = inputs["E"] | {"label": bad}
+        assert "a symbol of 1 to 30 characters on one line" in str(refused(tmp_path, inputs=inputs))

@@ -5,6 +5,7 @@ from strandline.active.choice import CRITERIA
 from strandline.active.cost import SLOW_BATCH, seconds_of_a_batch
 from strandline.active.design import Active, ActiveDesign, Batch, CheckResult, Step
 from strandline.active.outcome import Certificate, FieldOutcome, VarianceEffect
+from strandline.active.reported import BatchReport
 from strandline.active.state import Knowledge, State, learn, posterior_state
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "ActiveDesign",
     "ActiveRuns",
     "Batch",
+    "BatchReport",
     "Certificate",
     "CheckResult",
     "FieldOutcome",

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from strandline.active.design import Active, ActiveDesign, Batch
 from strandline.active.outcome import Certificate
+from strandline.active.reported import BatchReport, report_batch
 from strandline.active.state import State, learn, posterior_state
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
@@ -40,6 +41,7 @@ class ActiveRuns:
         judge: says which runs can be used.
         aside: a context for the time that choosing takes.
         on_step: called after each tempering step of the sampling that a choice begins with.
+        told: hears of each batch once the posterior is updated.
     """
 
     active: Active
@@ -52,6 +54,7 @@ class ActiveRuns:
     judge: Judge
     aside: Callable[[], Any]
     on_step: Callable[[StepInfo], None] | None = None
+    told: Callable[[BatchReport], None] = lambda report: None
     design: ActiveDesign = field(init=False)
 
     def __post_init__(self) -> None:
@@ -79,7 +82,10 @@ class ActiveRuns:
         """Return the inputs of the next batch, none to stop; more of the first design where too few succeeded."""
         with self.aside(), one_thread():
             try:
+                before = len(self.design.steps)
                 batch = self._next(records)
+                if len(self.design.steps) > before:
+                    self.told(report_batch(self.design, self.space))
             except TooFewRuns:
                 batch = self.design.more_of_the_first()
                 if batch is None:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from strandline.active import BatchReport
 from strandline.calibrate import Observer
 from strandline.runs import Progress as Runs
 from strandline.runs import RunRecord
@@ -68,7 +69,10 @@ def _bars(console: Console) -> Iterator[Observer]:
         def step(info: StepInfo) -> None:
             progress.update(tasks[-1], total=1.0, completed=float(info.temperature), note=_step_note(info))
 
-        yield Observer(stage=stage, run=run, step=step, note=lambda text: _say(console, text))
+        def batch(report: BatchReport) -> None:
+            _say(progress.console, report.line)
+
+        yield Observer(stage=stage, run=run, step=step, batch=batch, note=lambda text: _say(progress.console, text))
         end_stage()
 
 
@@ -96,7 +100,10 @@ def _lines(console: Console) -> Observer:
         if due(current[0] == "sampling" and float(info.temperature) >= 1.0):
             say(f"  {_step_note(info)}")
 
-    return Observer(stage=stage, run=run, step=step, note=say)
+    def batch(report: BatchReport) -> None:
+        say(f"  {report.line}")
+
+    return Observer(stage=stage, run=run, step=step, batch=batch, note=say)
 
 
 def _say(console: Console, text: str) -> None:

@@ -36,7 +36,8 @@ def command(study: Path, as_json: bool) -> None:
 def lines_of(state: "StudyProgress") -> Iterator[str]:
     """Yield what is told of `state` to a person."""
     unsure = state.detached or (state.driver is not None and state.driver.at_work is None)
-    yield f"{state.name}: {state.done} of {state.planned} runs of the design done"
+    most = "at most " if state.active else ""
+    yield f"{state.name}: {state.done} of {most}{state.planned} runs of the design done"
     lost = f", {state.lost} of them lost with their driver" if state.lost else ""
     under_way = "under way (or lost)" if unsure else "under way"
     yield f"  ok {state.ok}, failed {state.failed}, {under_way} {state.open}, to do {state.to_do}{lost}"
@@ -44,6 +45,8 @@ def lines_of(state: "StudyProgress") -> Iterator[str]:
         yield "  jobs of a SLURM array are out, which go on without a driver; `strandline run` collects them"
     if state.driver is not None:
         yield f"  {_driver(state)}"
+    if state.last_batch:
+        yield f"  {state.last_batch}"
     for kind, some in state.failures.items():
         example = some.example
         yield f"  {kind}: {some.count}; e.g. {_inputs(example)}: {example.message or 'no message'}"
@@ -66,7 +69,9 @@ def _driver(state: "StudyProgress") -> str:
         return f"driver {who}; from here it cannot be told whether it is at work" + (f"; {pace}" if pace else "")
     if not driver.at_work:
         return "no driver at work" + (f"; the last made {pace}" if pace else "")
-    left = "" if not state.seconds_left else f", about {_time(state.seconds_left)} left"
+    left = (
+        "" if not state.seconds_left else f", {'at most' if state.active else 'about'} {_time(state.seconds_left)} left"
+    )
     return f"driver at work, {who}" + (f": {pace}{left}" if pace else "")
 
 

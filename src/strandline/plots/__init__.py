@@ -2,6 +2,7 @@
 
 from strandline.plots.check import OffsetBand, plot_check, plot_offsets
 from strandline.plots.convergence import plot_convergence
+from strandline.plots.failed_runs import plot_failed_runs
 from strandline.plots.field import FieldGrid, plot_field, plot_profile, three_measures
 from strandline.plots.field_error import ErrorsAlong, plot_field_error
 from strandline.plots.flow import FlowFields, plot_flow
@@ -9,11 +10,13 @@ from strandline.plots.interfaces import plot_conditions, plot_interfaces
 from strandline.plots.joint import plot_hexagons, plot_joint, plot_pairs, plot_selected_pairs
 from strandline.plots.leave_one_out import plot_leave_one_out
 from strandline.plots.marginals import Curve, plot_marginal, plot_marginals
+from strandline.plots.offsets import plot_run_offsets
 from strandline.plots.parallel import plot_parallel
 from strandline.plots.particles import plot_particles
 from strandline.plots.parts import plot_parts
 from strandline.plots.run_history import RunHistory, plot_run_history
 from strandline.plots.sensitivity import plot_sensitivity
+from strandline.plots.style import mark_doubt
 from strandline.plots.tempering import plot_tempering
 
 __all__ = [
@@ -23,9 +26,11 @@ __all__ = [
     "FlowFields",
     "OffsetBand",
     "RunHistory",
+    "mark_doubt",
     "plot_check",
     "plot_conditions",
     "plot_convergence",
+    "plot_failed_runs",
     "plot_field",
     "plot_field_error",
     "plot_flow",
@@ -42,6 +47,7 @@ __all__ = [
     "plot_parts",
     "plot_profile",
     "plot_run_history",
+    "plot_run_offsets",
     "plot_selected_pairs",
     "plot_sensitivity",
     "plot_tempering",

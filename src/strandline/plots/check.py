@@ -8,7 +8,19 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from strandline.plots.style import BLACK, BLUE, GREEN, GREY, SKY, axes_or_new, below, figure_or_new, styled
+from strandline.plots.style import (
+    BLACK,
+    BLUE,
+    DOUBLE,
+    GREEN,
+    GREY,
+    SINGLE,
+    SKY,
+    axes_or_new,
+    below,
+    figure_or_new,
+    styled,
+)
 
 __all__ = ["OffsetBand", "plot_check", "plot_likelihoods", "plot_offsets"]
 
@@ -52,7 +64,7 @@ def plot_check(
         figure: to draw in.
     """
     with styled():
-        figure = figure_or_new(figure, (4.0 * (1 + len(bands)), 3.6))
+        figure = figure_or_new(figure, (DOUBLE, 3.6 if len(bands) < 2 else 3.0))
         first, *others = figure.subplots(1, 1 + len(bands), squeeze=False)[0]
         plot_likelihoods(true, surrogate, ax=first)
         for ax, (condition, band) in zip(others, bands.items(), strict=True):
@@ -80,16 +92,28 @@ def plot_likelihoods(true: Float[np.ndarray, " draw"], surrogate: Float[np.ndarr
     return ax
 
 
+def _along(band: OffsetBand) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+    """Return the places of the median in their order, and the median there."""
+    order = np.argsort(band.arc_length, kind="stable")
+    return band.arc_length[order], band.median[order]
+
+
 def plot_offsets(band: OffsetBand | None, *, ax: Axes | None = None) -> Axes:
     """Draw the band of the interfaces and the observation over the arc length; a note where there is no band."""
     with styled():
-        ax = axes_or_new(ax, (3.9, 3.9))
+        ax = axes_or_new(ax, (SINGLE, 3.6))
         if band is None:
             ax.set_axis_off()
             ax.text(0.5, 0.5, "no band: see the note\nin check.json", ha="center", va="center", color=GREY)
             return ax
         low, median, high, observed = (
-            MM_TO_MICROMETRES * values for values in (band.low, band.median, band.high, band.observed)
+            MM_TO_MICROMETRES * values
+            for values in (
+                band.low - band.median,
+                np.zeros_like(band.median),
+                band.high - band.median,
+                band.observed - np.interp(band.observed_arc_length, *_along(band)),
+            )
         )
         ax.fill_between(band.arc_length, low, high, color=SKY, alpha=0.6, linewidth=0, label="draws, 5 to 95 %")
         ax.plot(band.arc_length, median, color=BLACK, linewidth=0.8, label="draws, median")

@@ -7,7 +7,13 @@ from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
-from strandline.plots.style import CYCLE, DASHES, axes_or_new, styled
+from strandline.plots.style import (
+    CYCLE,
+    DASHES,
+    SINGLE,
+    axes_or_new,
+    styled,
+)
 
 __all__ = ["plot_convergence"]
 
@@ -28,7 +34,7 @@ def plot_convergence(
         ax: axes to draw in.
     """
     with styled():
-        ax = axes_or_new(ax, (4.6, 3.4))
+        ax = axes_or_new(ax, (SINGLE, 2.8))
         for k, (case, values) in enumerate(errors.items()):
             colour, dashes = CYCLE[k % len(CYCLE)], DASHES[k % len(DASHES)]
             ax.loglog(sizes, values, linestyle=dashes, marker="o", markersize=4, color=colour, label=case)

@@ -14,12 +14,15 @@ from matplotlib.figure import Figure, SubFigure
 from strandline.parameters import Parameter
 from strandline.plots.style import (
     BLACK,
+    DOUBLE,
     GREY,
     RED,
+    SINGLE,
     axes_or_new,
     below,
     figure_of,
     figure_or_new,
+    legend_under,
     mark,
     root_scale,
     root_ticks,
@@ -92,7 +95,7 @@ def plot_field(
     values = np.exp(grid.values - top) if kind == "likelihood" else grid.values
     norm = _norm(values, kind, floor)
     with styled():
-        ax = axes_or_new(ax, (5.0, 3.8))
+        ax = axes_or_new(ax, (SINGLE, 2.8))
         drawn = ax.pcolormesh(
             grid.x_values, grid.y_values, values.T, cmap=_COLOURS[kind], norm=norm, shading="gouraud", rasterized=True
         )
@@ -101,10 +104,11 @@ def plot_field(
         ax.contour(grid.x_values, grid.y_values, values.T, levels=np.unique(steps), **lines)
         _draw_runs(ax, grid)
         if detail is not None:
+            ax.set(xlim=grid.x.interval, ylim=grid.y.interval)
             _draw_detail(ax, detail, np.exp(detail.values - top), lines | {"levels": np.unique(steps)})
         elif grid.truth is not None:
             mark(ax, grid.truth, RED, "ground truth", marker="o")
-        ax.set(xlabel=grid.x.label(), ylabel=grid.y.label(), xlim=grid.x.interval, ylim=grid.y.interval)
+        ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
         if colour_bar:
             extend = "min" if float(values.min()) < float(norm.vmin or 0.0) else "neither"
             bar = figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind], extend=extend)
@@ -129,7 +133,7 @@ def three_measures(
     """
     shared = kind == "likelihood"
     with styled():
-        figure = figure_or_new(figure, (0.6 + (2.9 if shared else 3.4) * len(fields), 3.5))
+        figure = figure_or_new(figure, (SINGLE if len(fields) == 1 else DOUBLE, 2.9 if len(fields) < 3 else 2.4))
         panels = figure.subplots(1, len(fields), sharey=True, squeeze=False)[0]
         for letter, ax, (title, grid) in zip("abcdefgh", panels, fields.items(), strict=False):
             plot_field(grid, kind=kind, floor=floor, colour_bar=not shared, legend=False, ax=ax)
@@ -139,8 +143,7 @@ def three_measures(
         if shared:
             figure.colorbar(panels[0].collections[0], ax=list(panels), label=_LABELS[kind], pad=0.01)
         handles, labels = panels[0].get_legend_handles_labels()
-        if handles:
-            figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
+        legend_under(figure, dict(zip(labels, handles, strict=True)))
     return figure
 
 
@@ -166,7 +169,7 @@ def plot_profile(
             ax.plot(failed, foot, "x", color=GREY, label="failed run", clip_on=False)
         if truth is not None:
             ax.axvline(truth, color=RED, linestyle=":", label="ground truth")
-        ax.set(xlabel=x.label(), ylabel=label, xlim=x.interval)
+        ax.set(xlabel=x.figure_label(), ylabel=label, xlim=x.interval)
         if ax.get_legend_handles_labels()[0]:
             ax.legend()
     return ax
@@ -208,8 +211,8 @@ def _draw_runs(ax: Axes, grid: FieldGrid) -> None:
 
 
 def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], lines: Mapping[str, Any]) -> None:
-    """Draw a small part of the field enlarged in the lower right corner, with a frame about that part."""
-    inset = ax.inset_axes((0.47, 0.13, 0.5, 0.45))
+    """Draw a small part of the field enlarged in the corner farthest from it, with a frame about that part."""
+    inset = ax.inset_axes(_corner(ax, detail))
     colours: Any = {"cmap": _COLOURS["likelihood"], "norm": Normalize(0.0, 1.0), "shading": "gouraud"}
     inset.pcolormesh(detail.x_values, detail.y_values, values.T, rasterized=True, **colours)
     inset.contour(detail.x_values, detail.y_values, values.T, **lines)
@@ -220,4 +223,12 @@ def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], 
     inset.locator_params(nbins=4)
     for spine in inset.spines.values():
         spine.set(visible=True, color="white")
-    ax.indicate_inset_zoom(inset, edgecolor="white", alpha=0.9)
+    x, y = detail.x_values, detail.y_values
+    ax.indicate_inset((x[0], y[0], x[-1] - x[0], y[-1] - y[0]), edgecolor="white", alpha=0.9)  # lines would cross it
+
+
+def _corner(ax: Axes, detail: FieldGrid) -> tuple[float, float, float, float]:
+    """Return a place for an inset, in shares of the axes, on the sides that the enlarged part does not lie on."""
+    middle = [0.5 * (values[0] + values[-1]) for values in (detail.x_values, detail.y_values)]
+    share = [(m - low) / (high - low) for m, (low, high) in zip(middle, (ax.get_xlim(), ax.get_ylim()), strict=True)]
+    return 0.47 if share[0] < 0.5 else 0.14, 0.13 if share[1] > 0.5 else 0.5, 0.5, 0.45

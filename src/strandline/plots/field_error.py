@@ -7,7 +7,15 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from strandline.plots.style import BLUE, CYCLE, DASHES, axes_or_new, below, styled
+from strandline.plots.style import (
+    BLUE,
+    CYCLE,
+    DASHES,
+    SINGLE,
+    axes_or_new,
+    below,
+    styled,
+)
 
 __all__ = ["ErrorsAlong", "plot_field_error"]
 
@@ -34,7 +42,7 @@ class ErrorsAlong:
 def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = None) -> Axes:
     """Draw both errors over the arc length, logarithmic, in µm; one colour for each condition."""
     with styled():
-        ax = axes_or_new(ax, (5.2, 3.4))
+        ax = axes_or_new(ax, (SINGLE, 2.9))
         for k, (condition, along) in enumerate(errors.items()):
             colour = CYCLE[k % len(CYCLE)] if len(errors) > 1 else BLUE
             of = f", {condition}" if condition else ""

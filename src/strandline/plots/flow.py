@@ -9,7 +9,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
 
-from strandline.plots.style import BLACK, GREY, figure_of, figure_or_new, styled
+from strandline.plots.style import (
+    BLACK,
+    GREY,
+    SINGLE,
+    figure_of,
+    figure_or_new,
+    styled,
+)
 
 __all__ = ["FlowFields", "plot_flow"]
 
@@ -63,7 +70,7 @@ def plot_flow(fields: FlowFields, *, title: str = "", figure: Figure | SubFigure
     length = np.linalg.norm(fields.displacement, axis=1)
     fluid, solid = fields.cell_part == 0, fields.cell_part > 0
     with styled():
-        figure = figure_or_new(figure, (5.2, 7.2))
+        figure = figure_or_new(figure, (SINGLE, 5.4))
         panels = figure.subplots(3, 1, sharex=True, sharey=True)
         _panel(panels[0], fields, speed, fluid, "velocity magnitude [mm/s]", "viridis")
         _panel(panels[1], fields, fields.pressure, fluid, "pressure [Pa]", "cividis")

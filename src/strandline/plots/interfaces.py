@@ -9,7 +9,18 @@ from matplotlib.figure import Figure, SubFigure
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.plots.style import BLACK, CYCLE, DASHES, GREEN, GREY, axes_or_new, below, figure_or_new, styled
+from strandline.plots.style import (
+    BLACK,
+    CYCLE,
+    DASHES,
+    DOUBLE,
+    GREEN,
+    GREY,
+    axes_or_new,
+    below,
+    figure_or_new,
+    styled,
+)
 
 __all__ = ["plot_conditions", "plot_interfaces"]
 
@@ -36,7 +47,7 @@ def plot_interfaces(
     long = any(len(label) > _HALF_LINE for label in labels)
     lines = sum(label.count("\n") + 1 for label in labels.values()) if long else 0
     with styled():
-        ax = axes_or_new(ax, (6.2, 3.6 + 0.16 * lines))
+        ax = axes_or_new(ax, (DOUBLE, 3.9 + 0.14 * lines))
         if reference is not None:
             _draw(ax, reference, GREY, "undeformed", width=1.2, style=(0, (4, 2)))
         if observed is not None:
@@ -64,7 +75,7 @@ def plot_conditions(
         figure: to draw in.
     """
     with styled():
-        figure = figure_or_new(figure, (6.2, 1.2 + 2.4 * len(observed)))
+        figure = figure_or_new(figure, (DOUBLE, 1.2 + 2.6 * len(observed)))
         panels = figure.subplots(len(observed), 1, sharex=True, squeeze=False)[:, 0]
         for ax, (condition, interface) in zip(panels, observed.items(), strict=True):
             plot_interfaces(interface, reference=reference, simulated=(simulated or {}).get(condition), ax=ax)

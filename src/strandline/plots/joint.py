@@ -8,17 +8,21 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.plots.marginals import draw_marginal
 from strandline.plots.style import (
     BLACK,
     BLUE,
+    DOUBLE,
     GREEN,
     ORANGE,
+    SINGLE,
     axes_or_new,
     figure_of,
     figure_or_new,
+    legend_under,
     mark,
     percent,
     styled,
@@ -69,7 +73,7 @@ def plot_joint(
     x, y = (posterior.space[name] for name in names)
     values = posterior.columns(names)
     with styled():
-        figure = figure_or_new(figure, (6.6, 6.0))
+        figure = figure_or_new(figure, (DOUBLE, 6.2))
         main, top, right = _layout(figure)
         plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
         _draw_gaussian(main, posterior, names, percentiles)
@@ -109,7 +113,7 @@ def plot_hexagons(
     across, up = (shown_interval(posterior, name) for name in names)
     values = posterior.columns(names)
     with styled():
-        ax = axes_or_new(ax, (5.0, 3.8))
+        ax = axes_or_new(ax, (SINGLE, 2.8))
         drawn = ax.hexbin(
             values[:, 0],
             values[:, 1],
@@ -127,7 +131,7 @@ def plot_hexagons(
         bounds = x.interval, y.interval
         judged = max(particles // 5, 200)
         _draw_kde(ax, *thinned, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
-        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=across, ylim=up)
+        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
         if colour_bar:
             figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
     return ax
@@ -145,17 +149,31 @@ def plot_pairs(
     chosen = posterior.space.names if names is None else tuple(names)
     count = len(chosen)
     with styled():
-        figure = figure_or_new(figure, (1.2 + 1.9 * count, 1.0 + 1.7 * count))
+        figure = figure_or_new(figure, _pairs_size(count))
         panels: Any = figure.subplots(count, count, squeeze=False)
         for i, j in np.ndindex(count, count):
             _pair_panel(panels[i, j], posterior, chosen[j], chosen[i], bins, truth)
             panels[i, j].set_xlabel(panels[i, j].get_xlabel() if i == count - 1 else "")
             panels[i, j].set_ylabel(panels[i, j].get_ylabel() if j == 0 and i > 0 else "")
             panels[i, j].tick_params(labelbottom=i == count - 1, labelleft=j == 0 and i > 0)
+            if count > 4:
+                _few_ticks(panels[i, j], i == j)
         shown = (panels[0, 0], panels[1, 0]) if count > 1 else (panels[0, 0],)
         entries = {label: h for ax in shown for h, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-        figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=4)
+        legend_under(figure, entries)
     return figure
+
+
+def _pairs_size(count: int) -> tuple[float, float]:
+    """Return the size of a figure of so many inputs: one column of a journal for one or two, else two."""
+    return (SINGLE, 0.9 + 1.5 * count) if count < 3 else (DOUBLE, 7.1)
+
+
+def _few_ticks(ax: Axes, diagonal: bool) -> None:
+    """Leave room between the numbers of a small panel."""
+    ax.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    if not diagonal:
+        ax.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
 
 
 def plot_selected_pairs(
@@ -185,7 +203,7 @@ def plot_selected_pairs(
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
     with styled():
-        figure = figure_or_new(figure, (max(3.2 * columns, 4.2), 2.7 * rows))
+        figure = figure_or_new(figure, (SINGLE if columns == 1 else DOUBLE, 2.2 * rows))
         panels: Any = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax, (across, up) in zip(panels, pairs, strict=False):
             plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=2500, ax=ax)
@@ -204,7 +222,7 @@ def _pair_panel(
     if row == column:
         shown = shown_interval(posterior, across)
         draw_marginal(ax, parameter, posterior.draws[:, row], posterior.weights, shown=shown, bins=bins)
-        ax.set(yticks=[], xlabel=parameter.label(), xlim=shown)
+        ax.set(yticks=[], xlabel=parameter.figure_label(), xlim=shown)
     elif row < column:
         ax.set_axis_off()
     else:
@@ -319,4 +337,4 @@ def _legend(figure: Figure | SubFigure, main: Axes, top: Axes, percentiles: Sequ
     entries["prior"] = above["prior"]
     if note:
         entries[note] = Line2D([], [], color="none")
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3)
+    legend_under(figure, entries)

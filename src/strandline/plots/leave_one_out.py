@@ -4,7 +4,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 
-from strandline.plots.style import BLACK, GREY, RED, axes_or_new, root_scale, root_ticks, styled
+from strandline.plots.style import (
+    BLACK,
+    GREY,
+    RED,
+    SINGLE,
+    axes_or_new,
+    root_scale,
+    root_ticks,
+    styled,
+)
 
 __all__ = ["plot_leave_one_out"]
 
@@ -33,7 +42,7 @@ def plot_leave_one_out(
     """
     near = np.zeros(len(value), bool) if near_mode is None else near_mode
     with styled():
-        ax = axes_or_new(ax, (4.2, 4.0))
+        ax = axes_or_new(ax, (SINGLE, 3.4))
         both = np.concatenate([value, prediction])
         margin = 0.04 * (np.ptp(both) or 1.0)
         limits = (both.min() - margin, both.max() + margin)

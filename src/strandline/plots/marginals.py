@@ -11,9 +11,22 @@ from matplotlib.figure import Figure, SubFigure
 
 from strandline.errors import NumericsError
 from strandline.parameters import Parameter
-from strandline.plots.style import BLACK, BLUE, PURPLE, RED, SKY, axes_or_new, figure_or_new, styled
+from strandline.plots.style import (
+    BLACK,
+    BLUE,
+    DOUBLE,
+    PURPLE,
+    RED,
+    SINGLE,
+    SKY,
+    axes_or_new,
+    figure_or_new,
+    legend_under,
+    styled,
+)
 from strandline.plots.view import shown_interval
 from strandline.posterior import KernelDensity, Posterior, histogram
+from strandline.typeset import unit_text
 
 __all__ = ["Curve", "plot_marginal", "plot_marginals"]
 
@@ -47,14 +60,14 @@ def plot_marginal(
     """Draw the marginal posterior of one input with its prior; `whole_box` shows all of the prior (Fig. 10)."""
     parameter = posterior.space[name]
     with styled():
-        ax = axes_or_new(ax, (4.0, 3.0))
+        ax = axes_or_new(ax, (SINGLE, 2.6))
         shown = parameter.interval if whole_box else shown_interval(posterior, name)
         draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
         if overlay is not None:
             ax.plot(overlay.x, overlay.density, color=PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
         if truth is not None:
             ax.axvline(truth, color=BLUE, linestyle=":", label="ground truth")
-        ax.set(xlabel=parameter.label(), ylabel=density_label(parameter), xlim=shown)
+        ax.set(xlabel=parameter.figure_label(), ylabel=density_label(parameter), xlim=shown)
         if legend:
             ax.legend()
     return ax
@@ -75,7 +88,7 @@ def plot_marginals(
     columns = min(3 if len(chosen) <= 6 else 4, len(chosen))
     rows = -(-len(chosen) // columns)
     with styled():
-        figure = figure_or_new(figure, (max(3.0 * columns, 3.6), 2.4 * rows + 0.5))
+        figure = figure_or_new(figure, (SINGLE if columns == 1 else DOUBLE, (2.2 if columns < 3 else 1.8) * rows + 0.5))
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax, name in zip(panels, chosen, strict=False):
             overlay, value = (overlays or {}).get(name), (truth or {}).get(name)
@@ -87,7 +100,7 @@ def plot_marginals(
         handles = {
             label: h for ax in panels[: len(chosen)] for h, label in zip(*ax.get_legend_handles_labels(), strict=True)
         }
-        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(len(handles), 4))
+        legend_under(figure, handles)
     return figure
 
 
@@ -118,8 +131,9 @@ def draw_marginal(
 
 
 def density_label(parameter: Parameter) -> str:
-    """Return the label of a density axis with its unit: ``density [1/Pa]``."""
-    return "density" if parameter.unit in ("", "1") else f"density [1/({parameter.unit})]".replace("(Pa)", "Pa")
+    """Return the label of a density axis with its unit: ``density [Pa⁻¹]``."""
+    unit = unit_text(parameter.unit, inverse=True).replace("$", r"\$")
+    return f"density [{unit}]" if unit else "density"
 
 
 def _line(

@@ -11,7 +11,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
-from strandline.plots.style import BLACK, BLUE, axes_or_new, figure_of, styled
+from strandline.plots.style import (
+    BLACK,
+    BLUE,
+    DOUBLE,
+    axes_or_new,
+    figure_of,
+    styled,
+)
 from strandline.posterior import Posterior
 
 __all__ = ["plot_parallel"]
@@ -47,7 +54,7 @@ def plot_parallel(
     density, limits = _density(posterior)
     lines = _lines(posterior, order, density, limits)
     with styled():
-        ax = axes_or_new(ax, (1.2 + 1.15 * len(order), 3.9))
+        ax = axes_or_new(ax, (DOUBLE, 3.5))
         norm = Normalize(*limits)
         across = np.arange(len(order), dtype=float)
         kept = np.flatnonzero(posterior.weights > 0)
@@ -57,7 +64,7 @@ def plot_parallel(
         drawn.set_array(density[ranked])
         ax.add_collection(drawn)
         for place, name in enumerate(order):
-            _axis(ax, place, *(limits if name == DENSITY else posterior.space[name].interval))
+            draw_axis(ax, place, *(limits if name == DENSITY else posterior.space[name].interval))
             if truth is not None and name in truth:
                 low, high = posterior.space[name].interval
                 label = "ground truth" if not ax.get_legend_handles_labels()[1] else None
@@ -66,9 +73,9 @@ def plot_parallel(
                     markeredgewidth=2.0, markersize=7, zorder=6, label=label, clip_on=False,
                 )  # fmt: skip
         ax.set(xlim=(-0.55, len(order) - 0.85), ylim=(-0.02, 1.02), yticks=[])
-        labels = [DENSITY.replace(" ", "\n", 1) if n == DENSITY else posterior.space[n].label() for n in order]
+        labels = [DENSITY.replace(" ", "\n", 1) if n == DENSITY else posterior.space[n].figure_label() for n in order]
         ax.set_xticks(across, labels)
-        ax.tick_params(axis="x", length=0, pad=6, labelsize=9)
+        ax.tick_params(axis="x", length=0, pad=6, labelsize=8)
         ax.spines[:].set_visible(False)
         figure_of(ax).colorbar(ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30)
         if ax.get_legend_handles_labels()[0]:
@@ -105,7 +112,7 @@ def _lines(
     return np.stack(columns, axis=1)
 
 
-def _axis(ax: Axes, place: int, low: float, high: float) -> None:
+def draw_axis(ax: Axes, place: int, low: float, high: float) -> None:
     """Draw one upright axis with ticks and their labels to its left, readable on top of the lines."""
     rim = [patheffects.withStroke(linewidth=2.5, foreground="white")]
     ax.plot([place, place], [0.0, 1.0], color=BLACK, linewidth=1.1, zorder=4)
@@ -114,4 +121,4 @@ def _axis(ax: Axes, place: int, low: float, high: float) -> None:
         height = (tick - low) / (high - low)
         ax.plot([place - 0.05, place], [height, height], color=BLACK, linewidth=1.1, zorder=4)
         label = f"{tick:g}".replace("-", "−")
-        ax.text(place - 0.08, height, label, ha="right", va="center", fontsize=8, zorder=5, path_effects=rim)
+        ax.text(place - 0.08, height, label, ha="right", va="center", fontsize=7, zorder=5, path_effects=rim)

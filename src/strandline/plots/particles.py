@@ -3,7 +3,12 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from strandline.plots.style import axes_or_new, figure_of, styled
+from strandline.plots.style import (
+    SINGLE,
+    axes_or_new,
+    figure_of,
+    styled,
+)
 from strandline.plots.view import shown_interval
 from strandline.posterior import Posterior
 
@@ -26,10 +31,10 @@ def plot_particles(
     x, y = posterior.space[names[0]], posterior.space[names[1]]
     across, up = (shown_interval(posterior, name) for name in names)
     with styled():
-        ax = axes_or_new(ax, (5.0, 3.8))
+        ax = axes_or_new(ax, (SINGLE, 2.8))
         area = largest * weights / weights.max()
         drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
         drawn.set(edgecolors="white", linewidths=0.15)
-        ax.set(xlabel=x.label(), ylabel=y.label(), xlim=across, ylim=up)
+        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
         figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
     return ax

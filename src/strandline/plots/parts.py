@@ -8,7 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
-from strandline.plots.style import axes_or_new, styled
+from strandline.plots.style import (
+    DOUBLE,
+    axes_or_new,
+    styled,
+)
 
 __all__ = ["plot_parts"]
 
@@ -29,7 +33,7 @@ def plot_parts(
         ax: axes to draw in.
     """
     with styled():
-        ax = axes_or_new(ax, (7.2, 3.9))
+        ax = axes_or_new(ax, (DOUBLE, 3.8))
         for (_, triangles), colour in zip(cells.items(), COLOURS, strict=False):
             shade, faces = ListedColormap([colour]), np.zeros(len(triangles))
             x, y = points.T

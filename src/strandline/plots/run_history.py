@@ -8,7 +8,18 @@ from jaxtyping import Float
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 
-from strandline.plots.style import BLACK, BLUE, GREEN, RED, SKY, figure_or_new, styled
+from strandline.plots.style import (
+    BLACK,
+    BLUE,
+    DOUBLE,
+    GREEN,
+    RED,
+    SINGLE,
+    SKY,
+    figure_or_new,
+    legend_under,
+    styled,
+)
 
 __all__ = ["RunHistory", "plot_run_history"]
 
@@ -49,7 +60,7 @@ def plot_run_history(
     """
     rows, columns = -(-len(labels) // PER_ROW), min(len(labels), PER_ROW)
     with styled():
-        figure = figure_or_new(figure, (2.6 * columns + 0.4, 2.5 * rows))
+        figure = figure_or_new(figure, (SINGLE if columns == 1 else DOUBLE, 2.0 * rows + 0.5))
         axes = figure.subplots(rows, columns, squeeze=False, sharex=True)
         for k, ax in enumerate(axes.flat):
             if k >= len(labels):
@@ -67,5 +78,5 @@ def plot_run_history(
             ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
             ax.axhline(mean[-1], color=BLACK, linewidth=0.4)
         handles, names = axes.flat[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=4)
+        legend_under(figure, dict(zip(names, handles, strict=True)))
     return figure

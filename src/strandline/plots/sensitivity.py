@@ -5,7 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from strandline.plots.style import BLACK, BLUE, ORANGE, axes_or_new, below, styled
+from strandline.plots.style import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    SINGLE,
+    axes_or_new,
+    below,
+    styled,
+)
 from strandline.posterior import SobolIndices
 
 __all__ = ["plot_sensitivity"]
@@ -27,7 +35,7 @@ def plot_sensitivity(indices: SobolIndices, names: Sequence[str], *, ax: Axes | 
         ("with others too (total)", ORANGE, 0.5 * HEIGHT, indices.total, indices.total_low, indices.total_high),
     )
     with styled():
-        ax = axes_or_new(ax, (5.0, 1.3 + 0.42 * len(names)))
+        ax = axes_or_new(ax, (SINGLE, 1.3 + 0.36 * len(names)))
         for label, colour, shift, value, low, high in kinds:
             reach = np.maximum([value - low, high - value], 0.0)
             bars = {"ecolor": BLACK, "elinewidth": 0.9, "capsize": 2.0}

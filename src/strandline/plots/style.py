@@ -3,7 +3,8 @@
 Figures are made without pyplot, so none is kept alive by a global register and none needs closing.
 """
 
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -13,10 +14,11 @@ from jaxtyping import Float
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.legend import Legend
 
 from strandline.errors import InvalidInput
 
-__all__ = ["BLACK", "BLUE", "GREEN", "GREY", "ORANGE", "PURPLE", "RED", "SKY", "styled"]
+__all__ = ["BLACK", "BLUE", "GREEN", "GREY", "ORANGE", "PURPLE", "RED", "SKY", "mark_doubt", "styled"]
 
 BLACK, GREY = "#000000", "#8c8c8c"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
@@ -25,15 +27,22 @@ CYCLE = (BLUE, RED, PURPLE, SKY, ORANGE)
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 """Line styles that go with CYCLE, for print without colour."""
 
+SINGLE, DOUBLE = 88 / 25.4, 180 / 25.4
+"""Widths of figures in inches: one column of a journal, and two."""
+DOTS_PER_INCH = 300
+MARK_SIZE = 7.5
+
 _STYLE: Any = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9.0,
-    "legend.fontsize": 8.0,
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "legend.fontsize": 7.0,
     "legend.frameon": False,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "lines.linewidth": 1.3,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "lines.linewidth": 1.2,
+    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
+    "ps.fonttype": 42,
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
@@ -44,7 +53,7 @@ def styled() -> AbstractContextManager[None]:
     return mpl.rc_context(_STYLE)
 
 
-def axes_or_new(ax: Axes | None, size: tuple[float, float] = (4.6, 3.4)) -> Axes:
+def axes_or_new(ax: Axes | None, size: tuple[float, float] = (SINGLE, 2.7)) -> Axes:
     """Return `ax`, or the axes of a new figure of `size` inches."""
     return new_figure(size).add_subplot() if ax is None else ax
 
@@ -98,9 +107,45 @@ def mark(
 
 
 def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
-    """Put the legend of `ax`, where it has entries, under its x axis."""
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=columns, **options)
+    """Put the legend of `ax`, where it has entries, under its x axis, in at most `columns` columns that fit."""
+    if not ax.get_legend_handles_labels()[0]:
+        return
+    place = ax.get_subplotspec()
+    beside = 1 if place is None else place.get_gridspec().ncols
+    width = figure_of(ax).bbox.width / beside
+
+    def legend(ncols: int) -> Legend:
+        return ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=ncols, **options)
+
+    _fitting(legend, columns, width)
+
+
+def legend_under(figure: Figure | SubFigure, entries: Mapping[str, Any], *, columns: int = 4) -> None:
+    """Put a legend of handles by their labels under all panels, in at most `columns` columns that fit the width."""
+
+    def legend(ncols: int) -> Legend:
+        return figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=ncols)
+
+    if entries:
+        _fitting(legend, min(columns, len(entries)), figure.bbox.width)
+
+
+def _fitting(legend: Callable[[int], Legend], columns: int, width: float) -> None:
+    """Make a legend with as many columns as fit `width`, in pixels."""
+    for ncols in range(columns, 0, -1):
+        made = legend(ncols)
+        if ncols == 1 or made.get_window_extent().width <= width:
+            return
+        made.remove()
+
+
+def mark_doubt(figure: Figure, why: str) -> None:
+    """Write across the top of a figure that what it shows is not to be trusted, and why."""
+    wide = max(30, int(13 * figure.get_figwidth()))
+    text = "\n".join(textwrap.wrap(f"DO NOT TRUST THIS POSTERIOR: {why}", wide))
+    frame = {"boxstyle": "square,pad=0.35", "facecolor": "#fff1e8", "edgecolor": RED}
+    with styled():
+        figure.suptitle(text, color="#a03c00", fontsize=MARK_SIZE, fontweight="bold", bbox=frame)
 
 
 def root_scale(top: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:

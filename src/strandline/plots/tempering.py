@@ -7,7 +7,15 @@ from jaxtyping import Float
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 
-from strandline.plots.style import BLUE, GREEN, GREY, RED, figure_or_new, styled
+from strandline.plots.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    RED,
+    SINGLE,
+    figure_or_new,
+    styled,
+)
 
 __all__ = ["plot_tempering"]
 
@@ -32,7 +40,7 @@ def plot_tempering(
         figure: figure to draw in.
     """
     with styled():
-        figure = figure_or_new(figure, (5.0, 4.8))
+        figure = figure_or_new(figure, (SINGLE, 3.8))
         panels = figure.subplots(3, 1, sharex=True)
         for ax, values, colour, label in zip(
             panels,

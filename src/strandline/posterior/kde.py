@@ -15,12 +15,14 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from strandline.errors import NumericsError
+from strandline.posterior.bound_slope import slope_correction
 from strandline.posterior.gaussian import require_fraction
 from strandline.posterior.posterior import systematic_indices
 
 __all__ = ["KernelDensity"]
 
 Shape = Literal["covariance", "columns"]
+_INTEGRAL_POINTS = 1025
 _REACH = 6.0
 """Kernel standard deviations beyond which a kernel counts as zero: it is 1e-8 of its peak there."""
 
@@ -38,7 +40,8 @@ class KernelDensity:
 
     A plain kernel estimate leaks over the bounds of the inputs and shows a decline towards them that the posterior
     does not have. Here the mass that leaks is folded back by mirroring at every bound, in all inputs at once. One
-    fold is exact as long as kernels are short against the box.
+    fold is exact as long as kernels are short against the box. The estimate of a single input follows the slope of
+    the density at its bounds, too (`slope_correction`); that of several inputs is mirrored only.
     """
 
     centres: Float[np.ndarray, "centre dim"]
@@ -89,12 +92,16 @@ class KernelDensity:
         """Return the density at points (point, dim); zero outside the bounds."""
         inside = ((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1])).all(axis=1)
         total = np.zeros(len(points))
-        for near, image in _images(points, self.bounds, _reach(self.factor)):
-            total[near] += self._unbounded(image)
-        return np.where(inside, total, 0.0)
+        total[inside] = self._raw(points[inside]) / self._integral
+        return total
 
     def sample(self, number: int) -> Float[np.ndarray, "draw dim"]:
         """Return quasi-random draws of this density (draw, dim); the same ones at every call."""
+        if self.dim == 1 and np.isfinite(self.bounds).any():
+            uniform = qmc.Sobol(1, rng=0).random_base2(max(number - 1, 1).bit_length())[:number, 0]
+            grid, values = self._table
+            below = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
+            return np.interp(uniform * below[-1], below, grid)[:, None]
         cube = qmc.Sobol(self.dim + 1, rng=0).random_base2(max(number - 1, 1).bit_length())[:number]
         cumulative = np.cumsum(self.weights)
         chosen = np.minimum(np.searchsorted(cumulative, cube[:, 0] * cumulative[-1]), len(cumulative) - 1)
@@ -106,6 +113,34 @@ class KernelDensity:
         for p in percentiles:
             require_fraction(p)
         return np.asarray(np.quantile(self._sampled_density, 1.0 - np.asarray(percentiles, float)))
+
+    def _raw(self, points: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the density at points inside the bounds before it is normalised."""
+        total = np.zeros(len(points))
+        for near, image in _images(points, self.bounds, _reach(self.factor)):
+            total[near] += self._unbounded(image)
+        close = np.abs(points - self.bounds.T[:, None]).min(axis=0) <= _reach(self.factor)
+        if self.dim == 1 and close.any():
+            low, high = self.bounds[0]
+            near, width = close[:, 0], float(self.factor[0, 0])
+            total[near] += slope_correction(points[near, 0], self.centres[:, 0], self.weights, width, (low, high))
+        return np.maximum(total, 0.0)
+
+    @cached_property
+    def _integral(self) -> float:
+        """The integral of `_raw`: mirrored kernels keep their mass, the correction for the slope does not quite."""
+        if self.dim > 1 or not np.isfinite(self.bounds).any():
+            return 1.0
+        grid, values = self._table
+        return float(np.trapezoid(values, grid))
+
+    @cached_property
+    def _table(self) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+        """Places across all kernels of a single input, and `_raw` there."""
+        reach = float(_reach(self.factor)[0])
+        ends = self.centres.min() - reach, self.centres.max() + reach
+        grid = np.linspace(*np.clip(ends, *self.bounds[0]), _INTEGRAL_POINTS)
+        return grid, self._raw(grid[:, None])
 
     @cached_property
     def _sampled_density(self) -> Float[np.ndarray, " draw"]:

@@ -46,7 +46,7 @@ def _history(calibration: Calibration, found: FieldOutcome, truth: Mapping[str, 
         checked=[step.kind == "check" for step in steps],
     )
     at = None if truth is None else [truth[name] for name in space.names]
-    figure = plots.plot_run_history(history, [parameter.label() for parameter in space], truth=at)
+    figure = plots.plot_run_history(history, [parameter.figure_label() for parameter in space], truth=at)
     caption = "The posterior over the number of runs: means with a band of one standard deviation."
     yield Captioned("run_history", "certificate", caption, whole(figure))
 

@@ -13,10 +13,12 @@ from strandline.active import FieldOutcome
 from strandline.calibrate import Calibration
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
+from strandline.parameters import Parameter
 from strandline.posterior import Reading
 from strandline.quadrature import QuadratureResult, mixture
 from strandline.report.captioned import Captioned, whole
 from strandline.report.field_figures import field_figures
+from strandline.report.run_figures import failed_runs, offsets_of_runs
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
 
 __all__ = ["Captioned", "draw_figures"]
@@ -32,6 +34,8 @@ EXAMPLES = (0.1, 0.8, 1.0)
 def draw_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     """Yield the figures of a calibration; those that need two inputs are left out where there are fewer or more."""
     yield from _data(calibration, truth)
+    yield from offsets_of_runs(calibration)
+    yield from failed_runs(calibration)
     yield from _fields(calibration, truth)
     yield from _surrogate(calibration)
     yield from _sampler(calibration)
@@ -77,7 +81,7 @@ def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[st
     first = problem.observations[0]
     best = _best_run(calibration)
     every = {
-        ", ".join(f"{name} = {record.inputs[name]:.3g}" for name in problem.space.names): record.interfaces
+        ", ".join(f"{_symbol(p)} = {record.inputs[p.name]:.3g}" for p in problem.space): record.interfaces
         for record in calibration.records
         if record.ok
     }
@@ -96,7 +100,12 @@ def _best_run(calibration: Calibration) -> str:
     """Return the inputs of the run of highest log-likelihood, as the legend has them."""
     values = next(iter(calibration.log_likelihoods.values()))
     best = calibration.training[int(np.argmax(values))]
-    return ", ".join(f"{name} = {x:.3g}" for name, x in zip(calibration.problem.space.names, best, strict=True))
+    return ", ".join(f"{_symbol(p)} = {x:.3g}" for p, x in zip(calibration.problem.space, best, strict=True))
+
+
+def _symbol(parameter: Parameter) -> str:
+    """Return the symbol of an input as a figure has it."""
+    return replace(parameter, unit="1").figure_label()
 
 
 def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -214,7 +223,7 @@ def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
         )
         yield Captioned("leave_one_out", "surrogate", caption, whole(axes.figure))
     if calibration.sensitivity is not None:
-        axes = plots.plot_sensitivity(calibration.sensitivity, calibration.problem.space.names)
+        axes = plots.plot_sensitivity(calibration.sensitivity, [_symbol(p) for p in calibration.problem.space])
         caption = (
             "Sobol' indices: the share of the log-likelihood's variance under the prior that each input explains "
             "alone, and that it is part of, with bootstrap intervals of 95 %. The far tail has most of this variance; "

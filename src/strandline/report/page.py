@@ -9,17 +9,23 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
 
 from strandline.calibrate import Calibration
+from strandline.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
 from strandline.report.figures import draw_figures
-from strandline.report.warnings import small_share
+from strandline.report.warnings import reason_to_doubt, small_share
+from strandline.typeset import RAISED, html_text, unit_text
 
 __all__ = ["add_check", "template", "write_report"]
 
 FILE_NAME = "report.html"
-PIXELS_PER_INCH = 160
+PAGE_PIXELS_PER_INCH = 138
+"""Pixels of a page an inch of a figure: two columns of a journal fill the page."""
+OF_POSTERIOR = ("posterior", "uncertainty")
+"""Sections whose figures show a posterior."""
 MARKS = ("<!-- check of the posterior -->\n", "<!-- end of the check -->\n")
 """Comments of the page between which the section of a check stands."""
 
@@ -46,7 +52,9 @@ def write_report(
         check: the content of check.json where it belongs to this posterior.
     """
     with _whole_folder(folder / "figures") as partial:
-        shown = [_saved(captioned, partial) for captioned in draw_figures(calibration, truth)]
+        doubt = reason_to_doubt(calibration, check)
+        figures = (_marked(captioned, doubt) for captioned in draw_figures(calibration, truth))
+        shown = [_saved(captioned, partial) for captioned in figures]
         picture = None if check is None else _saved(draw_check(check), partial)
     page = template("report.html.j2").render(
         s=summary, figures=shown, study_text=study_text, check=check, picture=picture
@@ -93,22 +101,32 @@ def _whole_folder(target: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
+def _marked(captioned: Captioned, doubt: str | None) -> Captioned:
+    """Return the figure with the doubt written on it, where it shows a posterior."""
+    if doubt is not None and (captioned.section in OF_POSTERIOR or captioned.name.startswith("predictive")):
+        mark_doubt(captioned.figure, doubt)
+    return captioned
+
+
 def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
     """Save one figure for print and return what the page needs of it.
 
     The layout is found once, for both files: left to `savefig`, each of them finds it anew and draws twice.
     """
     figure = captioned.figure
-    figure.set_dpi(PIXELS_PER_INCH)
+    figure.set_dpi(DOTS_PER_INCH)
     if (layout := figure.get_layout_engine()) is not None:
         layout.execute(figure)
         figure.set_layout_engine(None)
-    figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=PIXELS_PER_INCH)
+    with styled():  # the kind of embedded font is settled here
+        figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
+        figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
     (folder / f"{captioned.name}.png").write_bytes(buffer.getvalue())
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return {"name": captioned.name, "section": captioned.section, "caption": captioned.caption, "data": data}
+    width = f"{PAGE_PIXELS_PER_INCH * figure.get_figwidth():.0f}"
+    shown = {"caption": captioned.caption, "data": data, "width": width}
+    return {"name": captioned.name, "section": captioned.section, **shown}
 
 
 def template(name: str, *, package: str = "strandline.report") -> Any:
@@ -121,6 +139,8 @@ def template(name: str, *, package: str = "strandline.report") -> Any:
         lstrip_blocks=True,
     )
     environment.filters["g"] = _figures
+    environment.filters["unit"] = lambda unit: unit_text(unit) or "–"
+    environment.filters["symbol"] = lambda symbol: Markup(html_text(symbol))
     environment.filters["percent"] = lambda value: f"{value:.1%}"
     environment.filters["small_share"] = small_share
     return environment.get_template(name)
@@ -130,4 +150,11 @@ def _figures(value: float | list[float] | None, digits: int = 4) -> str:
     """Return a number, or each of several, with so many digits."""
     if isinstance(value, list):
         return ", ".join(_figures(item, digits) for item in value)
-    return "–" if value is None else f"{value:.{digits}g}"
+    return "–" if value is None else _unbroken(f"{value:.{digits}g}")
+
+
+def _unbroken(number: str) -> str:
+    """Return a number that no line break divides: a proper minus, and a power of ten in place of ``e-05``."""
+    mantissa, _, power = number.partition("e")
+    raised = f"\u00a0·\u00a010{str(int(power)).translate(RAISED)}" if power else ""
+    return mantissa.replace("-", "−") + raised

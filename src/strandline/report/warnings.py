@@ -1,6 +1,7 @@
 """What a user must be told in words about a finished calibration."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from strandline.quadrature import mixture
 from strandline.report.field_warnings import field_warnings
 from strandline.runs.tables import EXCLUDED
 
-__all__ = ["find_warnings", "small_share"]
+__all__ = ["find_warnings", "reason_to_doubt", "small_share"]
 
 BOUND_SHARE = 0.02
 """A bound counts as touched where the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
@@ -55,6 +56,26 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
             "The Hessian of the log-posterior at the MAP is not negative definite, so there is no Laplace "
             "approximation: the surrogate is rough there, or the MAP lies on a bound."
         )
+
+
+def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = None) -> str | None:
+    """Return why figures of the posterior must be marked, in a few words; None where it may be used.
+
+    Args:
+        calibration: what was found.
+        check: the content of check.json where it belongs to this posterior.
+    """
+    certificate = None if calibration.field is None else calibration.field.certificate
+    if calibration.field is None and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
+        return "the surrogate predicts log-likelihoods above 0"
+    if certificate is not None and not certificate.converged:
+        return "not converged, " + certificate.reasons[-1] if certificate.reasons else "not converged"
+    if check is not None and check["verdict"] == "bad":
+        return "the check with the true model failed"
+    if calibration.field is None and calibration.surrogate.validation.loo_rms_near_mode > LOO_LIMIT:
+        error = calibration.surrogate.validation.loo_rms_near_mode
+        return f"its shape is in doubt, leave-one-out error near the mode {error:.2g} in log-likelihood"
+    return None
 
 
 def small_share(share: float) -> str:

@@ -8,7 +8,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from strandline.parameters import ParameterSpace
-from strandline.plots.style import BLACK, CYCLE, DASHES, GREY, RED, axes_or_new, below, figure_or_new, mark, styled
+from strandline.plots.style import (
+    BLACK,
+    CYCLE,
+    DASHES,
+    DOUBLE,
+    GREY,
+    RED,
+    SINGLE,
+    axes_or_new,
+    below,
+    figure_or_new,
+    mark,
+    styled,
+)
 from strandline.reproduction.grid_posterior import GridPosterior
 from strandline.reproduction.nested import NestedStep
 
@@ -46,7 +59,7 @@ def plot_nested_likelihoods(
     points = np.stack(np.meshgrid(e, nu, indexing="ij"), axis=-1).reshape(-1, 2)
     rows = -(-len(steps) // columns)
     with styled():
-        figure = figure_or_new(figure, (0.8 + 2.3 * columns, 0.6 + 2.0 * rows))
+        figure = figure_or_new(figure, (DOUBLE, 0.6 + 1.8 * rows))
         panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
         for ax, step in zip(panels, steps, strict=False):
             values = step.surrogate.process.mean(points).reshape(_POINTS)
@@ -78,7 +91,7 @@ def plot_nested_likelihoods(
         for ax in panels[len(steps) :]:
             ax.remove()
         for ax in panels[: len(steps)]:
-            ax.set(xlabel=space.parameters[0].label(), ylabel=space.parameters[1].label())
+            ax.set(xlabel=space.parameters[0].figure_label(), ylabel=space.parameters[1].figure_label())
             ax.label_outer()
         figure.colorbar(drawn, ax=list(panels[: len(steps)]), label="likelihood / maximum", pad=0.01)
     return figure
@@ -92,7 +105,7 @@ def plot_convergence(steps: Mapping[str, Sequence[NestedStep]], *, ax: Axes | No
         ax: axes to draw in.
     """
     with styled():
-        ax = axes_or_new(ax, (5.6, 3.8))
+        ax = axes_or_new(ax, (SINGLE, 3.0))
         for colour, (name, sequence) in zip(CYCLE, steps.items(), strict=False):
             runs = [step.runs for step in sequence]
             ax.plot(runs, [s.total_variation for s in sequence], "o-", color=colour, label=name)

@@ -41,11 +41,19 @@ class Section:
     claims: tuple[str, ...]
 
 
+def _place(picture: Picture) -> tuple[int, str, str]:
+    """Return the place of a picture in the study's order: number, letter, the figure itself before its variants."""
+    number, _, variant = picture.number.partition(",")
+    digits = number.rstrip("abcd")
+    return int(digits), number[len(digits) :], variant
+
+
 def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Section, ...]:
     """Return the sections of the page in the study's order."""
 
     def shown(*numbers: str) -> tuple[Picture, ...]:
-        return tuple(p for n, p in pictures.items() if n.split(",")[0].rstrip("abcd") in numbers or n in numbers)
+        chosen = (p for n, p in pictures.items() if n.split(",")[0].rstrip("abcd") in numbers or n in numbers)
+        return tuple(sorted(chosen, key=_place))
 
     indices = {name: sensitivities(evidence, [name]) for name in ("biofilm-inflow", "biofilm-parts")}
     inflow, parts = (() if table is None else (table,) for table in indices.values())

@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from strandline import plots
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
 from strandline.models.biofilm.model import Biofilm
+from strandline.plots.style import DOTS_PER_INCH, styled
+from strandline.report.page import PAGE_PIXELS_PER_INCH
 from strandline.reproduction.evidence import Evidence
 from strandline.reproduction.figures import plot_convergence, plot_nested_likelihoods
 
@@ -31,6 +33,11 @@ class Picture:
     def data(self) -> str:
         """The PNG as HTML wants it."""
         return base64.b64encode(self.png).decode("ascii")
+
+    @property
+    def width(self) -> int:
+        """Pixels of the page across: those of the PNG's header, fewer an inch."""
+        return round(int.from_bytes(self.png[16:20], "big") * PAGE_PIXELS_PER_INCH / DOTS_PER_INCH)
 
 
 FROM_REPORTS = (
@@ -105,5 +112,6 @@ def _parts(evidence: Evidence) -> Figure:
 
 def _png(figure: Any) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=160)
+    with styled():
+        figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
     return buffer.getvalue()

@@ -280,7 +280,8 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
         )
     prior = _prior(name, item)
     try:
-        parameter = Parameter(name, prior, declared.unit if declared else unit or "1", item.box, item.nuisance)
+        declared_unit = declared.unit if declared else unit or "1"
+        parameter = Parameter(name, prior, declared_unit, item.box, item.nuisance, symbol=item.label or "")
     except InvalidInput as error:
         raise InvalidStudy(
             f"inputs.{name}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy

@@ -28,6 +28,7 @@ __all__ = [
     "given_inputs",
     "known_runs",
     "needed_keys",
+    "note_batch",
     "open_runs",
     "plan_of",
     "planned_runs",
@@ -91,6 +92,11 @@ def begin_active(study: Study, ledger: Ledger) -> Float[np.ndarray, "run dim"] |
         _note(study, given=found if len(found) >= study.settings.runs else [], rounds=[], finished=False)
     given = given_inputs(study)
     return None if given is None else np.array([[entry[name] for name in study.space.names] for entry in given])
+
+
+def note_batch(study: Study, line: str) -> None:
+    """Note what the last batch of an active design came to, for `strandline status`."""
+    _note(study, last_batch=line)
 
 
 def end_active(study: Study) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
 from strandline.runs.tables import EXCLUDED, INTERRUPTED
-from strandline.studies.folder import LEDGER, STUDY, SUMMARY
+from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY
 
 if TYPE_CHECKING:
     from strandline.studies.study import Study
@@ -65,6 +65,8 @@ class StudyProgress:
         median_seconds: of the finished runs.
         slowest: of the finished runs.
         driver: who opened the ledger last, and whether it is at work.
+        active: whether an active design is under way, which may stop before `planned` runs.
+        last_batch: what the last batch of an active design came to, in a line; empty where there is none.
         results: whether summary.json is there, and of study.yaml as it is now.
     """
 
@@ -81,6 +83,8 @@ class StudyProgress:
     median_seconds: float | None = None
     slowest: RunTold | None = None
     driver: Driver | None = None
+    active: bool = False
+    last_batch: str = ""
     results: Results = "none"
 
     @property
@@ -116,6 +120,8 @@ class StudyProgress:
             "failures": {
                 kind: {"count": some.count, "example": _as_dict(some.example)} for kind, some in self.failures.items()
             },
+            "active": self.active,
+            "last_batch": self.last_batch,
             "results": self.results,
         }
 
@@ -168,7 +174,19 @@ def _progress(folder: Path, plan: Plan) -> StudyProgress:
     with Overview(path, model=plan.model) as ledger:
         wanted, driver = frozenset(plan.keys), ledger.driver()
         runs = [run for run in ledger.runs() if run.key in wanted]
-        return _Counted(plan, driver, runs, detached=_detached(path.parent)).told(ledger, results)
+        state = _Counted(plan, driver, runs, detached=_detached(path.parent)).told(ledger, results)
+    noted = _noted(folder, plan.study_sha256)
+    under_way = "given" in noted and not noted.get("finished")
+    return replace(state, active=under_way, last_batch=str(noted.get("last_batch", "")))
+
+
+def _noted(folder: Path, study_sha256: str) -> dict[str, Any]:
+    """Return what refinement.json says of study.yaml as it is; nothing where it belongs to another."""
+    try:
+        found = json.loads((folder / REFINEMENT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) and found.get("study_sha256") == study_sha256 else {}
 
 
 class _Counted:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from strandline import __version__
+from strandline.active import BatchReport
 from strandline.calibrate import Calibration, Observer, Problem, calibrate
 from strandline.errors import InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation
@@ -25,6 +26,7 @@ from strandline.studies.ledgers import (
     design_inputs,
     design_keys,
     end_active,
+    note_batch,
     plan_of,
     take_over,
     tell_backup,
@@ -143,7 +145,11 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
         take_over(study, ledger)
         observer.draws(inputs)
 
-    return replace(observer, draws=draws)
+    def batch(report: BatchReport) -> None:
+        note_batch(study, report.line)
+        observer.batch(report)
+
+    return replace(observer, draws=draws, batch=batch)
 
 
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:

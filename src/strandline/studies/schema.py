@@ -47,6 +47,13 @@ class Quantity(_Strict):
     unit: str
 
 
+def _symbol(value: str) -> str:
+    """Refuse a label that no line of a figure can hold."""
+    if not value.strip() or len(value) > 30 or not value.isprintable():
+        raise ValueError("a symbol of 1 to 30 characters on one line, e.g. ν")
+    return value.strip()
+
+
 class Input(_Strict):
     """An unknown input."""
 
@@ -54,6 +61,7 @@ class Input(_Strict):
     unit: str | None = None
     box: tuple[Number, Number] | None = None
     nuisance: Annotated[bool, Field(strict=True)] = False
+    label: Annotated[str, AfterValidator(_symbol)] | None = None
 
 
 class ObservationNoise(_Strict):

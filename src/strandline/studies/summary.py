@@ -187,6 +187,7 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
     quantiles = posterior.quantiles(QUANTILES)
     return {
         parameter.name: {
+            "label": parameter.shown,
             "unit": parameter.unit,
             "mean": float(posterior.mean[i]),
             "sd": float(posterior.sd[i]),

@@ -1,0 +1,61 @@
+"""Units and symbols as a reader expects them: ``mm^2/s`` as mm² s⁻¹, ``V_in`` with an index."""
+
+import html
+import re
+
+__all__ = ["RAISED", "figure_text", "html_text", "unit_text"]
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LEVEL = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_FACTOR = re.compile(r"([^\W\d_]+|%|°|1)(?:\^?(-?\d+))?")
+_SPACE = "\u00a0"
+
+
+def unit_text(unit: str, *, inverse: bool = False) -> str:
+    """Return a unit with raised exponents and negative ones for divisors; as it stands where it cannot be read.
+
+    ``mm^2/s`` becomes ``mm² s⁻¹``, ``1/Pa`` becomes ``Pa⁻¹``; a pure number has none. Blanks in it do not break.
+    `inverse` gives one over the unit, as a density has it.
+    """
+    plain = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: "^" + found[0].translate(_LEVEL), unit.strip()).replace("**", "^")
+    if plain in ("", "1"):
+        return ""
+    factors = _factors(plain)
+    if factors is None:
+        text = unit.strip().replace(" ", _SPACE)
+        return f"1/({text})" if inverse else text
+    powers = [(name, -power if inverse else power) for name, power in factors]
+    return _SPACE.join(name if power == 1 else f"{name}{str(power).translate(RAISED)}" for name, power in powers)
+
+
+def _factors(unit: str) -> list[tuple[str, int]] | None:
+    """Return the factors of a unit and their powers, None where it is not a product of powers."""
+    out: list[tuple[str, int]] = []
+    for number, divided in enumerate(re.split(r"\s*/\s*", unit)):
+        grouped = re.fullmatch(r"\((.*)\)", divided)
+        if "(" in divided and (grouped is None or number == 0):
+            return None
+        for factor in re.split(r"[\s*·]+", (grouped[1] if grouped else divided).strip()):
+            found = _FACTOR.fullmatch(factor)
+            if found is None or (number > 0 and found[1] == "1"):
+                return None
+            power = int(found[2] or 1)
+            if found[1] != "1" and power != 0:
+                out.append((found[1], power if number == 0 else -power))
+    return out or None
+
+
+def figure_text(symbol: str) -> str:
+    """Return a symbol as Matplotlib draws it: what stands behind an underscore becomes an index, ``$`` stays one."""
+    base, _, index = symbol.partition("_")
+    if not base or not index or not re.fullmatch(r"[\w,]+", index):
+        return symbol.replace("$", r"\$")
+    return base.replace("$", r"\$") + r"$_{\mathrm{" + index.replace("_", r"\_") + "}}$"
+
+
+def html_text(symbol: str) -> str:
+    """Return a symbol as HTML, escaped: what stands behind an underscore becomes an index."""
+    base, _, index = symbol.partition("_")
+    if not base or not index:
+        return html.escape(symbol)
+    return f"{html.escape(base)}<sub>{html.escape(index)}</sub>"
