@@ -19,7 +19,7 @@ from strandline.report.captioned import Captioned, whole
 from strandline.report.field_figures import field_figures
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
 
-__all__ = ["Captioned", "draw_figures"]
+__all__ = ["Captioned", "figure_groups"]
 
 GRID = 121
 BEST = "best run"
@@ -29,15 +29,20 @@ EXAMPLES = (0.1, 0.8, 1.0)
 """Which runs are drawn as examples: quantiles of their displacement."""
 
 
-def draw_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
-    """Yield the figures of a calibration; those that need two inputs are left out where there are fewer or more."""
-    yield from _data(calibration, truth)
-    yield from _fields(calibration, truth)
-    yield from _surrogate(calibration)
-    yield from _sampler(calibration)
-    yield from _posterior(calibration, truth)
-    yield from _under_uncertainty(calibration, truth)
-    yield from field_figures(calibration, truth)
+def figure_groups(calibration: Calibration, truth: Mapping[str, float] | None) -> dict[str, Iterator[Captioned]]:
+    """Return the figures of a calibration in groups, drawn as they are asked for.
+
+    Those that need two inputs are left out where there are fewer or more.
+    """
+    return {
+        "data": _data(calibration, truth),
+        "likelihood": _fields(calibration, truth),
+        "surrogate": _surrogate(calibration),
+        "sampler": _sampler(calibration),
+        "posterior": _posterior(calibration, truth),
+        "under uncertainty": _under_uncertainty(calibration, truth),
+        "field": field_figures(calibration, truth),
+    }
 
 
 def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
