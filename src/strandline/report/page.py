@@ -68,7 +68,7 @@ def write_report(
         note(FIGURES, error)
     picture = next((item for item in shown if item["name"] == "check"), None)
     page = template("report.html.j2").render(
-        s=summary | {"warnings": [*failed, *summary["warnings"]]},
+        s={**summary, "warnings": [*failed, *summary["warnings"]]},
         figures=[item for item in shown if item is not picture],
         study_text=study_text,
         check=check,
