@@ -32,6 +32,7 @@ test: env
 
 test-all: env
 	$(BIN)/python -m pytest -n auto --ignore=tests/slurm
+	$(BIN)/python -m pytest tests/slurm
 
 # Against a SLURM of their own; skipped where its programs are missing (Debian: slurmctld slurmd slurm-client munge).
 test-slurm: env
