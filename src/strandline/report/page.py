@@ -53,7 +53,6 @@ def write_report(
     if check is not None:
         groups["check"] = _check(check)
     failed: list[str] = []
-    shown: list[dict[str, str]] = []
 
     def note(name: str, error: Exception) -> None:
         if on_failure is None:
@@ -61,11 +60,7 @@ def write_report(
         failed.append(f"{name} could not be written: {type(error).__name__}: {error}")
         on_failure(name, error)
 
-    try:
-        with _whole_folder(folder / FIGURES) as partial:
-            shown = list(_all_saved(groups, partial, note))
-    except OSError as error:
-        note(FIGURES, error)
+    shown = _all_saved(groups, folder / FIGURES, note)
     picture = next((item for item in shown if item["name"] == "check"), None)
     page = template("report.html.j2").render(
         s={**summary, "warnings": [*failed, *summary["warnings"]]},
@@ -78,15 +73,20 @@ def write_report(
 
 
 def _all_saved(
-    groups: Mapping[str, Iterable[Captioned]], folder: Path, note: Callable[[str, Exception], None]
-) -> Iterator[dict[str, str]]:
-    """Yield what the page needs of each figure; of a group with an error, those drawn before it."""
-    for name, figures in groups.items():
-        try:
-            for captioned in figures:
-                yield _saved(captioned, folder)
-        except Exception as error:
-            note(f"{FIGURES} ({name})", error)
+    groups: Mapping[str, Iterable[Captioned]], target: Path, note: Callable[[str, Exception], None]
+) -> list[dict[str, str]]:
+    """Save the figures and return what the page needs of each; of a group with an error, those drawn before it."""
+    shown: list[dict[str, str]] = []
+    try:
+        with _whole_folder(target) as partial:
+            for name, figures in groups.items():
+                try:
+                    shown += (_saved(captioned, partial) for captioned in figures)
+                except Exception as error:
+                    note(f"{FIGURES} ({name})", error)
+    except OSError as error:
+        note(FIGURES, error)
+    return shown
 
 
 def _check(check: Mapping[str, Any]) -> Iterator[Captioned]:
