@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: env demo reproduce test test-all test-slurm check bench bench-env pyvbmc-env docs clean
+.PHONY: env demo reproduce test test-all test-slurm check installed dist bench bench-env pyvbmc-env docs clean
 
 env: $(VENV)/.installed
 
@@ -32,6 +32,7 @@ test: env
 
 test-all: env
 	$(BIN)/python -m pytest -n auto --ignore=tests/slurm
+	$(BIN)/python -m pytest tests/slurm
 
 # Against a SLURM of their own; skipped where its programs are missing (Debian: slurmctld slurmd slurm-client munge).
 test-slurm: env
@@ -43,6 +44,15 @@ check: $(VENV)/.installed-check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python -m validation.installed
+
+# The wheel alone, in empty environments, with this Python and the newest one that is found (see STRANDLINE_PYTHONS).
+installed: $(VENV)/.installed-check
+	$(BIN)/python -m validation.installed
+
+# Source distribution and wheel, in dist/.
+dist: $(VENV)/.installed-check
+	$(BIN)/python -m hatchling build
 
 docs: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W -b html docs docs/_build/html

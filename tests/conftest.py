@@ -1,7 +1,15 @@
-"""Shared by all tests: double precision, a picture backend without a screen, one thread a process, Ctrl-C as usual."""
+"""Shared by all tests: double precision, a picture backend without a screen, one thread a process, Ctrl-C as usual.
 
+JAX keeps what it compiles, so that the same program of another test is not compiled again. The folder belongs to this
+process alone and goes with it: JAX does not write its files whole or not at all, so processes that share a folder, or
+an interrupted one, could leave a half file to a later test.
+"""
+
+import atexit
 import os
+import shutil
 import signal
+import tempfile
 import threading
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -13,4 +21,16 @@ if threading.current_thread() is threading.main_thread():
 
 import jax
 
+
+def _remove(folder: str, owner: int) -> None:
+    """Remove the folder at the end of the process that made it; a fork of it comes here too."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+_compiled = tempfile.mkdtemp(prefix="strandline-compiled-")
+atexit.register(_remove, _compiled, os.getpid())
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_compilation_cache_dir", _compiled)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

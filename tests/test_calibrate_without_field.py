@@ -88,7 +88,18 @@ def quick() -> Iterator[None]:
         yield
 
 
-@pytest.mark.parametrize(("height", "late"), [(0.78, False), pytest.param(0.82, True, marks=pytest.mark.long)])
+def test_another_topology_is_learnt_by_the_other_surrogate(tmp_path: Path) -> None:
+    active = Active(40, batch=4, explore=0.5)
+    found = answer(tmp_path / "ledger.sqlite", problem(Flap(height=0.78)), replace(SETTINGS, active=active))
+    assert found.field is None
+    assert found.no_field is not None
+    assert "open polylines in some runs, closed ones in others" in found.no_field
+    assert len(found.records) == 40
+    assert len([line for line in find_warnings(found) if line.startswith("NO FIELD")]) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("height", "late"), [(0.78, False), (0.82, True)])
 def test_another_topology_gives_the_posterior_by_the_other_surrogate(tmp_path: Path, height: float, late: bool) -> None:
     """Whether the first design meets it or a later batch does."""
     asked = problem(Flap(height=height))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from strandline.studies import Outcome, Study, load_study, run_study
     from strandline.surrogate import fit_log_likelihood
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [  # noqa: RUF022
     "Uniform",

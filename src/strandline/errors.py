@@ -10,11 +10,13 @@ StrandlineError
 │   └── TooFewRuns          not enough successful forward runs to go on
 ├── ForwardModelError       one forward run failed: data, never the end of a campaign
 ├── CampaignStopped         a campaign ended before its last run, as its failure policy says
+├── ResultsNotWritten       some files of the results could not be written; the others were
 └── NumericsError           a numerical method could not deliver what it promises
 ```
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 EndState = Literal["failed", "timeout", "killed", "invalid"]
@@ -95,6 +97,27 @@ class ForwardModelError(StrandlineError):
 
 class CampaignStopped(StrandlineError):
     """A campaign ended before its last run, as its failure policy says; the message tells why and what to do."""
+
+
+class ResultsNotWritten(StrandlineError):
+    """Some files of a finished study could not be written; the others were.
+
+    Args:
+        folder: the study's.
+        missing: why each file is missing, by name.
+        outcome: what was found, as `run_study` would have returned it.
+    """
+
+    def __init__(self, folder: Path, missing: Mapping[str, str], outcome: Any) -> None:
+        self.folder, self.missing, self.outcome = folder, dict(missing), outcome
+        files = "; ".join(f"{name}: {why}" for name, why in missing.items())
+        super().__init__(
+            f"some results could not be written: {_shown(files)}. The others are in {folder}. Mend that and run "
+            "`strandline report` again: finished forward runs are kept."
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.folder, self.missing, self.outcome)
 
 
 class NumericsError(StrandlineError):

@@ -1,7 +1,9 @@
 """The stored posterior: ArviZ reads it rightly, writing is repeatable and leaves no half file behind."""
 
 import hashlib
+import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,6 +43,19 @@ def test_arviz_summary_is_the_weighted_mean(tmp_path):
     np.testing.assert_allclose(summary["sd"], posterior.sd, rtol=0.1)
     planted = np.abs(posterior.draws.mean(axis=0) - posterior.mean)
     assert (planted > error).all(), "storing the particles as if they had equal weights must be caught"
+
+
+def test_the_documented_way_to_arviz_works_with_the_major_version_installed(tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "read-results.md").read_text("utf-8")
+    (snippet,) = re.findall(r"```python\n(import arviz as az\n.*?)```", page, re.DOTALL)
+    path = tmp_path / "studies" / "biofilm-uniform" / "posterior.nc"
+    path.parent.mkdir(parents=True)
+    write(to_datatree(weighted_posterior(), seed=1, observed=[Observation(LINE, 5e-4)]), path)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(snippet, "read-results.md", "exec"), {})
+    heading, *rows = capsys.readouterr().out.splitlines()
+    assert heading.split()[:2] == ["mean", "sd"]
+    assert [row.split()[0] for row in rows] == ["E", "nu"]
 
 
 def test_content_is_identical_at_every_write(tmp_path):

@@ -14,6 +14,7 @@ from scipy import stats
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import LogNormal
 from strandline.report import write_report
+from strandline.report.figures import figure_groups
 from strandline.report.page import template
 from strandline.report.warnings import find_warnings
 
@@ -158,6 +159,35 @@ def test_a_figure_that_fails_leaves_the_old_report(
     with pytest.raises(RuntimeError, match="no ink"):
         write_report(outcome.calibration, outcome.summary, study_text="", truth=None, folder=tmp_path)
     assert [p.name for p in tmp_path.rglob("*")] == ["figures", "old.png"]
+
+
+def test_a_figure_that_fails_is_left_out_where_someone_hears_of_it(
+    reported: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*args: Any, **options: Any) -> Any:
+        raise RuntimeError("no ink")
+
+    def two(*args: Any) -> Any:
+        return {name: group for name, group in figure_groups(*args).items() if name in ("surrogate", "sampler")}
+
+    heard: dict[str, Exception] = {}
+    monkeypatch.setattr("strandline.report.page.figure_groups", two)
+    monkeypatch.setattr("strandline.plots.plot_tempering", broken)
+    outcome = reported.outcome
+    page = write_report(
+        outcome.calibration,
+        outcome.summary,
+        study_text="",
+        truth=None,
+        folder=tmp_path,
+        on_failure=heard.__setitem__,
+    )
+    assert [(name, str(error)) for name, error in heard.items()] == [("figures (sampler)", "no ink")]
+    text = page.read_text()
+    assert "figures (sampler) could not be written: RuntimeError: no ink" in text
+    drawn = ["leave_one_out", "sensitivity"]
+    assert sorted(path.stem for path in (tmp_path / "figures").glob("*.png")) == drawn
+    assert sorted(str(attributes["id"]) for attributes in Page(text).attributes("figure")) == drawn
 
 
 def test_without_quadrature_truth_and_failures(reported: Any) -> None:

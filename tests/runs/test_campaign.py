@@ -323,12 +323,13 @@ def bits(record):
     return record.key, record.state, points, record.seconds, record.message
 
 
-def test_a_driver_killed_at_random_moments_loses_and_repeats_nothing(path, tmp_path):
+@pytest.mark.parametrize("kills", [3, pytest.param(6, marks=pytest.mark.long)])
+def test_a_driver_killed_at_random_moments_loses_and_repeats_nothing(path, tmp_path, kills):
     number, rng = 240, random.Random(20220824)
     model = Counted(str(tmp_path), Faulty(fault="exception", above=480.0))
     before, growth = {}, []
     environment = {**os.environ, "TMPDIR": str(tmp_path)}  # for the folders that killed drivers leave behind
-    for _ in range(6):
+    for _ in range(kills):
         with subprocess.Popen([sys.executable, "-c", DRIVER, str(tmp_path), str(number)], env=environment) as driver:
             target = min(len(before) + rng.randrange(1, 9), number - 1)
             deadline = time.monotonic() + 30

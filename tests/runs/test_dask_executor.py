@@ -45,7 +45,10 @@ def test_dask_stops_hanging_runs(check, scheduler):
     check(DaskCluster(address=scheduler, timeout=1.5), workers=2)
 
 
-@pytest.mark.parametrize("name", ["answers_each_request_once", "pulls_when_a_worker_is_free", "stops_when_closed"])
+OWN = ["answers_each_request_once", "pulls_when_a_worker_is_free"]
+
+
+@pytest.mark.parametrize("name", ["stops_when_closed", *(pytest.param(name, marks=pytest.mark.long) for name in OWN)])
 def test_dask_conforms_on_a_cluster_of_its_own(name):
     CHECKS[name](DaskCluster(workers=2), workers=2)
 

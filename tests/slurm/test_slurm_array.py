@@ -38,15 +38,23 @@ def pickled(folder: Path, **options):
     return execute
 
 
-ALL_CHECKS = CHECKS | CRASH_CHECKS
+REPEATED = {"answers_each_request_once", "returns_the_models_result", "exception", "declared_failure", "system_exit"}
+REPEATED |= {"nothing_returned", "exit", "segfault", "hang_in_c"}
+"""Checks whose way through a job another one takes too: an exception is one that cannot be pickled, a death another."""
 
 
-@pytest.mark.parametrize("check", ALL_CHECKS.values(), ids=ALL_CHECKS.keys())
+def quick_first(checks):
+    """Return the checks as parameters, the repeated ones left to `make test-all`."""
+    long = {name: [pytest.mark.long] for name in REPEATED}
+    return [pytest.param(check, id=name, marks=long.get(name, [])) for name, check in checks.items()]
+
+
+@pytest.mark.parametrize("check", quick_first(CHECKS | CRASH_CHECKS))
 def test_slurm_array_conforms(check, slurm, tmp_path):
     check(pickled(tmp_path, max_jobs=2), workers=2)
 
 
-@pytest.mark.parametrize("check", TIMEOUT_CHECKS.values(), ids=TIMEOUT_CHECKS.keys())
+@pytest.mark.parametrize("check", quick_first(TIMEOUT_CHECKS))
 def test_slurm_array_stops_hanging_runs(check, slurm, tmp_path):
     check(pickled(tmp_path, timeout=1.5), workers=6)
 
@@ -106,7 +114,7 @@ with Ledger.open(folder + "/ledger.sqlite", model=fingerprint(model)) as ledger:
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
 def test_a_stopped_driver_repeats_nothing_and_loses_nothing(slurm, tmp_path, number):
     model = Counted(str(tmp_path), Slow(seconds=1.0))
     array(tmp_path, model)

@@ -30,6 +30,7 @@ def test_other_ways_of_writing_the_mean_agree(task, written):
     np.testing.assert_allclose(found, task.process.mean(task.initial[:20]), rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.long
 def test_whole_runs_of_others_are_right(task, exact, monkeypatch):
     monkeypatch.setattr(sampler, "TOLERANCE_MOMENTS", 0.15)
     monkeypatch.setattr(sampler, "TOLERANCE_EVIDENCE", 0.3)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,15 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from scipy.special import logsumexp
 
+import strandline.report.page
 from strandline import __version__
 from strandline.calibrate import Observer
-from strandline.errors import InvalidInput, InvalidStudy, LedgerError, TooFewRuns
+from strandline.errors import InvalidInput, InvalidStudy, LedgerError, ResultsNotWritten, TooFewRuns
 from strandline.models.protocol import fingerprint
 from strandline.posterior import read
+from strandline.report.captioned import Captioned
 from strandline.runs import InProcess, Ledger
 from strandline.studies import Outcome, load_study, run_study
+from strandline.studies.run import submit_study
 from strandline.testing.studies import BEAM_STUDY, beam, write_study
 
 KEYS = {
@@ -201,19 +206,83 @@ def test_a_ledger_of_another_model_is_left_as_it_is(tmp_path: Path) -> None:
     assert contents(folder) == before
 
 
-def test_results_that_cannot_be_written_leave_no_summary_of_others(
-    finished: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+BROKEN = {
+    "posterior.nc": ("strandline.studies.run.write", ImportError("No module named 'h5py'")),
+    "report.html": ("strandline.report.page._replaced", OSError(28, "No space left on device", "/full/report.html")),
+    "summary.json": ("strandline.studies.run.write_json", OSError(28, "No space left on device")),
+    "figures (second)": ("strandline.report.page.draw_check", RuntimeError("no ink")),
+    "figures": ("strandline.report.page._whole_folder", PermissionError(13, "Permission denied")),
+}
+
+
+def two_figures(*_: Any) -> dict[str, Iterator[Captioned]]:
+    """Return two small figures; the second is drawn by what a test may break."""
+
+    def drawn(name: str) -> Iterator[Captioned]:
+        if name == "second":
+            strandline.report.page.draw_check({})
+        yield Captioned(name, "data", name, Figure())
+
+    return {name: drawn(name) for name in ("first", "second")}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_result_that_cannot_be_written_leaves_the_others(
+    finished: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
+    """And no older one in its place: where the summary stands, what it does not name as missing belongs to it."""
     folder = tmp_path / "beam"
     shutil.copytree(finished.folder, folder)
+    for old in ("posterior.nc", "report.html", "summary.json", "figures/second.png"):
+        (folder / old).write_text("old")
+    place, error = BROKEN[name]
 
-    def full(*args: Any, **options: Any) -> Path:
-        raise OSError(28, "No space left on device", str(folder / "report.html"))
+    def broken(*args: Any, **options: Any) -> Any:
+        raise error
 
-    monkeypatch.setattr("strandline.studies.run.write_report", full)
-    with pytest.raises(InvalidStudy, match=r"report\.html: No space left on device.*finished forward runs are kept"):
+    monkeypatch.setattr("strandline.report.page.draw_check", lambda check: None)
+    monkeypatch.setattr("strandline.report.page.figure_groups", two_figures)
+    monkeypatch.setattr(place, broken)
+    monkeypatch.setattr("strandline.studies.run.summarise", lambda *a, **o: dict(finished.outcome.summary))
+    monkeypatch.setattr("strandline.studies.run.calibrate", lambda *a, **o: finished.outcome.calibration)
+    with pytest.raises(ResultsNotWritten, match="finished forward runs are kept") as raised:
         rerun(folder)
-    assert not (folder / "summary.json").exists()
+    assert list(raised.value.missing) == [name]
+    assert f"{name}: " in str(raised.value)
+    assert str(getattr(error, "strerror", None) or error) in str(raised.value)
+    written = {"posterior.nc", "report.html", "summary.json"} - {name}
+    assert {path for path in written if (folder / path).read_bytes() != b"old"} == written
+    assert not (folder / name).exists()
+    if name != "figures":
+        figures = {path.stem for path in (folder / "figures").glob("*.png")}
+        assert figures == ({"first"} if name == "figures (second)" else {"first", "second"})
+    if name != "summary.json":
+        summary = json.loads((folder / "summary.json").read_text())
+        assert list(summary["missing"]) == [name]
+        assert summary["warnings"][0].startswith(f"{name} could not be written: ")
+    if name.startswith("figures") or name == "posterior.nc":
+        assert f"{name} could not be written: " in (folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("broken", "told"),
+    [
+        ("h5netcdf.File", r"posterior\.nc could not be written at the end: got ImportError: no h5py; .* Install"),
+        ("strandline.studies.results.template", r"report\.html could not be written at the end: got ImportError"),
+    ],
+)
+def test_what_cannot_be_written_at_the_end_is_refused_before_the_first_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str, told: str
+) -> None:
+    def missing(*args: Any, **options: Any) -> None:
+        raise ImportError("no h5py")
+
+    monkeypatch.setattr(broken, missing)
+    study = load_study(write_study(tmp_path))
+    for begin in (run_study, submit_study):
+        with pytest.raises(InvalidInput, match=told):
+            begin(study, executor=InProcess())
+    assert [path.name for path in tmp_path.iterdir()] == ["study.yaml"]
 
 
 def test_the_observer_hears_of_every_stage_and_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

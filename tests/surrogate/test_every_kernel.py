@@ -174,7 +174,7 @@ def test_with_equal_lengths_the_radial_forms_are_the_isotropic_ones(name):
 
 
 @EVERY
-@pytest.mark.parametrize("dim", [2, 5])
+@pytest.mark.parametrize("dim", [2, pytest.param(5, marks=pytest.mark.long)])
 def test_a_log_likelihood_is_fitted_by_all(name, dim):
     def log_likelihood(u):
         return -40 * (u[:, 0] - 0.3 - 0.3 * u[:, 1] ** 2) ** 2 - 0.5 * u[:, 2:].sum(axis=1)

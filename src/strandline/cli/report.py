@@ -17,12 +17,12 @@ def command(study: Path, device: str | None, quiet: bool) -> None:
     """Make the posterior, figures and report of STUDY anew from its ledger; no forward run is made."""
     devices.use(device)
     from strandline.cli.progress import observing
-    from strandline.cli.results import show
+    from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.studies import load_study, run_study
     from strandline.studies.ledgers import require_finished
 
     loaded = load_study(study)
     require_finished(loaded)
-    with observing(quiet=quiet) as observer:
+    with shown_also_if_incomplete(), observing(quiet=quiet) as observer:
         outcome = run_study(loaded, observer=observer)
     show(outcome.summary, outcome.report)

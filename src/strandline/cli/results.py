@@ -1,12 +1,25 @@
 """The result of a study on the terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
-__all__ = ["show"]
+from strandline.errors import ResultsNotWritten
+
+__all__ = ["show", "shown_also_if_incomplete"]
+
+
+@contextmanager
+def shown_also_if_incomplete() -> Iterator[None]:
+    """Print what was found before an error ends the command, where files of the results could not be written."""
+    try:
+        yield
+    except ResultsNotWritten as error:
+        show(error.outcome.summary, error.outcome.report)
+        raise
 
 
 def show(summary: Mapping[str, Any], report: Path) -> None:
@@ -34,7 +47,9 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
     for warning in summary["warnings"]:
         click.echo(f"warning: {warning}")
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
-    click.echo(f"seconds: {seconds}\nreport: {report}")
+    click.echo(f"seconds: {seconds}")
+    if report.name not in summary["missing"]:
+        click.echo(f"report: {report}")
     if summary["nearest"]["message"]:
         click.echo(summary["nearest"]["message"])
 

@@ -28,7 +28,7 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
 
     from strandline.cli.journal import say_journal
     from strandline.cli.progress import observing
-    from strandline.cli.results import show
+    from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.runs.executors import with_workers
     from strandline.runs.failures import require_kinds
     from strandline.studies import load_study, run_study
@@ -40,6 +40,6 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
     policy = replace(loaded.settings.failures, again=frozenset(kinds))
     loaded = replace(loaded, settings=replace(loaded.settings, failures=policy))
     executor = with_workers(loaded.executor, workers)
-    with observing(quiet=quiet) as observer:
+    with shown_also_if_incomplete(), observing(quiet=quiet) as observer:
         outcome = run_study(loaded, executor=executor, observer=observer)
     show(outcome.summary, outcome.report)

@@ -24,14 +24,14 @@ def command(study: Path, workers: int | None, device: str | None, detach: bool, 
     from strandline.cli.detached import submit, told_what_goes_on
     from strandline.cli.journal import say_journal
     from strandline.cli.progress import observing
-    from strandline.cli.results import show
+    from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.runs.executors import with_workers
     from strandline.studies import load_study, run_study
 
     loaded = load_study(study)
     say_journal(loaded, quiet=quiet)
     executor = with_workers(loaded.executor, workers)
-    with observing(quiet=quiet) as observer:
+    with shown_also_if_incomplete(), observing(quiet=quiet) as observer:
         if detach:
             submit(loaded, executor, observer)
             return

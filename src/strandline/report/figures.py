@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import jax
@@ -21,7 +22,7 @@ from strandline.report.field_figures import field_figures
 from strandline.report.run_figures import failed_runs, offsets_of_runs
 from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
 
-__all__ = ["Captioned", "draw_figures"]
+__all__ = ["Captioned", "figure_groups"]
 
 GRID = 121
 BEST = "best run"
@@ -31,17 +32,20 @@ EXAMPLES = (0.1, 0.8, 1.0)
 """Which runs are drawn as examples: quantiles of their displacement."""
 
 
-def draw_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
-    """Yield the figures of a calibration; those that need two inputs are left out where there are fewer or more."""
-    yield from _data(calibration, truth)
-    yield from offsets_of_runs(calibration)
-    yield from failed_runs(calibration)
-    yield from _fields(calibration, truth)
-    yield from _surrogate(calibration)
-    yield from _sampler(calibration)
-    yield from _posterior(calibration, truth)
-    yield from _under_uncertainty(calibration, truth)
-    yield from field_figures(calibration, truth)
+def figure_groups(calibration: Calibration, truth: Mapping[str, float] | None) -> dict[str, Iterator[Captioned]]:
+    """Return the figures of a calibration in groups, drawn as they are asked for.
+
+    Those that need two inputs are left out where there are fewer or more.
+    """
+    return {
+        "data": chain(_data(calibration, truth), offsets_of_runs(calibration), failed_runs(calibration)),
+        "likelihood": _fields(calibration, truth),
+        "surrogate": _surrogate(calibration),
+        "sampler": _sampler(calibration),
+        "posterior": _posterior(calibration, truth),
+        "under uncertainty": _under_uncertainty(calibration, truth),
+        "field": field_figures(calibration, truth),
+    }
 
 
 def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:

@@ -3,7 +3,7 @@
 import base64
 import io
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,14 @@ from strandline.calibrate import Calibration
 from strandline.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
-from strandline.report.figures import draw_figures
+from strandline.report.figures import figure_groups
 from strandline.report.warnings import reason_to_doubt, small_share
 from strandline.typeset import RAISED, html_text, unit_text
 
-__all__ = ["add_check", "template", "write_report"]
+__all__ = ["FIGURES", "add_check", "template", "write_report"]
 
 FILE_NAME = "report.html"
+FIGURES = "figures"
 PAGE_PIXELS_PER_INCH = 138
 """Pixels of a page an inch of a figure: two columns of a journal fill the page."""
 OF_POSTERIOR = ("posterior", "uncertainty")
@@ -38,6 +39,7 @@ def write_report(
     truth: Mapping[str, float] | None,
     folder: Path,
     check: Mapping[str, Any] | None = None,
+    on_failure: Callable[[str, Exception], None] | None = None,
 ) -> Path:
     """Write `folder`/figures (PNG and PDF) and `folder`/report.html; return the page's path.
 
@@ -50,16 +52,55 @@ def write_report(
         truth: the inputs of a synthetic observation.
         folder: the study's.
         check: the content of check.json where it belongs to this posterior.
+        on_failure: is called with the name and the error of figures that cannot be drawn or saved, and the page is
+            written without them; left out, the first such error is raised and the old report stays.
     """
-    with _whole_folder(folder / "figures") as partial:
-        doubt = reason_to_doubt(calibration, check)
-        figures = (_marked(captioned, doubt) for captioned in draw_figures(calibration, truth))
-        shown = [_saved(captioned, partial) for captioned in figures]
-        picture = None if check is None else _saved(draw_check(check), partial)
+    doubt = reason_to_doubt(calibration, check)
+    groups: dict[str, Iterator[Captioned]] = {
+        name: (_marked(captioned, doubt) for captioned in figures)
+        for name, figures in figure_groups(calibration, truth).items()
+    }
+    if check is not None:
+        groups["check"] = _check(check)
+    failed: list[str] = []
+
+    def note(name: str, error: Exception) -> None:
+        if on_failure is None:
+            raise error
+        failed.append(f"{name} could not be written: {type(error).__name__}: {error}")
+        on_failure(name, error)
+
+    shown = _all_saved(groups, folder / FIGURES, note)
+    picture = next((item for item in shown if item["name"] == "check"), None)
     page = template("report.html.j2").render(
-        s=summary, figures=shown, study_text=study_text, check=check, picture=picture
+        s={**summary, "warnings": [*failed, *summary["warnings"]]},
+        figures=[item for item in shown if item is not picture],
+        study_text=study_text,
+        check=check,
+        picture=picture,
     )
     return _replaced(folder, page)
+
+
+def _all_saved(
+    groups: Mapping[str, Iterable[Captioned]], target: Path, note: Callable[[str, Exception], None]
+) -> list[dict[str, str]]:
+    """Save the figures and return what the page needs of each; of a group with an error, those drawn before it."""
+    shown: list[dict[str, str]] = []
+    try:
+        with _whole_folder(target) as partial:
+            for name, figures in groups.items():
+                try:
+                    shown += (_saved(captioned, partial) for captioned in figures)
+                except Exception as error:
+                    note(f"{FIGURES} ({name})", error)
+    except OSError as error:
+        note(FIGURES, error)
+    return shown
+
+
+def _check(check: Mapping[str, Any]) -> Iterator[Captioned]:
+    yield draw_check(check)
 
 
 def add_check(check: Mapping[str, Any], folder: Path) -> None:
@@ -69,7 +110,7 @@ def add_check(check: Mapping[str, Any], folder: Path) -> None:
         check: the content of check.json.
         folder: the study's.
     """
-    figures, report = folder / "figures", folder / FILE_NAME
+    figures, report = folder / FIGURES, folder / FILE_NAME
     figures.mkdir(exist_ok=True)
     picture = _saved(draw_check(check), figures)
     page = report.read_text(encoding="utf-8") if report.is_file() else ""

@@ -17,6 +17,7 @@ __all__ = [
     "LEDGER",
     "POSTERIOR",
     "REFINEMENT",
+    "REPORT",
     "STUDY",
     "SUMMARY",
     "require_writable",
@@ -30,6 +31,7 @@ LEDGER = "ledger.sqlite"
 POSTERIOR = "posterior.nc"
 SUMMARY = "summary.json"
 REFINEMENT = "refinement.json"
+REPORT = "report.html"
 CHECK = "check.json"
 CHECK_LEDGER = "check.sqlite"
 

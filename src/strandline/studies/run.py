@@ -2,11 +2,13 @@
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
+
+from xarray import DataTree
 
 from strandline import __version__
 from strandline.active import BatchReport
@@ -19,7 +21,7 @@ from strandline.report import write_report
 from strandline.report.nearness import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
-from strandline.studies.folder import POSTERIOR, SUMMARY, require_writable, told_if_unwritable, write_json
+from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
 from strandline.studies.ledgers import (
     begin_active,
     check_ledgers,
@@ -34,6 +36,7 @@ from strandline.studies.ledgers import (
 )
 from strandline.studies.observed import noisy
 from strandline.studies.provenance import require_its_own_text
+from strandline.studies.results import Results, require_writers
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
@@ -61,10 +64,13 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         InvalidStudy: the folder cannot be written to, the synthetic observation cannot be made, or the study was
             changed after it was loaded.
         LedgerError: the ledger is locked, belongs to another model, or is damaged.
-        InvalidInput: a measure that cannot be evaluated on the observed interface.
+        InvalidInput: a measure that cannot be evaluated on the observed interface, or a library that writes the
+            results does not work.
         TooFewRuns: too few forward runs succeeded.
+        ResultsNotWritten: some files of the results could not be written; the others were.
     """
     require_its_own_text(study)
+    require_writers()
     require_writable(study.folder)
     check_ledgers(study)
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
@@ -102,8 +108,10 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
     Raises:
         InvalidStudy: the folder cannot be written to.
         LedgerError: the ledger is locked, belongs to another model, or is damaged.
+        InvalidInput: a library that writes the results does not work.
     """
     require_its_own_text(study)
+    require_writers()
     require_writable(study.folder)
     check_ledgers(study)
     tell = observer or Observer()
@@ -177,32 +185,46 @@ def _try_measures(problem: Problem) -> None:
 
 
 def _write_results(study: Study, calibration: Calibration, new_runs: int, observer: Observer) -> Outcome:
-    """Write every result whole or not at all, the summary last: where it stands, the rest belongs to it."""
+    """Write every result whole or not at all; one that fails does not keep the others from being written.
+
+    The summary comes last. Where it stands, all that it does not name as missing stands too and belongs to it.
+    """
     observer.stage("report")
     begun = time.perf_counter()
     summary = summarise(study, calibration, new_runs=new_runs, reused_runs=len(calibration.records) - new_runs)
+    results, report = Results(study.folder), study.folder / REPORT
+    with suppress(OSError):
+        (study.folder / SUMMARY).unlink(missing_ok=True)
+    with results.writing(POSTERIOR):
+        write(_tree(study, calibration), study.folder / POSTERIOR)
+    with results.writing(REPORT):
+        report = write_report(
+            calibration,
+            summary | {"warnings": [*results.warnings(), *summary["warnings"]]},
+            study_text=study.text,
+            truth=study.truth,
+            folder=study.folder,
+            check=read_check(study.folder, calibration.posterior),
+            on_failure=results.failed,
+        )
+    summary |= {"missing": dict(results.missing), "warnings": [*results.warnings(), *summary["warnings"]]}
+    summary["seconds"]["report"] = time.perf_counter() - begun
+    with results.writing(SUMMARY):
+        write_json(study.folder / SUMMARY, summary)
+    outcome = Outcome(calibration, summary, report)
+    results.require_all(outcome)
+    return outcome
+
+
+def _tree(study: Study, calibration: Calibration) -> DataTree:
     under_uncertainty = calibration.under_uncertainty
-    tree = to_datatree(
+    return to_datatree(
         calibration.posterior,
         seed=study.settings.seed,
         attrs={"study": study.name, "strandline_version": __version__},
         observed=calibration.problem.observations,
         cut=None if under_uncertainty is None else under_uncertainty.cut,
     )
-    with told_if_unwritable(study.folder):
-        (study.folder / SUMMARY).unlink(missing_ok=True)
-        write(tree, study.folder / POSTERIOR)
-        report = write_report(
-            calibration,
-            summary,
-            study_text=study.text,
-            truth=study.truth,
-            folder=study.folder,
-            check=read_check(study.folder, calibration.posterior),
-        )
-        summary["seconds"]["report"] = time.perf_counter() - begun
-        write_json(study.folder / SUMMARY, summary)
-    return Outcome(calibration, summary, report)
 
 
 class _Made:

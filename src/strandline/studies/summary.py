@@ -85,6 +85,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "quadrature_check": quadrature_check(calibration),
         "under_uncertainty": _under_uncertainty(calibration),
         "sensitivity": _sensitivity(calibration),
+        "missing": {},
         "warnings": list(find_warnings(calibration, turned=study.turned)),
         "seconds": dict(calibration.seconds),
     }

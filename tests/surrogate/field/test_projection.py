@@ -357,7 +357,11 @@ def moments(log_likelihood: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndar
 
 
 @pytest.mark.parametrize(
-    ("measure", "noise", "rings"), [(ClosestPoint(), 1.2e-2, 12), (Currents(0.4, quadrature="centre"), 2e-3, 8)]
+    ("measure", "noise", "rings"),
+    [
+        pytest.param(ClosestPoint(), 1.2e-2, 12, marks=pytest.mark.long),
+        (Currents(0.4, quadrature="centre"), 2e-3, 8),
+    ],
 )
 def test_the_posterior_is_that_of_runs_on_one_mesh(measure: Discrepancy, noise: float, rings: int) -> None:
     """And that of the model itself, asked directly; the observed surface has a mesh of its own."""
