@@ -4,12 +4,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
 from strandline.studies.schema import SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
+from strandline.studies.yaml_text import load_yaml
 
 __all__ = ["parse_study"]
 
@@ -56,25 +56,6 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
         raise _first_problem(error) from None
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses repeated keys."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Return the mapping of a node; a key for the second time is refused with its line."""
-        seen = []
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                raise InvalidStudy(
-                    f"{STUDY}, line {key_node.start_mark.line + 1}: a key for the second time",
-                    value=key,
-                    expected="every key once",
-                    remedy="Remove one of them.",
-                )
-            seen.append(key)
-        return super().construct_mapping(node, deep=deep)
-
-
 def _read(folder: Path) -> str:
     path = folder / STUDY
     try:
@@ -99,19 +80,7 @@ def _read(folder: Path) -> str:
 
 
 def _load(path: Path, text: str) -> dict[str, Any]:
-    try:
-        content = yaml.load(text, Loader=_Loader)
-    except InvalidStudy:
-        raise
-    except (yaml.YAMLError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise InvalidStudy(
-            f"{path.name}{where} is not valid YAML",
-            value=f"a mistake in its syntax: {getattr(error, 'problem', None) or error}",
-            expected="YAML",
-            remedy="Correct the line, or the one before it.",
-        ) from None
+    content = load_yaml(text)
     if not isinstance(content, dict):
         raise InvalidStudy(
             f"{path.name} holds no keys",
