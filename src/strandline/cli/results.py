@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from strandline.runs.failures import counted
+
 __all__ = ["show"]
 
 
@@ -62,4 +64,4 @@ def _show_readings(readings: Mapping[str, Any]) -> None:
 
 
 def _kinds(by_kind: Mapping[str, int]) -> str:
-    return "(" + ", ".join(f"{kind} {count}" for kind, count in by_kind.items()) + ") " if by_kind else ""
+    return f"({counted(by_kind)}) " if by_kind else ""

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
-from strandline.studies.schema import SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
+from strandline.studies.schema import ONE, SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
 from strandline.studies.yaml_text import load_yaml
 
 __all__ = ["parse_study"]
@@ -28,10 +28,13 @@ WORDS = {
     "bool_type": "true or false",
     "string_type": "a text",
     "string_pattern_mismatch": "letters, digits and . _ - only, a letter or digit first",
+    "string_too_long": "at most 100 characters",
     "too_long": "exactly one entry",
     "too_short": "at least one entry",
 }
 """What was expected, for a person, by pydantic's name of the mistake; else pydantic's own words."""
+INTERNAL = {ONE, SEVERAL, "[key]", "float", "Quantity", "dict"}
+"""pydantic's own names of places that are no keys of the file."""
 
 
 def parse_study(folder: Path) -> tuple[StudyFile, str]:
@@ -95,6 +98,9 @@ def _first_problem(error: ValidationError) -> InvalidStudy:
     """Translate pydantic's findings: an unknown key first, since it explains missing ones."""
     findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = findings[0]
+    refused = first.get("ctx", {}).get("error")
+    if isinstance(refused, InvalidStudy):
+        return refused
     place = _place(first["loc"])
     unknown = first["type"] == "extra_forbidden"
     others = {_place(e["loc"]) for e in findings if not (unknown and e["type"] == "missing")} - {place}
@@ -152,7 +158,9 @@ def _model_within(annotation: Any) -> Any:
 
 def _is_internal(part: int | str) -> bool:
     """Tell pydantic's own names of union branches from keys of the file."""
-    return isinstance(part, str) and any(mark in part for mark in ("[", "function-", "dict", "Quantity", "float"))
+    return isinstance(part, str) and (
+        part in INTERNAL or part.startswith(("function-", "dict[", "list[", "constrained"))
+    )
 
 
 def _expectation(kind: str, message: str) -> str:

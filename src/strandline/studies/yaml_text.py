@@ -1,7 +1,7 @@
 """The text of study.yaml → plain data: safe YAML, bounded, with the line of each mistake."""
 
 import re
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import yaml
@@ -51,7 +51,7 @@ class _Loader(yaml.SafeLoader):
         self.open_anchors: set[str] = set()
         self.extents: dict[int, tuple[int, int]] = {}
 
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Return the next node; the depth is bounded, and an anchor cannot hold an alias of itself."""
         event = self.peek_event()
         name = getattr(event, "anchor", None)
@@ -106,7 +106,7 @@ class _Loader(yaml.SafeLoader):
             seen.add((key.tag, key.value))
         return node
 
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Hashable:
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         """Return the value of a node; one that is not what its tag says is refused with its line."""
         if node.tag not in CORE and not (node.tag == DATE and isinstance(node, yaml.ScalarNode)):
             raise _not_yaml(node.start_mark, f"the tag {node.tag}", "plain YAML without tags", "Remove the tag.")
@@ -115,7 +115,7 @@ class _Loader(yaml.SafeLoader):
         if node.tag in NUMBERS and "_" in node.value:
             raise _not_yaml(node.start_mark, node.value, "a number without underscores")
         try:
-            value: Hashable = super().construct_object(node, deep=deep)
+            value: Any = super().construct_object(node, deep=deep)
         except (KeyError, ValueError, AttributeError, TypeError, OverflowError, IndexError) as error:
             if isinstance(error, InvalidStudy):
                 raise
