@@ -166,5 +166,5 @@ def test_units_that_figures_cannot_show(unit):
 
 @pytest.mark.parametrize("box", [(-1e308, 1e308), (400.0, 400.00000000000006), (0.0, 1e-200)])
 def test_boxes_too_wide_or_too_narrow(box):
-    with pytest.raises(InvalidInput, match="bounds that differ|in magnitude"):
+    with pytest.raises(InvalidInput, match=r"bounds that differ|in magnitude"):
         Parameter("E", Normal(400.0, 50.0), "Pa", box)
