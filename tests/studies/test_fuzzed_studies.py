@@ -104,8 +104,8 @@ def entries(folder: Path) -> dict[str, int]:
 
 def bases(folder: Path) -> list[Path]:
     """Return copies of the shipped studies, and of the two of the testing kit."""
-    for number, shipped in enumerate(SHIPPED):
-        shutil.copytree(shipped, folder / f"{number}-{shipped.name}", ignore=shutil.ignore_patterns("ledger*", "fig*"))
+    for shipped in SHIPPED:
+        shutil.copytree(shipped, folder / shipped.name, ignore=shutil.ignore_patterns("ledger*", "fig*"))
     for name, changes in (("beam", {}), ("two-loads", TWO_LOADS_STUDY)):
         (folder / name).mkdir()
         (folder / name / "study.yaml").write_text(json.dumps({**BEAM_STUDY, **changes}))
