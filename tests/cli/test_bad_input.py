@@ -242,9 +242,9 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
     "ledger without its version": (ledger_without("schema_version"), ["damaged", "no row schema_version"]),
     "ledger without its model": (ledger_without("model"), ["damaged", "no row model"]),
     "template of 3000 parentheses": (deep_template, ["the template a.j2 cannot be compiled"]),
-    "newline in a name": (named("a\nb"), ["inputs.a\\nb", "a short name on one line"]),
+    "newline in a name": (named("a\nb"), ["inputs.a b", "a short name on one line"]),
     "slash in a name": (named("a/b"), ["inputs.a/b", "without /"]),
-    "reserved name": (named("draw"), ["inputs.draw", "the model has no such input"]),
+    "reserved name": (named("draw"), ["inputs.draw", "none of the names that the results use"]),
     "reserved name of a free model": (
         changed(**free() | {"inputs": {"weight": E, **BEAM_STUDY["inputs"]}}),
         ["inputs.weight", "the names that the results use themselves"],

@@ -39,7 +39,7 @@ def _number(value: Any) -> Any:
     if isinstance(value, str):
         number = decimal(value)
         if number is None:
-            raise ValueError("a number")
+            raise ValueError("a finite number" if value.strip(".+-").lower() in ("nan", "inf") else "a number")
         return number
     return value
 
