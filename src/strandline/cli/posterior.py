@@ -6,8 +6,6 @@ from typing import Any
 
 import click
 
-from strandline.runs.failures import counted
-
 __all__ = ["command"]
 
 
@@ -43,6 +41,8 @@ def check(study: Path, draws: int, workers: int | None, quiet: bool) -> None:
 
 def _show(content: Mapping[str, Any], path: Path) -> None:
     """Print k̂, the table of the inputs and the remarks."""
+    from strandline.runs.failures import counted
+
     runs, differences = content["runs"], content["log_likelihood"]
     kinds = counted(runs["by_kind"])
     click.echo(
