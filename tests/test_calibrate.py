@@ -178,7 +178,9 @@ def test_too_few_runs(tmp_path: Path, runs: int, message: str) -> None:
 
 def test_all_runs_failed(tmp_path: Path) -> None:
     asked = replace(problem(), fixed={"tilt": 0.02, "load": 1.0})
-    with pytest.raises(TooFewRuns, match=r"every forward run failed: got 0 of 4 \(large_deflection: 4; e\.g\. the tip"):
+    with pytest.raises(
+        TooFewRuns, match=r"every forward run failed: got 0 of 4 \(4 × large_deflection; e\.g\. the tip"
+    ):
         answer(asked, tmp_path / "ledger.sqlite", replace(SETTINGS, runs=4))
 
 

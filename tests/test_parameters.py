@@ -150,3 +150,21 @@ def test_calibrated_and_nuisance_inputs_keep_their_columns():
 def test_at_least_one_input_is_calibrated(names):
     with pytest.raises(InvalidInput, match=r"inputs to calibrate: got none: a.* nuisance; expected at least one"):
         ParameterSpace(tuple(Parameter(name, Uniform(0.0, 1.0), nuisance=True) for name in names))
+
+
+@pytest.mark.parametrize("name", ["weight", "draw", "chain", "particle", "a/b", "", "a\nb", "a$", "nuisance_values"])
+def test_names_that_results_cannot_hold(name):
+    with pytest.raises(InvalidInput, match="name of an input"):
+        Parameter(name, Uniform(0.0, 1.0))
+
+
+@pytest.mark.parametrize("unit", ["$\\frac{$", "m\ns", "\x1b[1m"])
+def test_units_that_figures_cannot_show(unit):
+    with pytest.raises(InvalidInput, match="unit of E"):
+        Parameter("E", Uniform(0.0, 1.0), unit)
+
+
+@pytest.mark.parametrize("box", [(-1e308, 1e308), (400.0, 400.00000000000006), (0.0, 1e-200)])
+def test_boxes_too_wide_or_too_narrow(box):
+    with pytest.raises(InvalidInput, match=r"bounds that differ|in magnitude"):
+        Parameter("E", Normal(400.0, 50.0), "Pa", box)

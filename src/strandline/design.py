@@ -9,6 +9,11 @@ from strandline.errors import InvalidInput
 __all__ = ["sobol"]
 
 
+MOST_POINTS = 2**24
+MOST_INPUTS = qmc.Sobol.MAXDIM
+"""Inputs for which direction numbers are known."""
+
+
 def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.ndarray, "run dim"]:
     """Return the first `number` points of one Sobol sequence in the unit cube.
 
@@ -23,12 +28,12 @@ def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.nda
     Raises:
         InvalidInput: `number` or `dim` below 1.
     """
-    if number < 1 or dim < 1:
+    if not 1 <= number <= MOST_POINTS or not 1 <= dim <= MOST_INPUTS:
         raise InvalidInput(
             "size of the Sobol design",
             value=f"{number} points in {dim} dimensions",
-            expected="at least 1 of each",
-            remedy="Ask for at least one run.",
+            expected=f"at least 1 of each, at most {MOST_POINTS} points and {MOST_INPUTS} dimensions",
+            remedy="Ask for another number of runs.",
         )
     engine = qmc.Sobol(dim, scramble=scramble is not None, rng=scramble)
     return np.asarray(engine.random_base2(max(number - 1, 0).bit_length())[:number])

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 EndState = Literal["failed", "timeout", "killed", "invalid"]
+LONGEST_VALUE, LONGEST_PART = 160, 1000
+"""Characters of a message: of the value that was found, and of each other part."""
 
 
 class StrandlineError(Exception):
@@ -38,7 +40,7 @@ class InvalidInput(StrandlineError, ValueError):
 
     def __init__(self, what: str, *, value: object, expected: str, remedy: str) -> None:
         self.what, self.value, self.expected, self.remedy = what, value, expected, remedy
-        super().__init__(f"{what}: got {_shown(value)}; expected {expected}. {remedy}")
+        super().__init__(f"{_line(what)}: got {_shown(value)}; expected {_line(expected)}. {_line(remedy)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuild_invalid, (type(self), self.what, self.value, self.expected, self.remedy)
@@ -142,5 +144,15 @@ def _shown(value: object) -> str:
     """Return `value` on one line of bearable length."""
     if value is None:
         return "nothing"
-    text = " ".join((value if isinstance(value, str) else repr(value)).split())
-    return text if len(text) <= 160 else text[:157] + "…"
+    try:
+        text = value if isinstance(value, str) else repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits, a list within itself
+        text = f"a {type(value).__name__} too long to show"
+    return _line(text, LONGEST_VALUE)
+
+
+def _line(text: str, longest: int = LONGEST_PART) -> str:
+    """Return `text` on one line, shortened, control characters written out."""
+    words = " ".join(text[: 4 * longest].split())
+    plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
+    return plain if len(plain) <= longest else plain[: longest - 3] + "…"

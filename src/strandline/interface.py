@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float, Int
 
 from strandline import triangles
 from strandline.errors import InvalidInput, InvalidInterface
+from strandline.text import is_label
 
 __all__ = ["Interface", "Observation", "Oriented", "is_condition", "oriented_like"]
-
-_LONGEST_CONDITION = 64
 
 _ROUNDING = 8 * float(np.finfo(float).eps)
 """Share of an interface's extent below which two of its points count as touching."""
@@ -318,13 +317,7 @@ class Observation:
 
 def is_condition(name: object) -> bool:
     """Tell whether `name` can be a condition's: "" for the only one, else a short text that file names can hold."""
-    return (
-        isinstance(name, str)
-        and len(name) <= _LONGEST_CONDITION
-        and name == name.strip()
-        and name.isprintable()
-        and not set(name) & set("/\\")
-    )
+    return isinstance(name, str) and is_label(name) and name == name.strip() and not set(name) & set("/\\")
 
 
 class Oriented(NamedTuple):

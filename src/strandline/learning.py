@@ -22,6 +22,7 @@ from strandline.runs import (
     run_campaign,
 )
 from strandline.runs.executors import usable_cores
+from strandline.runs.failures import counted
 from strandline.set_aside import Judge, SetAside
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood
 
@@ -253,7 +254,7 @@ def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> N
     if succeeded >= needed:
         return
     kinds = Counter(record.failure_kind or record.state for record in records if not record.ok)
-    shown = ", ".join(f"{kind}: {count}" for kind, count in kinds.most_common(3)) or "none failed"
+    shown = counted(dict(kinds.most_common(3))) or "none failed"
     last = next((record.message for record in records if record.message), "")
     raise TooFewRuns(
         "every forward run failed" if succeeded == 0 else "too few successful forward runs",

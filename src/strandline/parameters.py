@@ -9,10 +9,27 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
-from strandline.priors import Prior, Truncated, truncate
+from strandline.priors import Prior, Truncated, require_span, truncate
+from strandline.text import require_label, require_name
 from strandline.typeset import figure_text, unit_text
 
-__all__ = ["Parameter", "ParameterSpace"]
+__all__ = ["RESERVED", "Parameter", "ParameterSpace"]
+
+RESERVED = (
+    "weight",
+    "log_weight",
+    "log_likelihood",
+    "log_prior",
+    "particle",
+    "chain",
+    "draw",
+    "nuisance_value",
+    "nuisance_input",
+    "value_index",
+    "nuisance_values",
+    "conditional_log_evidence",
+)
+"""What the files of a posterior call their own variables and dimensions, and no input may be called."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +37,7 @@ class Parameter:
     """One uncertain input.
 
     Args:
-        name: the simulator's name of it.
+        name: the simulator's name of it; see `strandline.text.require_name`.
         prior: the distribution before the data are seen.
         unit: e.g. ``Pa``; ``1`` for a pure number.
         box: interval in which forward runs are made; where it is left out, the support of the prior.
@@ -29,6 +46,9 @@ class Parameter:
 
     A prior that reaches beyond the box is truncated to it, and `mass_cut` tells how much was cut off: outside the box
     nothing is known of the simulator.
+
+    Raises:
+        InvalidInput: a name or a unit that results cannot hold, or a box that cannot be.
     """
 
     name: str
@@ -39,6 +59,8 @@ class Parameter:
     symbol: str = ""
 
     def __post_init__(self) -> None:
+        require_name("name of an input", self.name, reserved=RESERVED)
+        require_label(f"unit of {self.name}", self.unit)
         low, high = self.interval
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise InvalidInput(
@@ -47,6 +69,7 @@ class Parameter:
                 expected="two finite numbers, the lower one first",
                 remedy=f"Give {self.name} a box: [low, high]; its prior has no bounds of its own.",
             )
+        require_span(f"design box of {self.name}", low, high)
         _ = self.truncated_prior
 
     @property

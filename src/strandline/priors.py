@@ -14,12 +14,16 @@ from scipy import special, stats
 
 from strandline.errors import InvalidInput
 
-__all__ = ["PRIORS", "LogNormal", "Normal", "Prior", "ScaledBeta", "Truncated", "Uniform", "truncate"]
+__all__ = ["PRIORS", "LogNormal", "Normal", "Prior", "ScaledBeta", "Truncated", "Uniform", "require_span", "truncate"]
 
 Array = Any  # a NumPy or a JAX array of any shape, or a float
 
 LEAST_MASS = 1e-10
 """Mass that a truncated prior must keep: below, the rounding of the cumulative distribution shows in its density."""
+LARGEST, LEAST, LEAST_SHARE = 1e100, 1e-100, 1e-9
+"""Largest magnitude of a number in a prior, least width, and least width as a share of the numbers themselves."""
+MOST_SHAPE, MOST_MU, MOST_SIGMA = 1e6, 300.0, 100.0
+"""Largest shape of a beta distribution, largest |mu| and sigma of a log-normal one: beyond, exponentials overflow."""
 
 
 @runtime_checkable
@@ -82,7 +86,7 @@ class Normal:
 
     def __post_init__(self) -> None:
         _require_finite("normal", "mean", self.mean)
-        _require_positive("normal", "sd", self.sd)
+        _require_positive("normal", "sd", self.sd, least=LEAST)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -111,8 +115,8 @@ class LogNormal:
     fields: ClassVar[str] = "[mu, sigma]"
 
     def __post_init__(self) -> None:
-        _require_finite("lognormal", "mu", self.mu)
-        _require_positive("lognormal", "sigma", self.sigma)
+        _require_finite("lognormal", "mu", self.mu, most=MOST_MU, hint=" (mu is the mean of log x, not of x)")
+        _require_positive("lognormal", "sigma", self.sigma, least=LEAST_SHARE, most=MOST_SIGMA)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -147,8 +151,8 @@ class ScaledBeta:
     fields: ClassVar[str] = "[a, b, low, high]"
 
     def __post_init__(self) -> None:
-        _require_positive("beta", "a", self.a)
-        _require_positive("beta", "b", self.b)
+        _require_positive("beta", "a", self.a, least=1 / MOST_SHAPE, most=MOST_SHAPE)
+        _require_positive("beta", "b", self.b, least=1 / MOST_SHAPE, most=MOST_SHAPE)
         _require_interval("beta", self.low, self.high)
 
     @property
@@ -249,6 +253,22 @@ def _at_edge(exponent: float) -> float:
     return 0.0 if exponent == 1 else math.copysign(math.inf, 1 - exponent)
 
 
+def require_span(what: str, low: float, high: float) -> None:
+    """Refuse an interval too wide or too narrow to compute with.
+
+    Raises:
+        InvalidInput: with `what` it is.
+    """
+    size = max(abs(low), abs(high))
+    if size > LARGEST:
+        expected = f"numbers of at most {LARGEST:g} in magnitude"
+    elif not high - low >= max(LEAST, LEAST_SHARE * size):
+        expected = f"bounds that differ by at least {max(LEAST, LEAST_SHARE * size):.3g}"
+    else:
+        return
+    raise InvalidInput(what, value=[low, high], expected=expected, remedy="Choose other bounds.")
+
+
 def _require_interval(name: str, low: float, high: float) -> None:
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise InvalidInput(
@@ -257,20 +277,24 @@ def _require_interval(name: str, low: float, high: float) -> None:
             expected="two finite numbers, the lower one first",
             remedy="Correct the bounds.",
         )
+    require_span(f"bounds of the {name} prior", low, high)
 
 
-def _require_finite(name: str, field: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise InvalidInput(
-            f"{field} of the {name} prior", value=value, expected="a finite number", remedy=f"Correct {field}."
-        )
-
-
-def _require_positive(name: str, field: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
+def _require_finite(name: str, field: str, value: float, *, most: float = LARGEST, hint: str = "") -> None:
+    if not (math.isfinite(value) and abs(value) <= most):
         raise InvalidInput(
             f"{field} of the {name} prior",
             value=value,
-            expected="a finite number above 0",
+            expected=f"a finite number from {-most:g} to {most:g}{hint}",
+            remedy=f"Correct {field}.",
+        )
+
+
+def _require_positive(name: str, field: str, value: float, *, least: float, most: float = LARGEST) -> None:
+    if not (math.isfinite(value) and least <= value <= most):
+        raise InvalidInput(
+            f"{field} of the {name} prior",
+            value=value,
+            expected=f"a finite number above 0, from {least:g} to {most:g}",
             remedy=f"Correct {field}.",
         )

@@ -1,7 +1,9 @@
 """Bad input: exit code 2, one line that says what, value, expected and remedy, and a folder left as it was."""
 
+import contextlib
 import os
 import shutil
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -13,6 +15,7 @@ import pytest
 
 from strandline.cli import main
 from strandline.runs import Ledger
+from strandline.studies import load_study
 from strandline.testing.studies import BEAM_STUDY, write_study
 
 E: dict[str, Any] = BEAM_STUDY["inputs"]["E"]
@@ -101,6 +104,47 @@ def init_below_a_file(folder: Path) -> list[str]:
     return ["init", str(folder / "file" / "study")]
 
 
+def free(**item: Any) -> dict[str, Any]:
+    """Return inputs of a model that declares nothing, E changed."""
+    return {"model": {"python": {"function": "strandline.testing.studies:undeclared_beam"}}} | inputs(**item)
+
+
+def named(name: str) -> Callable[[Path], list[str]]:
+    return changed(**{"inputs": {**BEAM_STUDY["inputs"], name: {"prior": {"uniform": [0, 1]}}}})
+
+
+def quoted(old: str, new: str) -> Callable[[Path], list[str]]:
+    """Return a case: the study's text with `old` replaced by what only YAML can say."""
+
+    def case(folder: Path) -> list[str]:
+        path = write_study(folder) / "study.yaml"
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+        return ["run", str(folder)]
+
+    return case
+
+
+def ledger_without(row: str) -> Callable[[Path], list[str]]:
+    def case(folder: Path) -> list[str]:
+        write_study(folder)
+        path = folder / "ledger.sqlite"
+        Ledger.open(path, model="test:beam-1").close()
+        with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+            connection.execute("DELETE FROM meta WHERE key = ?", (row,))
+        return ["run", str(folder)]
+
+    return case
+
+
+def deep_template(folder: Path) -> list[str]:
+    command = {"templates": {"a.j2": "a"}, "command": ["true"], "result": {"file": "a.csv", "unit": "mm"}}
+    write_study(folder, model={"command": command})
+    (folder / "a.j2").write_text("{{ " + "(" * 3000 + "E" + ")" * 3000 + " }}")
+    return ["run", str(folder)]
+
+
 CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
     "unknown key": (changed(colour="blue"), ["unknown key: got colour", "Remove colour."]),
     "misspelt key": (changed(noise={"varience": 1e-4}), ["got noise.varience", "Did you mean variance?"]),
@@ -171,6 +215,55 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
     "unknown command": (lambda folder: ["rum", str(write_study(folder))], ["rum", "strandline --help"]),
     "unknown option": (lambda folder: ["run", str(write_study(folder)), "--fast"], ["--fast", "strandline run --help"]),
     "no argument": (lambda folder: ["run"], ["STUDY", "strandline run --help"]),
+    "5000 brackets": (raw("version: 1\nname: " + "[" * 5000), ["study.yaml, line 2", "at most 40"]),
+    "no truth value": (quoted('"seed": 1', '"seed": !!bool maybe'), ["'maybe', which is no bool"]),
+    "a number with an underscore": (
+        quoted('"runs": 64', '"runs": 6_4'),
+        ["design.sobol.runs: got 6_4", "a whole number"],
+    ),
+    "a number in quotes": (changed(design={"sobol": {"runs": "80"}}), ["design.sobol.runs: got 80", "without quotes"]),
+    "Arabic digits": (changed(noise={"sd": "١٢"}), ["noise.sd: got ١٢", "a number"]),
+    "Arabic digits as an option": (changed(discrepancy={"currents": {"width": "١"}}), ["currents.width: got ١"]),
+    "lognormal of 1000": (
+        changed(**inputs(prior={"lognormal": [1000, 1]}, box=[300, 560])),
+        ["inputs.E.prior.lognormal", "mu", "got 1000.0", "mean of log x"],
+    ),
+    "1e12 runs": (changed(design={"sobol": {"runs": 1e12}}), ["design.sobol.runs", "equal to 1000000"]),
+    "2147483648 runs": (changed(design={"sobol": {"runs": 2**31}}), ["design.sobol.runs", "equal to 1000000"]),
+    "10^30 runs": (changed(design={"active": {"runs": 10**30}}), ["design.active.runs", "equal to 1000000"]),
+    "noise of 1e200": (changed(noise={"sd": 1e200}), ["noise: got", "from 1e-30 to 1e+30"]),
+    "noise of 1e-200": (changed(noise={"sd": 1e-200}), ["noise: got", "from 1e-30 to 1e+30"]),
+    "timeout of 1e9": (changed(executor={"local": {"timeout": 1e9}}), ["local.timeout", "31622400 seconds, a year"]),
+    "timeout of 1e300": (changed(executor={"local": {"timeout": 1e300}}), ["local.timeout", "31622400 seconds"]),
+    "reuse of 5000 characters": (changed(reuse=["a" * 5000]), ["reuse: got aaa", "the folder of another study"]),
+    "width of 1e300": (changed(discrepancy={"currents": {"width": 1e300}}), ["width", "from 1e-09 to 1e+09"]),
+    "1e9 lines": (changed(discrepancy={"measurement_lines": {"lines": 10**9}}), ["1000000000 lines", "1 to 100000"]),
+    "NUL in a file name": (changed(observation={"file": "a\0b.csv", "unit": "mm"}), ["line ", "got \\x00"]),
+    "ledger without its version": (ledger_without("schema_version"), ["damaged", "no row schema_version"]),
+    "ledger without its model": (ledger_without("model"), ["damaged", "no row model"]),
+    "template of 3000 parentheses": (deep_template, ["the template a.j2 cannot be compiled"]),
+    "newline in a name": (named("a\nb"), ["inputs.a b", "a short name on one line"]),
+    "slash in a name": (named("a/b"), ["inputs.a/b", "without /"]),
+    "reserved name": (named("draw"), ["inputs.draw", "none of the names that the results use"]),
+    "reserved name of a free model": (
+        changed(**free() | {"inputs": {"weight": E, **BEAM_STUDY["inputs"]}}),
+        ["inputs.weight", "the names that the results use themselves"],
+    ),
+    "unit of a formula": (changed(**free(unit="$\\frac{$")), ["inputs.E.unit: got $\\frac{$", "without $"]),
+    "prior of 1e308": (changed(**free(prior={"uniform": [-1e308, 1e308]})), ["uniform", "at most 1e+100"]),
+    "prior of one ulp": (
+        changed(**free(prior={"uniform": [400, 400.00000000000006]})),
+        ["uniform", "differ by at least"],
+    ),
+    "two ways of learning": (
+        changed(design={"active": {"runs": 60}}, surrogate={"log_likelihood": {}}),
+        ["design and surrogate do not fit together: got an active design with a surrogate of the log-likelihood;"],
+    ),
+    "batch larger than the budget": (
+        changed(design={"active": {"runs": 60, "batch": 100}}),
+        ["design.active.batch: got 100", "at most 52"],
+    ),
+    "init without a name": (lambda folder: ["init", ""], ["an argument is empty: got ''"]),
     "workers not a number": (lambda folder: [*changed()(folder), "--workers", "0"], ["--workers"]),
 }
 ALL_SET = ("--set", "E=400", "--set", "tilt=0")
@@ -217,12 +310,12 @@ def test_bad_input(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         (
             "every run failed",
             {"fixed": {"load": 1.0}, "design": {"sobol": {"runs": 6}}},
-            ["every forward run failed: got 0 of 6 (large_deflection: 6; e.g. the tip would move by", "at least 4"],
+            ["every forward run failed: got 0 of 6 (6 × large_deflection; e.g. the tip would move by", "at least 4"],
         ),
         (
             "too few successful runs",
             {**inputs(prior={"uniform": [1, 100]}), "design": {"sobol": {"runs": 4}}},
-            ["too few successful forward runs: got 2 of 4 (large_deflection: 2", "Enlarge the design"],
+            ["too few successful forward runs: got 2 of 4 (2 × large_deflection", "Enlarge the design"],
         ),
         (
             "synthetic observation fails",
@@ -326,3 +419,24 @@ def test_a_wrong_input_in_a_real_process_ends_with_code_2(tmp_path: Path) -> Non
     assert ended.returncode == 2
     assert ended.stdout == ""
     assert "not a study folder" in one_line(ended.stderr)
+
+
+@pytest.mark.parametrize("subcommand", [["run"], ["check"], ["forward", "--set", "E=400", "--set", "tilt=0"]])
+def test_temporary_folder_missing(
+    subcommand: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_study(tmp_path / "study")
+    before = contents(tmp_path)
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "none"))
+    line = refused([subcommand[0], str(folder), *subcommand[1:]], capsys)
+    assert f"TMPDIR = {tmp_path / 'none'}: No such file or directory" in line
+    assert "Make the folder, or correct TMPDIR" in line
+    assert contents(tmp_path) == before
+
+
+def test_merge_keys_work(tmp_path: Path) -> None:
+    path = write_study(tmp_path / "study") / "study.yaml"
+    text = path.read_text().rstrip()[:-1] + ', "executor": {"local": &a {"workers": 1}}}'
+    text = text.replace('"executor": {\n    "local": {\n      "workers": 1,\n      "timeout": 60\n    }\n  },', "", 1)
+    path.write_text(text.replace('"smc": {', '"smc": {<<: {"particles": 300}, ', 1).replace('"particles": 4000,', ""))
+    assert load_study(path.parent).settings.particles == 300

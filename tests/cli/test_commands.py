@@ -211,7 +211,7 @@ def test_status_tells_of_failures(tmp_path: Path, capsys: pytest.CaptureFixture[
     shown = printed(capsys, "status", str(folder))
     assert "ok 0, failed 4, under way 0, to do 0\n" in shown
     assert "no driver at work" in shown
-    assert "large_deflection: 4; e.g. E = 300, tilt = 0: the tip would move by" in shown
+    assert "4 × large_deflection; e.g. E = 300, tilt = 0: the tip would move by" in shown
     assert "results: not yet" in shown
 
 

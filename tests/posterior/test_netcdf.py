@@ -116,11 +116,7 @@ def test_failed_write_keeps_the_old_file_and_leaves_nothing(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]
 
 
-def test_bad_names_and_paths_are_refused(tmp_path):
-    space = ParameterSpace((Parameter("weight", Uniform(0.0, 1.0)),))
-    posterior = Posterior(space, np.ones((1, 1)), np.zeros(1), np.zeros(1), np.zeros(1), 0.0)
-    with pytest.raises(InvalidInput, match="Rename"):
-        to_datatree(posterior, seed=0)
+def test_bad_paths_and_conditions_are_refused(tmp_path):
     with pytest.raises(InvalidInput, match="netCDF"):
         read(tmp_path / "none.nc")
     with pytest.raises(InvalidInput, match="conditions"):

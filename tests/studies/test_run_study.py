@@ -169,7 +169,7 @@ def test_a_larger_design_and_another_prior_reuse_the_runs_of_another_folder(fini
 def test_every_run_failed(tmp_path: Path) -> None:
     """The truth is fine, but nothing of the design is."""
     folder = write_study(tmp_path, fixed={"load": 1.0}, design={"sobol": {"runs": 8}})
-    with pytest.raises(TooFewRuns, match=r"every forward run failed: got 0 of 8 \(large_deflection: 8") as caught:
+    with pytest.raises(TooFewRuns, match=r"every forward run failed: got 0 of 8 \(8 × large_deflection") as caught:
         rerun(folder)
     assert "at least 4" in caught.value.expected
     assert sorted(path.name for path in folder.iterdir()) == ["ledger.lock", "ledger.sqlite", "study.yaml"]
@@ -178,7 +178,7 @@ def test_every_run_failed(tmp_path: Path) -> None:
 def test_too_few_runs_succeeded(tmp_path: Path) -> None:
     inputs = {**BEAM_STUDY["inputs"], "E": {"prior": {"uniform": [1, 100]}, "unit": "Pa"}}
     folder = write_study(tmp_path, inputs=inputs, design={"sobol": {"runs": 4}})
-    with pytest.raises(TooFewRuns, match=r"too few successful forward runs: got 2 of 4 \(large_deflection: 2"):
+    with pytest.raises(TooFewRuns, match=r"too few successful forward runs: got 2 of 4 \(2 × large_deflection"):
         rerun(folder)
 
 

@@ -72,6 +72,13 @@ class Active:
         for name in ("change", "shift", "k_hat"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
         _require(self.patience >= 1, "patience", self.patience, "at least 1")
+        left = self.runs - (self.initial or 3)
+        _require(
+            self.batch is None or self.batch <= max(left, 1),
+            "batch",
+            self.batch,
+            f"at most {max(left, 1)}, the runs that are left of {self.runs} after the first {self.initial or 3}",
+        )
         least = (self.initial or 3) + self.check
         _require(
             self.runs >= least,

@@ -100,7 +100,9 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
     import tempfile
 
     from strandline.runs import RunRequest, attempt
+    from strandline.studies.folder import require_temporary
 
+    require_temporary()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small for threads to pay
 
     with tempfile.TemporaryDirectory(prefix="strandline-") as folder:

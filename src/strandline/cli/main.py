@@ -113,6 +113,8 @@ def _environment() -> dict[str, str]:
 
 
 def _call(arguments: list[str] | None) -> Any:
+    if "" in (sys.argv[1:] if arguments is None else arguments):
+        _end("an argument is empty: got ''; expected a name or a value. Is a variable of the shell unset?", 2)
     try:
         return _group.main(args=arguments, prog_name="strandline", standalone_mode=False)
     except click.exceptions.Exit as ended:

@@ -41,8 +41,10 @@ def check(study: Path, draws: int, workers: int | None, quiet: bool) -> None:
 
 def _show(content: Mapping[str, Any], path: Path) -> None:
     """Print k̂, the table of the inputs and the remarks."""
+    from strandline.runs.failures import counted
+
     runs, differences = content["runs"], content["log_likelihood"]
-    kinds = ", ".join(f"{kind} {count}" for kind, count in runs["by_kind"].items())
+    kinds = counted(runs["by_kind"])
     click.echo(
         f"\n{content['study']}: {content['draws']} draws of the posterior, {runs['ok']} ok, {runs['failed']} failed "
         f"{f'({kinds}) ' if kinds else ''}({runs['new']} new runs, {runs['reused']} reused)"

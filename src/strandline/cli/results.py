@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from strandline.errors import ResultsNotWritten
+from strandline.runs.failures import counted
 
 __all__ = ["show", "shown_also_if_incomplete"]
 
@@ -79,4 +80,4 @@ def _show_readings(readings: Mapping[str, Any]) -> None:
 
 
 def _kinds(by_kind: Mapping[str, int]) -> str:
-    return "(" + ", ".join(f"{kind} {count}" for kind, count in by_kind.items()) + ") " if by_kind else ""
+    return f"({counted(by_kind)}) " if by_kind else ""

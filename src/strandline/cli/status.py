@@ -49,7 +49,7 @@ def lines_of(state: "StudyProgress") -> Iterator[str]:
         yield f"  {state.last_batch}"
     for kind, some in state.failures.items():
         example = some.example
-        yield f"  {kind}: {some.count}; e.g. {_inputs(example)}: {example.message or 'no message'}"
+        yield f"  {some.count} × {kind}; e.g. {_inputs(example)}: {example.message or 'no message'}"
         for line in example.log:
             yield f"    | {line if len(line) <= LINE else line[: LINE - 1] + '…'}"
     if state.median_seconds is not None and state.slowest is not None:

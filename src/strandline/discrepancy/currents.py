@@ -1,6 +1,5 @@
 """RKHS norm of the difference of two interfaces as currents, Eqs. (10)-(11) of the study."""
 
-import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import ClassVar
@@ -20,6 +19,8 @@ __all__ = ["QUADRATURES", "Currents"]
 
 QUADRATURES = ("refined", "centre")
 _FINEST = 1e-14
+_THINNEST, _WIDEST = 1e-9, 1e9
+"""Widths beyond which squares overflow or vanish, mm."""
 _SAFETY = 1 / 50
 """Share of the tolerance that a single inner product may use up: d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ adds up four."""
 
@@ -53,8 +54,9 @@ class Currents:
     surface_unit: ClassVar[str] = "mm⁴"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.width) and self.width > 0):
-            _refuse("width", self.width, "a length in mm above 0", "A tenth of the largest displacement is a start.")
+        if not _THINNEST <= self.width <= _WIDEST:
+            expected = f"a length in mm above 0, from {_THINNEST:g} to {_WIDEST:g}"
+            _refuse("width", self.width, expected, "A tenth of the largest displacement is a start.")
         if self.quadrature not in QUADRATURES:
             _refuse("quadrature", self.quadrature, f"one of {', '.join(QUADRATURES)}", "Choose one of them.")
         if not 0 < self.tolerance <= 0.1:

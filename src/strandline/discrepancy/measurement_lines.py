@@ -21,6 +21,8 @@ REACH = 0.25
 """Default reach of a measurement line, as a share of the length of the observed interface."""
 
 _BLOCK = 256  # interfaces worked on together by `many`
+MOST_LINES = 100_000
+"""Lines of a measure; each costs memory and time in every comparison."""
 Bases = Float[np.ndarray, "line 4"]
 
 
@@ -65,7 +67,7 @@ class MeasurementLines:
     def __post_init__(self) -> None:
         if not isinstance(self.lines, int):
             object.__setattr__(self, "lines", _checked_lines(self.lines))
-        elif self.lines < 1:
+        elif not 1 <= self.lines <= MOST_LINES:
             _refuse_lines(f"{self.lines} lines")
         if self.reach is not None and not (math.isfinite(self.reach) and self.reach > 0):
             raise InvalidInput(
@@ -229,6 +231,6 @@ def _refuse_lines(value: object) -> None:
     raise InvalidInput(
         "measurement lines",
         value=value,
-        expected="a number of lines from 1 up, or rows (x, y, dx, dy) of finite numbers, dx or dy not 0",
+        expected=f"a number of lines from 1 to {MOST_LINES}, or rows (x, y, dx, dy) of finite numbers, dx or dy not 0",
         remedy="Correct the lines.",
     )

@@ -12,14 +12,11 @@ from scipy.special import logsumexp
 
 from strandline.errors import InvalidInput
 from strandline.interface import Observation
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import RESERVED, Parameter, ParameterSpace
 from strandline.posterior.posterior import Posterior
 from strandline.posterior.under_uncertainty import Cut
 
 __all__ = ["cut_from_datatree", "from_datatree", "read", "to_datatree", "write"]
-
-_RESERVED = ("weight", "log_weight", "log_likelihood", "log_prior", "particle", "chain", "draw")
-_RESERVED_CUT = ("nuisance_value", "nuisance_input", "value_index", "nuisance_values", "conditional_log_evidence")
 
 
 def to_datatree(
@@ -50,7 +47,6 @@ def to_datatree(
         number: how many equally weighted draws; as many as there are particles where it is left out.
         cut: the cut reading, where there are nuisance inputs.
     """
-    _require_free_names(posterior.space, _RESERVED if cut is None else _RESERVED + _RESERVED_CUT)
     size = posterior.number if number is None else number
     equal = posterior.equally_weighted(np.random.default_rng([seed, 0]), size)
     uniform = np.random.default_rng([seed, 1]).random((size, posterior.space.dim))
@@ -93,7 +89,7 @@ def _posterior(data: xr.Dataset, space: ParameterSpace) -> Posterior:
     if missing:
         raise InvalidInput(
             "inputs of the stored posterior",
-            value=sorted(str(name) for name in data.data_vars if name not in _RESERVED + _RESERVED_CUT),
+            value=sorted(str(name) for name in data.data_vars if name not in RESERVED),
             expected=f"all of {list(space.names)}",
             remedy="Read it with the parameters it was written with.",
         )
@@ -186,14 +182,3 @@ def _observed(observed: Sequence[Observation]) -> xr.Dataset:
         variables[f"interface{suffix}"] = ((f"point{suffix}", "xyz"), o.interface.points, attributes)
         variables[f"cells{suffix}"] = ((f"cell{suffix}", "corner"), o.interface.cells, {})
     return xr.Dataset(variables)
-
-
-def _require_free_names(space: ParameterSpace, reserved: Sequence[str]) -> None:
-    taken = [name for name in space.names if name in reserved or "/" in name]
-    if taken:
-        raise InvalidInput(
-            "names of inputs in a netCDF file",
-            value=taken,
-            expected=f"names without '/' and none of {list(reserved)}",
-            remedy="Rename the inputs.",
-        )

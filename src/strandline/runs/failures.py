@@ -126,6 +126,11 @@ class FailurePolicy:
         return self.actions.get(record.failure_kind or "", self.actions.get(record.state))
 
 
+def counted(kinds: Mapping[str, int]) -> str:
+    """Return how many runs failed for which reason, so that no number reads as a code: ``2 × exit_code``."""
+    return ", ".join(f"{number} × {kind}" for kind, number in kinds.items())
+
+
 def aborted(record: RunRecord) -> CampaignStopped:
     """Return the error that ends a campaign with `record`."""
     kind = record.failure_kind or record.state
@@ -141,7 +146,7 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
     kinds = Counter(record.failure_kind or record.state for record in failed)
     (commonest, _), *_ = kinds.most_common()
     example = next(record for record in failed if (record.failure_kind or record.state) == commonest)
-    shown = ", ".join(f"{kind}: {count}" for kind, count in kinds.most_common(4))
+    shown = counted(dict(kinds.most_common(4)))
     return CampaignStopped(
         f"stopped, for {len(failed)} of {made} runs failed ({shown})\n{_told(example)}\n"
         "All runs are kept. Mend the cause; `strandline retry` runs failed ones again, `strandline run` goes on with "

@@ -299,7 +299,8 @@ class Ledger:
                 self._connection.executemany(sql, [(session, time.time(), *row) for row in rows])
 
     def _meta(self, key: str) -> str:
-        return str(self._rows("SELECT value FROM meta WHERE key = ?", (key,))[0][0])
+        with translated(self.path):
+            return tables.fact(self.path, self._connection, key)
 
     def _start(self, request: RunRequest, at: float) -> int:
         row = (self._writing_session(), request.key, schema.inputs_text(request.inputs), at)

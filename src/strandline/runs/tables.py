@@ -21,6 +21,7 @@ __all__ = [
     "connect",
     "connect_read_only",
     "create",
+    "fact",
     "has_table",
     "last_driver",
     "opened_for_reading",
@@ -212,20 +213,20 @@ def require_sound(path: Path, connection: sqlite3.Connection) -> None:
 
 def require_version(path: Path, connection: sqlite3.Connection) -> None:
     """Refuse a file of a newer version, or one that is no ledger."""
-    row = connection.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchone()
-    version = int(row[0]) if row and str(row[0]).isdigit() else None
+    found = fact(path, connection, "schema_version")
+    version = int(found) if found.isascii() and found.isdigit() and len(found) < 10 else None
     if version is None or version > VERSION:
         raise LedgerError(
             f"version of the ledger {path}",
-            value=version,
-            expected=f"at most {VERSION}",
+            value=found,
+            expected=f"a number, at most {VERSION}",
             remedy="Install a newer strandline, or start a new ledger.",
         )
 
 
 def require_model(path: Path, connection: sqlite3.Connection, model: str) -> None:
     """Refuse a ledger that keeps the runs of another model."""
-    (kept,) = connection.execute("SELECT value FROM meta WHERE key = 'model'").fetchone()
+    kept = fact(path, connection, "model")
     if model != kept:
         raise LedgerError(
             f"{path} keeps the runs of another model",
@@ -233,6 +234,14 @@ def require_model(path: Path, connection: sqlite3.Connection, model: str) -> Non
             expected="one and the same model",
             remedy=f"Move {path.name} away or use a new study folder for the changed model.",
         )
+
+
+def fact(path: Path, connection: sqlite3.Connection, key: str) -> str:
+    """Return a row of the table `meta`; a ledger without it is damaged."""
+    row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+    if row is None:
+        raise _damaged(path, f"no row {key} in its table meta")
+    return str(row[0])
 
 
 def has_table(connection: sqlite3.Connection, name: str) -> bool:

@@ -29,6 +29,7 @@ from strandline.runs.record import STATES
 from strandline.studies.observed import TO_MM, read_points
 from strandline.studies.schema import ActiveFile, Failures, Input, Quantity, Refine, StudyFile
 from strandline.surrogate import KERNELS
+from strandline.text import decimal
 
 __all__ = [
     "build_active",
@@ -416,9 +417,10 @@ def _option(value: Any, annotation: Any, place: str) -> Any:
     """Return an option as its plain type wants it; other types are left to the class."""
     kinds = [kind for kind in get_args(annotation) or (annotation,) if kind is not type(None)]
     if kinds == [float]:
-        with contextlib.suppress(TypeError, ValueError):
-            if not isinstance(value, bool):
-                return float(value)
+        number = decimal(value) if isinstance(value, str) else value
+        if isinstance(number, int | float) and not isinstance(number, bool):
+            with contextlib.suppress(OverflowError):
+                return float(number)
     elif kinds not in ([int], [str]) or (isinstance(value, kinds[0]) and not isinstance(value, bool)):
         return value
     raise InvalidStudy(place, value=value, expected=PLAIN_TYPES[kinds[0]], remedy=f"Correct {place}.")

@@ -20,6 +20,7 @@ __all__ = [
     "REPORT",
     "STUDY",
     "SUMMARY",
+    "require_temporary",
     "require_writable",
     "told_if_unwritable",
     "whole_file",
@@ -39,9 +40,12 @@ CHECK_LEDGER = "check.sqlite"
 def require_writable(folder: Path) -> None:
     """Refuse a folder in which no file can be made; where the system can, the try leaves no trace.
 
+    Temporary folders are tried as well, for runs are made in them.
+
     Raises:
         InvalidStudy: with the system's reason.
     """
+    require_temporary()
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -51,6 +55,28 @@ def require_writable(folder: Path) -> None:
             value=f"{folder}: {error.strerror}",
             expected="a folder with write permission, for the ledger and the results",
             remedy="Change its permissions, or copy the study elsewhere.",
+        ) from None
+
+
+def require_temporary() -> None:
+    """Refuse an environment in which runs cannot have folders of their own: TMPDIR is not there, or nothing else is.
+
+    Python itself would pass over a wrong TMPDIR and fill another disk.
+
+    Raises:
+        InvalidStudy: with the folder.
+    """
+    named = next((name for name in ("TMPDIR", "TEMP", "TMP") if os.environ.get(name)), None)
+    place = os.environ[named] if named else None
+    try:
+        with tempfile.TemporaryDirectory(dir=place):
+            return
+    except OSError as error:
+        raise InvalidStudy(
+            "forward runs can have no temporary folders",
+            value=f"{named} = {place}: {error.strerror}" if named else str(error),
+            expected="a folder that exists, with write permission and room",
+            remedy=f"Make the folder, or correct {named}." if named else "Set TMPDIR to such a folder.",
         ) from None
 
 

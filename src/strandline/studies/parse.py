@@ -4,12 +4,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
-from strandline.studies.schema import SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
+from strandline.studies.schema import ONE, SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
+from strandline.studies.yaml_text import load_yaml
 
 __all__ = ["parse_study"]
 
@@ -28,10 +28,13 @@ WORDS = {
     "bool_type": "true or false",
     "string_type": "a text",
     "string_pattern_mismatch": "letters, digits and . _ - only, a letter or digit first",
+    "string_too_long": "at most 100 characters",
     "too_long": "exactly one entry",
     "too_short": "at least one entry",
 }
 """What was expected, for a person, by pydantic's name of the mistake; else pydantic's own words."""
+INTERNAL = {ONE, SEVERAL, "[key]", "float", "Quantity", "dict"}
+"""pydantic's own names of places that are no keys of the file."""
 
 
 def parse_study(folder: Path) -> tuple[StudyFile, str]:
@@ -54,25 +57,6 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
         return StudyFile.model_validate(content), text
     except ValidationError as error:
         raise _first_problem(error) from None
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses repeated keys."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Return the mapping of a node; a key for the second time is refused with its line."""
-        seen = []
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                raise InvalidStudy(
-                    f"{STUDY}, line {key_node.start_mark.line + 1}: a key for the second time",
-                    value=key,
-                    expected="every key once",
-                    remedy="Remove one of them.",
-                )
-            seen.append(key)
-        return super().construct_mapping(node, deep=deep)
 
 
 def _read(folder: Path) -> str:
@@ -99,19 +83,7 @@ def _read(folder: Path) -> str:
 
 
 def _load(path: Path, text: str) -> dict[str, Any]:
-    try:
-        content = yaml.load(text, Loader=_Loader)
-    except InvalidStudy:
-        raise
-    except (yaml.YAMLError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise InvalidStudy(
-            f"{path.name}{where} is not valid YAML",
-            value=f"a mistake in its syntax: {getattr(error, 'problem', None) or error}",
-            expected="YAML",
-            remedy="Correct the line, or the one before it.",
-        ) from None
+    content = load_yaml(text)
     if not isinstance(content, dict):
         raise InvalidStudy(
             f"{path.name} holds no keys",
@@ -126,6 +98,9 @@ def _first_problem(error: ValidationError) -> InvalidStudy:
     """Translate pydantic's findings: an unknown key first, since it explains missing ones."""
     findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = findings[0]
+    refused = first.get("ctx", {}).get("error")
+    if isinstance(refused, InvalidStudy):
+        return refused
     place = _place(first["loc"])
     unknown = first["type"] == "extra_forbidden"
     others = {_place(e["loc"]) for e in findings if not (unknown and e["type"] == "missing")} - {place}
@@ -183,7 +158,9 @@ def _model_within(annotation: Any) -> Any:
 
 def _is_internal(part: int | str) -> bool:
     """Tell pydantic's own names of union branches from keys of the file."""
-    return isinstance(part, str) and any(mark in part for mark in ("[", "function-", "dict", "Quantity", "float"))
+    return isinstance(part, str) and (
+        part in INTERNAL or part.startswith(("function-", "dict[", "list[", "constrained"))
+    )
 
 
 def _expectation(kind: str, message: str) -> str:

@@ -13,7 +13,22 @@ from pydantic import (
     model_validator,
 )
 
+from strandline.errors import InvalidStudy
 from strandline.interface import is_condition
+from strandline.studies.scalars import (
+    MOST,
+    MOST_VALUES,
+    VARIANCES,
+    Count,
+    Name,
+    Number,
+    Seconds,
+    Seed,
+    Text,
+    Unit,
+    Whole,
+)
+from strandline.studies.schema_failures import Failures
 
 __all__ = ["SCHEMA_VERSION", "SEVERAL", "StudyFile"]
 
@@ -22,15 +37,6 @@ ONE, SEVERAL = "[one]", "[several]"
 """Branches of `observation`, as pydantic names them in the place of a mistake."""
 
 
-def _number(value: Any) -> Any:
-    """Refuse true/false and text where a number is wanted; accept `1e-5`, which YAML 1.1 reads as text."""
-    if isinstance(value, bool):
-        raise ValueError("a number, not a truth value")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
-Count = Annotated[int, BeforeValidator(_number), Field(ge=1)]
 Options = dict[str, Any]
 Choice = Annotated[dict[str, Options | None], Field(min_length=1, max_length=1)]
 """One named variant with its options: ``{currents: {width: 0.005}}``."""
@@ -44,7 +50,7 @@ class Quantity(_Strict):
     """A known input with its unit."""
 
     value: Number
-    unit: str
+    unit: Unit
 
 
 def _symbol(value: str) -> str:
@@ -58,7 +64,7 @@ class Input(_Strict):
     """An unknown input."""
 
     prior: Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]
-    unit: str | None = None
+    unit: Unit | None = None
     box: tuple[Number, Number] | None = None
     nuisance: Annotated[bool, Field(strict=True)] = False
     label: Annotated[str, AfterValidator(_symbol)] | None = None
@@ -68,7 +74,7 @@ class ObservationNoise(_Strict):
     """Noise on the node coordinates of a synthetic observation."""
 
     sd: Annotated[Number, Field(gt=0)]
-    seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
+    seed: Seed | None = None
 
 
 class ObservationFile(_Strict):
@@ -166,14 +172,24 @@ class Noise(_Strict):
     def _one_of_both(self) -> "Noise":
         if (self.variance is None) == (self.sd is None):
             raise ValueError("either `variance` or `sd`")
+        low, high = VARIANCES
+        if not low <= self.squared <= high:
+            raise ValueError(f"a σ_N² from {low:g} to {high:g}, the square of σ_N: the likelihood overflows beyond")
         return self
+
+    @property
+    def squared(self) -> float:
+        """σ_N²; infinite where the square of σ_N is no number."""
+        if self.variance is not None:
+            return self.variance
+        return float(self.sd) ** 2 if self.sd is not None and self.sd < 1e150 else float("inf")
 
 
 class Sobol(_Strict):
     """Consecutive points of one Sobol sequence."""
 
     runs: Count
-    scramble: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
+    scramble: Seed | None = None
 
 
 class Refine(_Strict):
@@ -189,7 +205,7 @@ class ActiveFile(_Strict):
 
     runs: Count
     initial: Count | None = None
-    scramble: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] | None = None
+    scramble: Seed | None = None
     batch: Count | None = None
     explore: Number | None = None
     criterion: str | None = None
@@ -243,7 +259,7 @@ class Surrogate(_Strict):
 class SMC(_Strict):
     """Adaptive tempered Sequential Monte Carlo."""
 
-    particles: Annotated[int, BeforeValidator(_number), Field(ge=10)] = 5000
+    particles: Annotated[Whole, Field(ge=10, le=MOST)] = 5000
     rejuvenation_steps: Count = 15
     zeta: Annotated[Number, Field(gt=0, lt=1)] = 0.5
 
@@ -251,7 +267,7 @@ class SMC(_Strict):
 class CutReading(_Strict):
     """The cut reading of the posterior under uncertainty."""
 
-    values: Annotated[int, BeforeValidator(_number), Field(ge=2)] = 32
+    values: Annotated[Whole, Field(ge=2, le=MOST_VALUES)] = 32
 
 
 class Sampler(_Strict):
@@ -259,10 +275,6 @@ class Sampler(_Strict):
 
     smc: SMC = SMC()
     cut: CutReading = CutReading()
-
-
-Seconds = Annotated[Number, Field(gt=0)]
-Text = Annotated[str, Field(strict=True, min_length=1)]
 
 
 def _quoted(value: Any) -> Any:
@@ -305,7 +317,7 @@ class Dask(_Strict):
     cluster: Literal["local", "slurm", "pbs"] | None = None
     address: Text | None = None
     workers: Count | None = None
-    minimum: Annotated[int, BeforeValidator(_number), Field(ge=0)] | None = None
+    minimum: Annotated[Whole, Field(ge=0, le=MOST)] | None = None
     maximum: Count | None = None
     timeout: Seconds | None = None
     jobs: DaskJobs | None = None
@@ -341,47 +353,14 @@ class ExecutorChoice(_Strict):
         return self
 
 
-def _action(value: Any) -> Any:
-    """Return `continue`, `abort`, or the number of retries."""
-    if value in ("continue", "abort"):
-        return value
-    times = value.get("retry") if isinstance(value, dict) and len(value) == 1 else None
-    if isinstance(times, int) and not isinstance(times, bool) and times >= 1:
-        return times
-    raise ValueError("continue, abort, or {retry: N} with N at least 1")
-
-
-class Stop(_Strict):
-    """When a campaign nearly all of whose runs fail is stopped."""
-
-    share: Annotated[Number, Field(gt=0, le=1)] = 0.95
-    after: Count = 20
-
-
-def _stop(value: Any) -> Any:
-    """Return None for `never`, and refuse other words."""
-    if isinstance(value, str):
-        if value != "never":
-            raise ValueError("never, or {share: 0.95, after: 20}")
-        return None
-    return value
-
-
-class Failures(_Strict):
-    """What is done about forward runs that fail, by kind or state."""
-
-    kinds: dict[str, Annotated[str | int, BeforeValidator(_action)]] = {}
-    stop: Annotated[Stop | None, BeforeValidator(_stop)] = Stop()
-
-
 class StudyFile(_Strict):
     """The whole of study.yaml."""
 
     version: Literal[1]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
     model: Choice
-    fixed: dict[str, Number | Quantity] = {}
-    inputs: Annotated[dict[str, Input], Field(min_length=1)]
+    fixed: dict[Name, Number | Quantity] = {}
+    inputs: Annotated[dict[Name, Input], Field(min_length=1)]
     observation: Observed
     discrepancy: Choice | Annotated[list[Choice], Field(min_length=1)]
     noise: Noise
@@ -392,12 +371,23 @@ class StudyFile(_Strict):
     failures: Failures = Failures()
     sensitivities: Annotated[bool, Field(strict=True)] = False
     reuse: list[str] = []
-    seed: Annotated[int, BeforeValidator(_number), Field(ge=0, lt=2**32)] = 1
+    seed: Seed = 1
 
     @model_validator(mode="after")
     def _fitting_surrogate(self) -> "StudyFile":
         if self.design.active is not None and self.surrogate.log_likelihood is not None:
-            raise ValueError("`surrogate: {field: {}}` for an active design, or `design: {sobol: {runs: …}}`")
+            raise _unfit(
+                "an active design with a surrogate of the log-likelihood",
+                "`surrogate: {field: {}}` for an active design, or `design: {sobol: {runs: …}}`",
+            )
         if self.design.refine is not None and self.surrogate.field is not None:
-            raise ValueError("`design: {active: …}` to refine a surrogate of the field")
+            raise _unfit(
+                "rounds of refinement with a surrogate of the field",
+                "`design: {active: …}` to refine a surrogate of the field",
+            )
         return self
+
+
+def _unfit(value: str, expected: str) -> InvalidStudy:
+    what = "study.yaml: design and surrogate do not fit together"
+    return InvalidStudy(what, value=value, expected=expected, remedy="Change one of the two keys.")

@@ -106,7 +106,7 @@ def load_study(folder: Path) -> Study:
         space=space,
         fixed=fixed,
         discrepancies=build.build_discrepancies(content.discrepancy),
-        noise_variance=content.noise.variance or (content.noise.sd or 0.0) ** 2,
+        noise_variance=content.noise.squared,
         observed=observed,
         truth=truth,
         synthetic_noise=_synthetic_noise(content),
@@ -207,7 +207,11 @@ def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> tuple[I
 
 def _reused_ledger(folder: Path, other: str) -> Path:
     target = folder / other
-    if not target.is_dir():
+    try:
+        found = target.is_dir()
+    except (OSError, ValueError):  # a name too long, or one that the system cannot hold
+        found = False
+    if not found:
         raise InvalidStudy(
             "reuse",
             value=other,

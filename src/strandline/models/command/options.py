@@ -7,9 +7,11 @@ from typing import Any
 from strandline.errors import InvalidInput
 from strandline.models.command.templates import Template
 from strandline.models.protocol import ModelInput
+from strandline.text import decimal
 
 __all__ = ["commands_of", "declared_by", "exit_codes_of", "seconds", "texts_of"]
 
+LONGEST_SECONDS = 366 * 24 * 3600
 DECLARED = {"unit", "low", "high", "meaning"}
 
 
@@ -70,8 +72,8 @@ def seconds(name: str, value: object) -> None:
     Raises:
         InvalidInput: with the value.
     """
-    if value is not None and not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
-        raise _unfit(name, value, "seconds above 0")
+    if value is not None and not (isinstance(value, int | float) and 0 < value <= LONGEST_SECONDS):
+        raise _unfit(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
 
 
 def declared_by(given: object) -> tuple[ModelInput, ...]:
@@ -104,10 +106,10 @@ def _declared(name: str, options: object) -> ModelInput:
 
 
 def _number_in(text: str, place: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise _unfit(place, text, "a number") from None
+    number = decimal(text)
+    if number is None:
+        raise _unfit(place, text, "a number")
+    return number
 
 
 def _is_name(value: object) -> bool:

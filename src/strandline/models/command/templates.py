@@ -39,6 +39,13 @@ class Template:
                 expected="a Jinja2 template",
                 remedy="Correct the line; {% raw %}…{% endraw %} keeps braces as they are.",
             ) from None
+        except (RecursionError, SyntaxError, MemoryError, OverflowError, ValueError) as error:
+            raise InvalidInput(
+                f"the template {self.place} cannot be compiled",
+                value=f"{type(error).__name__}: {error}",
+                expected="expressions of ordinary depth and size",
+                remedy="Simplify the expressions between braces.",
+            ) from None
 
     @property
     def names(self) -> frozenset[str]:

@@ -8,6 +8,8 @@ __all__ = ["SPARE_SECONDS", "require_count", "require_room_in_walltime", "requir
 
 SPARE_SECONDS = 60.0
 """What a job needs of its walltime before and after a run."""
+LONGEST_TIMEOUT = 366 * 24 * 3600.0
+"""Seconds; clocks and pipes overflow further up."""
 DAYS = re.compile(r"(?P<days>\d+)-(?P<hours>\d+)(:(?P<minutes>\d+))?(:(?P<seconds>\d+))?")
 CLOCK = re.compile(r"((?P<hours>\d+):)?(?P<minutes>\d+):(?P<seconds>\d+)")
 
@@ -19,12 +21,12 @@ def require_count(what: str, value: int | None, *, remedy: str, least: int = 1) 
 
 
 def require_timeout(timeout: float | None) -> None:
-    """Refuse a timeout that is no time."""
-    if timeout is not None and not timeout > 0:
+    """Refuse a timeout that is no time, or longer than a year."""
+    if timeout is not None and not 0 < timeout <= LONGEST_TIMEOUT:
         raise InvalidInput(
             "timeout of a run",
             value=timeout,
-            expected="seconds above 0",
+            expected=f"seconds above 0, at most {LONGEST_TIMEOUT:.0f} (a year)",
             remedy="Leave it out for no limit.",
         )
 

@@ -1,0 +1,81 @@
+"""Numbers, names and texts as study.yaml may hold them; each refuses what could not be used later."""
+
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from strandline.text import decimal, is_label, is_name
+
+__all__ = [
+    "LONGEST_SECONDS",
+    "MOST",
+    "MOST_RETRIES",
+    "MOST_VALUES",
+    "VARIANCES",
+    "Count",
+    "Name",
+    "Number",
+    "Seconds",
+    "Seed",
+    "Text",
+    "Unit",
+    "Whole",
+]
+
+MOST = 1_000_000
+"""Largest count of runs, particles, workers and so on: more than anybody needs, and few enough for memory."""
+LONGEST_SECONDS = 366 * 24 * 3600
+MOST_RETRIES = 1000
+MOST_VALUES = 10_000
+"""Values of the nuisance inputs; the sampler runs once for each."""
+VARIANCES = 1e-30, 1e30
+"""Least and largest σ_N²; beyond, likelihoods overflow."""
+
+
+def _number(value: Any) -> Any:
+    """Refuse true/false and text where a number is wanted; accept `1e-5`, which YAML 1.1 reads as text."""
+    if isinstance(value, bool):
+        raise ValueError("a number, not a truth value")
+    if isinstance(value, str):
+        number = decimal(value)
+        if number is None:
+            raise ValueError("a finite number" if value.strip(".+-").lower() in ("nan", "inf") else "a number")
+        return number
+    return value
+
+
+def _whole(value: Any) -> Any:
+    """Refuse true/false and text, `"80"` too, where a whole number is wanted."""
+    if isinstance(value, bool):
+        raise ValueError("a number, not a truth value")
+    if isinstance(value, str):
+        raise ValueError("a whole number, without quotes" if decimal(value) is not None else "a whole number")
+    return value
+
+
+def _name(value: str) -> str:
+    if not is_name(value):
+        raise ValueError("a short name on one line, without / \\ = $ and without blanks at its ends")
+    return value
+
+
+def _label(value: str) -> str:
+    if not is_label(value):
+        raise ValueError("a short text on one line without $, e.g. mm²/s")
+    return value
+
+
+def _seconds(value: float) -> float:
+    if value > LONGEST_SECONDS:
+        raise ValueError(f"at most {LONGEST_SECONDS} seconds, a year: left out, there is no limit")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
+Whole = Annotated[int, BeforeValidator(_whole)]
+Count = Annotated[Whole, Field(ge=1, le=MOST)]
+Seed = Annotated[Whole, Field(ge=0, lt=2**32)]
+Name = Annotated[str, AfterValidator(_name)]
+Unit = Annotated[str, AfterValidator(_label)]
+Seconds = Annotated[Number, Field(gt=0), AfterValidator(_seconds)]
+Text = Annotated[str, Field(strict=True, min_length=1)]

@@ -1,0 +1,46 @@
+"""The key `failures` of study.yaml."""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from strandline.studies.scalars import MOST_RETRIES, Count, Number
+
+__all__ = ["Failures", "Stop"]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _action(value: Any) -> Any:
+    """Return `continue`, `abort`, or the number of retries."""
+    if value in ("continue", "abort"):
+        return value
+    times = value.get("retry") if isinstance(value, dict) and len(value) == 1 else None
+    if isinstance(times, int) and not isinstance(times, bool) and 1 <= times <= MOST_RETRIES:
+        return times
+    raise ValueError(f"continue, abort, or {{retry: N}} with N from 1 to {MOST_RETRIES}")
+
+
+class Stop(_Strict):
+    """When a campaign nearly all of whose runs fail is stopped."""
+
+    share: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    after: Count = 20
+
+
+def _stop(value: Any) -> Any:
+    """Return None for `never`, and refuse other words."""
+    if isinstance(value, str):
+        if value != "never":
+            raise ValueError("never, or {share: 0.95, after: 20}")
+        return None
+    return value
+
+
+class Failures(_Strict):
+    """What is done about forward runs that fail, by kind or state."""
+
+    kinds: dict[str, Annotated[str | int, BeforeValidator(_action)]] = {}
+    stop: Annotated[Stop | None, BeforeValidator(_stop)] = Stop()

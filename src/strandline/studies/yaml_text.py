@@ -1,0 +1,158 @@
+"""The text of study.yaml → plain data: safe YAML, bounded, with the line of each mistake."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import yaml
+
+from strandline.errors import InvalidStudy
+from strandline.studies.folder import STUDY
+
+__all__ = ["load_yaml"]
+
+DEEPEST = 40
+"""Lists and mappings within each other."""
+LARGEST = 100_000
+"""Values in all, those that an alias repeats counted each time."""
+DIGITS = 300
+"""Of a whole number; a float has no more before the point."""
+CORE = {f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map", "merge")}
+DATE = "tag:yaml.org,2002:timestamp"
+NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+UNUSABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ud800-\udfff\ufffe\uffff]")
+"""Characters that no file name, no name and no command can hold, and that a terminal may act upon."""
+
+
+def load_yaml(text: str) -> Any:
+    """Return the content of `text`.
+
+    Numbers with underscores are texts: YAML 1.1 would read ``1_0`` as 10.
+
+    Raises:
+        InvalidStudy: with the line: no YAML, a key twice, a tag, nesting or repetition beyond all use.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except InvalidStudy:
+        raise
+    except (yaml.YAMLError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = getattr(error, "problem", None) or error
+        raise _not_yaml(mark, f"a mistake in its syntax: {problem}") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that refuses repeated keys, tags of its own and what would take all memory."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self.depth = 0
+        self.open_anchors: set[str] = set()
+        self.extents: dict[int, tuple[int, int]] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Return the next node; the depth is bounded, and an anchor cannot hold an alias of itself."""
+        event = self.peek_event()
+        name = getattr(event, "anchor", None)
+        if self.depth >= DEEPEST:
+            raise _too_deep(event.start_mark)
+        if name in self.open_anchors and isinstance(event, yaml.AliasEvent):
+            raise _not_yaml(event.start_mark, f"*{name} within &{name} itself", "an alias of something before it")
+        opened = {name} - {None} - self.open_anchors
+        self.depth += 1
+        self.open_anchors |= opened
+        try:
+            node = super().compose_node(parent, index)
+        finally:
+            self.depth -= 1
+            self.open_anchors -= opened
+        if node is not None:
+            self._require_bearable(node, event.start_mark)
+        return node
+
+    def _require_bearable(self, node: yaml.Node, mark: Any) -> None:
+        """Refuse a node that aliases, each counted as what it stands for, make too deep or too large."""
+        below = [self.extents[id(child)] for child in _children(node)]
+        size, height = 1 + sum(size for size, _ in below), 1 + max((height for _, height in below), default=0)
+        if height > DEEPEST:
+            raise _too_deep(mark)
+        if size > LARGEST:
+            raise _not_yaml(mark, "aliases (*name) that repeat each other", f"at most {LARGEST} values in all")
+        self.extents[id(node)] = size, height
+
+    def compose_scalar_node(self, anchor: str | None) -> yaml.ScalarNode:
+        """Return a scalar without control characters."""
+        node = super().compose_scalar_node(anchor)
+        found = UNUSABLE.search(node.value)
+        if found:
+            raise _not_yaml(node.start_mark, repr(found[0])[1:-1], "no control characters", "Remove the character.")
+        return node
+
+    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+        """Return a mapping whose keys are texts or numbers, each there once."""
+        node = super().compose_mapping_node(anchor)
+        seen = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise _not_yaml(key.start_mark, "a list or mapping as a key", "a word before the colon")
+            if (key.tag, key.value) in seen:
+                raise InvalidStudy(
+                    f"{STUDY}, line {key.start_mark.line + 1}: a key for the second time",
+                    value=key.value,
+                    expected="every key once",
+                    remedy="Remove one of them.",
+                )
+            seen.add((key.tag, key.value))
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """Return the value of a node; one that is not what its tag says is refused with its line."""
+        if node.tag not in CORE and not (node.tag == DATE and isinstance(node, yaml.ScalarNode)):
+            raise _not_yaml(node.start_mark, f"the tag {node.tag}", "plain YAML without tags", "Remove the tag.")
+        if node.tag in NUMBERS and len(node.value) > DIGITS:
+            raise _not_yaml(node.start_mark, f"a number of {len(node.value)} digits", f"at most {DIGITS} digits")
+        if node.tag in NUMBERS and "_" in node.value:
+            raise _not_yaml(node.start_mark, node.value, "a number without underscores")
+        try:
+            value: Any = super().construct_object(node, deep=deep)
+        except (KeyError, ValueError, AttributeError, TypeError, OverflowError, IndexError) as error:
+            if isinstance(error, InvalidStudy):
+                raise
+            kind = node.tag.rpartition(":")[2]
+            why = f": {error}" if type(error) is ValueError else ""
+            raise _not_yaml(node.start_mark, f"{node.value!r}, which is no {kind}{why}") from None
+        return value
+
+
+def _children(node: yaml.Node) -> Iterator[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        for pair in node.value:
+            yield from pair
+    elif isinstance(node, yaml.SequenceNode):
+        yield from node.value
+
+
+def _too_deep(mark: Any) -> InvalidStudy:
+    return _not_yaml(mark, "lists or mappings within each other", f"at most {DEEPEST} of them")
+
+
+def _not_yaml(
+    mark: Any, value: str, expected: str = "YAML", remedy: str = "Correct the line, or the one before it."
+) -> InvalidStudy:
+    where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+    return InvalidStudy(f"{STUDY}{where} is not valid YAML", value=value, expected=expected, remedy=remedy)
+
+
+def _without_underscores() -> dict[Any, Any]:
+    """Return YAML 1.1's rules for plain words, numbers without the underscores that nobody means."""
+    changed: dict[Any, Any] = {}
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items():
+        changed[first] = [
+            (tag, re.compile(f"(?!.*_)(?:{rule.pattern})", re.VERBOSE) if tag in NUMBERS else rule)
+            for tag, rule in rules
+        ]
+    return changed
+
+
+_Loader.yaml_implicit_resolvers = _without_underscores()

@@ -1,0 +1,74 @@
+"""What names, units and numbers may look like where a person writes them; every face of the package asks here."""
+
+import re
+from collections.abc import Collection
+
+from strandline.errors import InvalidInput
+
+__all__ = ["LONGEST", "decimal", "is_label", "is_name", "require_label", "require_name"]
+
+LONGEST = 64
+"""Characters of a name or a unit."""
+NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+NOT_IN_NAMES = frozenset("/\\=$")
+
+
+def is_label(text: object) -> bool:
+    """Tell whether `text` can stand in figures, tables and files: short, on one line, without the `$` of formulas."""
+    return isinstance(text, str) and len(text) <= LONGEST and text.isprintable() and "$" not in text
+
+
+def is_name(text: object) -> bool:
+    """Tell whether `text` can name an input: a label that netCDF files and ``--set NAME=NUMBER`` can hold."""
+    return (
+        isinstance(text, str)
+        and is_label(text)
+        and text == text.strip()
+        and text not in ("", ".", "..")
+        and not NOT_IN_NAMES & set(text)
+    )
+
+
+def require_label(what: str, text: object) -> None:
+    """Refuse a text that cannot stand in figures, tables and files.
+
+    Raises:
+        InvalidInput: with `what` it is.
+    """
+    if not is_label(text):
+        raise InvalidInput(
+            what,
+            value=text,
+            expected=f"at most {LONGEST} characters on one line, without $",
+            remedy="Write it as plain text, e.g. mm²/s.",
+        )
+
+
+def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> None:
+    """Refuse a text that cannot name an input, and the `reserved` names.
+
+    Raises:
+        InvalidInput: with `what` it is.
+    """
+    if text in reserved:
+        raise InvalidInput(
+            what,
+            value=text,
+            expected=f"none of the names that the results use themselves: {', '.join(reserved)}",
+            remedy="Rename the input.",
+        )
+    if not is_name(text):
+        raise InvalidInput(
+            what,
+            value=text or "an empty name",
+            expected=f"at most {LONGEST} characters on one line, without blanks at the ends and without / \\ = $",
+            remedy="Rename the input.",
+        )
+
+
+def decimal(text: str) -> float | None:
+    """Return the number that `text` is, in the digits 0 to 9 with a point and an exponent; None for all else.
+
+    ``float`` alone would read ``1_0`` as 10 and take the digits of every script, and ``nan`` and ``inf``.
+    """
+    return float(text) if NUMBER.fullmatch(text) else None
