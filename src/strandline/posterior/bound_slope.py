@@ -65,4 +65,4 @@ def _normal(z: Float[np.ndarray, "*point"]) -> Float[np.ndarray, "*point"]:
 def _moment(z: Float[np.ndarray, " point"]) -> Float[np.ndarray, " point"]:
     """Return z φ(z), zero at infinity."""
     finite = np.where(np.isfinite(z), z, 0.0)
-    return finite * _normal(finite)
+    return np.asarray(finite * _normal(finite))

@@ -101,7 +101,7 @@ class KernelDensity:
             uniform = qmc.Sobol(1, rng=0).random_base2(max(number - 1, 1).bit_length())[:number, 0]
             grid, values = self._table
             below = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
-            return np.interp(uniform * below[-1], below, grid)[:, None]
+            return np.asarray(np.interp(uniform * below[-1], below, grid)[:, None])
         cube = qmc.Sobol(self.dim + 1, rng=0).random_base2(max(number - 1, 1).bit_length())[:number]
         cumulative = np.cumsum(self.weights)
         chosen = np.minimum(np.searchsorted(cumulative, cube[:, 0] * cumulative[-1]), len(cumulative) - 1)
@@ -138,8 +138,9 @@ class KernelDensity:
     def _table(self) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
         """Places across all kernels of a single input, and `_raw` there."""
         reach = float(_reach(self.factor)[0])
-        ends = self.centres.min() - reach, self.centres.max() + reach
-        grid = np.linspace(*np.clip(ends, *self.bounds[0]), _INTEGRAL_POINTS)
+        low = max(float(self.bounds[0, 0]), float(self.centres.min()) - reach)
+        high = min(float(self.bounds[0, 1]), float(self.centres.max()) + reach)
+        grid = np.linspace(low, high, _INTEGRAL_POINTS)
         return grid, self._raw(grid[:, None])
 
     @cached_property
