@@ -53,14 +53,14 @@ def test_a_narrow_gap_has_elements_across(name: str) -> None:
     mesh = mesh_flow_cell(slit, MESHES[name], CHANNEL)
     top = sorted({mesh.vertices[v.nr].point[0] for e in mesh.Elements(ng.BND) if e.mat == "top" for v in e.vertices})
     assert np.diff(top).max() <= 1.2 * 0.2 * min(0.25, MESHES[name].far / 0.5)
-    wide = Outline(((0.0, 0.1), (1.0, 0.1), (2.0, 0.0)), spline=False).interface()
+    wide = Outline(((0.5, 0.0), (1.0, 0.49), (1.5, 0.0)), spline=False).interface()
     assert len(gap_sizes(wide, MESHES[name], CHANNEL)) == 0
 
 
 def test_a_gap_narrows_elements_nowhere_else() -> None:
     bump = Outline(((0.5, 0.0), (0.7, 0.6), (1.0, 0.8), (1.3, 0.6), (1.5, 0.0))).interface()
     places = gap_sizes(bump, MESHES["coarse"], Channel(length=8.0))
-    assert 0.5 < places[:, 0].min() < places[:, 0].max() < 1.5
+    assert 0.48 < places[:, 0].min() < places[:, 0].max() < 1.52
     long, short = (mesh_flow_cell(bump, MESHES["coarse"], Channel(length=x)).ne for x in (8.0, 2.0))
     assert long - short < 6.0 / (0.43 * 0.18**2)
 
