@@ -135,9 +135,10 @@ def test_every_command_is_described_with_its_options() -> None:
     }
     known = {}
     for name, command in every_command():
-        argument = next(p for p in command.params if isinstance(p, click.Argument))
+        arguments = [p for p in command.params if isinstance(p, click.Argument)]
         options = {p.opts[0] for p in command.params if isinstance(p, click.Option)}
-        known[f"strandline {name} {argument.make_metavar(click.Context(command))}"] = options
+        metavars = [argument.make_metavar(click.Context(command)) for argument in arguments]
+        known[" ".join(["strandline", name, *metavars])] = options
     assert described == known
 
 
