@@ -1,12 +1,10 @@
 """`StudyFile` → domain objects, with every check that needs no forward run."""
 
-import contextlib
 import dataclasses
 import importlib
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +24,11 @@ from strandline.priors import PRIORS, Prior
 from strandline.runs import FailurePolicy, Retry
 from strandline.runs.failures import COMMON_KINDS
 from strandline.runs.record import STATES
+from strandline.studies.chosen import construct, entry, suggestion
 from strandline.studies.observed import TO_MM, read_points
-from strandline.studies.schema import ActiveFile, Failures, Input, Quantity, Refine, StudyFile
+from strandline.studies.schema import ActiveFile, Input, Quantity, Refine, StudyFile
+from strandline.studies.schema_failures import Failures
 from strandline.surrogate import KERNELS
-from strandline.text import decimal
 
 __all__ = [
     "build_active",
@@ -47,7 +46,6 @@ __all__ = [
 ]
 
 MASS_CUT_ACCEPTED = 0.5
-PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
 
 def build_model(
@@ -66,14 +64,14 @@ def build_model(
             expected="`sensitivities: true` as a key of the study",
             remedy="Move the key to the top level of study.yaml.",
         )
-    target = _entry(MODELS, name, "model")
+    target = entry(MODELS, name, "model")
     module, _, attribute = target.partition(":")
     factory = getattr(importlib.import_module(module), attribute)
     if wants_folder(factory):
-        model: ForwardModel = _construct(factory, options, f"model.{name}", folder=folder)
+        model: ForwardModel = construct(factory, options, f"model.{name}", folder=folder)
     else:
         options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
-        model = _construct(factory, options, f"model.{name}")
+        model = construct(factory, options, f"model.{name}")
     return _sensitive(model) if sensitivities else model
 
 
@@ -110,7 +108,7 @@ def build_discrepancies(
             raise InvalidStudy(
                 "discrepancy", value=name, expected="each measure once", remedy=f"Remove the second {name}."
             )
-        result[name] = _construct(_entry(DISCREPANCIES, name, "discrepancy"), options, f"discrepancy.{name}")
+        result[name] = construct(entry(DISCREPANCIES, name, "discrepancy"), options, f"discrepancy.{name}")
     return result
 
 
@@ -119,7 +117,7 @@ def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:
     if declared_failure_kinds(model) is not None:
         known = dict.fromkeys(failure_words(model))
         for kind in given.kinds:
-            _entry(known, kind, "failures.kinds")
+            entry(known, kind, "failures.kinds")
     actions = {kind: action if isinstance(action, str) else Retry(action) for kind, action in given.kinds.items()}
     if given.stop is None:
         return FailurePolicy(actions, stop_share=2.0)
@@ -256,7 +254,7 @@ def check_refine(refine: Refine | None, particles: int) -> None:
 
 def check_kernel(name: str) -> str:
     """Return `name` if a kernel is called so."""
-    _entry(KERNELS, name, "surrogate.log_likelihood.kernel")
+    entry(KERNELS, name, "surrogate.log_likelihood.kernel")
     return name
 
 
@@ -293,7 +291,7 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
 
 def _prior(name: str, item: Input) -> Prior:
     (kind, numbers) = next(iter(item.prior.items()))
-    prior_class: Any = _entry(PRIORS, kind, f"inputs.{name}.prior")
+    prior_class: Any = entry(PRIORS, kind, f"inputs.{name}.prior")
     wanted = dataclasses.fields(prior_class)
     if len(numbers) != len(wanted):
         raise InvalidStudy(
@@ -347,7 +345,7 @@ def _check_name(name: str, declared: Mapping[str, Any], place: str) -> None:
             f"{place}: the model has no such input",
             value=name,
             expected=f"one of {', '.join(declared)}",
-            remedy=_suggestion(name, declared, "Correct the name."),
+            remedy=suggestion(name, declared, "Correct the name."),
         )
 
 
@@ -361,69 +359,6 @@ def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, pl
             expected=f"{name}{meaning} in {item.range_text()} {'' if item.unit == '1' else item.unit}".rstrip(),
             remedy=f"Choose values of {name} within this range.",
         )
-
-
-def _entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
-    if name not in registry:
-        raise InvalidStudy(
-            place,
-            value=name,
-            expected=f"one of {', '.join(registry)}",
-            remedy=_suggestion(name, registry, "Choose one of them."),
-        )
-    return registry[name]
-
-
-def _suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
-    close = get_close_matches(name, list(known), n=1)
-    return f"Did you mean {close[0]}?" if close else otherwise
-
-
-def _construct(factory: Any, options: Mapping[str, Any] | None, place: str, **given: Any) -> Any:
-    """Call a frozen dataclass, or its `from_options`, with options from the study; wrong names are told.
-
-    What is `given` is no option.
-    """
-    fields = {f.name: f for f in dataclasses.fields(factory) if f.init and f.name not in given}
-    values = {}
-    for name, value in dict(options or {}).items():
-        if name not in fields:
-            raise InvalidStudy(
-                f"{place}: unknown option",
-                value=name,
-                expected=f"one of {', '.join(fields)}" if fields else "no options",
-                remedy=_suggestion(name, fields, f"Remove {name}."),
-            )
-        values[name] = _option(value, fields[name].type, f"{place}.{name}")
-    for name, field in fields.items():
-        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-        if required and name not in values:
-            raise InvalidStudy(
-                f"{place}.{name}", value=None, expected="this option", remedy=f"Add `{name}: …` to {place}."
-            )
-    try:
-        return getattr(factory, "from_options", factory)(**values, **given)
-    except InvalidInput as error:
-        raise InvalidStudy(
-            f"{place}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
-        ) from None
-    except (TypeError, ValueError) as error:
-        raise InvalidStudy(
-            place, value=options, expected=" ".join(str(error).split()), remedy=f"Correct the options of {place}."
-        ) from None
-
-
-def _option(value: Any, annotation: Any, place: str) -> Any:
-    """Return an option as its plain type wants it; other types are left to the class."""
-    kinds = [kind for kind in get_args(annotation) or (annotation,) if kind is not type(None)]
-    if kinds == [float]:
-        number = decimal(value) if isinstance(value, str) else value
-        if isinstance(number, int | float) and not isinstance(number, bool):
-            with contextlib.suppress(OverflowError):
-                return float(number)
-    elif kinds not in ([int], [str]) or (isinstance(value, kinds[0]) and not isinstance(value, bool)):
-        return value
-    raise InvalidStudy(place, value=value, expected=PLAIN_TYPES[kinds[0]], remedy=f"Correct {place}.")
 
 
 def _plain(unit: str) -> str:

@@ -53,13 +53,13 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Return the next node; the depth is bounded, and an anchor cannot hold an alias of itself."""
-        event = self.peek_event()
-        name = getattr(event, "anchor", None)
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        name: str | None = getattr(event, "anchor", None)
         if self.depth >= DEEPEST:
             raise _too_deep(event.start_mark)
         if name in self.open_anchors and isinstance(event, yaml.AliasEvent):
             raise _not_yaml(event.start_mark, f"*{name} within &{name} itself", "an alias of something before it")
-        opened = {name} - {None} - self.open_anchors
+        opened = set() if name is None else {name} - self.open_anchors
         self.depth += 1
         self.open_anchors |= opened
         try:
@@ -81,7 +81,7 @@ class _Loader(yaml.SafeLoader):
             raise _not_yaml(mark, "aliases (*name) that repeat each other", f"at most {LARGEST} values in all")
         self.extents[id(node)] = size, height
 
-    def compose_scalar_node(self, anchor: str | None) -> yaml.ScalarNode:
+    def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
         """Return a scalar without control characters."""
         node = super().compose_scalar_node(anchor)
         found = UNUSABLE.search(node.value)
@@ -89,7 +89,7 @@ class _Loader(yaml.SafeLoader):
             raise _not_yaml(node.start_mark, repr(found[0])[1:-1], "no control characters", "Remove the character.")
         return node
 
-    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """Return a mapping whose keys are texts or numbers, each there once."""
         node = super().compose_mapping_node(anchor)
         seen = set()

@@ -1,0 +1,77 @@
+"""One named choice of the study file with its options: an entry of a registry, called with them."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import Any, get_args
+
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.text import decimal
+
+__all__ = ["construct", "entry", "suggestion"]
+
+PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
+
+
+def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
+    if name not in registry:
+        raise InvalidStudy(
+            place,
+            value=name,
+            expected=f"one of {', '.join(registry)}",
+            remedy=suggestion(name, registry, "Choose one of them."),
+        )
+    return registry[name]
+
+
+def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
+    close = get_close_matches(name, list(known), n=1)
+    return f"Did you mean {close[0]}?" if close else otherwise
+
+
+def construct(factory: Any, options: Mapping[str, Any] | None, place: str, **given: Any) -> Any:
+    """Call a frozen dataclass, or its `from_options`, with options from the study; wrong names are refused.
+
+    What is `given` is no option.
+    """
+    fields = {f.name: f for f in dataclasses.fields(factory) if f.init and f.name not in given}
+    values = {}
+    for name, value in dict(options or {}).items():
+        if name not in fields:
+            raise InvalidStudy(
+                f"{place}: unknown option",
+                value=name,
+                expected=f"one of {', '.join(fields)}" if fields else "no options",
+                remedy=suggestion(name, fields, f"Remove {name}."),
+            )
+        values[name] = _option(value, fields[name].type, f"{place}.{name}")
+    for name, field in fields.items():
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if required and name not in values:
+            raise InvalidStudy(
+                f"{place}.{name}", value=None, expected="this option", remedy=f"Add `{name}: …` to {place}."
+            )
+    try:
+        return getattr(factory, "from_options", factory)(**values, **given)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"{place}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
+        ) from None
+    except (TypeError, ValueError) as error:
+        raise InvalidStudy(
+            place, value=options, expected=" ".join(str(error).split()), remedy=f"Correct the options of {place}."
+        ) from None
+
+
+def _option(value: Any, annotation: Any, place: str) -> Any:
+    """Return an option as its plain type wants it; other types are left to the class."""
+    kinds = [kind for kind in get_args(annotation) or (annotation,) if kind is not type(None)]
+    if kinds == [float]:
+        number = decimal(value) if isinstance(value, str) else value
+        if isinstance(number, int | float) and not isinstance(number, bool):
+            with contextlib.suppress(OverflowError):
+                return float(number)
+    elif kinds not in ([int], [str]) or (isinstance(value, kinds[0]) and not isinstance(value, bool)):
+        return value
+    raise InvalidStudy(place, value=value, expected=PLAIN_TYPES[kinds[0]], remedy=f"Correct {place}.")
