@@ -9,7 +9,34 @@ from filelock import BaseFileLock, FileLock, Timeout
 from strandline.errors import LedgerError
 from strandline.runs.tables import last_driver
 
-__all__ = ["Hold"]
+__all__ = ["Hold", "locked"]
+
+
+def locked(path: Path) -> BaseFileLock:
+    """Return the driver's lock on the ledger at `path`, taken.
+
+    Raises:
+        LedgerError: another driver holds it, or the folder cannot be written.
+    """
+    lock = FileLock(path.with_suffix(".lock"))
+    try:
+        path.parent.resolve(strict=True)  # the lock would create a missing folder
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise LedgerError(
+            f"{path} is locked",
+            value=f"another run is using it, {last_driver(path)}",
+            expected="one driver at a time",
+            remedy="Wait for the other run to end, or stop it; finished runs stay.",
+        ) from None
+    except OSError as error:
+        raise LedgerError(
+            f"folder of {path} cannot be written",
+            value=str(error),
+            expected="an existing folder with the right to write",
+            remedy="Create the folder or correct its permissions; read_only=True reads without writing.",
+        ) from error
+    return lock
 
 
 class Hold:

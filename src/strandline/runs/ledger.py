@@ -19,12 +19,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from filelock import BaseFileLock, FileLock, Timeout
+from filelock import BaseFileLock
 
 from strandline.errors import LedgerError
 from strandline.runs import schema, tables
 from strandline.runs.exclusions import Exclusion, read_exclusions, require_reason, write_exclusion
-from strandline.runs.hold import Hold
+from strandline.runs.hold import Hold, locked
 from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
 from strandline.runs.plans import Plan, read_plan, rows_to_write
 from strandline.runs.record import RunRecord, RunRequest, excluded
@@ -94,7 +94,7 @@ class Ledger:
                 expected="the model's fingerprint",
                 remedy="Give it, or open the ledger with read_only=True.",
             )
-        lock = _locked(path)
+        lock = locked(path)
         try:
             return cls._for_writing(path, model, description, lock)
         except BaseException:
@@ -378,26 +378,3 @@ class Ledger:
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:
         with translated(self.path):
             return self._connection.execute(sql, values).fetchall()
-
-
-def _locked(path: Path) -> BaseFileLock:
-    """Return the driver's lock on the ledger at `path`, taken."""
-    lock = FileLock(path.with_suffix(".lock"))
-    try:
-        path.parent.resolve(strict=True)  # the lock would create a missing folder
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise LedgerError(
-            f"{path} is locked",
-            value=f"another run is using it, {tables.last_driver(path)}",
-            expected="one driver at a time",
-            remedy="Wait for the other run to end, or stop it; finished runs stay.",
-        ) from None
-    except OSError as error:
-        raise LedgerError(
-            f"folder of {path} cannot be written",
-            value=str(error),
-            expected="an existing folder with the right to write",
-            remedy="Create the folder or correct its permissions; read_only=True reads without writing.",
-        ) from error
-    return lock

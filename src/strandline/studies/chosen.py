@@ -15,6 +15,7 @@ PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
 
 def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
+    """Return the entry `name` of `registry`; one that is not there is refused, with the nearest one named."""
     if name not in registry:
         raise InvalidStudy(
             place,
@@ -26,6 +27,7 @@ def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return a question after the known name nearest to `name`; `otherwise` where none is near."""
     close = get_close_matches(name, list(known), n=1)
     return f"Did you mean {close[0]}?" if close else otherwise
 
