@@ -248,3 +248,29 @@ def _axes() -> Any:
     from matplotlib.figure import Figure
 
     return Figure().subplots()
+
+
+@pytest.mark.parametrize(("seconds", "warns"), [(31.0, True), (29.0, False)])
+def test_a_batch_that_takes_long_to_choose(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    points: np.ndarray,
+    seconds: float,
+    warns: bool,
+) -> None:
+    monkeypatch.setattr("strandline.studies.first_run.seconds_of_a_batch", lambda *_: seconds)
+    folder = observe(tmp_path / "s", points)
+    active = {"design": {"active": {"runs": 60}}, "surrogate": {"field": {}}}
+    shown = checked(folder, capsys, observation=OBSERVED, discrepancy=CLOSEST, **active)
+    expected = "choosing a batch takes about 31 s, to compare interfaces with 17 observed points; to shorten it, keep"
+    assert (expected in shown) == warns
+    assert ("one in 2 of them" in shown) == warns
+
+
+def test_only_an_active_design_chooses_batches(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, points: np.ndarray
+) -> None:
+    monkeypatch.setattr("strandline.studies.first_run.seconds_of_a_batch", lambda *_: 1e6)
+    shown = checked(observe(tmp_path / "s", points), capsys, observation=OBSERVED, discrepancy=CLOSEST)
+    assert "choosing a batch" not in shown

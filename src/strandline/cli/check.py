@@ -65,7 +65,7 @@ def command(study: Path, plot: bool) -> None:
 
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
     """Yield what the run shows: shapes, residual, log-likelihoods, displacement, error of the mesh."""
-    from strandline.studies.first_run import displacement_lines, known_range, mesh_lines, shape_lines
+    from strandline.studies.first_run import batch_lines, displacement_lines, known_range, mesh_lines, shape_lines
 
     yield from shape_lines(study, record)
     for name, value in log_likelihoods.items():
@@ -75,6 +75,7 @@ def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, fl
         yield known
     yield from displacement_lines(study, record)
     yield from mesh_lines(study, record)
+    yield from batch_lines(study, record)
 
 
 def _drawn(study: "Study", record: "RunRecord") -> Path:

@@ -1,11 +1,13 @@
 """What one forward run tells about a study before the others are made."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from strandline.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, count_of_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.field_likelihood import noise_length
@@ -19,6 +21,7 @@ from strandline.studies.study import Study
 
 __all__ = [
     "Noise",
+    "batch_lines",
     "displacement_lines",
     "known_range",
     "mesh_lines",
@@ -218,6 +221,25 @@ def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
                 f"warning{of}: the mesh is too coarse for this noise; take a finer one, such as `mesh: default`, "
                 "or state a larger noise"
             )
+
+
+def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield a warning where choosing each batch of an active design would take long, and how to shorten it."""
+    if study.settings.active is None:
+        return
+    observed = dict(observations_of(study)) or dict(record.interfaces)
+    observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+    try:
+        seconds = seconds_of_a_batch(observations, _measure(study), record.interfaces, study.space.dim)
+    except (InvalidInput, NumericsError):
+        return  # what the measure refuses is said elsewhere
+    if seconds > SLOW_BATCH:
+        number = max(len(seen.points) for seen in observed.values())
+        every = math.ceil(seconds / SLOW_BATCH)
+        yield (
+            f"warning: choosing a batch takes about {seconds:.0f} s, to compare interfaces with {number} observed "
+            f"points; to shorten it, keep one in {every} of them, or let the simulator return fewer nodes"
+        )
 
 
 def _measure(study: Study) -> Discrepancy:
