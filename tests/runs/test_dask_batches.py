@@ -83,7 +83,7 @@ class Choice:
             return []
         self.asked += 1
         self.between(self.asked)
-        tip = sum(float(abs(record.interfaces["interface"].points).sum()) for record in records if record.ok)
+        tip = sum(float(abs(found.points).sum()) for record in records for found in record.interfaces.values())
         return batch_after(300.0 + 1000.0 * (tip % 1.0))
 
 
