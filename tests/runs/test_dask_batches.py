@@ -36,6 +36,7 @@ def test_dask_waits_for_what_follows(check, scheduler):
     check(DaskCluster(address=scheduler), workers=2)
 
 
+@pytest.mark.long
 def test_one_dask_worker_hands_over_before_it_asks_again():
     WAITING_CHECKS["hands_over_before_it_asks_again"](DaskCluster(workers=1), workers=1)
 
@@ -83,7 +84,7 @@ class Choice:
             return []
         self.asked += 1
         self.between(self.asked)
-        tip = sum(float(abs(record.interfaces["interface"].points).sum()) for record in records if record.ok)
+        tip = sum(float(abs(found.points).sum()) for record in records for found in record.interfaces.values())
         return batch_after(300.0 + 1000.0 * (tip % 1.0))
 
 
@@ -110,6 +111,7 @@ def test_each_worker_is_started_once(tmp_path, expected):
     assert not any(alive(process) or alive(above) for process, above in loads(tmp_path))
 
 
+@pytest.mark.long
 def test_a_worker_killed_between_batches_is_replaced(tmp_path, expected):
     """The Dask worker before the second batch; the process beside it, which makes the runs, before the third."""
     shot = []
@@ -128,6 +130,7 @@ def test_a_worker_killed_between_batches_is_replaced(tmp_path, expected):
         assert {ledger.attempts(record.key) for record in ledger} == {1}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_nothing_is_left_behind_after_an_error_between_batches(tmp_path, error):
     def stop(number):
@@ -154,6 +157,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 def test_a_driver_killed_between_batches_is_followed_by_one_that_goes_on(tmp_path, expected):
     root = Path(__file__).parents[2]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
