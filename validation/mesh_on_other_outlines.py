@@ -38,14 +38,14 @@ CASES: Mapping[str, tuple[Biofilm, Mapping[str, float]]] = {
     "flat wide hump": (
         Biofilm(
             channel=Channel(length=4.0),
-            outline=Outline(((0.5, 0), (0.8, 0.12), (1.3, 0.22), (2.0, 0.25), (2.7, 0.22), (3.2, 0.12), (3.5, 0))),
+            outline=Outline(((0.5, 0.0), (0.8, 0.12), (1.3, 0.22), (2.0, 0.25), (2.7, 0.22), (3.2, 0.12), (3.5, 0.0))),
         ),
         {"E": 60.0, "nu": 0.3, "V_in": 100.0},
     ),
     "steep bump with corners": (
         Biofilm(
             material="neo_hookean",
-            outline=Outline(((0.75, 0), (0.8, 0.4), (0.92, 0.7), (1.08, 0.7), (1.2, 0.4), (1.25, 0)), spline=False),
+            outline=Outline(((0.75, 0.0), (0.8, 0.4), (0.92, 0.7), (1.08, 0.7), (1.2, 0.4), (1.25, 0.0)), spline=False),
         ),
         {"E": 1500.0, "nu": 0.3, "V_in": 40.0},
     ),

@@ -48,6 +48,8 @@ from strandline.targets import Target, of_field, of_process
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]
 
+NORMALISED = 1e-7
+"""Largest logarithm of the weights' sum: rounding exceeds it where log-likelihoods are of the order of -1e9."""
 COMPARED = 2000
 """Particles of the posterior that is only told beside the study's."""
 
@@ -143,6 +145,8 @@ def _posterior(space: ParameterSpace, sampling: SMCResult, target: Target) -> Po
         log_weights = log_weights + meant - log_likelihood
         log_evidence += float(logsumexp(log_weights))
         log_likelihood, log_weights = meant, log_softmax(log_weights)
+    elif abs(float(logsumexp(log_weights))) > NORMALISED:
+        log_weights = log_softmax(log_weights)
     return Posterior(
         space=space,
         draws=sampling.positions,
@@ -187,10 +191,14 @@ def _by_log_likelihood(
 
 
 def _quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> QuadratureResult | None:
-    """Integrate the same surrogate directly where the dimension allows it: the check of the sampler."""
+    """Integrate the same surrogate directly where the dimension allows it: the check of the sampler.
+
+    None, too, for a posterior so narrow that rounding leaves no variance, as where nothing comes near the observation.
+    """
     if space.dim > 3:
         return None
-    return integrate(lambda x: log_likelihood(x) + space.log_prior(x), space.low, space.high)
+    found = integrate(lambda x: log_likelihood(x) + space.log_prior(x), space.low, space.high)
+    return found if (np.diag(found.covariance) > 0).all() else None
 
 
 def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:

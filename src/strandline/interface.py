@@ -101,7 +101,8 @@ class Interface:
     @property
     def lengths(self) -> Float[np.ndarray, " cell"]:
         """Segment lengths, mm."""
-        return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
+        with np.errstate(over="ignore"):  # of coordinates like 1e160, which whoever compares interfaces refuses
+            return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
 
     @property
     def areas(self) -> Float[np.ndarray, " cell"]:

@@ -260,7 +260,7 @@ def test_given_runs_that_object_are_gone_on_from(monkeypatch: pytest.MonkeyPatch
 def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
     learner = FakeLearner(fewest=6)
     monkeypatch.setattr(campaign_module, "learn", lambda x, records, *others: (x, records))
-    monkeypatch.setattr(campaign_module, "posterior_state", lambda given, *others: learner(*given))
+    monkeypatch.setattr(campaign_module, "posterior_state", lambda given, *others, **options: learner(*given))
     seen, measure = (Observation(interface(MEAN), 0.01),), TrackedPoints()
     judge = Judge(seen, {"tracked_points": measure}, FailurePolicy())
     runs = ActiveRuns(Active(60), SPACE, seen, measure, 4, 1, None, judge, aside=nullcontext)

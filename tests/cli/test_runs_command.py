@@ -240,7 +240,7 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
         ),
         (["--show", "a"], "--show: got a; expected the beginning of the key of one run, not of 7"),
         (["--show", "zz"], "--show: got zz; expected the beginning of the key of one run; there is none among 7"),
-        (["--show", ""], "--show: got ; expected"),
+        (["--show", ""], "an argument is empty"),
         (["--show", "aa1", "--state", "ok"], "--show: got another option beside it"),
         (["--limit", "0"], "--limit"),
         (["--export", "runs.txt"], "expected a file name that ends with .csv or .nc"),
@@ -321,7 +321,7 @@ def test_runs_that_the_analysis_set_aside_are_invalid(folder: Path, capsys: pyte
     ("options", "message"),
     [
         (["--exclude", "aa1"], "expected --why REASON"),
-        (["--exclude", "aa1", "--why", ""], "an empty text"),
+        (["--exclude", "aa1", "--why", ""], "an argument is empty"),
         (["--why", "odd"], "--why alone"),
         (["--exclude", "aa1", "--include", "aa2", "--why", "odd"], "either --exclude KEY"),
         (["--exclude", "aa1", "--why", "odd", "--state", "ok"], "either --exclude KEY"),

@@ -41,7 +41,7 @@ def test_a_study_under_way() -> None:
         "bent: 32 of 80 runs of the design done",
         "  ok 30, failed 2, under way 4, to do 44",
         "  driver at work, process 4711 on desk: 4.8 runs a minute, about 10 min left",
-        "  stalled: 2; e.g. E = 397.5, tilt = 0.015: no convergence",
+        "  2 × stalled; e.g. E = 397.5, tilt = 0.015: no convergence",
         "    | step 7",
         "    | stopped",
         "  median 2.00 s a run, slowest 9.00 s at E = 397.5, tilt = 0.015",
@@ -158,5 +158,5 @@ def test_the_log_of_a_failure_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
         log = "a\nb\n" + 300 * "c"
         ledger.finished(RunRecord(plan.keys[0], inputs, "failed", {}, {}, 1.0, "stalled", "why\nmore", log))
     shown = printed(capsys, "status", str(study.folder)).splitlines()
-    place = shown.index("  stalled: 1; e.g. E = 300, tilt = 0: why")
+    place = shown.index("  1 × stalled; e.g. E = 300, tilt = 0: why")
     assert shown[place + 1 : place + 3] == ["    | b", "    | " + 159 * "c" + "…"]

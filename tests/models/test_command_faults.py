@@ -311,7 +311,7 @@ def test_no_room_for_a_process_is_tried_again(tmp_path: Path) -> None:
     assert (caught.value.kind, caught.value.state) == ("out_of_memory", "killed")
 
 
-@pytest.mark.parametrize("timeout", [3.0e6, 1.0e9, 1.0e300])
+@pytest.mark.parametrize("timeout", [3.0e6, 3.16e7])
 def test_a_timeout_of_more_than_24_days_is_waited_for_in_slices(tmp_path: Path, timeout: float) -> None:
     (tmp_path / "run.sh").write_text("printf 'x,y\\n0,0\\n1,1\\n' > out.csv")
     model = CommandModel(
@@ -325,6 +325,7 @@ def test_a_timeout_of_more_than_24_days_is_waited_for_in_slices(tmp_path: Path, 
     assert record.ok, record.message
 
 
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")  # JAX, where another test has started it
 def test_an_end_between_two_slices_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The supervisor itself, with slices of a hundredth of a second."""
     monkeypatch.setattr(supervisor, "LONGEST_POLL", 0.01)

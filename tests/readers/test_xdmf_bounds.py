@@ -71,7 +71,7 @@ def test_data_outside_of_its_folder_are_not_opened(inner: Path, outside: Path, h
 def test_binary_files_are_not_opened(inner: Path) -> None:
     hdf5(inner / "a.h5")
     POINTS.tofile(inner / "points.bin")
-    with pytest.raises(Unreadable, match="of the format Binary, which is not read; write HDF or XML"):
+    with pytest.raises(Unreadable, match="of the format Binary, which is not read"):
         read(xdmf(inner / "m.xdmf", str(inner / "points.bin"), "a.h5:/lines", "Binary"))
 
 

@@ -128,7 +128,7 @@ def test_failures_asked_for_again_get_all_their_retries(path):
 def test_a_campaign_all_of_whose_runs_fail_stops_early_and_says_why(path):
     stiffness = [300.0 + i for i in range(60)]
     model = Moody(dict.fromkeys(stiffness, 1))
-    with pytest.raises(CampaignStopped, match=r"20 of 20 runs failed \(licence: 20\)(.|\n)*server busy"):
+    with pytest.raises(CampaignStopped, match=r"20 of 20 runs failed \(20 × licence\)(.|\n)*server busy"):
         campaign(path, model, design(*stiffness), FailurePolicy())
     assert sum(model.calls.values()) == 20
 

@@ -217,7 +217,7 @@ def test_interface_that_cannot_be_built_is_invalid():
     assert "point 0" in record.message
 
 
-@pytest.mark.parametrize("error", [ValueError("x" * 10**6), KeyError("\ud800"), MemoryError(), SystemExit(3)])
+@pytest.mark.parametrize("error", [ValueError("x" * 10**6), KeyError("\ud800"), SystemExit(3)])
 def test_any_exception_is_a_bounded_message_that_can_be_stored(error):
     def model(inputs, workdir):
         raise error
@@ -227,6 +227,15 @@ def test_any_exception_is_a_bounded_message_that_can_be_stored(error):
     assert type(error).__name__ in record.message
     assert "test_record.py" in record.message
     assert len(record.message.encode()) < 2 * MESSAGE_CHARACTERS
+
+
+def test_a_lack_of_memory_is_the_machines_and_no_final_failure():
+    def model(inputs, workdir):
+        raise MemoryError
+
+    record = outcome(model)
+    assert (record.state, record.failure_kind, record.final) == ("killed", "out_of_memory", False)
+    assert "MemoryError" in record.message
 
 
 def test_interruption_is_not_a_failed_run():

@@ -143,7 +143,7 @@ def test_draws_that_fail_have_no_weight_and_are_told(folder: Path) -> None:
     assert content["ess"] == pytest.approx(1 / np.sum(weights**2))
     assert f"{above.sum()} of 200 draws failed in the true model" in content["remarks"][-1]
     page = (folder / "report.html").read_text("utf-8")
-    assert f"(snapped {above.sum()})" in page
+    assert f"({above.sum()} × snapped)" in page
     with Ledger.open(folder / "check.sqlite", model=None, read_only=True) as ledger:
         assert ledger.counts().failed == above.sum()
 

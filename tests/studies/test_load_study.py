@@ -129,7 +129,9 @@ def test_an_observed_file_in_the_wrong_unit(tmp_path: Path) -> None:
     from strandline.models.biofilm.outline import Outline
 
     np.savetxt(tmp_path / "o.csv", Outline().interface().points * 1000, delimiter=",")
-    with pytest.raises(InvalidStudy, match=r"read in mm: got .* mm across; expected about"):
+    with pytest.raises(
+        InvalidStudy, match=r"read in mm: got .* mm across, .* times the model.s interface; expected about"
+    ):
         load_study(write_study(tmp_path, **BIOFILM | {"observation": {"file": "o.csv", "unit": "mm"}}))
 
 

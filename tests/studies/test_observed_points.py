@@ -84,7 +84,10 @@ def test_a_wrong_unit_shows_in_the_size(scale: float, fits: bool) -> None:
     if fits:
         require_plausible("observation o.csv", observed, model, unit="mm")
     else:
-        with pytest.raises(InvalidStudy, match=r"o\.csv, read in mm: got .* mm across; expected about 1 mm"):
+        with pytest.raises(
+            InvalidStudy,
+            match=r"o\.csv, read in mm: got .* mm across, .* times the model.s interface; expected about 1 mm",
+        ):
             require_plausible("observation o.csv", observed, model, unit="mm")
 
 

@@ -220,7 +220,7 @@ def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], 
         mark(inset, detail.truth, RED, "ground truth", marker="o", size=6.0)
         mark(ax, [np.nan, np.nan], RED, "ground truth", marker="o")  # for the legend
     inset.tick_params(colors="white", labelsize=6.5, length=2.5)
-    inset.locator_params(nbins=4)
+    inset.locator_params(nbins=4, prune="both")  # labels at the ends would cross the frame
     for spine in inset.spines.values():
         spine.set(visible=True, color="white")
     x, y = detail.x_values, detail.y_values
