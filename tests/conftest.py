@@ -11,6 +11,9 @@ import shutil
 import signal
 import tempfile
 import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -20,6 +23,7 @@ if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import jax
+import pytest
 
 
 def _remove(folder: str, owner: int) -> None:
@@ -34,3 +38,21 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", _compiled)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _coarse_pictures() -> Iterator[None]:
+    """Draw pictures of reports at a fifth of the dots: 300 an inch take as long as the rest of a small study."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("strandline.report.page.DOTS_PER_INCH", 60)
+        yield
+
+
+@pytest.fixture
+def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out figures and page: they take most of the time of a small study."""
+
+    def write_report(calibration: Any, summary: Any, *, folder: Path, **others: Any) -> Path:
+        return folder / "report.html"
+
+    monkeypatch.setattr("strandline.studies.run.write_report", write_report)

@@ -68,7 +68,12 @@ FAULTS: Sequence[Fault] = (
     Fault("raises an exception", "raise RuntimeError('diverged')", "failed", "exit_code"),
     Fault("crashes with a segmentation fault", "os.kill(os.getpid(), signal.SIGSEGV)", "failed", "exit_code"),
     Fault("is killed from outside", "os.kill(os.getpid(), signal.SIGKILL)", "killed", "simulator_killed"),
-    Fault("takes its supervisor along", "os.kill(os.getppid(), signal.SIGKILL)", "killed", "supervisor_died"),
+    Fault(  # once the log has what was printed
+        "takes its supervisor along",
+        "time.sleep(0.5); os.kill(os.getppid(), signal.SIGKILL)",
+        "killed",
+        "supervisor_died",
+    ),
     Fault("ends with exit code 77, its result written", "write(); sys.exit(77)", "failed", "exit_code"),
     Fault("hangs", "time.sleep(600)", "timeout", "timeout"),
     Fault(

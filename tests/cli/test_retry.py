@@ -47,7 +47,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, s
 
 
 def test_failed_runs_are_made_once_more_and_the_results_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], without_report: None
 ) -> None:
     folder = study(tmp_path, monkeypatch, name="some_licensed", above=450.0)
     main(["run", str(folder), "--quiet"])
@@ -63,7 +63,7 @@ def test_failed_runs_are_made_once_more_and_the_results_anew(
 
 
 def test_a_study_whose_runs_all_fail_stops_early_with_the_log_and_goes_on_when_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], without_report: None
 ) -> None:
     changes = {"observation": {"synthetic": {"E": 100, "tilt": 0.02, "load": 1e-5}}}
     folder = study(tmp_path, monkeypatch, name="never_licensed", above=200.0, **changes)
@@ -80,7 +80,7 @@ def test_a_study_whose_runs_all_fail_stops_early_with_the_log_and_goes_on_when_t
 
 
 def test_abort_ends_the_study_at_the_first_failure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], without_report: None
 ) -> None:
     folder = study(tmp_path, monkeypatch, name="strict", above=450.0, failures={"kinds": {"licence": "abort"}})
     code, said = refused(capsys, "run", str(folder), "--quiet", "--workers", "1")

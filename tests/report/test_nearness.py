@@ -131,15 +131,19 @@ def elsewhere(folder: Path) -> dict[str, Any]:
     return {}
 
 
-@pytest.mark.parametrize("changes", [{}, BY_FIELD], ids=["log-likelihood", "field"])
+UNITS, PLACE = "µm and mm differ by a factor of 1000", "Their centres lie 500 mm apart"
+
+
 @pytest.mark.parametrize(
-    ("plant", "words"),
+    ("plant", "words", "changes"),
     [
-        (None, None),
-        (in_um, "µm and mm differ by a factor of 1000"),
-        (elsewhere, "Their centres lie 500 mm apart"),
+        pytest.param(None, None, {}, id="sound, log-likelihood", marks=pytest.mark.long),
+        pytest.param(None, None, BY_FIELD, id="sound, field"),
+        pytest.param(in_um, UNITS, {}, id="micrometres, log-likelihood"),
+        pytest.param(in_um, UNITS, BY_FIELD, id="micrometres, field", marks=pytest.mark.long),
+        pytest.param(elsewhere, PLACE, {}, id="elsewhere, log-likelihood", marks=pytest.mark.long),
+        pytest.param(elsewhere, PLACE, BY_FIELD, id="elsewhere, field"),
     ],
-    ids=["sound", "micrometres", "elsewhere"],
 )
 def test_planted_in_a_study(
     tmp_path: Path,

@@ -116,7 +116,7 @@ def test_a_served_study_announces_what_it_serves(bent: tuple[Path, str, list[str
 
 
 def test_a_study_calibrated_through_um_bridge_is_the_same_study(
-    bent: tuple[Path, str, list[str]], tmp_path: Path
+    bent: tuple[Path, str, list[str]], tmp_path: Path, without_report: None
 ) -> None:
     options = {"url": bent[1], "name": "interface", "inputs": [{"E": "Pa"}, {"tilt": 1}]}
     observation = {"synthetic": {"E": 400, "tilt": 0.02}}
