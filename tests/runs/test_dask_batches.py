@@ -27,7 +27,8 @@ def scheduler():
     """Start a scheduler with two workers, each a process of its own, and return its address."""
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", memory_limit=0, silence_logs=50) as cluster:
+    quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50}
+    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", memory_limit=0, **quiet) as cluster:
         yield cluster.scheduler_address
 
 

@@ -30,7 +30,7 @@ def scheduler(tmp_path_factory):
     from distributed import LocalCluster
 
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0, silence_logs=50
     ) as cluster:
         yield cluster.scheduler_address
 
@@ -95,9 +95,9 @@ def test_a_killed_dask_worker_costs_its_own_run_alone(tmp_path):
     def shoot(record, progress):
         seen.append((record.state, record.failure_kind))
         if not shot:
-            assert wait_until(lambda: len(pids(tmp_path)) >= 2, 20)
-            simulator = pids(tmp_path)[-1]
-            shot.append(parent(simulator))
+            known = len(pids(tmp_path))
+            assert wait_until(lambda: len(pids(tmp_path)) > known, 20)
+            shot.append(parent(pids(tmp_path)[-1]))  # of a run that has just begun
             os.kill(shot[0], signal.SIGKILL)
 
     inputs = [{"E": 300.0 + 10 * k, "load": 1e-5} for k in range(8)]
@@ -181,7 +181,7 @@ SCHEDULER = """
 import sys
 from distributed import LocalCluster
 if __name__ == "__main__":
-    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50)
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0, silence_logs=50)
     print(cluster.scheduler_address, flush=True)
     sys.stdin.read()
 """
