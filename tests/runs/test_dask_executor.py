@@ -181,7 +181,8 @@ SCHEDULER = """
 import sys
 from distributed import LocalCluster
 if __name__ == "__main__":
-    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0, silence_logs=50)
+    options = {"dashboard_address": "127.0.0.1:0", "memory_limit": 0, "silence_logs": 50}
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, **options)
     print(cluster.scheduler_address, flush=True)
     sys.stdin.read()
 """
