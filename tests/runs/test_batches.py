@@ -208,15 +208,13 @@ def marking(marks, stiffness):
 
 def test_a_slow_run_waits_for_a_run_of_the_batch_after_the_next(path, marks):
     """It can end early only if two batches are chosen and made while it is under way."""
-    model = Slow(Patient(str(marks), others=1, longest=60.0), seconds=0.5)
+    model = Slow(Patient(str(marks), others=1, longest=60.0), seconds=1.5)  # more than a busy machine may stall
     choice, note = Choice(batch(300, 350), batch(450)), marking(marks, 450.0)
     begin = time.monotonic()
     done = campaign(path, model, [batch(600, 400)], choice, on_record=note, patience=3.0)
     assert note.order == [400.0, 300.0, 350.0, 450.0, 600.0]
     assert time.monotonic() - begin < 50.0
-    assert choice.shown[:2] == [[400.0], [400.0, 300.0, 350.0]]
-    last = [stiffness for stiffness in choice.shown[2] if stiffness != 600.0]  # it may end while 450 is handed over
-    assert last == [400.0, 300.0, 350.0, 450.0]
+    assert choice.shown == [[400.0], [400.0, 300.0, 350.0], [400.0, 300.0, 350.0, 450.0]]
     assert stiffnesses(done) == [600.0, 400.0, 300.0, 350.0, 450.0]
     assert all(record.ok for record in done), "the slow run was waited for in the end"
 

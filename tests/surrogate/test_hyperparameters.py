@@ -177,12 +177,13 @@ def test_a_success_of_the_optimiser_on_a_slope_is_no_maximum_and_the_search_goes
     monkeypatch.setattr(hyperparameters, "minimize", hasty)
     found = fit_hyperparameters(x, y, **options)
     assert [a.accepted for a in found.attempts] == [True, True]
+    assert np.ptp([a.log_evidence for a in found.attempts]) < 0.01
     assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.01)
     monkeypatch.setattr(hyperparameters, "_TRIES", 1)
     short, _ = fit_hyperparameters(x, y, **options).attempts
     assert short.message.startswith("CONVERGENCE")
     assert short.verdict.startswith("not a maximum")
-    assert short.log_evidence < expected.log_evidence - 10
+    assert short.log_evidence < expected.log_evidence - 100
 
 
 def ridge(number):
