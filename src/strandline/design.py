@@ -26,7 +26,7 @@ def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.nda
             point is the origin.
 
     Raises:
-        InvalidInput: `number` or `dim` below 1.
+        InvalidInput: `number` or `dim` below 1, or more than the sequence has.
     """
     if not 1 <= number <= MOST_POINTS or not 1 <= dim <= MOST_INPUTS:
         raise InvalidInput(

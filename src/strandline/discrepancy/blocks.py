@@ -24,7 +24,7 @@ def similar(points: Float[np.ndarray, "run point xyz"], size: int) -> list[Int[n
 def motion(
     points: Float[np.ndarray, "run point xyz"],
 ) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, " point"]]:
-    """Return the middle of the box that holds each node in all runs, and the largest distance of the node from it."""
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    apart = points - middle
-    return middle, np.sqrt(np.einsum("rpk,rpk->rp", apart, apart).max(axis=0))
+    """Return the middle of the box that holds each node in all runs, and half its diagonal: no run is farther off."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = 0.5 * (high - low)
+    return low + half, np.sqrt(np.einsum("pk,pk->p", half, half))

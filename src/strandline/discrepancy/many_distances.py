@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from strandline.discrepancy.blocks import motion, similar
-from strandline.discrepancy.compiled import WIDEST
+from strandline.discrepancy.compiled import WIDEST, ample
 from strandline.discrepancy.threads import double, side_by_side
 
 __all__ = ["FEWEST", "sums_of_squares"]
 
 FEWEST = 16
 """Runs from which it is worth compiling."""
-BLOCK = 512
+BLOCK = 384
 """Runs worked on together: what one loop touches fits into a core's cache."""
 ENOUGH = 64
 """Pairs compared, in all runs, for each that was bounded, from which it pays to bound them again for half the runs."""
@@ -80,15 +80,15 @@ def _tasks(
             yield from _tasks(points, corners, cells, half)
         return
     pairs = _Pairs.of(near)
-    for part in np.array_split(rows, -(-len(rows) // BLOCK)):
+    for part in np.array_split(rows, 2 * -(-len(rows) // (2 * BLOCK))):  # as many for each of two threads
         yield pairs, part
 
 
 def _rows(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "..."]:
-    """Return these runs, the last one repeated up to a power of two; all of it where all runs share it."""
+    """Return these runs, the last one repeated up to one of few lengths; all of it where all runs share it."""
     if len(array) == 1:
         return array
-    length = 1 << max(len(rows) - 1, FEWEST - 1).bit_length()
+    length = ample(max(len(rows), FEWEST))
     return np.asarray(array[np.pad(rows, (0, length - len(rows)), mode="edge")])
 
 
@@ -132,26 +132,15 @@ def _of_block(
 ) -> Float[np.ndarray, " run"]:
     """Return the sums of the runs of one block."""
     x, y = _runs_last(points[..., 0]), _runs_last(points[..., 1])
-    frames = _frames(_runs_last(corners[..., 0]), _runs_last(corners[..., 1]), cells)
+    ends = _runs_last(corners[..., 0]), _runs_last(corners[..., 1])
     runs = max(len(points), len(corners))
     rows = (pairs.segments, pairs.points, pairs.last, pairs.number)
-    return np.asarray(_sums()(x, y, _runs_last(weights), frames, *rows, runs=runs))
+    return np.asarray(_sums()(x, y, _runs_last(weights), *ends, cells, *rows, runs=runs))
 
 
 def _runs_last(values: Float[np.ndarray, "#run point"]) -> Values:
     """Return values with the runs on the last axis; without that axis where all runs share them."""
     return values[0] if len(values) == 1 else np.ascontiguousarray(values.T)
-
-
-def _frames(x: Values, y: Values, cells: Int[np.ndarray, "cell 2"]) -> tuple[Values, ...]:
-    """Return of each segment its unit tangent u, its middle m as m·u and m×u, and half its length."""
-    i, j = cells.T
-    dx, dy = x[j] - x[i], y[j] - y[i]
-    mx, my = 0.5 * (x[i] + x[j]), 0.5 * (y[i] + y[j])
-    length = np.hypot(dx, dy)
-    whole = np.where(length > 0, length, 1.0)
-    ux, uy = dx / whole + (length == 0), dy / whole
-    return ux, uy, mx * ux + my * uy, mx * uy - my * ux, 0.5 * length
 
 
 def _near(points: Points, corners: Points, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:
@@ -162,10 +151,23 @@ def _near(points: Points, corners: Points, cells: Int[np.ndarray, "cell 2"]) -> 
     """
     middles, moved = motion(points)
     bends, bent = motion(corners)
-    least, most = _bounds()(*middles.T, _frames(bends[:, 0], bends[:, 1], cells), bent[cells].max(axis=1))
+    least, most = _bounds()(*middles.T, *bends.T, cells, bent[cells].max(axis=1))
     slack = _SLACK * max(float(np.abs(middles).max()), float(np.abs(bends).max()))
     beyond = np.asarray(least) > (np.asarray(most) + 2 * moved + slack)[:, None]
     return np.asarray(~beyond)
+
+
+def _frames(x: Any, y: Any, cells: Any) -> tuple[Any, ...]:
+    """Return of each segment its unit tangent u, its middle m as m·u and m×u, and half its length."""
+    import jax.numpy as jnp
+
+    i, j = cells[:, 0], cells[:, 1]
+    dx, dy = x[j] - x[i], y[j] - y[i]
+    mx, my = 0.5 * (x[i] + x[j]), 0.5 * (y[i] + y[j])
+    length = jnp.sqrt(dx * dx + dy * dy)
+    whole = jnp.where(length > 0, length, 1.0)
+    ux, uy = dx / whole + (length == 0), dy / whole
+    return ux, uy, mx * ux + my * uy, mx * uy - my * ux, 0.5 * length
 
 
 def _square(x: Any, y: Any, segment: Any) -> Any:
@@ -185,8 +187,8 @@ def _bounds() -> Any:
     import jax.numpy as jnp
 
     @partial(jax.jit, compiler_options=WIDEST)
-    def bounds(x: Any, y: Any, frames: Any, bent: Any) -> Any:
-        distance = jnp.sqrt(_square(x[:, None], y[:, None], frames))
+    def bounds(x: Any, y: Any, across: Any, up: Any, cells: Any, bent: Any) -> Any:
+        distance = jnp.sqrt(_square(x[:, None], y[:, None], _frames(across, up, cells)))
         return distance - bent, (distance + bent).min(axis=1)
 
     return bounds
@@ -204,8 +206,21 @@ def _sums() -> Any:
 
     @partial(jax.jit, compiler_options=WIDEST, static_argnames="runs")
     def sums(
-        x: Any, y: Any, weights: Any, frames: Any, segments: Any, owners: Any, last: Any, number: Any, *, runs: int
+        x: Any,
+        y: Any,
+        weights: Any,
+        across: Any,
+        up: Any,
+        cells: Any,
+        segments: Any,
+        owners: Any,
+        last: Any,
+        number: Any,
+        *,
+        runs: int,
     ) -> Any:
+        frames = _frames(across, up, cells)
+
         def row(i: Any, state: Any) -> Any:
             best, total = state
             p = owners[i]
