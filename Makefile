@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
+# Compiled once: hundreds of tests start Python anew.
+export PYTHONDONTWRITEBYTECODE =
 
 .PHONY: env demo reproduce test test-all test-slurm check installed dist bench bench-env pyvbmc-env docs clean
 
