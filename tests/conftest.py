@@ -1,8 +1,8 @@
 """Shared by all tests: double precision, a picture backend without a screen, one thread a process, Ctrl-C as usual.
 
-JAX keeps what it compiles, so that the same program of another test is not compiled again. The folder belongs to this
-process alone and goes with it: JAX does not write its files whole or not at all, so processes that share a folder, or
-an interrupted one, could leave a half file to a later test.
+JAX keeps what it compiles, so that the same program of another test is not compiled again. All processes of a run share
+one folder, which goes with the first of them. A cache of bounded size is written under a lock; without the bound,
+another process could read half a file.
 """
 
 import atexit
@@ -32,10 +32,12 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-_compiled = tempfile.mkdtemp(prefix="strandline-compiled-")
-atexit.register(_remove, _compiled, os.getpid())
+if "STRANDLINE_TEST_COMPILED" not in os.environ:
+    os.environ["STRANDLINE_TEST_COMPILED"] = tempfile.mkdtemp(prefix="strandline-compiled-")
+    atexit.register(_remove, os.environ["STRANDLINE_TEST_COMPILED"], os.getpid())
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_compilation_cache_dir", _compiled)
+jax.config.update("jax_compilation_cache_dir", os.environ["STRANDLINE_TEST_COMPILED"])
+jax.config.update("jax_compilation_cache_max_size", 2**32)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.02)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 

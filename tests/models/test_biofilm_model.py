@@ -40,6 +40,7 @@ def test_it_bends_downstream_by_the_displacement_of_the_study():
     assert 0 < result.diagnostics["min_J_solid"] < 1
 
 
+@pytest.mark.long
 def test_default_mesh_is_converged_against_the_fine_one():
     default, fine = (Biofilm(mesh=name)(TRUTH).interface.points for name in ("default", "fine"))
     error = np.linalg.norm(default - fine, axis=1).max()

@@ -97,7 +97,7 @@ def test_the_next_finer_mesh_is_finer() -> None:
         assert all(getattr(small, f.name) < getattr(large, f.name) for f in dataclasses.fields(small))
 
 
-@pytest.mark.parametrize("rates", [(), (("slow", 20.0), ("fast", 60.0))])
+@pytest.mark.parametrize("rates", [pytest.param((), marks=pytest.mark.long), (("slow", 20.0), ("fast", 60.0))])
 def test_the_error_of_coarse_on_another_flow_cell_is_small_and_known(rates: tuple[tuple[str, float], ...]) -> None:
     """A layer with a gap of 0.4 mm: with elements of fixed size 2.5 µm off, and without a word."""
     model = Biofilm(mesh="coarse", material="neo_hookean", channel=LONG, outline=LAYER, inflow_rates=rates)

@@ -6,6 +6,7 @@ from strandline.models.biofilm.sizes import FINER, MESHES
 from validation import mesh_on_other_outlines as program
 
 
+@pytest.mark.long
 def test_the_estimate_is_the_difference_to_the_next_finer_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "REFERENCE", FINER["coarse"])
     monkeypatch.setattr(program, "MESHES", {"coarse": MESHES["coarse"]})

@@ -5,6 +5,7 @@ import io
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +173,12 @@ def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
 
 def template(name: str, *, package: str = "strandline.report") -> Any:
     """Return a template of a package; it may include those of reports, such as their style."""
+    return _environment(package).get_template(name)
+
+
+@lru_cache(maxsize=4)
+def _environment(package: str) -> Environment:
+    """Return what keeps the templates of a package once they are compiled."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")]),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -184,7 +191,7 @@ def template(name: str, *, package: str = "strandline.report") -> Any:
     environment.filters["symbol"] = lambda symbol: Markup(html_text(symbol))
     environment.filters["percent"] = lambda value: f"{value:.1%}"
     environment.filters["small_share"] = small_share
-    return environment.get_template(name)
+    return environment
 
 
 def _figures(value: float | list[float] | None, digits: int = 4) -> str:
