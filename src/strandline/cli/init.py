@@ -10,7 +10,7 @@ __all__ = ["command"]
 @click.command("init")
 @click.argument("folder", type=click.Path(path_type=Path))
 def command(folder: Path) -> None:
-    """Write FOLDER/study.yaml, a commented study that runs as it is (a biofilm, 100 forward runs)."""
+    """Write FOLDER/study.yaml, a commented study that runs as it is (a biofilm, at most 80 forward runs)."""
     import shlex
 
     from strandline.studies.template import write_template
