@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.plots import plot_tempering
+from strandline.plots import plot_run_offsets, plot_tempering
 from strandline.plots.style import DOTS_PER_INCH, DOUBLE, SINGLE
+from strandline.posterior import Offsets
 from strandline.priors import Uniform
 from strandline.report import page as pages
-from strandline.report.captioned import Captioned
+from strandline.report.captioned import Captioned, whole
 from strandline.report.page import _marked, _saved, _unbroken
 from strandline.report.run_figures import failed_runs, offsets_of_runs
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
@@ -71,6 +73,17 @@ def test_pictures_have_300_dots_an_inch(tmp_path: Path, monkeypatch: pytest.Monk
         pytest.approx(SINGLE, abs=0.01),
         pytest.approx(DOUBLE, abs=0.01),
     )
+
+
+def test_axis_labels_lie_on_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The number of tick labels, and so their width, depends on the font size at the moment of drawing."""
+    monkeypatch.setattr(pages, "DOTS_PER_INCH", DOTS_PER_INCH)
+    s = np.linspace(0.0, 1.45, 60)
+    some = Offsets(s, 1e-3 * np.where(s < 0.7, 2.18, 1.18) * np.sin(4.4 * s))
+    axes = plot_run_offsets(some, {f"{k} best run, log-likelihood −1.048": some for k in ("second", "third", "fourth")})
+    _saved(Captioned("offsets", "data", "", whole(axes.figure)), tmp_path)
+    columns = imread(tmp_path / "offsets.png")[..., :3].min(axis=(0, 2))
+    assert columns[:5].min() == 1.0, "the label at the left is cut off"
 
 
 def inches(picture: Path, dots: int) -> float:

@@ -157,11 +157,11 @@ def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
     """
     figure = captioned.figure
     figure.set_dpi(DOTS_PER_INCH)
-    if (layout := figure.get_layout_engine()) is not None:
-        layout.execute(figure)
-        figure.set_layout_engine(None)
     buffer = io.BytesIO()
-    with styled():  # the kind of embedded font is settled here
+    with styled():  # settles the kind of embedded font, and the size of tick labels, on which their number depends
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
         figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
     (folder / f"{captioned.name}.png").write_bytes(buffer.getvalue())

@@ -35,15 +35,17 @@ def offsets_of_runs(calibration: Calibration) -> Iterator[Captioned]:
             continue
         best, *others = interfaces
         runs = {
-            f"{_ordinal(k)} best run, log-likelihood {values[ranked[k - 1]]:.4g}": observed_offsets(interface, best)
+            f"{_ordinal(k)} best run, log-likelihood {_number(values[ranked[k - 1]])}": observed_offsets(
+                interface, best
+            )
             for k, interface in enumerate(others, start=2)
         }
         centre = "best run"
         axes = plots.plot_run_offsets(observed_offsets(seen.interface, best), runs, centre=centre)
         of = f" of {seen.condition}" if seen.condition else ""
         caption = (
-            f"Normal offsets{of} from the best run, whose log-likelihood is {values[ranked[0]]:.4g}: of the observed "
-            "interface and of the next best runs. They are runs of the design, not draws of the posterior."
+            f"Normal offsets{of} from the best run, whose log-likelihood is {_number(values[ranked[0]])}: of the "
+            "observed interface and of the next best runs. They are runs of the design, not draws of the posterior."
         )
         name = f"offsets{'_' + seen.condition if seen.condition else ''}"
         yield Captioned(name, "data", caption, whole(axes.figure))
@@ -70,5 +72,10 @@ def failed_runs(calibration: Calibration) -> Iterator[Captioned]:
     yield Captioned("failed_runs", "runs", caption, whole(axes.figure))
 
 
+def _number(value: float) -> str:
+    """Return four figures of a number, with a proper minus."""
+    return f"{value:.4g}".replace("-", "−")
+
+
 def _ordinal(number: int) -> str:
-    return {2: "second", 3: "third"}.get(number, f"{number}th")
+    return {2: "second", 3: "third", 4: "fourth", 5: "fifth"}.get(number, f"{number}th")
