@@ -1,8 +1,10 @@
 """The whole reproduction on small studies: coarse mesh, few runs, few particles. Its verdicts mean nothing here."""
 
+import dataclasses
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -66,12 +68,26 @@ def test_the_page_has_every_figure_of_the_study_and_needs_nothing_from_outside(
     assert "<script" not in page
 
 
+def rounded(content: Any) -> Any:
+    """Return the content with nine figures of each number; the last ones depend on where arrays lie in memory.
+
+    BLAS adds up in another order there, so that the evidence of a posterior by quadrature differs by 1e-14.
+    """
+    if isinstance(content, dict):
+        return {key: rounded(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [rounded(value) for value in content]
+    return float(f"{content:.9g}") if isinstance(content, float) else content
+
+
 @pytest.mark.long
 def test_done_again_it_makes_no_run_and_finds_the_same(small: tuple[Path, Reproduction]) -> None:
     folder, first = small
     again = reproduce(folder / "studies", folder / "results", plan=SMALL)
     assert sum(cost.made for cost in again.evidence.costs) == 0
-    assert again.claims == first.claims
+    assert set(again.claims) == set(first.claims)
+    for key, claim in first.claims.items():
+        assert rounded(dataclasses.asdict(again.claims[key])) == rounded(dataclasses.asdict(claim))
 
 
 def test_a_missing_study_is_named(tmp_path: Path) -> None:
