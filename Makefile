@@ -33,7 +33,7 @@ test: env
 	$(BIN)/python -m pytest -n auto -m "not long" --ignore=tests/slurm
 
 test-all: env
-	$(BIN)/python -m pytest -n auto --ignore=tests/slurm
+	$(BIN)/python -m pytest -n auto --dist loadgroup --ignore=tests/slurm
 	$(BIN)/python -m pytest tests/slurm
 
 # Against a SLURM of their own; skipped where its programs are missing (Debian: slurmctld slurmd slurm-client munge).
