@@ -80,6 +80,7 @@ def calibrate(
     watch, tell = Stopwatch(), observer or Observer()
     work = Learning(problem, settings, ledger, executor, tell, watch)
     space, lesson = problem.space, work.lesson(given)
+    problem = replace(problem, observations=work.judge.observations)
     learnt, field_ = lesson.learnt, lesson.field
     target = of_process(learnt.surrogate.process) if field_ is None else of_field(field_.knowledge, space)
     with watch("sampling", tell), nullcontext() if field_ is None else one_thread():
@@ -126,6 +127,7 @@ def calibrate(
         field=field_,
         no_field=lesson.no_field,
         set_aside=lesson.set_aside,
+        turned=work.judge.turned,
     )
 
 

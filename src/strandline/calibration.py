@@ -103,7 +103,8 @@ class Calibration:
     `cut_quadrature` has one result for each value of the nuisance inputs; else both are None. With a surrogate of the
     field, `field` is what it knows; `surrogates`, of the log-likelihood, are then there to compare, or empty.
     `no_field` says why there is none though it was asked for. `set_aside` are runs that ended ok and were not used;
-    unless one measure alone cannot use them, they stand in `records` as invalid.
+    unless one measure alone cannot use them, they stand in `records` as invalid. `turned` are the conditions whose
+    observation ran against the runs and stands in `problem` turned round.
     """
 
     problem: Problem
@@ -125,6 +126,7 @@ class Calibration:
     field: FieldOutcome | None = None
     no_field: str | None = None
     set_aside: tuple[SetAside, ...] = ()
+    turned: tuple[str, ...] = ()
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:

@@ -172,7 +172,7 @@ class Learning:
             used = self.judge.usable(records)
             _require_enough(sum(record.ok for record in used), used, self.problem.space.dim)
             try:
-                return learn(points, used, self.problem.space, self.problem.observations, measure), used
+                return learn(points, used, self.problem.space, self.judge.observations, measure), used
             except NoCommonPoints as error:
                 self.judge.without_exceptions(records, error)
 
@@ -200,7 +200,6 @@ class Learning:
         return ActiveRuns(
             active=active,
             space=self.problem.space,
-            observations=self.problem.observations,
             discrepancy=next(iter(self.problem.discrepancies.values())),
             batch=active.batch or min(max(workers, 2), LARGEST_BATCH),
             seed=self.settings.seed,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.discrepancy import Discrepancy
+from strandline.discrepancy import Discrepancy, oriented_like_runs
 from strandline.errors import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError
 from strandline.field_likelihood import noise_length
 from strandline.interface import Observation
@@ -53,6 +53,9 @@ class SetAside:
 class Judge:
     """Evaluates the measures on runs, each once, and says which runs cannot be used.
 
+    The first runs say from which end an interface is run through; an observation from the other end is turned round
+    then, and `turned` names its condition.
+
     Args:
         observations: One for each observed condition.
         discrepancies: Measures by name; the first one makes the posterior.
@@ -62,9 +65,11 @@ class Judge:
     def __init__(
         self, observations: tuple[Observation, ...], discrepancies: Mapping[str, Discrepancy], policy: FailurePolicy
     ) -> None:
-        self.observations, self.policy = observations, policy
+        self.observations, self.discrepancies, self.policy = observations, discrepancies, policy
         self.likelihoods = {name: InterfaceLikelihood(observations, one) for name, one in discrepancies.items()}
         self.first = next(iter(self.likelihoods))
+        self.turned: tuple[str, ...] = ()
+        self._oriented = False
         self._known: dict[tuple[str, str], float | InvalidInput | NumericsError | ArithmeticError] = {}
         self._aside: dict[str, SetAside] = {}
         self._exceptions: dict[str, SetAside] = {}
@@ -77,7 +82,9 @@ class Judge:
             NumericsError: Likewise.
             CampaignStopped: As the policy says.
         """
-        self._aside |= {one.key: one for one in self._not_comparable([record for record in records if record.ok])}
+        good = [record for record in records if record.ok]
+        self._orient(good)
+        self._aside |= {one.key: one for one in self._not_comparable(good)}
         if not self._aside and not self._exceptions:
             return tuple(records)
         out = tuple(self._judged(record) for record in records)
@@ -128,6 +135,22 @@ class Judge:
             if name != self.first and isinstance(found := self._known.get((name, record.key)), Exception)
         ]
         return (*whole, *partly)
+
+    def _orient(self, good: Sequence[RunRecord]) -> None:
+        """Turn the observations round that run against the first runs there are."""
+        if self._oriented or not good:
+            return
+        self._oriented, observations, turned = True, [], []
+        for seen in self.observations:
+            runs = [record.interfaces[seen.condition] for record in good if seen.condition in record.interfaces]
+            interface, against = oriented_like_runs(seen.interface, runs)
+            observations.append(replace(seen, interface=interface))
+            turned += [seen.condition] if against else []
+        if turned:
+            self.observations, self.turned = tuple(observations), tuple(turned)
+            self.likelihoods = {
+                name: InterfaceLikelihood(self.observations, one) for name, one in self.discrepancies.items()
+            }
 
     def _evaluated(self, measure: str, record: RunRecord) -> float | InvalidInput | NumericsError | ArithmeticError:
         key = measure, record.key

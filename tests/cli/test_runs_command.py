@@ -239,7 +239,7 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
             "--kind: got stalld; expected one of limit_point, non_finite, stalled, timeout, worker_died.",
         ),
         (["--show", "a"], "--show: got a; expected the beginning of the key of one run, not of 7"),
-        (["--show", "zz"], "--show: got zz; expected the beginning of the key of one run; there is none among 7"),
+        (["--show", "zz"], "--show: got zz: none of the 7 keys begins with zz; expected the beginning of the key"),
         (["--show", ""], "an argument is empty"),
         (["--show", "aa1", "--state", "ok"], "--show: got another option beside it"),
         (["--limit", "0"], "--limit"),

@@ -268,3 +268,10 @@ def test_options_that_cannot_be(options: Any, words: str) -> None:
         Reading.from_options(options, "result")
     assert words in str(caught.value)
     assert str(caught.value).startswith("result")
+
+
+def test_a_header_that_names_y_before_x_is_not_passed_over(tmp_path: Path) -> None:
+    path = written(tmp_path, "y,x\n0,1\n2,3\n")
+    with pytest.raises(InvalidInput, match=r"names its columns y, x.*Give `columns: \[x, y\]`"):
+        read(path)
+    np.testing.assert_array_equal(read(path, columns=["x", "y"]).points, [[1.0, 0.0], [3.0, 2.0]])

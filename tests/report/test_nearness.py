@@ -18,6 +18,8 @@ from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.report.nearness import Nearest, as_json, nearest_runs, nothing_near
 from strandline.runs import RunRecord
+from strandline.runs.overview import Overview
+from strandline.studies.run import TELLING_RUNS
 from strandline.testing.studies import beam, write_study
 
 X = np.linspace(0.0, 1.0, 33)
@@ -151,7 +153,9 @@ def test_planted_in_a_study(
     plant: Callable[[Path], dict[str, Any]] | None,
     words: str | None,
     changes: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("strandline.studies.run.TELLING_RUNS", 10**6)  # as where all runs are known already
     observed = beam({"E": 400.0, "tilt": 0.02, "load": 1e-5}, tmp_path).interface
     np.savetxt(tmp_path / "observed.csv", observed.points, delimiter=",")
     planted = {} if plant is None else plant(tmp_path)
@@ -171,3 +175,45 @@ def test_planted_in_a_study(
         assert words in last
         assert summary["message"] == last
         assert text.startswith('<p class="warnings"><strong>NOTHING IN THE BOX COMES NEAR')
+
+
+def test_a_study_whose_first_runs_have_another_size_ends_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    observed = beam({"E": 400.0, "tilt": 0.02, "load": 1e-5}, tmp_path).interface
+    np.savetxt(tmp_path / "observed.csv", observed.points, delimiter=",")
+    observation = {"file": "observed.csv", "unit": "mm"}
+    folder = write_study(tmp_path, observation=observation, **SMALL, **in_um(tmp_path))
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(folder), "--quiet"])
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "size of the observation" in line
+    assert UNITS in line
+    assert not (folder / "summary.json").exists()
+    with Overview(folder / "ledger.sqlite") as ledger:
+        assert TELLING_RUNS <= len(ledger.runs()) < SMALL["design"]["sobol"]["runs"]
+
+
+@pytest.mark.parametrize("measure", [pytest.param("closest_point", marks=pytest.mark.long), "currents"])
+def test_a_reversed_contour_gives_the_same_posterior(
+    tmp_path: Path, measure: str, without_report: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a model without an undeformed state: the runs say from which end it is run through."""
+    points = beam({"E": 400.0, "tilt": 0.02, "load": 1e-5}, tmp_path).interface.points
+    options = {"closest_point": {}, "currents": {"width": 0.05}}[measure]
+    found = {}
+    for name, some in {"as simulated": points, "reversed": points[::-1]}.items():
+        (tmp_path / name).mkdir()
+        np.savetxt(tmp_path / name / "observed.csv", some, delimiter=",")
+        observation = {"file": "observed.csv", "unit": "mm"}
+        folder = write_study(tmp_path / name, observation=observation, discrepancy={measure: options}, **SMALL)
+        main(["run", str(folder), "--quiet"])
+        found[name] = json.loads((folder / "summary.json").read_text("utf-8"))
+    capsys.readouterr()
+    for name, summary in found.items():
+        assert summary["set_aside"] == []
+        assert any("were turned round" in line for line in summary["warnings"]) == (name == "reversed")
+    for symbol, values in found["as simulated"]["inputs"].items():
+        same = found["reversed"]["inputs"][symbol]
+        assert (same["mean"], same["sd"]) == pytest.approx((values["mean"], values["sd"]), rel=1e-6)

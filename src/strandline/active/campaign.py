@@ -13,8 +13,6 @@ from strandline.active.reported import BatchReport, report_batch
 from strandline.active.state import State, learn, posterior_state
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
-from strandline.interface import Observation
-from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 from strandline.set_aside import Judge
@@ -33,7 +31,6 @@ class ActiveRuns:
     Args:
         active: its settings.
         space: the unknown inputs.
-        observations: one for each observed condition.
         discrepancy: the measure.
         batch: runs chosen together.
         seed: of all random numbers.
@@ -46,7 +43,6 @@ class ActiveRuns:
 
     active: Active
     space: ParameterSpace
-    observations: tuple[Observation, ...]
     discrepancy: Discrepancy
     batch: int
     seed: int
@@ -58,10 +54,8 @@ class ActiveRuns:
     design: ActiveDesign = field(init=False)
 
     def __post_init__(self) -> None:
-        likelihood = InterfaceLikelihood(self.observations, self.discrepancy)
-
         def state(x: Points, records: Sequence[RunRecord]) -> State:
-            known = learn(x, records, self.space, self.observations, self.discrepancy)
+            known = learn(x, records, self.space, self.judge.observations, self.discrepancy)
             return posterior_state(known, self.space, (self.seed, len(x)), on_step=self.on_step)
 
         self.design = ActiveDesign(
@@ -69,7 +63,7 @@ class ActiveRuns:
             self.space,
             batch=self.batch,
             learn=state,
-            log_likelihood=lambda record: likelihood(record.interfaces),
+            log_likelihood=lambda record: self.judge.value(self.judge.first, record),
             seed=self.seed,
             scramble=self.scramble,
         )

@@ -25,7 +25,7 @@ def command(study: Path, plot: bool) -> None:
     """
     from strandline.report.warnings import small_share
     from strandline.studies import load_study
-    from strandline.studies.first_run import require_same_size
+    from strandline.studies.first_run import facing, require_same_size
     from strandline.studies.folder import require_writable
     from strandline.studies.ledgers import check_ledgers, known_runs, unheard_kinds
 
@@ -34,6 +34,7 @@ def command(study: Path, plot: bool) -> None:
     check_ledgers(loaded)
     record, told = _forward_run(loaded)
     require_same_size(loaded, record)
+    loaded = facing(loaded, record)
     log_likelihoods = _measured(loaded, record)
     lines, known = list(_lines(loaded, record, log_likelihoods)), known_runs(loaded)
     picture = _drawn(loaded, record) if plot else None

@@ -144,9 +144,8 @@ def _found(key: str, runs: Sequence["Run"], option: str = "--show") -> "Run":
     if len(matching) != 1:
         raise InvalidInput(
             option,
-            value=key,
-            expected="the beginning of the key of one run"
-            + (f", not of {len(matching)}" if matching else f"; there is none among {len(runs)} that begins so"),
+            value=key if matching else f"{key}: none of the {len(runs)} keys begins with {key}",
+            expected="the beginning of the key of one run" + (f", not of {len(matching)}" if matching else ""),
             remedy="Give more of its characters." if matching else "See `strandline runs STUDY` for the keys.",
         )
     return matching[0]

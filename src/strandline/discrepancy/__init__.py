@@ -2,6 +2,7 @@
 
 from strandline.discrepancy.closest_point import ClosestPoint
 from strandline.discrepancy.currents import Currents
+from strandline.discrepancy.direction import oriented_like_runs
 from strandline.discrepancy.extents import extent, extent_ratio, unit_mistake
 from strandline.discrepancy.many import squared_discrepancies
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
@@ -23,6 +24,7 @@ __all__ = [
     "extent_ratio",
     "independent_terms",
     "noise_units",
+    "oriented_like_runs",
     "squared_discrepancies",
     "unit_mistake",
     "unit_of",

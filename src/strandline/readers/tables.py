@@ -35,6 +35,13 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     if not rows:
         raise refused(f"{name} holds no points", None, "two columns x, y with one point a line")
     titles = header[0] if header else []
+    if how.columns is None and titles is names and [title.lower() for title in titles[:2]] == ["y", "x"]:
+        raise refused(
+            f"{name} names its columns {titles[0]}, {titles[1]}",
+            " ".join(titles),
+            "x before y, or `columns`",
+            f"Give `columns: [{titles[1]}, {titles[0]}]`.",
+        )
     if how.columns is None and how.field is None:
         return Contents(np.array([_point(name, number, fields, titles) for number, fields in rows]))
     by_name = any(isinstance(column, str) for column in (*(how.columns or ()), *(how.field or ())))

@@ -6,6 +6,7 @@ can be locked, thrown away or reused without the other.
 
 import dataclasses
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibrate import Observer
+from strandline.discrepancy import oriented_like_runs
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
@@ -72,6 +74,7 @@ def check_posterior(
     tell.stage("draws")
     records, new_runs = _run(study, positions, executor or study.executor, tell)
     tell.stage("report")
+    observations = tuple(_oriented(seen, records) for seen in observations)
     likelihood = InterfaceLikelihood(observations, next(iter(study.discrepancies.values())))
     true = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
     _require_one(records)
@@ -116,6 +119,12 @@ def _observations(study: Study) -> tuple[Observation, ...]:
         with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
             observed = noisy(ledger.latest([key])[key].interfaces, study.synthetic_noise)
     return tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+
+
+def _oriented(seen: Observation, records: Sequence[RunRecord]) -> Observation:
+    """Return the observation, run through from the same end as the runs."""
+    runs = [record.interfaces[seen.condition] for record in records if record.ok]
+    return dataclasses.replace(seen, interface=oriented_like_runs(seen.interface, runs).interface)
 
 
 def _run(

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from strandline.active import SLOW_BATCH, seconds_of_a_batch
-from strandline.discrepancy import Discrepancy, apart, count_of_distances
+from strandline.discrepancy import Discrepancy, apart, count_of_distances, oriented_like_runs
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.field_likelihood import noise_length
 from strandline.interface import Interface, Observation
@@ -23,6 +23,7 @@ __all__ = [
     "Noise",
     "batch_lines",
     "displacement_lines",
+    "facing",
     "known_range",
     "mesh_lines",
     "noise_of",
@@ -92,6 +93,14 @@ def require_same_size(study: Study, record: RunRecord) -> None:
             require_plausible(name, observed, record.interfaces[condition])
 
 
+def facing(study: Study, record: RunRecord) -> Study:
+    """Return the study with its observed interfaces run through from the same end as those of the run."""
+    found = {name: oriented_like_runs(seen, [record.interfaces[name]]) for name, seen in study.observed.items()}
+    turned = tuple(name for name, one in found.items() if one.flipped)
+    observed = {name: one.interface for name, one in found.items()}
+    return replace(study, observed=observed, turned=(*study.turned, *turned))
+
+
 def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield where observed interfaces and those of the run lie, how far apart they are, and doubts about that."""
     for condition, observed in study.observed.items():
@@ -117,15 +126,12 @@ def _place(interface: Interface) -> str:
 
 
 def _doubts(observed: Interface, run: Interface, of: str) -> Iterator[str]:
-    """Yield a warning for opposite directions and one for ends, or centres of closed contours, that are far apart."""
+    """Yield a warning for ends, or centres of closed contours, that are far apart."""
     far = FAR_APART * float(run.lengths.sum())
     if observed.closed and run.closed:
         apart_by = float(np.linalg.norm(observed.centres.mean(axis=0) - run.centres.mean(axis=0)))
         what = "centres lie"
     else:
-        if observed.runs_against(run):
-            observed = observed.reversed()
-            yield f"warning{of}: the observed points run against this run's interface. Reverse their order in the file."
         apart_by = max(float(np.linalg.norm(observed.points[k] - run.points[k])) for k in (0, -1))
         what = "ends lie"
     if apart_by > far:

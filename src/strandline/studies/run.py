@@ -21,6 +21,7 @@ from strandline.report import write_report
 from strandline.report.nearness import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
+from strandline.studies.first_run import require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
 from strandline.studies.ledgers import (
     begin_active,
@@ -41,6 +42,9 @@ from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 
 __all__ = ["Outcome", "run_study", "submit_study"]
+
+TELLING_RUNS = 4
+"""First successful runs, all ten times larger or smaller than the observation, that end a study."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
                 study.settings,
                 ledger=ledger,
                 executor=executor,
-                observer=_noting_rounds(made.listening(observer), study, ledger),
+                observer=_noting_rounds(_checking_sizes(made.listening(observer), study), study, ledger),
                 given=given,
             )
         end_active(study)
@@ -132,6 +136,8 @@ def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Ite
     """
     try:
         yield
+    except InvalidStudy:
+        raise
     except (NumericsError, ArithmeticError, ValueError) as error:
         known = ledger.latest(design_keys(study))
         records = [record for record in known.values() if record.ok]
@@ -158,6 +164,36 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
         observer.batch(report)
 
     return replace(observer, draws=draws, batch=batch)
+
+
+def _checking_sizes(observer: Observer, study: Study) -> Observer:
+    """Return the observer, which ends the study where its first runs all have another size than the observation.
+
+    Raises:
+        InvalidStudy: From a run's record; with the ratio and the unit that was probably mistaken.
+    """
+    first: list[RunRecord] = []
+
+    def run(record: RunRecord, progress: Progress) -> None:
+        observer.run(record, progress)
+        if record.ok and len(first) < TELLING_RUNS:
+            first.append(record)
+            if len(first) == TELLING_RUNS:
+                _require_some_size(study, first)
+
+    return replace(observer, run=run)
+
+
+def _require_some_size(study: Study, records: Sequence[RunRecord]) -> None:
+    """Refuse the study where none of the runs has the observation's size; one that is odd alone is set aside later."""
+    for record in records:
+        try:
+            require_same_size(study, record)
+        except InvalidStudy as error:
+            refused = error
+        else:
+            return
+    raise refused
 
 
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:

@@ -10,6 +10,7 @@ from queue import LifoQueue
 import numpy as np
 from jaxtyping import Float
 
+from strandline.discrepancy import oriented_like_runs
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
@@ -162,7 +163,7 @@ def served_models(
     """
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
-    likelihood = InterfaceLikelihood(_observations(study, solve), next(iter(study.discrepancies.values())))
+    likelihood = InterfaceLikelihood(_observations(study, solve, example), next(iter(study.discrepancies.values())))
     return tuple(_Served(study, solve, differentiate, likelihood, outside).models(example))
 
 
@@ -188,13 +189,17 @@ def _check_box(values: Mapping[str, float], space: ParameterSpace) -> None:
             )
 
 
-def _observations(study: Study, solve: Solve) -> tuple[Observation, ...]:
+def _observations(study: Study, solve: Solve, example: RunRecord) -> tuple[Observation, ...]:
+    """Return the observations, run through from the same end as an example."""
     observed: Mapping[str, Interface] = study.observed
     if study.truth is not None:
         observed = noisy(
             _required(solve(study.truth), "of the synthetic observation").interfaces, study.synthetic_noise
         )
-    return tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+    return tuple(
+        Observation(oriented_like_runs(seen, [example.interfaces[name]]).interface, study.noise_variance, name)
+        for name, seen in observed.items()
+    )
 
 
 def _required(record: RunRecord, what: str) -> RunRecord:

@@ -86,7 +86,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "under_uncertainty": _under_uncertainty(calibration),
         "sensitivity": _sensitivity(calibration),
         "missing": {},
-        "warnings": list(find_warnings(calibration, turned=study.turned)),
+        "warnings": list(find_warnings(calibration, turned=(*study.turned, *calibration.turned))),
         "seconds": dict(calibration.seconds),
     }
 

@@ -1,0 +1,41 @@
+"""The direction in which an observed interface is run through, taken from forward runs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from strandline.interface import Interface, Oriented
+
+__all__ = ["oriented_like_runs"]
+
+NEAREST = 5
+"""Runs that decide, those nearest to the observation: the further off a run is, the less its direction says."""
+SHARES = 33
+LARGEST = 1e100
+
+
+def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Oriented:
+    """Return `observed` run through as most of the runs nearest to it, and whether it had to be turned round.
+
+    Args:
+        observed: The observed interface.
+        runs: Simulated interfaces; those of another kind (open, closed, surface) are passed over.
+    """
+    apart = [(_distance(observed, run), k) for k, run in enumerate(runs) if _alike(observed, run)]
+    votes = [observed.runs_against(runs[k]) for _, k in sorted(apart)[:NEAREST]]
+    against = 2 * sum(votes) > len(votes)
+    return Oriented(observed.reversed() if against else observed, against)
+
+
+def _alike(observed: Interface, run: Interface) -> bool:
+    """Tell whether a run can be compared: of the same kind, with coordinates whose squares are numbers."""
+    same = run.dim == observed.dim and run.closed == observed.closed
+    return same and float(np.abs(run.points).max()) < LARGEST
+
+
+def _distance(observed: Interface, run: Interface) -> float:
+    """Return how far a run is from the observation, whichever way it is run through; for an order alone."""
+    if observed.dim == 3 or observed.closed:
+        return float(np.linalg.norm(observed.points.mean(axis=0) - run.points.mean(axis=0)))
+    mine, theirs = observed.resampled(SHARES).points, run.resampled(SHARES).points
+    return min(float(np.sum((mine - other) ** 2)) for other in (theirs, theirs[::-1]))

@@ -1,0 +1,43 @@
+"""The direction of an observation, from the runs nearest to it."""
+
+import numpy as np
+import pytest
+
+from strandline.discrepancy import oriented_like_runs
+from strandline.interface import Interface
+
+S = np.linspace(0.0, 1.0, 41)
+
+
+def arch(height: float) -> Interface:
+    return Interface.polyline(np.column_stack([S, height * S * (1 - S) * (1 + S)]))
+
+
+RUNS = [arch(height) for height in np.linspace(0.1, 3.0, 30)]
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_an_observation_is_run_through_as_most_of_the_nearest_runs(reverse: bool) -> None:
+    seen = arch(0.8).resampled(17)
+    found = oriented_like_runs(seen.reversed() if reverse else seen, RUNS)
+    assert found.flipped == reverse
+    np.testing.assert_array_equal(found.interface.points, seen.points)
+
+
+def test_a_flipped_run_near_the_observation_is_outvoted() -> None:
+    runs = [arch(0.8).reversed(), *RUNS]
+    assert not oriented_like_runs(arch(0.8), runs).flipped
+
+
+def test_runs_of_another_kind_and_far_beyond_numbers_do_not_count() -> None:
+    ring = Interface.polyline(np.column_stack([np.cos(6 * S[:-1]), np.sin(6 * S[:-1])]), closed=True)
+    huge = Interface.polyline(1e160 * RUNS[0].points)
+    assert not oriented_like_runs(arch(0.8), [ring, huge, *RUNS]).flipped
+    assert not oriented_like_runs(arch(0.8), [ring]).flipped
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_closed_outlines_by_the_side_they_face(reverse: bool) -> None:
+    angle = 2 * np.pi * S[:-1]
+    rings = [Interface.polyline(r * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True) for r in (1.0, 1.1)]
+    assert oriented_like_runs(rings[0].reversed() if reverse else rings[0], rings).flipped == reverse
