@@ -263,7 +263,7 @@ def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch: pytest.Monk
     monkeypatch.setattr(campaign_module, "posterior_state", lambda given, *others, **options: learner(*given))
     seen, measure = (Observation(interface(MEAN), 0.01),), TrackedPoints()
     judge = Judge(seen, {"tracked_points": measure}, FailurePolicy())
-    runs = ActiveRuns(Active(60), SPACE, seen, measure, 4, 1, None, judge, aside=nullcontext)
+    runs = ActiveRuns(Active(60), SPACE, measure, 4, 1, None, judge, aside=nullcontext)
     first = SPACE.to_physical(sobol(5, 2))
     runs.design.start(first)
     found = runs([record(row) for row in first])
