@@ -19,6 +19,7 @@ def taking(monkeypatch: pytest.MonkeyPatch) -> Discrepancy:
     """A measure that takes a millisecond, by a clock of its own."""
     clock = [0.0]
     monkeypatch.setattr(cost.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(cost.time, "process_time", lambda: clock[0])
 
     def measure(simulated: Interface, observed: Interface) -> float:
         clock[0] += 1e-3
@@ -37,3 +38,14 @@ def test_conditions_add_up(taking: Discrepancy) -> None:
     seen = tuple(Observation(line(9), 1e-4, name) for name in ("a", "b"))
     seconds = seconds_of_a_batch(seen, taking, {"a": line(9), "b": line(9)}, 5)
     assert seconds == pytest.approx(2e-3 * EVALUATIONS)
+
+
+@pytest.mark.parametrize("busy", ["perf_counter", "process_time"])
+def test_other_work_on_the_machine_does_not_count(
+    taking: Discrepancy, busy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its clock goes ten times as fast as the processor's, or the threads of the measure use ten processors."""
+    slow = getattr(cost.time, busy)
+    monkeypatch.setattr(cost.time, busy, lambda: 10 * slow())
+    seconds = seconds_of_a_batch((Observation(line(9), 1e-4),), taking, {"": line(9)}, 5)
+    assert seconds == pytest.approx(1e-3 * EVALUATIONS)
