@@ -33,7 +33,7 @@ class ActiveRuns:
         space: the unknown inputs.
         discrepancy: the measure.
         batch: runs chosen together.
-        seed: of all random numbers.
+        seed: seed of all random numbers.
         scramble: of the Sobol sequence of the first runs.
         judge: says which runs can be used.
         aside: a context for the time that choosing takes.

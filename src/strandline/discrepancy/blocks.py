@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 __all__ = ["motion", "similar"]
 
 _LOOKED_AT = 16
-"""Nodes by which runs are told apart."""
+"""Nodes compared to find out which runs are alike."""
 
 
 def similar(points: Float[np.ndarray, "run point xyz"], size: int) -> list[Int[np.ndarray, " some"]]:

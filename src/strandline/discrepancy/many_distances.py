@@ -110,6 +110,7 @@ class _Pairs:
 
     @classmethod
     def of(cls, near: Bool[np.ndarray, "point cell"]) -> "_Pairs":
+        """Return the pairs that `near` marks; each point has one at least."""
         point, cell = np.nonzero(near)
         counts = np.bincount(point, minlength=len(near))
         rows = -(-counts // ABREAST)
