@@ -133,6 +133,24 @@ def test_a_run_whose_worker_vanishes_each_time_is_given_up(tmp_path):
     assert len(pids(tmp_path)) == 2
 
 
+def test_a_worker_that_comes_back_too_late_is_replaced(tmp_path, monkeypatch):
+    """Trap: Dask closes the place of such a worker, and no other takes it."""
+    late = []
+
+    async def leave_alone(nanny, exitcode):
+        late.append(exitcode)
+
+    monkeypatch.setattr("distributed.nanny.Nanny._on_worker_exit", leave_alone)
+    monkeypatch.setattr(dask_cluster, "LOST_PROCESS_SECONDS", 1)
+    model = KillsItsDaskWorker(str(tmp_path))
+    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
+        executor = DaskCluster(workers=1)
+        (record,) = run_campaign(model, [{"E": 300.0}], ledger=ledger, executor=executor, maximum_attempts=2)
+    assert late
+    assert (record.state, record.failure_kind) == ("killed", "worker_died")
+    assert len(pids(tmp_path)) == 2
+
+
 def test_a_closure_is_refused_before_a_cluster_is_started(monkeypatch):
     """Trap: a closure cannot be pickled; Dask says so late, in the middle of a traceback of its own."""
     monkeypatch.setattr(dask_cluster, "opened", lambda *_: pytest.fail("a cluster was started"))

@@ -20,8 +20,11 @@ REACH_SECONDS = 20.0
 LOOPBACK = "127.0.0.1:0"
 """Where Dask puts the pages about a cluster, which show what runs and ask for no key: any free port, for this machine
 alone."""
-SETTINGS = {"distributed.deploy.lost-worker-timeout": "2s"}
-"""A worker that is gone does not come back: its job is gone too, and is replaced at once, not after 15 s."""
+LOST_WORKER = "distributed.deploy.lost-worker-timeout"
+LOST_JOB_SECONDS = 2
+"""A job that is gone does not come back: it is replaced at once, not after Dask's 15 s."""
+LOST_PROCESS_SECONDS = 15
+"""A process of our own machine is started anew, which takes seconds where much else goes on."""
 
 
 @dataclass
@@ -37,6 +40,14 @@ class Cluster:
         """Keep this many jobs only; those that are busy come last."""
         if self.submissions is not None:
             self.maker.adapt(minimum_jobs=jobs, maximum_jobs=max(jobs, 1))
+
+    def replace_the_lost(self) -> None:
+        """Have workers of our own machine started that Dask has given up, as it does those that come back too late."""
+        if self.maker is None or self.submissions is not None:
+            return
+        wanted = self.maker.worker_spec
+        if set(wanted) - set(self.maker.workers):
+            self.maker.scale(len(wanted))
 
     @property
     def refused(self) -> str | None:
@@ -81,7 +92,6 @@ def opened(kind: str, address: str | None, workers: int, jobs: Mapping[str, Any]
     with contextlib.ExitStack() as stack:
         if address is not None:
             client = stack.enter_context(_client(address, address))
-            stack.enter_context(dask.config.set(SETTINGS))
             yield Cluster(client, address)
             return
         submissions = Submissions() if kind in ("slurm", "pbs") else None
@@ -89,7 +99,8 @@ def opened(kind: str, address: str | None, workers: int, jobs: Mapping[str, Any]
         maker = _started(kind, workers, jobs, submissions, security)
         stack.callback(_end, maker)
         client = stack.enter_context(_client(maker, str(maker.scheduler_address)))
-        stack.enter_context(dask.config.set(SETTINGS))
+        patience = LOST_PROCESS_SECONDS if submissions is None else LOST_JOB_SECONDS
+        stack.enter_context(dask.config.set({LOST_WORKER: f"{patience}s"}))
         yield Cluster(client, str(maker.scheduler_address), maker, submissions)
 
 

@@ -234,6 +234,7 @@ class Driver:
                 raise _out_of_reach(self.cluster.address, error) from error
             return
         self.reached = self.looked
+        self.cluster.replace_the_lost()
         if self.cluster.refused is not None and not self.threads:
             raise _refused(self.cluster.refused)
         self._forget_the_gone()
