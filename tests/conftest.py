@@ -6,13 +6,17 @@ another process could read half a file.
 """
 
 import atexit
+import io
 import os
 import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -24,6 +28,10 @@ if threading.current_thread() is threading.main_thread():
 
 import jax
 import pytest
+from matplotlib.backends import _backend_pdf_ps
+
+DEJAVU_ASCII = range(3, 98)
+"""Glyphs of the letters that most figures have, in the font that Matplotlib brings."""
 
 
 def _remove(folder: str, owner: int) -> None:
@@ -45,6 +53,27 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 def pytest_xdist_auto_num_workers() -> int:
     """Return the number of processes for ``-n auto``: one above the cores, for many tests wait for simulators."""
     return 1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _subsets_of_fonts_made_once() -> Iterator[None]:
+    """Embed the same letters in most PDFs: cutting a font to those of each figure takes a third of a small study."""
+    cut, written = _backend_pdf_ps.get_glyphs_subset, _backend_pdf_ps.font_as_file
+
+    @cache
+    def made(font: Any, glyphs: frozenset[int]) -> tuple[bytes, dict[int, int]]:
+        with cut(font, glyphs) as found:
+            return written(found.font).getvalue(), found.glyph_index_map
+
+    def kept(font: Any, glyphs: Iterable[int]) -> Any:
+        usual = DEJAVU_ASCII if "DejaVuSans" in os.fspath(font) else ()
+        data, numbers = made(font, frozenset([*glyphs, *usual]))
+        return nullcontext(SimpleNamespace(font=data, glyph_index_map=numbers))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_backend_pdf_ps, "get_glyphs_subset", kept)
+        patch.setattr(_backend_pdf_ps, "font_as_file", io.BytesIO)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

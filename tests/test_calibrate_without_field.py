@@ -88,6 +88,7 @@ def quick() -> Iterator[None]:
         yield
 
 
+@pytest.mark.long
 def test_another_topology_is_learnt_by_the_other_surrogate(tmp_path: Path) -> None:
     active = Active(40, batch=4, explore=0.5)
     found = answer(tmp_path / "ledger.sqlite", problem(Flap(height=0.78)), replace(SETTINGS, active=active))
@@ -134,15 +135,26 @@ def test_all_runs_are_told_and_none_is_made_twice(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_given_runs_are_enough_for_the_other_surrogate(tmp_path: Path) -> None:
-    asked = problem(Flap(height=0.7))
-    found, made = answer(tmp_path / "ledger.sqlite", asked), []
+@pytest.mark.parametrize(("height", "by_field"), [(0.7, False), (0.78, True)])
+def test_given_runs_are_enough(tmp_path: Path, height: float, by_field: bool) -> None:
+    """Those that close are an eighth of the box and more, so that the first design makes no field.
+
+    Among all runs, most of them near the posterior, those of the higher flap are few: given, they are set aside.
+    """
+    found, made = answer(tmp_path / "ledger.sqlite", problem(Flap(height=height))), []
     given = np.array([[record.inputs[name] for name in SPACE.names] for record in found.records])
     observer = Observer(run=lambda record, progress: made.append(record.key))
-    other = answer(tmp_path / "ledger.sqlite", problem(Flap(height=0.7), 0.002), given=given, observer=observer)
+    asked = problem(Flap(height=height), 0.002)
+    other = answer(tmp_path / "ledger.sqlite", asked, given=given, observer=observer)
     assert made == []
-    assert other.no_field is not None
+    assert found.no_field is not None
+    assert (other.no_field is None) is by_field
     assert len(other.records) == len(found.records)
+    closed = [record.key for record in found.records if record.interface.closed]
+    assert [one.key for one in other.set_aside] == (closed if by_field else [])
+    mean, sd = exact(asked)
+    assert np.abs((other.posterior.mean - mean) / sd).max() < 0.15
+    assert np.abs(other.posterior.sd / sd - 1).max() < 0.15
 
 
 def test_a_fixed_design_is_learnt_from_as_it_is(tmp_path: Path) -> None:

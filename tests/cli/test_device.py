@@ -12,6 +12,13 @@ import pytest
 from strandline.testing.studies import write_study
 
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
+WITHOUT_REPORT = """
+import sys
+from strandline.cli import main
+from strandline.studies import run
+run.write_report = lambda calibration, summary, *, folder, **others: folder / "report.html"
+main(sys.argv[1:])
+"""
 SMALL = {
     "design": {"sobol": {"runs": 32}},
     "sampler": {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}},
@@ -66,7 +73,8 @@ def test_another_device_is_refused(tmp_path: Path) -> None:
 
 def test_the_option_comes_before_the_environment(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study", **SMALL)
-    ended = started(COMMAND, "run", str(folder), "--quiet", "--device", "cpu", JAX_PLATFORMS="nonsense")
+    program = [sys.executable, "-c", WITHOUT_REPORT]
+    ended = started(program, "run", str(folder), "--quiet", "--device", "cpu", JAX_PLATFORMS="nonsense")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert started(COMMAND, "report", str(folder), "--quiet", JAX_PLATFORMS="nonsense").returncode != 0
 

@@ -27,6 +27,7 @@ def run(key=0, **options):
     return sample_each(jax.random.key(key), log_prior=log_prior, settings=QUICK, **arguments)
 
 
+@pytest.mark.long
 def test_each_case_is_what_the_sampler_gives_with_its_value_fixed():
     together = run()
     for case, found in enumerate(together):

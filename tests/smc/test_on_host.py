@@ -100,6 +100,7 @@ def test_undefined_values_are_refused(initial: np.ndarray) -> None:
         sample(jax.random.key(1), Host(later), log_prior, initial, settings=SETTINGS)
 
 
+@pytest.mark.long
 def test_each_case_is_as_compiled(initial: np.ndarray) -> None:
     """One of them needs fewer steps than the others, and is asked nothing more."""
     given = np.array([[0.3, 0.4], [0.7, 0.2], [30.0, 40.0]])

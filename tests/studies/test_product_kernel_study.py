@@ -10,6 +10,7 @@ from strandline.studies import load_study, run_study
 from strandline.testing.studies import write_study
 
 
+@pytest.mark.long
 def test_the_lengths_of_all_inputs_are_told(tmp_path: Path) -> None:
     kernel = {"log_likelihood": {"kernel": "matern32_product"}}
     folder = write_study(tmp_path / "beam", surrogate=kernel)
