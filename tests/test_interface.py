@@ -180,6 +180,19 @@ def test_self_crossings_of_random_walks_against_shapely(closed):
     assert 30 < sum(verdicts) < 270
 
 
+@pytest.mark.parametrize("pairs", [1, 7, 1 << 18])
+def test_the_first_of_many_crossings_is_named_whatever_the_size_of_the_blocks(pairs, monkeypatch):
+    monkeypatch.setattr("strandline.interface._PAIRS", pairs)
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        points = rng.normal(size=(40, 2))
+        lines = [shapely.LineString(points[k : k + 2]) for k in range(39)]
+        first = next((i, j) for i in range(39) for j in range(i + 2, 39) if lines[i].intersects(lines[j]))
+        found = Interface.polyline(points)._first_crossing()
+        assert found is not None
+        assert found[:2] == first
+
+
 @pytest.mark.parametrize("variance", [0.0, -1.0, math.nan, math.inf])
 def test_observation_refuses_a_noise_variance_that_is_none(variance):
     with pytest.raises(InvalidInput, match="noise variance"):

@@ -1,6 +1,7 @@
 """The interface: what a forward model returns and an experiment observes."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,6 +16,8 @@ __all__ = ["Interface", "Observation", "Oriented", "is_condition", "oriented_lik
 
 _ROUNDING = 8 * float(np.finfo(float).eps)
 """Share of an interface's extent below which two of its points count as touching."""
+_PAIRS = 1 << 18
+"""Pairs of segments looked at together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,14 +274,11 @@ class Interface:
         if fold is not None:
             return fold
         slack = _ROUNDING * float(np.ptp(self.points, axis=0).max())
-        number = len(self.cells)
-        for i in range(number - 2):
-            others = slice(i + 2, number - 1 if self.closed and i == 0 else number)
-            hit = np.flatnonzero(_meet(self.starts, self.ends, i, others, slack))
-            if hit.size:
-                j = i + 2 + int(hit[0])
-                return i, j, _shared_point(self.starts[i], self.ends[i], self.starts[j], self.ends[j])
-        return None
+        found = min(_meeting(self.starts, self.ends, slack, closed=self.closed), default=None)
+        if found is None:
+            return None
+        i, j = found
+        return i, j, _shared_point(self.starts[i], self.ends[i], self.starts[j], self.ends[j])
 
     def _first_fold(self) -> tuple[int, int, Float[np.ndarray, "2"]] | None:
         """Return (i, j, place) of the first segment j that runs back over the segment i before it."""
@@ -338,14 +338,31 @@ def _cross(a: Float[np.ndarray, "*#pair 2"], b: Float[np.ndarray, "*#pair 2"]) -
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def _meet(
-    starts: Float[np.ndarray, "cell 2"], ends: Float[np.ndarray, "cell 2"], i: int, others: slice, slack: float
-) -> Bool[np.ndarray, " other"]:
-    """Tell which of the `others` share a point with segment i: boxes overlap, and each has its ends on both sides."""
-    a, b, p, q = starts[i], ends[i], starts[others], ends[others]
-    low, high = np.minimum(p, q), np.maximum(p, q)
-    boxes = (low <= np.maximum(a, b) + slack).all(axis=1) & (high >= np.minimum(a, b) - slack).all(axis=1)
-    return np.asarray(boxes & _straddle(a, b, p, q, slack) & _straddle(p, q, a, b, slack))
+def _meeting(
+    starts: Float[np.ndarray, "cell 2"], ends: Float[np.ndarray, "cell 2"], slack: float, *, closed: bool
+) -> Iterator[tuple[int, int]]:
+    """Yield the pairs of segments, neighbours left out, that share a point: each has its ends on both sides.
+
+    Only pairs are looked at whose bounding boxes overlap; they are found along the longer side of the polyline.
+    """
+    low, high, number = np.minimum(starts, ends) - slack, np.maximum(starts, ends), len(starts)
+    along = int(np.argmax(np.ptp(starts, axis=0)))
+    order = np.argsort(low[:, along], kind="stable")
+    partners = np.searchsorted(low[order, along], high[order, along], side="right") - np.arange(number) - 1
+    pairs = np.concatenate([[0], np.cumsum(partners)])
+    begin = 0
+    while begin < number:
+        end = max(int(np.searchsorted(pairs, pairs[begin] + _PAIRS, side="right")) - 1, begin + 1)
+        one = np.repeat(np.arange(begin, end), partners[begin:end])
+        two = one + 1 + np.arange(pairs[begin], pairs[end]) - pairs[one]
+        i, j = np.sort([order[one], order[two]], axis=0)
+        near = (j > i + 1) & ~(closed & (i == 0) & (j == number - 1))
+        near &= (low[i] <= high[j]).all(axis=1) & (low[j] <= high[i]).all(axis=1)
+        i, j = i[near], j[near]
+        a, b, p, q = starts[i], ends[i], starts[j], ends[j]
+        hit = _straddle(a, b, p, q, slack) & _straddle(p, q, a, b, slack)
+        yield from zip(i[hit].tolist(), j[hit].tolist(), strict=True)
+        begin = end
 
 
 def _straddle(
