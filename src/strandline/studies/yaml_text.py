@@ -67,7 +67,10 @@ class _Loader(yaml.SafeLoader):
         finally:
             self.depth -= 1
             self.open_anchors -= opened
-        if node is not None:
+        if isinstance(node, yaml.ScalarNode):
+            _require_usable(node)
+            self.extents[id(node)] = 1, 1
+        elif node is not None:
             self._require_bearable(node, event.start_mark)
         return node
 
@@ -80,14 +83,6 @@ class _Loader(yaml.SafeLoader):
         if size > LARGEST:
             raise _not_yaml(mark, "aliases (*name) that repeat each other", f"at most {LARGEST} values in all")
         self.extents[id(node)] = size, height
-
-    def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:
-        """Return a scalar without control characters."""
-        node = super().compose_scalar_node(anchor)
-        found = UNUSABLE.search(node.value)
-        if found:
-            raise _not_yaml(node.start_mark, repr(found[0])[1:-1], "no control characters", "Remove the character.")
-        return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """Return a mapping whose keys are texts or numbers, each there once."""
@@ -123,6 +118,13 @@ class _Loader(yaml.SafeLoader):
             why = f": {error}" if type(error) is ValueError else ""
             raise _not_yaml(node.start_mark, f"{node.value!r}, which is no {kind}{why}") from None
         return value
+
+
+def _require_usable(node: yaml.ScalarNode) -> None:
+    """Refuse control characters."""
+    found = UNUSABLE.search(node.value)
+    if found:
+        raise _not_yaml(node.start_mark, repr(found[0])[1:-1], "no control characters", "Remove the character.")
 
 
 def _children(node: yaml.Node) -> Iterator[yaml.Node]:
