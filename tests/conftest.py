@@ -28,8 +28,11 @@ if threading.current_thread() is threading.main_thread():
 
 import jax
 import pytest
+from _pytest.runner import runtestprotocol
 from matplotlib.backends import _backend_pdf_ps
 
+FRAME = 1 << 16
+"""Values: half a megabyte, of a piece of one."""
 DEJAVU_ASCII = range(3, 98)
 """Glyphs of the letters that most figures have, in the font that Matplotlib brings."""
 
@@ -53,6 +56,27 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 def pytest_xdist_auto_num_workers() -> int:
     """Return the number of processes for ``-n auto``: one above the cores, for many tests wait for simulators."""
     return 1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def _in_one_piece(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Run a test in a frame so large that those of all its calls fit into the same piece of memory.
+
+    Python 3.11 takes memory for frames in pieces of 16 KB and gives each back when its first frame ends. A test that
+    makes its calls across such a border would ask the system for a piece and give it back for every call.
+    """
+    runtestprotocol(item, nextitem=nextitem)
+
+
+_in_one_piece.__code__ = _in_one_piece.__code__.replace(co_stacksize=FRAME)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool:
+    """Run a test as pytest does."""
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    _in_one_piece(item, nextitem)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
 
 
 @pytest.fixture(scope="session", autouse=True)

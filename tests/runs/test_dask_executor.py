@@ -88,24 +88,44 @@ def test_a_killed_driver_leaves_no_run_at_the_scheduler(scheduler, tmp_path):
     assert len(pids(tmp_path)) == 2
 
 
+@dataclass(frozen=True)
+class StaysTheFirstTime:
+    """Leaves the number of its Dask worker and stays, the first time that it is called at `stays`."""
+
+    folder: str
+    stays: float
+    fingerprint: ClassVar[str] = "test:stays-the-first-time"
+
+    @property
+    def mark(self):
+        return Path(self.folder) / "worker"
+
+    def __call__(self, inputs, workdir):
+        if inputs["E"] == self.stays and not self.mark.exists():
+            (workdir / "worker").write_text(str(os.getppid()))
+            (workdir / "worker").rename(self.mark)
+            time.sleep(60)
+        return Cantilever()(inputs, workdir)
+
+
 def test_a_killed_dask_worker_costs_its_own_run_alone(tmp_path):
     """Trap: Dask condemns what waits behind a run whose worker dies (KilledWorker), or repeats the run unasked."""
-    model, shot, seen = Counted(str(tmp_path), Slow(seconds=0.4)), [], []
+    model, seen = StaysTheFirstTime(str(tmp_path), stays=330.0), []
 
     def shoot(record, progress):
         seen.append((record.state, record.failure_kind))
-        if not shot:
-            known = len(pids(tmp_path))
-            assert wait_until(lambda: len(pids(tmp_path)) > known, 20)
-            shot.append(parent(pids(tmp_path)[-1]))  # of a run that has just begun
-            os.kill(shot[0], signal.SIGKILL)
+        if len(seen) == 5:  # runs are handed out in their order: it has been, and stays
+            assert wait_until(model.mark.exists, 20)
+            os.kill(int(model.mark.read_text()), signal.SIGKILL)
 
+    calls = Counted(str(tmp_path), model)
     inputs = [{"E": 300.0 + 10 * k, "load": 1e-5} for k in range(8)]
-    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
-        done = run_campaign(model, inputs, ledger=ledger, executor=DaskCluster(workers=2), on_record=shoot)
+    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(calls)) as ledger:
+        done = run_campaign(calls, inputs, ledger=ledger, executor=DaskCluster(workers=2), on_record=shoot)
         assert ledger.counts() == Counts(ok=8)
     assert all(record.ok for record in done)
     assert seen.count(("killed", "worker_died")) == 1
+    assert len(seen) == 9
     assert len(pids(tmp_path)) == 9
 
 

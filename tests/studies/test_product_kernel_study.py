@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
