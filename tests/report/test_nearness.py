@@ -141,7 +141,7 @@ UNITS, PLACE = "µm and mm differ by a factor of 1000", "Their centres lie 500 m
     [
         pytest.param(None, None, {}, id="sound, log-likelihood", marks=pytest.mark.long),
         pytest.param(None, None, BY_FIELD, id="sound, field"),
-        pytest.param(in_um, UNITS, {}, id="micrometres, log-likelihood"),
+        pytest.param(in_um, UNITS, {}, id="micrometres, log-likelihood", marks=pytest.mark.long),
         pytest.param(in_um, UNITS, BY_FIELD, id="micrometres, field", marks=pytest.mark.long),
         pytest.param(elsewhere, PLACE, {}, id="elsewhere, log-likelihood", marks=pytest.mark.long),
         pytest.param(elsewhere, PLACE, BY_FIELD, id="elsewhere, field"),
