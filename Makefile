@@ -26,7 +26,7 @@ demo: env
 
 # All examples of the published study, and what is to be said of them.
 reproduce: env
-	$(BIN)/strandline reproduce
+	$(BIN)/python -m verification.reproduction
 
 # Without the statistical tests marked long.
 test: env
@@ -46,11 +46,11 @@ check: $(VENV)/.installed-check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
-	$(BIN)/python -m validation.installed
+	$(BIN)/python -m verification.validation.installed
 
 # The wheel alone, in empty environments, with this Python and the newest one that is found (see STRANDLINE_PYTHONS).
 installed: $(VENV)/.installed-check
-	$(BIN)/python -m validation.installed
+	$(BIN)/python -m verification.validation.installed
 
 # Source distribution and wheel, in dist/.
 dist: $(VENV)/.installed-check
@@ -61,15 +61,15 @@ docs: $(VENV)/.installed-check
 
 # strandline beside other programs, about a quarter of an hour; best on an idle machine.
 bench: bench-env
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m verification.benchmarks
 
 # The other programs have an environment of their own. Without them the benchmark says what it did not measure.
 bench-env: env
-	$(BIN)/python -m benchmarks.peers.install
+	$(BIN)/python -m verification.benchmarks.peers.install
 
-# PyVBMC, for `python -m validation.pyvbmc`.
+# PyVBMC, for `python -m verification.validation.pyvbmc`.
 pyvbmc-env: env
-	$(BIN)/python -m benchmarks.peers.install pyvbmc
+	$(BIN)/python -m verification.benchmarks.peers.install pyvbmc
 
 clean:
 	rm -rf docs/_build .pytest_cache .mypy_cache .ruff_cache

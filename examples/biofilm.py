@@ -7,14 +7,8 @@ there, it makes no forward run twice.
 
 from pathlib import Path
 
-import jax
-
 import strandline as sl
-from strandline.calibrate import calibrate
-from strandline.models.protocol import fingerprint
-from strandline.plots import plot_joint
-
-jax.config.update("jax_enable_x64", True)
+from strandline.report.plots import plot_joint
 
 model = sl.Biofilm(mesh="coarse")
 truth = {"E": 400.0, "nu": 0.3, "V_in": 100.0}  # Pa, 1, mm²/s
@@ -23,8 +17,7 @@ inputs = sl.ParameterSpace((sl.Parameter("E", sl.Uniform(100, 800), "Pa"), sl.Pa
 problem = sl.Problem(model, inputs, {"V_in": 100.0}, (observed,), {"currents": sl.Currents(0.005)})
 
 if __name__ == "__main__":
-    with sl.Ledger.open("ledger.sqlite", model=fingerprint(model)) as ledger:
-        result = calibrate(problem, sl.Settings(runs=200), ledger=ledger, executor=sl.LocalProcesses())
+    result = sl.calibrate(problem, sl.Settings(runs=200), ledger="ledger.sqlite", executor=sl.LocalProcesses())
     for name, mean, sd in zip(inputs.names, result.posterior.mean, result.posterior.sd, strict=True):
         print(f"{name} = {mean:.4g} ± {sd:.2g}, truth {truth[name]:g}")
 

@@ -7,14 +7,10 @@ read the deformed interface. Takes a few seconds:  python examples/own_model.py
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import jax
 import numpy as np
 
 import strandline as sl
-from strandline.calibrate import Calibration, calibrate
-from strandline.models.protocol import fingerprint
 
 LENGTH, HEIGHT = 1.0, 0.2  # mm
 PRESSURE = 0.25  # Pa
@@ -39,7 +35,7 @@ def measured() -> sl.Interface:
     return sl.Interface.polyline(clean.points + np.stack([np.zeros_like(noise), noise], axis=1))
 
 
-def calibrated() -> Calibration:
+def calibrated() -> sl.Calibration:
     """Return the posterior of E."""
     problem = sl.Problem(
         model=beam,
@@ -49,13 +45,11 @@ def calibrated() -> Calibration:
         discrepancies={"lines": sl.MeasurementLines([(x, 0.0, 0.0, 1.0) for x in STATIONS])},
     )
     settings = sl.Settings(runs=64, particles=2000, smc=sl.SMCSettings(rejuvenation_steps=10, zeta=0.9))
-    with TemporaryDirectory() as folder, sl.Ledger.open(f"{folder}/ledger.sqlite", model=fingerprint(beam)) as ledger:
-        # InProcess suits a formula; a real simulator wants sl.LocalProcesses() and a ledger that stays.
-        return calibrate(problem, settings, ledger=ledger, executor=sl.InProcess())
+    # Runs in this process, as suits a formula; give a real simulator executor=sl.LocalProcesses(), ledger="…"
+    return sl.calibrate(problem, settings)
 
 
 if __name__ == "__main__":  # worker processes import this file: what starts runs stands under this line
-    jax.config.update("jax_enable_x64", True)
     posterior = calibrated().posterior
     mean, sd = posterior.mean[0], posterior.sd[0]
     print(f"E = {mean:.2f} ± {sd:.2f} Pa, truth {TRUE_E:.0f} Pa")

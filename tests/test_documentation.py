@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import yaml
 from pydantic import BaseModel
-from validation.command_faults import FAULTS
+from verification.validation.command_faults import FAULTS
 
 import strandline as sl
-from strandline.active import CRITERIA, Active
 from strandline.cli.main import COMMANDS
+from strandline.design.active import CRITERIA, Active
 from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
 from strandline.models.biofilm.outline import Outline
@@ -31,7 +31,7 @@ from strandline.readers import READERS, Reading, read_interface
 from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior
 from strandline.studies.build import build_model
-from strandline.studies.schema import ObservationFile, StudyFile
+from strandline.studies.study_file import ObservationFile, StudyFile
 from strandline.surrogate import KERNELS
 from strandline.testing.studies import BEAM_STUDY, write_study
 
@@ -68,6 +68,8 @@ def blocks(page: str, language: str) -> list[str]:
 def keys_of(model: type[BaseModel], place: str = "") -> Iterator[tuple[str, str]]:
     """Yield each key of study.yaml that takes a value, with its default as the page writes it."""
     for name, field in model.model_fields.items():
+        if field.exclude:
+            continue
         key, nested = f"{place}{name}", [m for m in models_in(field.annotation) if m is not None]
         is_mapping = "dict" in str(field.annotation) and bool(nested)
         prefix = f"{key}.NAME." if is_mapping else f"{key}."

@@ -1,14 +1,13 @@
 """strandline: Bayesian calibration of computational-mechanics models from the shape of a measured interface.
 
-The names below stand in the order of the pipeline. The function that runs it shares its name with its module:
-``from strandline.calibrate import calibrate``.
+The names below stand in the order of the pipeline; `calibrate` runs all of it.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from strandline.calibrate import Calibration, Observer, Problem, Settings
+    from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate
     from strandline.design import sobol
     from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, TrackedPoints
     from strandline.errors import ForwardModelError, InvalidInput, NumericsError, StrandlineError
@@ -19,11 +18,11 @@ if TYPE_CHECKING:
     from strandline.models.python import PythonModel
     from strandline.parameters import Parameter, ParameterSpace
     from strandline.posterior import Posterior
+    from strandline.posterior.quadrature import integrate
     from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
-    from strandline.quadrature import integrate
     from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, run_campaign
     from strandline.smc import SMCSettings, sample
-    from strandline.studies import Outcome, Study, load_study, run_study
+    from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
     from strandline.surrogate import fit_log_likelihood
 
 __version__ = "0.2.0"
@@ -63,10 +62,13 @@ __all__ = [  # noqa: RUF022
     "Settings",
     "Observer",
     "Calibration",
+    "calibrate",
     "Study",
     "load_study",
     "Outcome",
     "run_study",
+    "Result",
+    "load_result",
     "StrandlineError",
     "InvalidInput",
     "ForwardModelError",
@@ -86,10 +88,10 @@ _NAMES_OF = {
     "likelihood": "InterfaceLikelihood",
     "surrogate": "fit_log_likelihood",
     "smc": "SMCSettings sample",
-    "quadrature": "integrate",
+    "posterior.quadrature": "integrate",
     "posterior": "Posterior",
-    "calibrate": "Problem Settings Observer Calibration",
-    "studies": "Study load_study Outcome run_study",
+    "calibration": "Problem Settings Observer Calibration calibrate",
+    "studies": "Study load_study Outcome run_study Result load_result",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

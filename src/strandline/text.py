@@ -5,7 +5,7 @@ from collections.abc import Collection
 
 from strandline.errors import InvalidInput
 
-__all__ = ["LONGEST", "decimal", "is_label", "is_name", "require_label", "require_name"]
+__all__ = ["LONGEST", "decimal", "is_label", "is_name", "require_label", "require_name", "with_sd"]
 
 LONGEST = 64
 """Characters of a name or a unit."""
@@ -72,3 +72,9 @@ def decimal(text: str) -> float | None:
     ``float`` alone would read ``1_0`` as 10 and take the digits of every script, and ``nan`` and ``inf``.
     """
     return float(text) if NUMBER.fullmatch(text) else None
+
+
+def with_sd(mean: float, sd: float) -> str:
+    """Return mean ± sd, the mean with as many decimals as the standard deviation shows with two digits."""
+    decimals = 0 if sd >= 10 or sd <= 0 else len(f"{sd:.2g}".partition("e")[0].partition(".")[2])
+    return f"{mean:.{decimals}f} ± {sd:.2g}" if 1e-4 <= sd < 1e6 else f"{mean:.4g} ± {sd:.2g}"

@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from strandline.active import BatchReport
 from strandline.cli import progress
 from strandline.cli.progress import observing
+from strandline.design.active import BatchReport
 from strandline.runs import Progress as Runs
 from strandline.runs import RunRecord
 from strandline.smc import StepInfo

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from validation.command_faults import MARKER, processes_with
+from verification.validation.command_faults import MARKER, processes_with
 
 from strandline.cli import signals
 from strandline.runs import Ledger

@@ -148,9 +148,8 @@ def test_json_says_what_the_lines_say(folder: Path, capsys: pytest.CaptureFixtur
 
 def test_the_log_of_a_failure_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = load_study(write_study(tmp_path / "beam", design={"sobol": {"runs": 4}}))
-    from strandline.studies.ledgers import plan_of
 
-    plan = plan_of(study)
+    plan = study.runs.plan
     inputs = {"E": 300.0, "tilt": 0.0, "load": 1e-5}
     with Ledger.open(study.ledger_path, model=plan.model) as ledger:
         ledger.plan(plan)

@@ -6,7 +6,7 @@ import shapely
 from tests.discrepancy.surfaces import sheet
 
 from strandline.discrepancy import ClosestPoint, closest_point
-from strandline.discrepancy.nearest import squared_distances
+from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from strandline.discrepancy import Currents, kernel_integrals, kernel_sums
+from strandline.discrepancy import Currents
 from strandline.discrepancy.memo import Snapshot
+from strandline.discrepancy.products import kernel_integrals, kernel_sums
 from strandline.errors import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import Interface, oriented_like
 

@@ -15,7 +15,7 @@ from strandline.discrepancy import (
 )
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
 from strandline.discrepancy.currents import QUADRATURES
-from strandline.discrepancy.many_currents import BLOCK
+from strandline.discrepancy.products.many_currents import BLOCK
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
@@ -92,7 +92,7 @@ def test_short_pieces_leave_the_cut_off_only(width: float, kind: str, monkeypatc
     measure, errors = Currents(width), []
     expected = one_by_one(measure, points, template, seen)
     for longest in (0.4, 0.2, 0.1):
-        monkeypatch.setattr("strandline.discrepancy.many_currents.LONGEST_PIECE", longest)
+        monkeypatch.setattr("strandline.discrepancy.products.many_currents.LONGEST_PIECE", longest)
         found = squared_discrepancies(measure, points, template, seen)
         errors.append(float(np.abs(found - expected).max()) / measure.inner(seen, seen))
     assert errors[2] < 5e-5

@@ -7,9 +7,10 @@ import pytest
 from scipy import optimize
 from tests.discrepancy.surfaces import divided, sheet, sphere, turned
 
-from strandline.discrepancy import Currents, independent_terms, surface_integrals, unit_of
-from strandline.discrepancy.kernel_integrals import natural_scale
-from strandline.discrepancy.surface_integrals import error_bound, surface_nodes, triangle_order, triangle_rule
+from strandline.discrepancy import Currents, independent_terms, unit_of
+from strandline.discrepancy.products import surface_integrals
+from strandline.discrepancy.products.kernel_integrals import natural_scale
+from strandline.discrepancy.products.surface_integrals import error_bound, surface_nodes, triangle_order, triangle_rule
 from strandline.errors import InvalidInterface, NumericsError
 from strandline.interface import Interface
 

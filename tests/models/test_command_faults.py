@@ -14,14 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from validation.command_faults import FAULTS, MARKER, campaign, left_after, processes_with, zombies
+from verification.validation.command_faults import FAULTS, MARKER, campaign, left_after, processes_with, zombies
 
 from strandline.errors import ForwardModelError
 from strandline.models.command import model as command_model
 from strandline.models.command import process, supervisor
 from strandline.models.command.model import CommandModel
 from strandline.models.command.process import LOG_LIMIT
-from strandline.models.protocol import fingerprint
 from strandline.runs import Counts, InProcess, Ledger, LocalProcesses, RunRecord, RunRequest, run_campaign
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")
@@ -239,7 +238,7 @@ def killed_once(folder: Path) -> CommandModel:
 def test_none_of_twenty_children_killed_by_signal_9_becomes_a_final_failure(tmp_path: Path) -> None:
     model, ends = killed_once(tmp_path), []
     inputs = [{"number": float(k)} for k in range(20)]
-    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
         records = run_campaign(
             model,
             inputs,
@@ -257,11 +256,11 @@ def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path: P
     model = CommandModel(
         command=["/bin/sh", "run.sh"], files=["run.sh"], result={"file": "out.csv", "unit": "mm"}, folder=tmp_path
     )
-    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
         (record,) = run_campaign(model, [{}], ledger=ledger, executor=InProcess(), maximum_attempts=2)
         assert (record.state, record.failure_kind) == ("killed", "simulator_killed")
         assert ledger.attempts(record.key) == 2
-    with Ledger.open(tmp_path / "other.sqlite", model=fingerprint(model)) as other:
+    with Ledger.open(tmp_path / "other.sqlite", model=model) as other:
         assert other.copy_from(tmp_path / "ledger.sqlite", [record.key]) == 0
 
 

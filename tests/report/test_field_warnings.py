@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strandline.active import Certificate, CheckResult, FieldOutcome, Step, VarianceEffect
-from strandline.calibrate import Calibration, Problem, Settings, calibrate
+from strandline.calibration import Calibration, Problem, Settings, calibrate
+from strandline.design.active import BatchCheck, Certificate, FieldOutcome, Step, VarianceEffect
 from strandline.discrepancy import TrackedPoints
 from strandline.interface import Observation
-from strandline.models.protocol import fingerprint
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.report.field_warnings import field_warnings
@@ -40,9 +39,9 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calibratio
         nuisance_values=4,
     )
     path = tmp_path_factory.mktemp("field-warnings") / "ledger.sqlite"
-    with pytest.MonkeyPatch.context() as patch, Ledger.open(path, model=fingerprint(beam)) as ledger:
-        patch.setattr("strandline.calibrate._sensitivity", lambda *arguments: None)
-        patch.setattr("strandline.learning._to_compare", lambda *arguments: {})
+    with pytest.MonkeyPatch.context() as patch, Ledger.open(path, model=beam) as ledger:
+        patch.setattr("strandline.calibration.method._sensitivity", lambda *arguments: None)
+        patch.setattr("strandline.calibration.learning._to_compare", lambda *arguments: {})
         yield calibrate(problem, settings, ledger=ledger, executor=InProcess())
 
 
@@ -92,7 +91,7 @@ def test_mass_where_runs_fail_is_told(calibration: Calibration, found: FieldOutc
 
 
 def test_failed_runs_of_a_check_are_told(calibration: Calibration, found: FieldOutcome) -> None:
-    check = CheckResult(25, 3, None, True, ())
+    check = BatchCheck(25, 3, None, True, ())
     step = Step(30, 27, "check", np.zeros(2), np.ones(2), 1e-4, None, None, check)
     (line,) = told(calibration, replace(found, certificate=Certificate(True, (), (step,), (), step)))
     assert line.startswith("3 of 25 runs at draws of the posterior failed")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.calibrate import Problem
+from strandline.calibration import Problem
 from strandline.cli import main
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.interface import Interface, Observation

@@ -11,13 +11,13 @@ import pytest
 from matplotlib.image import imread
 
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.plots import plot_run_offsets, plot_tempering
-from strandline.plots.style import DOTS_PER_INCH, DOUBLE, SINGLE
 from strandline.posterior import Offsets
 from strandline.priors import Uniform
 from strandline.report import page as pages
 from strandline.report.captioned import Captioned, whole
 from strandline.report.page import _marked, _saved, _unbroken
+from strandline.report.plots import plot_run_offsets, plot_tempering
+from strandline.report.plots.style import DOTS_PER_INCH, DOUBLE, SINGLE
 from strandline.report.run_figures import failed_runs, offsets_of_runs
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
 

@@ -154,7 +154,7 @@ def test_a_figure_that_fails_leaves_the_old_report(
     def broken(*args: Any, **options: Any) -> Any:
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr("strandline.plots.plot_leave_one_out", broken)
+    monkeypatch.setattr("strandline.report.plots.plot_leave_one_out", broken)
     outcome = reported.outcome
     with pytest.raises(RuntimeError, match="no ink"):
         write_report(outcome.calibration, outcome.summary, study_text="", truth=None, folder=tmp_path)
@@ -172,7 +172,7 @@ def test_a_figure_that_fails_is_left_out_where_someone_hears_of_it(
 
     heard: dict[str, Exception] = {}
     monkeypatch.setattr("strandline.report.page.figure_groups", two)
-    monkeypatch.setattr("strandline.plots.plot_tempering", broken)
+    monkeypatch.setattr("strandline.report.plots.plot_tempering", broken)
     outcome = reported.outcome
     page = write_report(
         outcome.calibration,

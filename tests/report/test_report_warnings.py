@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.calibrate import Calibration
+from strandline.calibration import Calibration
 from strandline.discrepancy import Currents
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import LogNormal

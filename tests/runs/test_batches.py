@@ -57,7 +57,7 @@ def stiffnesses(records):
 def campaign(path, model, batches, choose, executor=None, *, patience=float("inf"), **options):
     """Make a campaign; on a busy machine any run may be slow, and where that is not the point all are waited for."""
     options |= {"executor": executor or LocalProcesses(2), "patience": patience}
-    with Ledger.open(path, model=fingerprint(model)) as ledger:
+    with Ledger.open(path, model=model) as ledger:
         return run_batches(model, batches, choose, ledger=ledger, **options)
 
 
@@ -423,7 +423,7 @@ def test_the_policy_is_heeded(tmp_path, executor):
 def test_a_run_lost_with_earlier_drivers_is_given_up_and_shown(path):
     model, (inputs,) = Cantilever(), batch(400)
     for _ in range(2):
-        with Ledger.open(path, model=fingerprint(model)) as ledger:
+        with Ledger.open(path, model=model) as ledger:
             ledger.started(RunRequest(run_key(fingerprint(model), inputs), inputs))
     choice = Choice([inputs])
     done = campaign(path, model, [batch(300)], choice, maximum_attempts=2)
@@ -589,7 +589,7 @@ def choose(records):
 
 first = [[{"E": 330.0, "load": 1e-5}, {"E": 410.0, "load": 1e-5}]]
 lines = open(noted).read().split("\\n")[:-1] if os.path.exists(noted) else []
-with Ledger.open(folder + "/ledger.sqlite", model=fingerprint(model)) as ledger:
+with Ledger.open(folder + "/ledger.sqlite", model=model) as ledger:
     batches = [*first, *map(json.loads, lines)]
     options = {"executor": LocalProcesses(2), "patience": float("inf"), "maximum_attempts": 100}
     run_batches(model, batches, choose, ledger=ledger, **options)

@@ -40,7 +40,7 @@ def design(*stiffness):
 
 
 def campaign(path, model, inputs, executor=None, **options):
-    with Ledger.open(path, model=fingerprint(model)) as ledger:
+    with Ledger.open(path, model=model) as ledger:
         return run_campaign(model, inputs, ledger=ledger, executor=executor or InProcess(), **options)
 
 
@@ -218,7 +218,7 @@ def test_a_run_lost_with_its_driver_too_often_is_given_up(path):
     model = Cantilever()
     (inputs,) = design(400)
     for _ in range(2):
-        with Ledger.open(path, model=fingerprint(model)) as ledger:
+        with Ledger.open(path, model=model) as ledger:
             ledger.started(RunRequest(run_key(fingerprint(model), inputs), inputs))
     (given_up,) = campaign(path, model, [inputs], maximum_attempts=2)
     assert (given_up.state, given_up.failure_kind) == ("killed", "lost")
@@ -255,7 +255,7 @@ def test_interruption_keeps_what_is_finished_and_costs_no_attempt(path, tmp_path
 def test_each_run_is_started_in_the_ledger_before_it_runs(path):
     model = Cantilever()
     seen = []
-    with Ledger.open(path, model=fingerprint(model)) as ledger:
+    with Ledger.open(path, model=model) as ledger:
 
         def peeking(model, requests):
             for request in requests:
@@ -298,7 +298,7 @@ from strandline.testing.models import Cantilever, Counted, Faulty, Slow
 folder, number = sys.argv[1], int(sys.argv[2])
 model = Counted(folder, Slow(Faulty(fault="exception", above=480.0), seconds=0.02))
 inputs = [{"E": 300.0 + 200.0 * k / number, "load": 1e-5} for k in range(number)]
-with Ledger.open(folder + "/ledger.sqlite", model=fingerprint(model)) as ledger:
+with Ledger.open(folder + "/ledger.sqlite", model=model) as ledger:
     run_campaign(model, inputs, ledger=ledger, executor=LocalProcesses(2), maximum_attempts=100)
 """
 

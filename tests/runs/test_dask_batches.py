@@ -11,7 +11,6 @@ from typing import ClassVar
 
 import pytest
 
-from strandline.models.protocol import fingerprint
 from strandline.runs import InProcess, Ledger, run_batches
 from strandline.runs.executors.dask import DaskCluster
 from strandline.testing.executors import WAITING_CHECKS, same_outcome
@@ -91,7 +90,7 @@ class Choice:
 
 def campaign(folder, executor, choice):
     model = Loaded(str(folder))
-    with Ledger.open(folder / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(folder / "ledger.sqlite", model=model) as ledger:
         return run_batches(model, [batch_after(300.0)], choice, ledger=ledger, executor=executor)
 
 

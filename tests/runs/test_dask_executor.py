@@ -13,7 +13,6 @@ from typing import ClassVar
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.models.protocol import fingerprint
 from strandline.runs import Counts, Ledger, run_campaign
 from strandline.runs.executors import dask_cluster, dask_driver
 from strandline.runs.executors.dask import DaskCluster
@@ -120,7 +119,7 @@ def test_a_killed_dask_worker_costs_its_own_run_alone(tmp_path):
 
     calls = Counted(str(tmp_path), model)
     inputs = [{"E": 300.0 + 10 * k, "load": 1e-5} for k in range(8)]
-    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(calls)) as ledger:
+    with Ledger.open(tmp_path / "ledger.sqlite", model=calls) as ledger:
         done = run_campaign(calls, inputs, ledger=ledger, executor=DaskCluster(workers=2), on_record=shoot)
         assert ledger.counts() == Counts(ok=8)
     assert all(record.ok for record in done)
@@ -146,7 +145,7 @@ class KillsItsDaskWorker:
 def test_a_run_whose_worker_vanishes_each_time_is_given_up(tmp_path):
     """Trap: Dask repeats such a run for ever, without an error."""
     model = KillsItsDaskWorker(str(tmp_path))
-    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
         executor = DaskCluster(workers=1)
         (record,) = run_campaign(model, [{"E": 300.0}], ledger=ledger, executor=executor, maximum_attempts=2)
     assert (record.state, record.failure_kind) == ("killed", "worker_died")
@@ -163,7 +162,7 @@ def test_a_worker_that_comes_back_too_late_is_replaced(tmp_path, monkeypatch):
     monkeypatch.setattr("distributed.nanny.Nanny._on_worker_exit", leave_alone)
     monkeypatch.setattr(dask_cluster, "LOST_PROCESS_SECONDS", 1)
     model = KillsItsDaskWorker(str(tmp_path))
-    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
         executor = DaskCluster(workers=1)
         (record,) = run_campaign(model, [{"E": 300.0}], ledger=ledger, executor=executor, maximum_attempts=2)
     assert late
@@ -238,7 +237,7 @@ def test_a_scheduler_that_dies_costs_the_runs_under_way_alone(tmp_path, monkeypa
             scheduler.kill()
 
         inputs = [{"E": 300.0 + 10 * k, "load": 1e-5} for k in range(20)]
-        with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
+        with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
             with pytest.raises(InvalidInput, match="cannot be reached any more"):
                 run_campaign(model, inputs, ledger=ledger, executor=executor, on_record=kill)
             assert ends[0] == "ok"

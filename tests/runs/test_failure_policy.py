@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from strandline.errors import CampaignStopped, ForwardModelError, InvalidInput
-from strandline.models.protocol import fingerprint
 from strandline.runs import FailurePolicy, InProcess, Ledger, Retry, attempt, run_campaign
 from strandline.runs.failures import require_kinds
 from strandline.runs.ledger import INTERRUPTED
@@ -34,7 +33,7 @@ def design(*stiffness):
 
 
 def campaign(path, model, inputs, policy=None):
-    with Ledger.open(path, model=fingerprint(model)) as ledger:
+    with Ledger.open(path, model=model) as ledger:
         return run_campaign(model, inputs, ledger=ledger, executor=InProcess(), policy=policy)
 
 
@@ -78,7 +77,7 @@ def test_abort_ends_the_campaign_keeps_what_is_done_and_tries_that_run_first_whe
     model, policy = Moody({400.0: 1}), FailurePolicy({"licence": "abort"})
     with pytest.raises(CampaignStopped, match=r"licence.*\n.*E = 400.*no licence(.|\n)*server busy") as caught:
         campaign(path, model, design(300, 400, 500), policy)
-    assert "tried anew" in str(caught.value)
+    assert "tried again" in str(caught.value)
     assert model.calls == {300.0: 1, 400.0: 1}
     assert [record.state for record in campaign(path, model, design(300, 400, 500), policy)] == ["ok"] * 3
     assert model.calls == {300.0: 1, 400.0: 2, 500.0: 1}
@@ -95,7 +94,7 @@ def test_abort_leaves_a_run_beside_it_to_be_made_without_an_attempt_less(path):
     with Ledger.open(path, model="moody") as ledger:
         inputs = design(300, 400)
         for _ in range(4):
-            with pytest.raises(CampaignStopped, match="this run is tried anew, and so are those that were under way"):
+            with pytest.raises(CampaignStopped, match="this run is tried again, and so are those that were under way"):
                 run_campaign(model, inputs, ledger=ledger, executor=abreast, maximum_attempts=1, policy=policy)
             beside, _ = ledger
             assert (beside.inputs["E"], beside.state, beside.failure_kind) == (300.0, "killed", INTERRUPTED)

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from strandline.errors import LedgerError
-from strandline.models.protocol import fingerprint
 from strandline.runs import Counts, InProcess, Ledger, RunRecord, RunRequest, run_campaign
 from strandline.testing.models import Cantilever
 
@@ -111,7 +110,7 @@ def test_a_driver_whose_ledger_is_gone_stops_with_one_line(path: Path, change: o
         made.append(record)
         change(path)
 
-    with Ledger.open(path, model=fingerprint(model)) as ledger, pytest.raises(LedgerError) as caught:
+    with Ledger.open(path, model=model) as ledger, pytest.raises(LedgerError) as caught:
         run_campaign(model, DESIGN, ledger=ledger, executor=InProcess(), on_record=note)
     assert len(made) == 1
     assert f"{path} is not the file that this run opened: got deleted" in str(caught.value)

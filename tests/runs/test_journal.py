@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 
 from strandline.errors import InvalidInput, LedgerError
-from strandline.models.protocol import fingerprint
 from strandline.runs import Counts, InProcess, Ledger, RunRecord, RunRequest, journal, run_campaign, tables
 from strandline.runs.journal import VARIABLE, file_system, is_network, journal_for, note
 from strandline.runs.overview import Overview
@@ -232,7 +231,7 @@ from strandline.runs import InProcess, Ledger, run_campaign
 from strandline.testing.models import Cantilever
 model = Cantilever()
 inputs = [{"E": 300.0 + k, "load": 1e-5} for k in range(int(sys.argv[2]))]
-with Ledger.open(sys.argv[1], model=fingerprint(model)) as ledger:
+with Ledger.open(sys.argv[1], model=model) as ledger:
     run_campaign(model, inputs, ledger=ledger, executor=InProcess())
 """
 
@@ -253,7 +252,7 @@ def test_nothing_is_lost_or_repeated_when_drivers_are_killed(path: Path, tmp_pat
     model = Cantilever()
     inputs = [{"E": 300.0 + k, "load": 1e-5} for k in range(number)]
     for place in (path, tmp_path / "calm.sqlite"):
-        with Ledger.open(place, model=fingerprint(model)) as ledger:
+        with Ledger.open(place, model=model) as ledger:
             run_campaign(model, inputs, ledger=ledger, executor=InProcess())
     assert 0 < len(known) < number
     assert lost == 0

@@ -17,7 +17,7 @@ from strandline.interface import Interface
 from strandline.runs import Ledger, RunRecord, RunRequest, tables
 from strandline.runs.overview import OPEN, STATES, Overview, is_at_work
 from strandline.runs.record import STATES as ENDS
-from strandline.studies.ledgers import settled
+from strandline.studies.study_runs import settled
 
 DATA = Path(__file__).parents[1] / "data"
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))

@@ -6,7 +6,6 @@ from collections import Counter
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, run_batches, run_campaign
 from strandline.runs.executors import dask as dask_executor
 from strandline.runs.executors import dask_driver
@@ -29,7 +28,7 @@ def in_its_folder(slurm, tmp_path, monkeypatch):
 
 def campaign(folder, model, number, on_record, executor):
     inputs = [{"E": 300.0 + 5.0 * k, "load": 1e-5} for k in range(number)]
-    with Ledger.open(folder / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(folder / "ledger.sqlite", model=model) as ledger:
         return run_campaign(model, inputs, ledger=ledger, executor=executor, on_record=on_record)
 
 
@@ -112,7 +111,7 @@ def test_jobs_are_kept_from_batch_to_batch(slurm, tmp_path):
         return [{"E": stiffness + 5.0 * k, "load": 1e-5} for k in range(4)]
 
     model, executor = Cantilever(), DaskCluster(cluster="slurm", workers=1, jobs=JOBS)
-    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
         records = run_batches(model, [batch(300.0)], choose, ledger=ledger, executor=executor)
         assert {ledger.attempts(record.key) for record in ledger} == {1}
     assert len(records) == 12

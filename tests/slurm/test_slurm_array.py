@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.models.protocol import fingerprint
 from strandline.runs import Counts, Ledger, run_campaign
 from strandline.runs.executors.slurm_array import Detached, SlurmArray
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, requests_for
@@ -64,7 +63,7 @@ def design(number):
 
 
 def campaign(folder, model, number, on_record=None, **options):
-    with Ledger.open(folder / "ledger.sqlite", model=fingerprint(model)) as ledger:
+    with Ledger.open(folder / "ledger.sqlite", model=model) as ledger:
         executor = array(folder, model, **options)
         return run_campaign(model, design(number), ledger=ledger, executor=executor, on_record=on_record)
 
@@ -109,7 +108,7 @@ folder, task, number = sys.argv[1], sys.argv[2], int(sys.argv[3])
 model = Counted(folder, Slow(seconds=1.0))
 inputs = [{"E": 300.0 + 5.0 * k, "load": 1e-5} for k in range(number)]
 executor = SlurmArray(Path(folder) / "slurm", (sys.executable, task, folder + "/model.pickle"), poll=0.3)
-with Ledger.open(folder + "/ledger.sqlite", model=fingerprint(model)) as ledger:
+with Ledger.open(folder + "/ledger.sqlite", model=model) as ledger:
     run_campaign(model, inputs, ledger=ledger, executor=executor)
 """
 

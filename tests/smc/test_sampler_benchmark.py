@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from benchmarks import sampler
+from verification.benchmarks import sampler
 
-from strandline.quadrature import integrate
+from strandline.posterior.quadrature import integrate
 
 
 @pytest.fixture(scope="module")

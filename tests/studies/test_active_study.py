@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.errors import InvalidStudy
-from strandline.models.protocol import fingerprint
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger, Progress, RunRecord
 from strandline.studies import Outcome, load_study, run_study
-from strandline.studies.ledgers import given_inputs, known_runs, needed_keys, require_finished
 from strandline.studies.progress import progress_of
 from strandline.testing.studies import TWO_LOADS_STUDY, two_loads, write_study
 
@@ -36,8 +34,8 @@ ACTIVE: dict[str, Any] = {
 def quick() -> Iterator[None]:
     """Draw fewer particles after each batch, and no figures."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("strandline.active.state.PARTICLES", {1: 1000})
-        patch.setattr("strandline.calibrate._sensitivity", lambda *arguments: None)
+        patch.setattr("strandline.design.active.state.PARTICLES", {1: 1000})
+        patch.setattr("strandline.calibration.method._sensitivity", lambda *arguments: None)
         patch.setattr("strandline.studies.run.write_report", lambda *a, folder, **o: folder / "report.html")
         yield
 
@@ -74,7 +72,7 @@ def summary(folder: Path) -> dict[str, Any]:
     state = progress_of(load_study(folder))
     assert (state.planned, state.ok) == (50, 9)
     with pytest.raises(InvalidStudy, match="the study is not finished"):
-        require_finished(load_study(folder))
+        load_study(folder).runs.require_finished()
     return run(folder).summary
 
 
@@ -140,13 +138,13 @@ def test_what_was_stopped_goes_on_to_the_same_bits(folder: Path, summary: dict[s
 
 def test_a_finished_study_is_known_to_be_so(folder: Path, summary: dict[str, Any]) -> None:
     study = load_study(folder)
-    require_finished(study)
+    study.runs.require_finished()
     state, number = progress_of(study), summary["certificate"]["runs"]
     assert (state.planned, state.ok, state.to_do, state.results) == (number, number, 0, "current")
-    assert known_runs(study) == number
-    assert given_inputs(study) is None
-    with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-        assert {record.key for record in ledger} == set(needed_keys(study))
+    assert study.runs.known == number
+    assert study.runs.given is None
+    with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
+        assert {record.key for record in ledger} == set(study.runs.needed_keys)
 
 
 def test_status_and_check_tell_the_most_that_may_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -175,8 +173,8 @@ def test_another_noise_takes_the_runs_that_there_are(
     if len(batches) == 1:
         assert again["certificate"]["check"]["by"] == "left-out runs"
     study = load_study(copy)
-    require_finished(study)
-    assert len(given_inputs(study) or []) == number
+    study.runs.require_finished()
+    assert len(study.runs.given or []) == number
     assert progress_of(study).to_do == 0
     assert again["certificate"]["history"][-1]["sd"]["E"] > 1.3 * summary["certificate"]["history"][-1]["sd"]["E"]
     made = read(copy / "posterior.nc")

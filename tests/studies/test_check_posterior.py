@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.discrepancy import ClosestPoint
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy, TooFewRuns

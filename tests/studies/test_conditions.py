@@ -9,11 +9,9 @@ import pytest
 
 from strandline.cli import main
 from strandline.errors import InvalidStudy
-from strandline.models.protocol import fingerprint
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
-from strandline.studies.ledgers import known_runs, needed_keys, require_finished
 from strandline.studies.progress import progress_of
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
@@ -85,7 +83,7 @@ def test_a_list_for_a_model_of_one_condition_is_refused(tmp_path: Path) -> None:
 def test_sensitivities_are_asked_of_models_that_offer_them(tmp_path: Path) -> None:
     study = load_study(write_study(tmp_path, **SMALL, sensitivities=True))
     assert study.sensitivities
-    assert needed_keys(study) == needed_keys(load_study(write_study(tmp_path, **SMALL)))
+    assert study.runs.needed_keys == load_study(write_study(tmp_path, **SMALL)).runs.needed_keys
     with pytest.raises(InvalidStudy, match="sensitivities: got true, but this model offers none"):
         load_study(write_study(tmp_path, sensitivities=True))
     with pytest.raises(InvalidStudy, match="sensitivities: got yes please; expected true or false"):
@@ -125,13 +123,13 @@ def test_sensitivities_are_added_to_known_runs(tmp_path: Path, without_report: N
     plain = run_study(load_study(folder), executor=InProcess())
     write_study(folder, **SMALL, sensitivities=True)
     study = load_study(folder)
-    assert (known_runs(study), progress_of(study).to_do) == (0, 16)
+    assert (study.runs.known, progress_of(study).to_do) == (0, 16)
     with pytest.raises(InvalidStudy, match="0 of 17 forward runs done"):
-        require_finished(study)
+        study.runs.require_finished()
     asked = run_study(study, executor=InProcess())
     assert (asked.summary["runs"]["new"], asked.summary["runs"]["reused"]) == (16, 0)
-    assert (known_runs(study), progress_of(study).to_do) == (16, 0)
-    require_finished(study)
+    assert (study.runs.known, progress_of(study).to_do) == (16, 0)
+    study.runs.require_finished()
     for one, other in zip(plain.calibration.records, asked.calibration.records, strict=True):
         assert one.key == other.key
         assert (list(one.sensitivities), list(other.sensitivities)) == ([], ["light", "heavy"])
@@ -139,7 +137,7 @@ def test_sensitivities_are_added_to_known_runs(tmp_path: Path, without_report: N
 
     second = load_study(write_study(tmp_path / "second", **SMALL, sensitivities=True, reuse=["../study"]))
     assert run_study(second, executor=InProcess()).summary["runs"]["new"] == 0
-    with Ledger.open(second.ledger_path, model=fingerprint(second.model), read_only=True) as ledger:
+    with Ledger.open(second.ledger_path, model=second.model, read_only=True) as ledger:
         assert all(record.sensitivities and record.origin for record in ledger)
 
 

@@ -13,11 +13,11 @@ import pytest
 
 from strandline.cli import main
 from strandline.errors import InvalidStudy, LedgerError
+from strandline.interface import GaussianNoise
 from strandline.models.protocol import fingerprint
 from strandline.runs import FailurePolicy, InProcess, Ledger, RunRequest
 from strandline.studies import load_study, run_study
 from strandline.studies.doctor import examine
-from strandline.studies.ledgers import design_keys
 from strandline.studies.provenance import require_its_own_text
 
 
@@ -41,7 +41,7 @@ def tamper(path: Path, sql: str) -> None:
 
 def without_outcome(folder: Path) -> None:
     with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
-        (key,) = design_keys(load_study(folder))[:1]
+        (key,) = load_study(folder).runs.design_keys[:1]
         ledger.started(RunRequest("lost", {"E": 1.0}))
         assert ledger.latest([key])
     text = (folder / "study.yaml").read_text().replace('"runs": 64', '"runs": 65')
@@ -50,7 +50,7 @@ def without_outcome(folder: Path) -> None:
 
 def exclude(folder: Path) -> None:
     with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
-        ledger.exclude(design_keys(load_study(folder))[5], "odd")
+        ledger.exclude(load_study(folder).runs.design_keys[5], "odd")
 
 
 WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -110,7 +110,7 @@ def test_a_study_changed_since_it_was_loaded_is_refused(folder: Path) -> None:
     study = load_study(folder)
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     for changed, word in (
-        (replace(study, noise_variance=1.0), "noise_variance"),
+        (replace(study, noise=GaussianNoise(1.0)), "noise"),
         (replace(study, fixed={"load": 2e-5}), "fixed"),
         (replace(study, settings=replace(study.settings, seed=5)), "settings.seed"),
     ):
@@ -124,7 +124,7 @@ def test_what_changes_no_result_may_be_replaced(folder: Path) -> None:
     study = load_study(folder)
     policy = FailurePolicy(again=frozenset({"timeout"}))
     require_its_own_text(replace(study, executor=InProcess(), settings=replace(study.settings, failures=policy)))
-    require_its_own_text(replace(study, noise_variance=1.0, text=study.text + "# with another noise"))
+    require_its_own_text(replace(study, noise=GaussianNoise(1.0), text=study.text + "# with another noise"))
 
 
 OLD = "def helper(a):\n    return a\n\ndef f(inputs, workdir):\n    return [[0.0, 0.0], [1.0, helper(inputs['a'])]]\n"
@@ -151,7 +151,7 @@ def test_an_earlier_ledger_of_an_unchanged_function_is_accepted(
     Ledger.open(tmp_path / "ledger.sqlite", model=earlier).close()
     study = load_study(tmp_path)
     assert fingerprint(study.model) == earlier
-    Ledger.open(study.ledger_path, model=fingerprint(study.model)).close()
+    Ledger.open(study.ledger_path, model=study.model).close()
     assert any("covered old_ledger_model:f alone" in finding.what for finding in examine(tmp_path))
     shutil.move(tmp_path / "ledger.sqlite", tmp_path / "away")
     assert fingerprint(load_study(tmp_path).model) == now

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from validation.command_faults import FAULTS
+from verification.validation.command_faults import FAULTS
 
 import strandline
-from strandline import set_aside
 from strandline.cli import main
 from strandline.errors import InvalidStudy
+from strandline.likelihood import set_aside
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.command.model import CommandModel
 from strandline.models.protocol import declared_failure_kinds
@@ -21,7 +21,6 @@ from strandline.runs import Ledger, RunRecord, RunRequest
 from strandline.runs.executors.slurm_array import ENDINGS
 from strandline.runs.failures import COMMON_KINDS
 from strandline.studies import load_study
-from strandline.studies.ledgers import design_keys
 from strandline.testing.studies import undeclared_beam, write_study
 
 SOURCES = Path(strandline.__file__).parent
@@ -124,7 +123,7 @@ def test_check_warns_of_a_word_where_kinds_are_not_known(tmp_path: Path, capsys:
     (line,) = checked(capsys, folder)
     assert line.startswith("warning: failures.kinds.large_deflexion: no run has ended so yet")
     study = load_study(folder)
-    key = design_keys(study)[0]
+    key = study.runs.design_keys[0]
     with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
         ledger.started(RunRequest(key, {"E": 1.0}))
         ledger.finished(RunRecord(key, {"E": 1.0}, "failed", failure_kind="large_deflexion"))

@@ -231,7 +231,7 @@ def test_the_picture(
 def test_the_picture_shows_what_there_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from strandline import plots
+    from strandline.report import plots
 
     drawn: list[Any] = []
     monkeypatch.setattr(plots, "plot_interfaces", lambda *a, **k: drawn.append((a, k)) or _axes())

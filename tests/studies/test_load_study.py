@@ -9,6 +9,7 @@ import pytest
 
 from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, TrackedPoints
 from strandline.errors import InvalidStudy
+from strandline.interface import GaussianNoise
 from strandline.models.python import PythonModel
 from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
 from strandline.runs import LocalProcesses
@@ -53,7 +54,7 @@ def test_everything_arrives(tmp_path: Path) -> None:
         seed=11,
     )
     study = load_study(folder)
-    assert (study.name, study.folder, study.noise_variance) == ("all", folder, 0.25)
+    assert (study.name, study.folder, study.noise) == ("all", folder, GaussianNoise(0.25))
     assert study.model == PythonModel("strandline.testing.studies:beam")
     assert study.fixed == {"load": 1e-5}
     assert [(p.name, p.prior, p.unit) for p in study.space] == [
@@ -73,7 +74,7 @@ def test_everything_arrives(tmp_path: Path) -> None:
 
 
 def test_noise_as_standard_deviation(tmp_path: Path) -> None:
-    assert load_study(write_study(tmp_path, noise={"sd": 0.5})).noise_variance == 0.25
+    assert load_study(write_study(tmp_path, noise={"sd": 0.5})).noise == GaussianNoise(0.25)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from strandline.errors import InvalidStudy
 from strandline.smc import SMCSettings
 from strandline.studies import load_study
 from strandline.studies.parse import parse_study
-from strandline.studies.schema import Quantity
+from strandline.studies.study_file import Quantity
 from strandline.testing.studies import BEAM_STUDY, write_study
 
 

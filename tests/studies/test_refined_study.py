@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.errors import InvalidStudy
-from strandline.models.protocol import fingerprint
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger, Progress, RunRecord
 from strandline.studies import load_study, run_study
-from strandline.studies.ledgers import known_runs, needed_keys, planned_runs, refinement_keys, require_finished
 from strandline.studies.progress import progress_of
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
@@ -56,9 +54,9 @@ def summary(folder: Path) -> dict[str, Any]:
             study = load_study(folder)
             state = progress_of(study)
             assert (state.planned, state.ok, state.to_do) == (20, ok, 20 - ok)
-            assert known_runs(study) == ok
+            assert study.runs.known == ok
             with pytest.raises(InvalidStudy, match=f"got {ok + 1} of 21 forward runs done"):
-                require_finished(study)
+                study.runs.require_finished()
         return run_study(load_study(folder), executor=InProcess()).summary
 
 
@@ -75,12 +73,12 @@ def test_what_was_stopped_goes_on_to_the_same_bits(
 
 def test_a_finished_study_is_known_to_be_so(folder: Path, summary: dict[str, Any]) -> None:
     study = load_study(folder)
-    require_finished(study)
+    study.runs.require_finished()
     state = progress_of(study)
     assert (state.planned, state.ok, state.to_do, state.results) == (20, 20, 0, "current")
-    assert [len(keys) for keys in refinement_keys(study)] == [6, 6]
-    with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-        assert {record.key for record in ledger} == set(needed_keys(study))
+    assert [len(keys) for keys in study.runs.rounds] == [6, 6]
+    with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
+        assert {record.key for record in ledger} == set(study.runs.needed_keys)
 
 
 def test_the_rounds_are_told(summary: dict[str, Any]) -> None:
@@ -94,11 +92,11 @@ def test_the_rounds_are_told(summary: dict[str, Any]) -> None:
 def test_another_study_file_has_rounds_of_its_own(folder: Path, summary: dict[str, Any], tmp_path: Path) -> None:
     other = write_study(tmp_path / "beam", **SMALL)
     (other / "refinement.json").write_bytes((folder / "refinement.json").read_bytes())
-    assert planned_runs(load_study(other)) == 20
-    assert len(refinement_keys(load_study(other))) == 2
+    assert load_study(other).runs.planned == 20
+    assert len(load_study(other).runs.rounds) == 2
     changed = load_study(write_study(other, **{**SMALL, "seed": 2}))
-    assert refinement_keys(changed) == []
-    assert planned_runs(changed) == 20
+    assert changed.runs.rounds == []
+    assert changed.runs.planned == 20
 
 
 def test_rounds_are_taken_over_from_a_study_that_is_reused(
@@ -127,5 +125,5 @@ def test_a_damaged_note_of_the_rounds_is_passed_over(tmp_path: Path) -> None:
     study = load_study(write_study(tmp_path, **SMALL))
     for text in ("", "[]", '{"rounds": 3}', json.dumps({"study_sha256": study.text_digest, "rounds": "x"})):
         (tmp_path / "refinement.json").write_text(text)
-        assert refinement_keys(study) == []
+        assert study.runs.rounds == []
     assert progress_of(study).planned == 20

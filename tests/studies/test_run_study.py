@@ -15,9 +15,8 @@ from scipy.special import logsumexp
 
 import strandline.report.page
 from strandline import __version__
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
 from strandline.errors import InvalidInput, InvalidStudy, LedgerError, ResultsNotWritten, TooFewRuns
-from strandline.models.protocol import fingerprint
 from strandline.posterior import read
 from strandline.report.captioned import Captioned
 from strandline.runs import InProcess, Ledger
@@ -293,7 +292,7 @@ def test_the_observer_hears_of_every_stage_and_run(tmp_path: Path, monkeypatch: 
     def stop(*args: Any, **options: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("strandline.learning.fit_log_likelihood", stop)
+    monkeypatch.setattr("strandline.calibration.learning.fit_log_likelihood", stop)
     study = load_study(write_study(tmp_path, design={"sobol": {"runs": 8}}))
     with pytest.raises(KeyboardInterrupt):
         run_study(study, executor=InProcess(), observer=observer)
@@ -303,11 +302,9 @@ def test_the_observer_hears_of_every_stage_and_run(tmp_path: Path, monkeypatch: 
 
 def test_other_inputs_are_other_runs(finished: Any) -> None:
     study = replace(finished.study, fixed={"load": 2e-5})
-    with Ledger.open(study.ledger_path, model=fingerprint(study.model), read_only=True) as ledger:
-        from strandline.studies.ledgers import design_keys
-
-        assert ledger.latest(design_keys(study)) == {}
-        assert len(ledger.latest(design_keys(finished.study))) == 64
+    with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
+        assert ledger.latest(study.runs.design_keys) == {}
+        assert len(ledger.latest(finished.study.runs.design_keys)) == 64
 
 
 def test_the_beam_is_its_closed_form() -> None:

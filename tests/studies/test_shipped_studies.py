@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from strandline.studies import load_study
-from strandline.studies.ledgers import needed_keys
 
 STUDIES = Path(__file__).parents[2] / "studies"
 NAMES = sorted(path.parent.name for path in STUDIES.glob("*/study.yaml"))
@@ -35,7 +34,7 @@ def test_it_loads_under_its_own_name(name: str) -> None:
 )
 def test_it_needs_the_same_forward_runs(name: str, source: str) -> None:
     study, first = load_study(STUDIES / name), load_study(STUDIES / source)
-    assert needed_keys(study) == needed_keys(first)
+    assert study.runs.needed_keys == first.runs.needed_keys
     assert [path.resolve() for path in study.reuse] == [first.ledger_path]
 
 
@@ -51,7 +50,7 @@ def test_an_active_variant_asks_the_same_question_with_fewer_runs(name: str, sou
     study, published = load_study(STUDIES / name), load_study(STUDIES / source)
     assert (study.settings.surrogate, published.settings.surrogate) == ("field", "log_likelihood")
     assert study.settings.planned_runs <= published.settings.planned_runs / 5
-    for question in ("model", "space", "fixed", "truth", "synthetic_noise", "noise_variance", "discrepancies"):
+    for question in ("model", "space", "fixed", "truth", "synthetic_noise", "noise", "noises", "discrepancies"):
         assert getattr(study, question) == getattr(published, question), question
     assert study.reuse == ()
 

@@ -13,22 +13,14 @@ from typing import Any
 
 import pytest
 
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
 from strandline.errors import InvalidStudy, LedgerError
 from strandline.models.protocol import fingerprint
 from strandline.runs import InProcess, Ledger, RunRecord, RunRequest, attempt, run_campaign, run_key
 from strandline.runs.tables import ATTEMPTS
 from strandline.studies import Study, load_study, run_study
-from strandline.studies.ledgers import (
-    check_ledgers,
-    design_keys,
-    known_runs,
-    needed_keys,
-    plan_of,
-    require_finished,
-    settled,
-)
 from strandline.studies.progress import progress_in, progress_of, recorded_plan
+from strandline.studies.study_runs import settled
 from strandline.testing.studies import write_study
 
 DATA = Path(__file__).parents[1] / "data"
@@ -40,7 +32,7 @@ def study(tmp_path: Path) -> Study:
 
 
 def opened(study: Study) -> Ledger:
-    return Ledger.open(study.ledger_path, model=fingerprint(study.model))
+    return Ledger.open(study.ledger_path, model=study.model)
 
 
 def requests(study: Study) -> list[RunRequest]:
@@ -58,10 +50,10 @@ def make(ledger: Ledger, study: Study, number: int, tmp_path: Path) -> None:
 
 
 def test_keys_are_those_of_the_campaign(study: Study) -> None:
-    keys = design_keys(study)
+    keys = study.runs.design_keys
     assert keys == [request.key for request in requests(study)]
-    assert needed_keys(study)[0] == run_key("test:beam-1", {"E": 400.0, "tilt": 0.02, "load": 1e-5})
-    assert needed_keys(study)[1:] == keys
+    assert study.runs.needed_keys[0] == run_key("test:beam-1", {"E": 400.0, "tilt": 0.02, "load": 1e-5})
+    assert study.runs.needed_keys[1:] == keys
 
 
 def test_attempts_are_those_of_a_campaign() -> None:
@@ -229,7 +221,7 @@ def test_a_plan_tells_the_same_as_the_study(tmp_path: Path, without_report: None
 
     def run(record: RunRecord, _: Any) -> None:
         ended.append(record.state)
-        assert recorded_plan(folder) == plan_of(study)
+        assert recorded_plan(folder) == study.runs.plan
         assert progress_in(folder) == progress_of(study)
         assert progress_in(folder).done == len(ended)
         if len(ended) == 14:
@@ -245,7 +237,7 @@ def test_a_plan_tells_the_same_as_the_study(tmp_path: Path, without_report: None
     assert state.failures["large_deflection"].count == state.failed > 0
 
     run_study(study, executor=InProcess())
-    assert recorded_plan(folder) == plan_of(study)
+    assert recorded_plan(folder) == study.runs.plan
     state = progress_in(folder)
     assert state == progress_of(study)
     assert (state.planned, state.done, state.to_do, state.results) == (20, 20, 0, "current")
@@ -299,33 +291,33 @@ def test_a_plan_of_a_study_without_a_file_or_with_a_damaged_ledger(study: Study)
 
 def test_finished_means_the_observation_too(study: Study, tmp_path: Path) -> None:
     with pytest.raises(InvalidStudy, match=r"not finished: got 0 of 9 forward runs done.*strandline run"):
-        require_finished(study)
+        study.runs.require_finished()
     with opened(study) as ledger:
         make(ledger, study, 8, tmp_path)
         with pytest.raises(InvalidStudy, match="got 8 of 9"):
-            require_finished(study)
-        truth = RunRequest(needed_keys(study)[0], dict(study.truth or {}))
+            study.runs.require_finished()
+        truth = RunRequest(study.runs.needed_keys[0], dict(study.truth or {}))
         ledger.started(truth)
         ledger.finished(attempt(study.model, truth, tmp_path))
-    require_finished(study)
+    study.runs.require_finished()
 
 
 def test_known_runs_are_counted_once_over_all_ledgers(study: Study, tmp_path: Path) -> None:
     with opened(study) as ledger:
         make(ledger, study, 5, tmp_path)
-    assert known_runs(study) == 5
+    assert study.runs.known == 5
     other = load_study(write_study(tmp_path / "other", design={"sobol": {"runs": 8}}, reuse=["../beam"]))
-    assert known_runs(other) == 5
+    assert other.runs.known == 5
     with opened(other) as ledger:
         make(ledger, other, 6, tmp_path)
-    assert known_runs(other) == 6
+    assert other.runs.known == 6
 
 
 def test_a_reused_ledger_is_checked_too(study: Study, tmp_path: Path) -> None:
     Ledger.open(study.ledger_path, model="something else").close()
     other = load_study(write_study(tmp_path / "other", reuse=["../beam"]))
     with pytest.raises(LedgerError, match=r"beam/ledger\.sqlite keeps the runs of another model"):
-        check_ledgers(other)
+        other.runs.require_sound_ledgers()
 
 
 def test_results_of_an_earlier_study_file_are_told(finished: Any, tmp_path: Path) -> None:

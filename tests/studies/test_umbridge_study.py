@@ -23,7 +23,6 @@ from strandline.models.protocol import Simulation
 from strandline.models.umbridge.answers import ServedModel, answer
 from strandline.runs import InProcess, Ledger, RunRecord, RunRequest, attempt
 from strandline.studies import Study, load_study, run_study
-from strandline.studies.ledgers import needed_keys
 from strandline.studies.serve import Solver, differentiating, served_models
 from strandline.testing.models import Cantilever, Counted, Faulty, Slow, TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, beam, write_study
@@ -124,7 +123,7 @@ def test_a_study_calibrated_through_um_bridge_is_the_same_study(
     study = load_study(remote)
     summary = run_study(study, executor=InProcess()).summary
     with Ledger.open(study.ledger_path, model=study.model.fingerprint, read_only=True) as ledger:
-        records = list(ledger.latest(needed_keys(study)).values())
+        records = list(ledger.latest(study.runs.needed_keys).values())
     assert len(records) == 25
     for record in records:
         own = beam({**record.inputs, "load": LOAD}, Path()).interface

@@ -1,7 +1,7 @@
 """The benchmark of the fit on few runs: every peer must give our evidence, or it stops."""
 
 import pytest
-from benchmarks import surrogate
+from verification.benchmarks import surrogate
 
 from strandline.surrogate import KERNELS
 

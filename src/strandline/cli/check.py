@@ -27,16 +27,15 @@ def command(study: Path, plot: bool) -> None:
     from strandline.studies import load_study
     from strandline.studies.first_run import facing, require_same_size
     from strandline.studies.folder import require_writable
-    from strandline.studies.ledgers import check_ledgers, known_runs, unheard_kinds
 
     loaded = load_study(study)
     require_writable(loaded.folder)
-    check_ledgers(loaded)
+    loaded.runs.require_sound_ledgers()
     record, told = _forward_run(loaded)
     require_same_size(loaded, record)
     loaded = facing(loaded, record)
     log_likelihoods = _measured(loaded, record)
-    lines, known = list(_lines(loaded, record, log_likelihoods)), known_runs(loaded)
+    lines, known = list(_lines(loaded, record, log_likelihoods)), loaded.runs.known
     picture = _drawn(loaded, record) if plot else None
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
@@ -52,7 +51,7 @@ def command(study: Path, plot: bool) -> None:
     click.echo(f"  {told}")
     for line in lines:
         click.echo(f"  {line}")
-    for kind in unheard_kinds(loaded):
+    for kind in loaded.runs.unheard_kinds:
         click.echo(f"  warning: failures.kinds.{kind}: no run has ended so yet; is the word the model's own?")
     refine = loaded.settings.refine
     rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
@@ -83,7 +82,7 @@ def _drawn(study: "Study", record: "RunRecord") -> Path:
     """Draw observed, undeformed and simulated interface into the study folder; return the picture's path."""
     from typing import Any
 
-    from strandline.plots import plot_conditions, plot_interfaces
+    from strandline.report.plots import plot_conditions, plot_interfaces
     from strandline.studies.first_run import observations_of
     from strandline.studies.folder import told_if_unwritable, whole_file
 
@@ -128,11 +127,9 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
 
 def _measured(study: "Study", record: "RunRecord") -> dict[str, float]:
     """Return the log-likelihood of the run by measure; none where the observation is still to be made."""
-    from strandline.interface import Observation
     from strandline.likelihood import InterfaceLikelihood
 
-    observed = (study.observed or record.interfaces).items()
-    observations = tuple(Observation(interface, study.noise_variance, name) for name, interface in observed)
+    observations = study.observations(study.observed or record.interfaces)
     values = {
         name: InterfaceLikelihood(observations, discrepancy)(record.interfaces)
         for name, discrepancy in study.discrepancies.items()

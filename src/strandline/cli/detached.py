@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import click
 
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
 from strandline.errors import InvalidInput
 from strandline.runs import Executor
 from strandline.runs.executors.slurm_array import Detached, SlurmArray
 from strandline.runs.executors.slurm_batch import known_batches
 from strandline.studies import Study
-from strandline.studies.ledgers import open_runs
 
 __all__ = ["submit", "told_what_goes_on"]
 
@@ -49,7 +48,7 @@ def told_what_goes_on(study: Study, executor: Executor) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        number = open_runs(study)
+        number = study.runs.open_attempts
         if number and isinstance(executor, SlurmArray):
             names = ",".join(batch.name for batch in known_batches(executor.folder))
             click.echo(f"runs that go on in SLURM: {number} (`scancel --name={names}` would end them)", err=True)

@@ -124,7 +124,7 @@ def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, 
     """Write the solved state for ParaView and as a picture, of each condition; return what was written."""
     from strandline.models.biofilm.paraview import write_vtu
     from strandline.models.protocol import declared_conditions
-    from strandline.plots import plot_flow
+    from strandline.report.plots import plot_flow
 
     written = []
     for condition in declared_conditions(model):

@@ -51,7 +51,7 @@ def change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
     """
     from strandline.runs import Ledger
     from strandline.studies.folder import LEDGER
-    from strandline.studies.ledgers import tell_backup
+    from strandline.studies.study_runs import report_backup
 
     if exclude and why is None:
         raise InvalidInput(
@@ -65,9 +65,9 @@ def change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
         model = reader.model
     with Ledger.open(path, model=model) as ledger:
         ledger.exclude(key, why or "") if exclude else ledger.include(key, why or "")
-        tell_backup(ledger, click.echo)
+        report_backup(ledger, click.echo)
     done = "excluded: it is not used and not made again" if exclude else "included again"
-    click.echo(f"run {key[:12]} is {done}; `strandline run {folder}` makes the results anew")
+    click.echo(f"run {key[:12]} is {done}; `strandline run {folder}` makes the results again")
 
 
 def _ending(run: "Run", state: str, kind: str) -> "Run":

@@ -13,7 +13,7 @@ from strandline import __version__
 from strandline.cli.signals import Ended, end_as_ctrl_c
 from strandline.errors import InvalidInput, StrandlineError
 
-__all__ = ["main"]
+__all__ = ["environment", "main"]
 
 MOST_DEVICES = 8
 """Cores that the sampler's particles are spread over at most."""
@@ -22,15 +22,14 @@ COMMANDS = {
     "check": "Validate a study and make one forward run.",
     "run": "Do the whole study; go on where it was stopped.",
     "retry": "Make failed runs again, then the rest of the study.",
-    "status": "Tell how many runs are done, and how the others ended.",
+    "status": "Show how many runs are done, and how the others ended.",
     "runs": "List the runs of a study, show one in full, export them.",
     "doctor": "Look for damage, gaps and drift in a study folder.",
     "backup": "Copy a study's ledger, while it may be running.",
-    "report": "Make posterior, figures and report anew from finished runs.",
+    "report": "Write posterior, figures and report again from finished runs.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "forward": "Make one forward run at chosen inputs.",
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
-    "reproduce": "Run the published study, whole, and judge its claims.",
 }
 
 
@@ -66,7 +65,7 @@ class _LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group("strandline", cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="strandline")
 def _group() -> None:
     """Bayesian calibration of computational-mechanics models from the shape of an interface.
@@ -75,13 +74,18 @@ def _group() -> None:
     """
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; exit code 0 done, 1 numerics failed, 2 bad input, 128 + n ended by the signal n."""
+def main(arguments: list[str] | None = None, *, command: click.Command | None = None) -> None:
+    """Run the command line; exit code 0 done, 1 numerics failed, 2 bad input, 128 + n ended by the signal n.
+
+    Args:
+        arguments: Words after the program's name; those of this process if omitted.
+        command: A program of its own that ends in the same way.
+    """
     end_as_ctrl_c()
-    for name, value in _environment().items():
+    for name, value in environment().items():
         os.environ.setdefault(name, value)
     try:
-        _call(arguments)
+        _call(command or _group, arguments)
     except InvalidInput as error:
         _end(str(error), 2)
     except StrandlineError as error:
@@ -95,8 +99,8 @@ def main(arguments: list[str] | None = None) -> None:
         _end_interrupted(interrupted.cause)
 
 
-def _environment() -> dict[str, str]:
-    """Return what the libraries are told where the user has not; JAX reads it when it is first imported.
+def environment() -> dict[str, str]:
+    """Return defaults of the libraries' environment variables; JAX reads them when it is first imported.
 
     Compiled programs are kept, so that the second analysis of a study does not compile again.
     """
@@ -112,11 +116,11 @@ def _environment() -> dict[str, str]:
     }
 
 
-def _call(arguments: list[str] | None) -> Any:
+def _call(command: click.Command, arguments: list[str] | None) -> Any:
     if "" in (sys.argv[1:] if arguments is None else arguments):
         _end("an argument is empty: got ''; expected a name or a value. Is a variable of the shell unset?", 2)
     try:
-        return _group.main(args=arguments, prog_name="strandline", standalone_mode=False)
+        return command.main(args=arguments, prog_name=command.name, standalone_mode=False)
     except click.exceptions.Exit as ended:
         raise SystemExit(ended.exit_code) from None
     except click.exceptions.NoArgsIsHelpError as error:

@@ -18,9 +18,9 @@ def command() -> None:
 @click.argument("study", type=click.Path(path_type=Path))
 @click.option("--draws", type=int, default=200, show_default=True, help="Draws at which the true model is run.")
 @click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
-@click.option("--quiet", is_flag=True, help="Tell only the result.")
+@click.option("--quiet", is_flag=True, help="Print only the result.")
 def check(study: Path, draws: int, workers: int | None, quiet: bool) -> None:
-    """Run the true model at draws of STUDY's posterior and tell what the surrogate has got wrong.
+    """Run the true model at draws of STUDY's posterior and report what the surrogate has got wrong.
 
     Finished runs are kept: started again, it goes on where it was stopped.
     """

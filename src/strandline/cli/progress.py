@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from strandline.active import BatchReport
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
+from strandline.design.active import BatchReport
 from strandline.runs import Progress as Runs
 from strandline.runs import RunRecord
 from strandline.smc import StepInfo
@@ -32,7 +32,7 @@ SECONDS_BETWEEN_LINES = 15.0
 
 @contextmanager
 def observing(*, quiet: bool = False) -> Iterator[Observer]:
-    """Give an observer that shows how far the study is, on standard error."""
+    """Yield an observer that shows the progress of the study on standard error."""
     console = Console(stderr=True)
     if quiet:
         yield Observer(note=lambda text: _say(console, text))

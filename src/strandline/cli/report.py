@@ -1,4 +1,4 @@
-"""`strandline report`: the results anew from finished runs."""
+"""`strandline report`: the results once more from finished runs."""
 
 from pathlib import Path
 
@@ -12,17 +12,16 @@ __all__ = ["command"]
 @click.command("report")
 @click.argument("study", type=click.Path(path_type=Path))
 @devices.option
-@click.option("--quiet", is_flag=True, help="Tell only the result.")
+@click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(study: Path, device: str | None, quiet: bool) -> None:
-    """Make the posterior, figures and report of STUDY anew from its ledger; no forward run is made."""
+    """Write posterior, figures and report of STUDY again from its ledger; no forward run is made."""
     devices.use(device)
     from strandline.cli.progress import observing
     from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.studies import load_study, run_study
-    from strandline.studies.ledgers import require_finished
 
     loaded = load_study(study)
-    require_finished(loaded)
+    loaded.runs.require_finished()
     with shown_also_if_incomplete(), observing(quiet=quiet) as observer:
         outcome = run_study(loaded, observer=observer)
     show(outcome.summary, outcome.report)

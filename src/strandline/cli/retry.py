@@ -18,9 +18,9 @@ __all__ = ["command"]
     help="Kind of failure, or a state: failed, timeout, killed, invalid. May be given several times.",
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
-@click.option("--quiet", is_flag=True, help="Tell only the result.")
+@click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: bool) -> None:
-    """Make the runs of STUDY that failed with KIND once more, then what else is missing, and the results anew.
+    """Make the runs of STUDY that failed with KIND again, then the runs still missing, then the results.
 
     The earlier outcomes stay in the ledger; the last one of each run counts.
     """
@@ -32,10 +32,9 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
     from strandline.runs.executors import with_workers
     from strandline.runs.failures import require_kinds
     from strandline.studies import load_study, run_study
-    from strandline.studies.ledgers import failure_kinds
 
     loaded = load_study(study)
-    require_kinds(kinds, failure_kinds(loaded))
+    require_kinds(kinds, loaded.runs.failure_kinds)
     say_journal(loaded, quiet=quiet)
     policy = replace(loaded.settings.failures, again=frozenset(kinds))
     loaded = replace(loaded, settings=replace(loaded.settings, failures=policy))

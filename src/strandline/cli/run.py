@@ -14,7 +14,7 @@ __all__ = ["command"]
 @click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
 @devices.option
 @click.option("--detach", is_flag=True, help="Submit the runs of a SLURM array and leave; `run` again collects them.")
-@click.option("--quiet", is_flag=True, help="Tell only the result.")
+@click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(study: Path, workers: int | None, device: str | None, detach: bool, quiet: bool) -> None:
     """Do the whole of STUDY (a folder): forward runs, surrogate, posterior, figures, report.
 

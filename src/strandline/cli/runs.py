@@ -92,7 +92,7 @@ def _require_kind(kind: str | None, runs: Sequence["Run"]) -> None:
             "--kind",
             value=kind,
             expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
-            remedy="`strandline status` tells the kinds and how many there are; for states there is --state.",
+            remedy="`strandline status` shows the kinds and how many there are; for states there is --state.",
         )
 
 

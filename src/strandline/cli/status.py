@@ -20,7 +20,7 @@ LINE = 160
 @click.argument("study", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON object.")
 def command(study: Path, as_json: bool) -> None:
-    """Count the runs of STUDY by how they ended; tell the pace, the slowest run, and why runs failed.
+    """Count the runs of STUDY by how they ended; show the pace, the slowest run, and why runs failed.
 
     It may be running meanwhile.
     """
@@ -34,7 +34,7 @@ def command(study: Path, as_json: bool) -> None:
 
 
 def lines_of(state: "StudyProgress") -> Iterator[str]:
-    """Yield what is told of `state` to a person."""
+    """Yield the lines that describe `state` to a person."""
     unsure = state.detached or (state.driver is not None and state.driver.at_work is None)
     most = "at most " if state.active else ""
     yield f"{state.name}: {state.done} of {most}{state.planned} runs of the design done"

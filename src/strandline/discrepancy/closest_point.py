@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy.many_distances import sums_of_squares
-from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import require_alike
+from strandline.discrepancy.search.many_distances import sums_of_squares
+from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
@@ -32,8 +32,9 @@ class ClosestPoint:
       it weighs as *one* distance; to let it weigh as n, give σ_N²/n.
 
     Args:
-        direction: ``to_observed`` projects the simulated nodes onto the observed interface (the study's),
-            ``to_simulated`` the observed nodes onto the simulated one, ``symmetric`` is the mean of the two d².
+        direction: Which nodes are projected: ``to_observed`` projects the simulated nodes onto the observed interface
+            (the study's), ``to_simulated`` the observed nodes onto the simulated one; ``symmetric`` takes the mean of
+            the two d².
         weighting: ``sum`` or ``length``.
 
     Raises:

@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy.kernel_integrals import centre_product, natural_scale, refined_product
-from strandline.discrepancy.many_currents import currents_of_many
 from strandline.discrepancy.memo import Snapshot
+from strandline.discrepancy.products.kernel_integrals import centre_product, natural_scale, refined_product
+from strandline.discrepancy.products.many_currents import currents_of_many
+from strandline.discrepancy.products.surface_integrals import refined_surface_product
 from strandline.discrepancy.protocol import require_alike
-from strandline.discrepancy.surface_integrals import refined_surface_product
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface
 
@@ -34,11 +34,11 @@ class Currents:
     projection, but the same orientation: a simulated interface that runs against the observed one is refused.
 
     Args:
-        width: the kernel's width σ_W, mm.
-        quadrature: ``refined`` (default) integrates both interfaces, whatever their nodes, to `tolerance`. ``centre``
-            takes one point a segment or triangle as the study does: cheap, and wrong where these are longer than the
-            width, since d² then depends on where the nodes lie along the interface.
-        tolerance: of ``refined``: error of d² relative to ⟨T,T⟩.
+        width: Width σ_W of the kernel, mm.
+        quadrature: Rule: ``refined`` (default) integrates both interfaces, whatever their nodes, to `tolerance`.
+            ``centre`` takes one point a segment or triangle as the study does: cheap, and wrong where these are longer
+            than the width, since d² then depends on where the nodes lie along the interface.
+        tolerance: Largest error of d² with ``refined``, relative to ⟨T,T⟩.
 
     ⟨T,T⟩ is kept for the observed interfaces used last.
 

@@ -28,7 +28,7 @@ def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Orient
 
 
 def _alike(observed: Interface, run: Interface) -> bool:
-    """Tell whether a run can be compared: of the same kind, with coordinates whose squares are numbers."""
+    """Return whether a run can be compared: of the same kind, with coordinates whose squares are numbers."""
     same = run.dim == observed.dim and run.closed == observed.closed
     return same and float(np.abs(run.points).max()) < LARGEST
 

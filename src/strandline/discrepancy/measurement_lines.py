@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from strandline.discrepancy.blocks import motion, similar
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_polylines
+from strandline.discrepancy.search.blocks import motion, similar
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
@@ -45,11 +45,11 @@ class MeasurementLines:
     """d² = Σ over the lines of (distance along the line between simulated and observed interface)², mm²; Eq. (6).
 
     Args:
-        lines: how many lines, or the lines themselves as rows (x, y, dx, dy) in mm: a point and a direction of any
-            length, running to both sides. A number n places them on the observed interface at the fractions
-            (i + ½)/n, i = 0 … n-1, of its arclength, so that every line stands for an equal share of it and none for
-            an end; the direction is the normal of the segment there.
-        reach: largest distance along a line that is looked at, mm; by default a quarter of the observed length.
+        lines: Number of lines, or the lines themselves as rows (x, y, dx, dy) in mm: a point and a direction of any
+            length, running to both sides. A number n places them on the observed interface at the fractions (i + ½)/n,
+            i = 0 … n-1, of its arclength, so that every line stands for an equal share of it and none for an end; the
+            direction is the normal of the segment there.
+        reach: Largest distance along a line that is considered, mm; by default a quarter of the observed length.
 
     A line that does not meet the simulated interface within its reach counts reach²: the measure is bounded by
     n · reach², and continuous where a crossing moves out of reach. Of several crossings the one nearest the observed
@@ -160,7 +160,7 @@ def _least_distances(
 ) -> Float[np.ndarray, "run line"]:
     """Return the distance from each line's point to its nearest crossing with each polyline; `reach` at most.
 
-    Looked at are only the segments that may cross the line, within its reach, in some run.
+    It looks only at segments that may cross the line, within its reach, in some run.
     """
     line, cell = np.nonzero(_may_cross(points, cells, lines, reach))
     out = np.full((len(points), len(lines)), reach)

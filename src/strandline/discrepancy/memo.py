@@ -1,4 +1,4 @@
-"""Recognise an observed interface by its content, so that what was worked out for it once serves every simulation."""
+"""Recognise an observed interface by its content, so that what was computed for it once serves every simulation."""
 
 from dataclasses import dataclass, field
 

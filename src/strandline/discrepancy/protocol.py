@@ -12,7 +12,7 @@ __all__ = ["Discrepancy", "independent_terms", "require_alike", "require_polylin
 class Discrepancy(Protocol):
     """A measure of how far a simulated interface is from the observed one: d² ≥ 0, finite.
 
-    A plain function of this signature serves. A measure may also state
+    A plain function of this signature works. A measure may also state
 
     - `unit`: the unit of d², e.g. ``mm²``; the noise variance σ_N² has the same;
     - `surface_unit`: that unit where the interfaces are surfaces, if it is another one;

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import Discrepancy, independent_terms
+from strandline.discrepancy.search.nearest import squared_distances
 from strandline.interface import Interface
 
 __all__ = ["apart", "count_of_distances", "noise_units"]
@@ -36,7 +36,7 @@ def noise_units(square: float, variance: float, count: float | None) -> float:
 def apart(one: Interface, other: Interface) -> tuple[float, float]:
     """Return the distance of two interfaces, mm: root mean square and largest.
 
-    Taken from the nodes of each to the closest points of the other; of the two directions the larger.
+    Taken from the nodes of each to the closest points of the other; the larger of the two directions counts.
     """
     squares = [squared_distances(a.points, b) for a, b in ((one, other), (other, one))]
     return math.sqrt(max(float(s.mean()) for s in squares)), math.sqrt(max(float(np.max(s)) for s in squares))

@@ -1,4 +1,4 @@
-"""What a forward model is, and how runs of it are told apart."""
+"""What a forward model is, and what distinguishes its runs."""
 
 import dataclasses
 import hashlib
@@ -39,12 +39,12 @@ Sensitivities = Mapping[str, Mapping[str, Float[np.ndarray, "point xyz"]]]
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """The outcome of one successful forward run; `Simulation.of` serves a model of one unnamed condition.
+    """The outcome of one successful forward run; use `Simulation.of` for a model of one unnamed condition.
 
     Args:
-        interfaces: by condition, all of the same specimen; "" is the name of an only condition that has none.
-        diagnostics: figures about the run.
-        sensitivities: by condition and by input, the derivative of the interface's points, mm per unit of the input.
+        interfaces: Interfaces by condition, all of the same specimen; "" names a single unnamed condition.
+        diagnostics: Figures about the run.
+        sensitivities: Derivatives of the interface's points, by condition and input, mm per unit of the input.
     """
 
     interfaces: Mapping[str, Interface]
@@ -84,7 +84,7 @@ class ModelInput:
     meaning: str = ""
 
     def admits(self, value: float) -> bool:
-        """Tell whether `value` lies in the declared range."""
+        """Return whether `value` lies in the declared range."""
         above = self.low <= value if self.low_included else self.low < value
         below = value <= self.high if self.high_included else value < self.high
         return above and below
@@ -99,14 +99,14 @@ class ModelInput:
 class ForwardModel(Protocol):
     """A simulator: inputs by name → the interface it predicts.
 
-    A plain function of the same signature serves, and may return a bare `Interface`, which is one unnamed condition.
+    A plain function of the same signature works too, and may return a bare `Interface`, which is one unnamed condition.
     A model may declare `inputs` (a tuple of `ModelInput`), `fingerprint` (a string that changes whenever its results
     do), where a run yields several interfaces or one with a name, their `conditions` (a tuple of names), and the kinds
     of its failures, `failure_kinds` (a tuple of words), so that others are refused in a study. A model that can compute
-    sensitivities is a dataclass with a field `sensitivities`, which says whether it does; they come on top and change
-    no interface, so they are no part of its fingerprint. A model with a method ``on_finer_mesh(inputs)``, which returns
-    the interfaces by condition, lets `strandline check` state the error of its mesh. It is pickled once per worker
-    process.
+    sensitivities is a dataclass with a field `sensitivities`, which says whether it does; they are additional and
+    change no interface, so they are not part of its fingerprint. A model with a method ``on_finer_mesh(inputs)``, which
+    returns the interfaces by condition, lets `strandline check` state the error of its mesh. It is pickled once per
+    worker process.
 
     Raises:
         ForwardModelError: the run failed, with its kind.
@@ -137,7 +137,7 @@ def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:
     """Refuse an observed condition that `model` does not have.
 
     Raises:
-        InvalidInput: with the conditions of the model.
+        InvalidInput: There is one; the message lists the conditions of the model.
     """
     known = declared_conditions(model)
     for name in observed:
@@ -151,7 +151,7 @@ def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:
 
 
 def asks_sensitivities(model: ForwardModel) -> bool:
-    """Tell whether the runs of `model` are to yield sensitivities too."""
+    """Return whether the runs of `model` are to yield sensitivities too."""
     return getattr(model, "sensitivities", False) is True
 
 
@@ -172,7 +172,7 @@ def with_sensitivities(model: Any) -> Any:
 
 
 def without_failure_budget(model: Any) -> Any:
-    """Return `model` with its field `failure_budget` at 0, so that a failure is searched to its end; or `model`."""
+    """Return `model` with its field `failure_budget`, if any, at 0: the search for a failure's reason has no limit."""
     return dataclasses.replace(model, failure_budget=0) if _has_field(model, "failure_budget") else model
 
 
@@ -200,8 +200,8 @@ def _has_field(model: Any, name: str) -> bool:
 def fingerprint(model: ForwardModel) -> str:
     """Return what identifies `model` in a ledger.
 
-    Its own `fingerprint` where it has one; otherwise a hash of its class or function, of the file that this is in and
-    of the files of the same package that this imports, and of its fields, but for `sensitivities`, which change no
+    Its own `fingerprint` if it has one; otherwise a hash of its class or function, of the file that defines it and the
+    files of the same package that this file imports, and of its fields except `sensitivities`, which change no
     interface.
     """
     own = getattr(model, "fingerprint", None)

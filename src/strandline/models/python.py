@@ -1,4 +1,4 @@
-"""A forward model of one's own: a Python function, named in the study file."""
+"""A forward model of your own: a Python function, named in the study file."""
 
 import importlib
 from collections.abc import Mapping
@@ -30,18 +30,18 @@ class PythonModel:
 
     It is called with the inputs by name and an empty folder of the run's own, and returns a `Simulation`, an
     `Interface`, or the points (point, 2) of an open polyline in mm, in order along the interface. A run that fails
-    raises `ForwardModelError`. Any callable object at the top level of a module serves.
+    raises `ForwardModelError`. Any callable object at the top level of a module works.
 
     The function may carry four attributes: ``inputs``, a tuple of `ModelInput`, ``fingerprint``, a text,
     ``conditions``, the names under which a `Simulation` of several interfaces holds them, and ``failure_kinds``, the
     kinds with which it raises `ForwardModelError`. Without ``inputs`` nothing is known of units and of the values that
-    make sense: the study's unit (optional then) is taken as it stands and no range is checked. Without
-    ``fingerprint`` runs belong to the source of the function's file and of the files of the same package, or beside it,
-    that this imports; code that it calls elsewhere can change unseen.
+    make sense: the study's unit (optional then) is taken as it stands and no range is checked. Without ``fingerprint``
+    runs belong to the source of the function's file and of the files of the same package, or beside it, that this
+    imports; code that it calls elsewhere can change unnoticed.
 
     Args:
         function: ``module:name``; the module must be importable (installed, or on PYTHONPATH).
-        sensitivities: have the callable, a dataclass with a field of that name, compute them too.
+        sensitivities: Whether the callable, a dataclass with a field of that name, computes them too.
         function_alone: Have the fingerprint cover the function's own source alone, as in ledgers of version 0.1.
 
     Raises:

@@ -11,14 +11,14 @@ from types import ModuleType
 __all__ = ["sources_of"]
 
 OWN = "strandline"
-"""Its modules are told apart by the version of the package, not by their text."""
+"""Package whose modules are identified by its version, not by their text."""
 INSTALLED = frozenset({"site-packages", "dist-packages"})
 
 
 def sources_of(module: str) -> list[tuple[str, str]]:
-    """Return (name, text) of `module` and of the modules beside it that it imports, directly or not, by name.
+    """Return (name, text) of `module` and of neighbouring modules that it imports, directly or not, by name.
 
-    Beside it are those of the same top-level package, and, unless it is installed, those that lie in the same folder
+    Neighbouring modules are those of the same top-level package, and, unless it is installed, those in the same folder
     as that package or file. What is imported by a computed name is not found; neither are data files.
 
     Raises:

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from strandline.errors import InvalidInput
 from strandline.posterior.pareto_smoothing import SmoothedWeights, pareto_smoothed
+from strandline.posterior.weighted import Weighted
 
 __all__ = ["Reweighting", "reweight", "subset"]
 
@@ -16,13 +17,13 @@ class Reweighting:
     """Moments of draws of equal weight, of the same draws reweighted, and their difference; each (dim,).
 
     Args:
-        smoothed: the weights.
-        mean: of the draws.
-        sd: of the draws.
-        reweighted_mean: under the weights.
-        reweighted_sd: under the weights.
-        shift: of the mean, in `sd`; both means are of the same draws, so that their common noise cancels.
-        shift_error: standard error of `shift`, to first order in the influence of each draw.
+        smoothed: Smoothed weights of the draws.
+        mean: Mean of the draws.
+        sd: Standard deviation of the draws.
+        reweighted_mean: Mean under the weights.
+        reweighted_sd: Standard deviation under the weights.
+        shift: Shift of the mean, in `sd`; both means are of the same draws, so their common noise cancels.
+        shift_error: Standard error of `shift`, to first order in the influence of each draw.
     """
 
     smoothed: SmoothedWeights
@@ -43,20 +44,22 @@ def reweight(draws: Float[np.ndarray, "draw dim"], log_ratios: Float[np.ndarray,
     """Return what Pareto-smoothed importance weights make of draws of equal weight.
 
     Args:
-        draws: of the proposal, e.g. a surrogate's posterior.
-        log_ratios: log(target/proposal) at each, up to a constant; -inf is a draw that the target excludes.
+        draws: Draws (draw, dim) of the proposal, e.g. a surrogate's posterior.
+        log_ratios: Logarithm of target/proposal at each draw, up to a constant; -inf marks a draw that the target
+            excludes.
 
     Raises:
-        InvalidInput: draws that are all the same in one input, or see `pareto_smoothed`.
+        InvalidInput: Draws that are all the same in one input; or as for `pareto_smoothed`.
     """
     _require_spread(draws)
     smoothed = pareto_smoothed(log_ratios)
     equal = np.full(len(draws), 1 / len(draws))
-    (mean, sd), (new_mean, new_sd) = _moments(draws, equal), _moments(draws, smoothed.weights)
-    z, shift = (draws - mean) / sd, (new_mean - mean) / sd
+    before, after = Weighted(draws, equal), Weighted(draws, smoothed.weights)
+    mean, sd = before.mean, before.sd
+    z, shift = (draws - mean) / sd, (after.mean - mean) / sd
     influence = smoothed.weights[:, None] * (z - shift) - equal[:, None] * (z + 0.5 * shift * (z**2 - 1))
     error = np.sqrt(np.sum(influence**2, axis=0))
-    return Reweighting(smoothed, mean, sd, new_mean, new_sd, shift, error)
+    return Reweighting(smoothed, mean, sd, after.mean, after.sd, shift, error)
 
 
 def subset(weights: Float[np.ndarray, " particle"], number: int, seed: int) -> Int[np.ndarray, " draw"]:
@@ -69,13 +72,6 @@ def subset(weights: Float[np.ndarray, " particle"], number: int, seed: int) -> I
     cumulative = np.cumsum(weights)
     found = np.searchsorted(cumulative, places * cumulative[-1], side="right")
     return np.asarray(np.minimum(found, np.flatnonzero(weights)[-1]))
-
-
-def _moments(
-    draws: Float[np.ndarray, "draw dim"], weights: Float[np.ndarray, " draw"]
-) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
-    mean = weights @ draws
-    return mean, np.sqrt(weights @ (draws - mean) ** 2)
 
 
 def _require_spread(draws: Float[np.ndarray, "draw dim"]) -> None:

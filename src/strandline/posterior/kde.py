@@ -64,13 +64,13 @@ class KernelDensity:
         """Return the estimate of weighted draws.
 
         Args:
-            draws: particles (particle, dim), physical.
-            weights: normalised weights (particle,).
+            draws: Particles (particle, dim), physical.
+            weights: Normalised weights (particle,).
             bounds: (low, high) of each input, at which the kernels are mirrored.
-            shape: kernels shaped like the weighted covariance, or like its diagonal.
-            bandwidth: kernel width over the standard deviation of the draws; where it is left out, the one of the
-                highest leave-one-out likelihood.
-            loo_points: at most so many draws enter the leave-one-out likelihood; more are thinned by systematic
+            shape: Kernels shaped like the weighted covariance, or like its diagonal.
+            bandwidth: Kernel width over the standard deviation of the draws; by default the one of the highest
+                leave-one-out likelihood.
+            loo_points: Largest number of draws in the leave-one-out likelihood; more are thinned by systematic
                 resampling, and the bandwidth is then scaled by n^(-1/(dim+4)) to the full set.
 
         Raises:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput, NumericsError
+from strandline.numerics.precision import use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior.gaussian import GaussianApproximation
 
@@ -19,11 +20,12 @@ class LaplaceApproximation:
     """Second-order expansion of the log posterior about a mode; see `laplace`.
 
     Args:
-        mode: where the expansion is made (dim,), physical.
-        hessian: second derivatives of the log posterior there (dim, dim).
-        covariance: minus the inverse of `hessian`; None where that is no covariance.
-        definite: whether `hessian` is negative definite.
-        eigenvalues: of `hessian`, ascending; one above zero is a direction in which the mode is none.
+        mode: Where the expansion is made (dim,), physical.
+        hessian: Second derivatives of the log posterior there (dim, dim).
+        covariance: Minus the inverse of `hessian`; None where that is no covariance.
+        definite: Whether `hessian` is negative definite.
+        eigenvalues: Eigenvalues of `hessian` (dim,), ascending; one above zero marks a direction in which `mode` is no
+            maximum.
     """
 
     mode: Float[np.ndarray, " dim"]
@@ -37,7 +39,7 @@ class LaplaceApproximation:
         """The Gaussian about the mode.
 
         Raises:
-            NumericsError: the Hessian is indefinite, there is none.
+            NumericsError: The Hessian is indefinite, so there is no Gaussian.
         """
         if self.covariance is None:
             raise NumericsError(
@@ -84,13 +86,7 @@ def log_prior_hessian(space: ParameterSpace, x: Float[np.ndarray, " dim"]) -> Fl
     Raises:
         InvalidInput: JAX runs in single precision, or the prior density at x is zero.
     """
-    if jnp.zeros(()).dtype != np.float64:
-        raise InvalidInput(
-            "precision of JAX",
-            value="float32",
-            expected="float64",
-            remedy='Call jax.config.update("jax_enable_x64", True) at the start of the program.',
-        )
+    use_double()
     if not np.isfinite(space.log_prior(np.asarray(x))):
         raise InvalidInput(
             "log prior where its Hessian is wanted",

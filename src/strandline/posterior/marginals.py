@@ -61,7 +61,7 @@ def histogram(
     Args:
         values: draws (particle,).
         weights: their normalised weights.
-        bounds: first and last edge; draws outside are an error. The range of `values` where it is left out.
+        bounds: first and last edge; draws outside are an error. By default the range of `values`.
         bins: number of bins.
     """
     limits = _limits(values, bounds)

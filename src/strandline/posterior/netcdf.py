@@ -40,12 +40,12 @@ def to_datatree(
     inputs and the log-evidence given each.
 
     Args:
-        posterior: the weighted draws.
-        seed: of the resampling and of the draws of the prior.
-        attrs: further attributes of the root, e.g. the study's name.
-        observed: the observations the posterior was made from.
-        number: how many equally weighted draws; as many as there are particles where it is left out.
-        cut: the cut reading, where there are nuisance inputs.
+        posterior: The weighted draws.
+        seed: Seed of the resampling and of the draws from the prior.
+        attrs: Further attributes of the root, e.g. the study's name.
+        observed: The observations the posterior was made from.
+        number: Number of equally weighted draws; by default as many as there are particles.
+        cut: The cut reading, if there are nuisance inputs.
     """
     size = posterior.number if number is None else number
     equal = posterior.equally_weighted(np.random.default_rng([seed, 0]), size)
@@ -178,7 +178,7 @@ def _observed(observed: Sequence[Observation]) -> xr.Dataset:
     variables = {}
     for o in observed:
         suffix = f"_{o.condition}" if o.condition else ""
-        attributes = {"units": "mm", "noise_variance": o.noise_variance}
+        attributes = {"units": "mm", **o.noise.facts}
         variables[f"interface{suffix}"] = ((f"point{suffix}", "xyz"), o.interface.points, attributes)
         variables[f"cells{suffix}"] = ((f"cell{suffix}", "corner"), o.interface.cells, {})
     return xr.Dataset(variables)

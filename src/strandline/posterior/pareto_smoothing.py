@@ -1,4 +1,4 @@
-"""Pareto-smoothed importance sampling: weights whose largest few do not rule, and a figure that says when they do.
+"""Pareto-smoothed importance sampling: weights that the largest few do not dominate, and a figure that says if they do.
 
 Vehtari, Simpson, Gelman, Yao, Gabry: Pareto smoothed importance sampling, JMLR 25 (72), 2024. The generalised Pareto
 distribution is fitted as in Zhang, Stephens: A new and efficient estimation method for the generalized Pareto
@@ -36,7 +36,7 @@ PRIOR_SHAPE, PRIOR_WEIGHT = 0.5, 10
 LOG_NOTHING = -460.0
 """A weight below e^-460 = 1e-200 of the largest counts as zero."""
 LOG_EQUAL = 1e-10
-"""Largest log weights within this are equal but for rounding: they have no tail."""
+"""Largest log weights within this are equal except for rounding: they have no tail."""
 
 
 @dataclass(frozen=True)

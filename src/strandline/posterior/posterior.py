@@ -13,6 +13,8 @@ from scipy.special import logsumexp
 
 from strandline.errors import InvalidInput
 from strandline.parameters import ParameterSpace
+from strandline.posterior.shown import moments_line, moments_table
+from strandline.posterior.weighted import Weighted
 
 __all__ = ["Posterior", "systematic_indices"]
 
@@ -46,6 +48,19 @@ class Posterior:
         _require_shapes(self)
         _require_normalised(self.log_weights)
 
+    def __repr__(self) -> str:
+        return f"<Posterior {self.line}; {self.number} particles, ESS {self.ess:.0f}>"
+
+    def _repr_html_(self) -> str:
+        low, high = self.quantiles([0.05, 0.95])
+        columns = {"mean": self.mean, "sd": self.sd, "MAP": self.map_estimate, "5 %": low, "95 %": high}
+        return moments_table(self.space, columns)
+
+    @property
+    def line(self) -> str:
+        """Mean ± standard deviation of each input, in one line."""
+        return moments_line(self.space, self.mean, self.sd)
+
     @cached_property
     def weights(self) -> Float[np.ndarray, " particle"]:
         """Normalised weights (particle,)."""
@@ -64,13 +79,12 @@ class Posterior:
     @property
     def mean(self) -> Float[np.ndarray, " dim"]:
         """Posterior mean (dim,)."""
-        return np.asarray(self.weights @ self.draws)
+        return Weighted(self.draws, self.weights).mean
 
     @property
     def covariance(self) -> Float[np.ndarray, "dim dim"]:
         """Posterior covariance (dim, dim): the second central moment of the weighted draws."""
-        centred = self.draws - self.mean
-        return np.asarray((self.weights[:, None] * centred).T @ centred)
+        return Weighted(self.draws, self.weights).covariance
 
     @property
     def sd(self) -> Float[np.ndarray, " dim"]:
@@ -122,8 +136,8 @@ class Posterior:
         as ArviZ's) sees them.
 
         Args:
-            seed: an integer, a NumPy generator or a JAX key.
-            number: how many draws; as many as there are particles where it is left out.
+            seed: Integer, NumPy generator or JAX key.
+            number: Number of draws; by default as many as there are particles.
         """
         size = self.number if number is None else number
         if size < 1:

@@ -18,13 +18,13 @@ class SobolIndices:
     """Shares of the variance of a function of independent inputs; each (dim,).
 
     Args:
-        first: the share that an input explains alone.
-        first_low: lower end of its bootstrap interval.
-        first_high: upper end.
-        total: the share that an input is part of, alone or together with others.
-        total_low: lower end of its bootstrap interval.
-        total_high: upper end.
-        evaluations: of the function.
+        first: The share that an input explains alone.
+        first_low: Lower end of its bootstrap interval.
+        first_high: Upper end of its bootstrap interval.
+        total: The share that an input is part of, alone or together with others.
+        total_low: Lower end of its bootstrap interval.
+        total_high: Upper end of its bootstrap interval.
+        evaluations: Number of evaluations of the function.
     """
 
     first: Float[np.ndarray, " dim"]
@@ -47,18 +47,18 @@ def sobol_indices(
 ) -> SobolIndices:
     """Return first-order and total indices of `function` under the prior, by the estimators of Saltelli et al. (2010).
 
-    Of a log-likelihood they say what the data tell apart over the *whole* prior, its far tail most of all. The indices
-    of the likelihood itself, a narrow peak, would be near 0 and 1, for only interactions are left. What the data have
-    told of an input is seen from its marginal, not from here.
+    For a log-likelihood they show what the data distinguish over the *whole* prior, above all in its far tail. The
+    indices of the likelihood itself, a narrow peak, would be near 0 and 1, since only interactions are left. What the
+    data say about an input is seen from its marginal, not from these indices.
 
     Args:
-        function: of physical points.
-        space: the inputs with their priors, independent.
-        number: of points in each of the two Sobol' samples, a power of 2; the function is called (dim + 2) times on so
-            many.
-        seed: of their scrambling and of the bootstrap.
-        level: probability of the bootstrap intervals.
-        resamples: of the bootstrap.
+        function: Function of physical points (point, dim).
+        space: Inputs with their independent priors.
+        number: Number of points in each of the two Sobol' samples, a power of 2; the function is called (dim + 2) times
+            on that many points.
+        seed: Seed of their scrambling and of the bootstrap.
+        level: Probability of the bootstrap intervals.
+        resamples: Number of resamples of the bootstrap.
 
     Raises:
         NumericsError: the function does not vary under the prior, or is not finite.

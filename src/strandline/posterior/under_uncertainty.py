@@ -1,8 +1,8 @@
 """The posterior of the calibrated inputs x when further inputs θ are uncertain (paper (3b)), in its two readings.
 
-joint: ∫ p(x, θ | Y) dθ. The data tell about θ as well, and x is weighed with what they told.
-cut: E over θ ~ p(θ) of p(x | θ, Y), each conditional posterior normalised by its own evidence Z(θ). The data tell
-nothing about θ.
+joint: ∫ p(x, θ | Y) dθ. The data inform θ as well, and x is weighted accordingly.
+cut: E over θ ~ p(θ) of p(x | θ, Y), each conditional posterior normalised by its own evidence Z(θ). The data do not
+inform θ.
 """
 
 from collections.abc import Sequence
@@ -98,10 +98,10 @@ class Cut(Reading):
     """The cut reading, with the θ that stand for p(θ).
 
     Args:
-        extended: the pooled draws. Its likelihood is L(x, θ)/Z(θ), so that its evidence is 1.
-        values: θ (value, nuisance), each with the probability 1/values.
-        log_evidence: log Z(θ) of each, log ∫ L(x, θ) p(x) dx.
-        value_index: of each draw, its row in `values`.
+        extended: The pooled draws. Its likelihood is L(x, θ)/Z(θ), so that its evidence is 1.
+        values: Values of θ (value, nuisance), each with the probability 1/values.
+        log_evidence: Log evidence of each value, log Z(θ) = log ∫ L(x, θ) p(x) dx.
+        value_index: Row of each draw in `values` (particle,).
     """
 
     values: Float[np.ndarray, "value nuisance"]

@@ -1,7 +1,8 @@
 """Files that simulators and measurements write → interfaces."""
 
+from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import Unreadable
 from strandline.readers.read import READERS, read_interface
 
-__all__ = ["READERS", "Reading", "Unreadable", "read_interface"]
+__all__ = ["READERS", "Block", "Contents", "Reading", "Unreadable", "read_interface"]

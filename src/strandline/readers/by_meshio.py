@@ -16,7 +16,7 @@ __all__ = ["converted", "imported", "read_by_meshio"]
 
 MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk"}
 READS_AT_END = 100
-"""Attempts to read behind the end after which a PLY file counts as cut off; its reader would go on for ever."""
+"""Attempts to read past the end after which a PLY file counts as cut off; its reader would go on for ever."""
 
 
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
@@ -30,13 +30,13 @@ def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
 
 
 def _require_end(content: bytes) -> None:
-    """Refuse an STL file in ASCII that is cut off, of which meshio would take the rest."""
+    """Refuse an STL file in ASCII that is cut off; meshio would read what is left of it."""
     if content.startswith(b"solid") and b"facet" in content[:1000] and b"endsolid" not in content[-1000:]:
         raise EOFError("the file is cut off")
 
 
 class _Whole(io.BytesIO):
-    """The bytes of a file, which refuses to be read behind its end again and again."""
+    """The bytes of a file, which refuses to be read past its end again and again."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__(content)

@@ -90,6 +90,6 @@ def _triangles(ring: Int[np.ndarray, "face node"]) -> Int[np.ndarray, "cell 3"]:
 
 
 def _once(rings: Int[np.ndarray, "face node"]) -> Bool[np.ndarray, " face"]:
-    """Tell which of the rings of nodes appear only once, whatever their direction."""
+    """Return which rings of nodes appear only once, in either direction."""
     _, inverse, counts = np.unique(np.sort(rings, axis=1), axis=0, return_inverse=True, return_counts=True)
     return np.asarray(counts[inverse.reshape(-1)] == 1)

@@ -61,7 +61,7 @@ def chosen_chain(
     """Return the one polyline among those found.
 
     Raises:
-        Unreadable: there is none, or several and no word on which.
+        Unreadable: There is none, or there are several and no option chooses one.
     """
     if not found:
         raise refused(f"{name} holds no interface", None, "cells that form a line", "Look at the selection.")

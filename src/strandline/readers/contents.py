@@ -14,9 +14,9 @@ class Block:
     """Cells of one kind, by meshio's names (``line``, ``triangle6``, …).
 
     Args:
-        kind: of the cells.
-        nodes: their numbers.
-        data: by name, one row a cell.
+        kind: Kind of the cells.
+        nodes: Node numbers of each cell.
+        data: Arrays by name, one row per cell.
     """
 
     kind: str
@@ -29,10 +29,10 @@ class Contents:
     """Points in the file's unit; without blocks they are a polyline in their order.
 
     Args:
-        points: as the file has them.
-        blocks: of cells.
-        data: by name, one row a point.
-        displacement: what is to be added to the points, where the reader knows.
+        points: Points (point, xyz) as in the file.
+        blocks: Blocks of cells.
+        data: Arrays by name, one row per point.
+        displacement: Displacement to be added to the points, if the reader knows it.
     """
 
     points: Float[np.ndarray, "point xyz"]

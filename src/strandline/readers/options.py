@@ -28,26 +28,27 @@ class Reading:
     """A file and how to read it; places in mm, before `field` is added.
 
     Args:
-        file: its name; the suffix tells the format.
-        unit: of lengths in it, a key of `TO_MM`.
-        columns: of a table: two names, or two numbers from 1.
-        delimiter: of a text table; left out, commas, semicolons and blanks.
-        decimal: of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or blanks.
-        sort: points of a table by ``x`` or ``y``, where they are not in order along the interface.
-        field: displacement to be added: of a mesh the name of its point data, of a table two columns.
-        time: ``last``, ``{index: 3}`` or ``{value: 0.5}`` of a series.
-        block: of cells, by number from 0 or by kind.
-        cells: ``{name: value}`` of cell data: those cells only.
-        points: ``{name: value}`` of point data: cells with such points only.
-        select: ``{x: [low, high], y: …}``: what lies within.
-        near: of several pieces, the one that comes nearest to this place.
-        keep: ``longest`` of several pieces.
-        start: an open polyline begins at its end nearest to this place, a closed one at its nearest node.
-        plane: the two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
-        count: how many points there must be.
+        file: Name of the file; its suffix determines the format.
+        unit: Unit of lengths in the file, a key of `TO_MM`.
+        columns: Columns of a table: two names, or two numbers from 1.
+        delimiter: Delimiter of a text table; by default commas, semicolons and blanks.
+        decimal: Decimal mark of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or
+            blanks.
+        sort: Coordinate, ``x`` or ``y``, that sorts the points of a table if they are not in order along the interface.
+        field: Displacement to be added: the name of point data of a mesh, or two columns of a table.
+        time: Time of a series: ``last``, ``{index: 3}`` or ``{value: 0.5}``.
+        block: Block of cells, by number from 0 or by kind.
+        cells: Cell data, ``{name: value}``, of the cells that are read.
+        points: Point data, ``{name: value}``, of all points of the cells that are read.
+        select: Box, ``{x: [low, high], y: …}``, of what is read.
+        near: Place; of several pieces the one that comes nearest to it is read.
+        keep: ``longest``: of several pieces the longest is read.
+        start: Place; an open polyline begins at its end nearest to it, a closed one at its nearest node.
+        plane: The two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
+        count: Number of points that there must be.
 
     Raises:
-        InvalidInput: an option that cannot be, or one that the format of the file does not take.
+        InvalidInput: An invalid option, or one that the format of the file does not take.
     """
 
     file: str
@@ -89,12 +90,12 @@ class Reading:
 
     @property
     def suffix(self) -> str:
-        """Of the file, in small letters."""
+        """Suffix of the file, in lower case."""
         return PurePosixPath(self.file).suffix.lower()
 
     @property
     def axes(self) -> tuple[int, int]:
-        """Numbers of the two coordinates of a polyline."""
+        """Indices of the two coordinates of a polyline."""
         return PLANES[self.plane]
 
     @property
@@ -134,7 +135,7 @@ class Reading:
 
 
 def _checked_types(values: dict[str, Any], place: str) -> Reading:
-    """Return the reading, each option of its type."""
+    """Return the reading after a check of the type of each option."""
     for name in ("file", "unit", "delimiter", "plane"):
         if not isinstance(values.get(name, ""), str):
             raise _unfit(f"{place}.{name}", values[name], "a text")

@@ -1,4 +1,4 @@
-"""Pictures given where the points of an interface belong."""
+"""Pictures given instead of the points of an interface."""
 
 from pathlib import Path
 

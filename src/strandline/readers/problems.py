@@ -11,11 +11,11 @@ class Unreadable(InvalidInput):
     """A file yields no interface.
 
     Args:
-        what: is wrong, with the name of the file.
+        what: What is wrong, with the name of the file.
         kind: ``result_missing`` | ``result_unreadable`` | ``non_finite`` | ``invalid_interface``.
-        value: that was found.
-        expected: what would have been right.
-        remedy: what to do next.
+        value: Value that was found.
+        expected: What would have been correct.
+        remedy: What to do next.
     """
 
     def __init__(

@@ -2,7 +2,7 @@
 
 import stat
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
@@ -24,7 +24,7 @@ _MESH = "strandline.readers.by_meshio:read_by_meshio"
 _VTK = "strandline.readers.vtk_xml:read_vtk_xml"
 _XDMF = "strandline.readers.xdmf:read_xdmf"
 
-READERS: Mapping[str, str] = {
+READERS: dict[str, str] = {
     ".csv": _TABLE,
     ".tsv": _TABLE,
     ".txt": _TABLE,
@@ -48,13 +48,13 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     """Return the interface in the file at `path`, in mm.
 
     Args:
-        path: of the file.
-        how: to read it.
-        name: for messages.
+        path: Path of the file.
+        how: How to read the file.
+        name: Name of the file in messages.
         ended: Whether a text table without a `count` must end with a line break, as what a program writes does.
 
     Raises:
-        Unreadable: the file is missing, cut off, garbage, not finite, or holds no interface that can be told.
+        Unreadable: the file is missing, cut off, garbage, not finite, or holds no recognisable interface.
         InvalidInput: an optional package is missing.
     """
     name = name or path.name
@@ -78,7 +78,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
 
 
 def _contents(path: Path, how: Reading, name: str) -> Contents:
-    """Return what is in the file, whatever it is that a damaged one makes its reader raise."""
+    """Return what is in the file; whatever its reader raises on a damaged one becomes `Unreadable`."""
     module, _, function = READERS.get(how.suffix, _TABLE).partition(":")
     reader: Callable[[Path, Reading, str], Contents] = getattr(import_module(module), function)
     try:
@@ -97,7 +97,7 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
 
 
 def _require_file(path: Path, name: str) -> None:
-    """Refuse what is no file; a pipe would never end."""
+    """Refuse what is not a file; a pipe would never end."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Files of several times: PVD, and which of the times is meant."""
+"""Files of several times: PVD, and the choice of one time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +28,7 @@ def read_pvd(path: Path, how: Reading, name: str) -> Contents:
 
 
 def chosen_time(times: Sequence[float], how: Reading, name: str) -> int:
-    """Return the place of the time that is asked for; the last one where none is.
+    """Return the index of the requested time; of the last one if none is requested.
 
     Raises:
         Unreadable: there is no such time, or none at all.

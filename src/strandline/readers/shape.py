@@ -18,7 +18,7 @@ __all__ = ["interface_of"]
 FLATNESS = 1e-9
 """Share of the extent by which points may leave a plane."""
 SURFACES = (".stl", ".ply")
-"""Suffixes of files that hold surfaces, be they plane."""
+"""Suffixes of files that hold surfaces, even if these are plane."""
 
 
 def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
@@ -26,7 +26,7 @@ def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
 
     Raises:
         Unreadable: the file does not hold what the options ask for.
-        InvalidInterface: the points form none.
+        InvalidInterface: The points form no interface.
     """
     places, moved = _places(contents, how, name)
     found = _of_cells(contents, places, moved, how, name) if contents.blocks else _of_table(places, moved, how, name)
@@ -132,7 +132,7 @@ def _chosen(contents: Contents, how: Reading, name: str) -> list[Block]:
 
 
 def _where(block: Block, key: str, wanted: Any, name: str) -> Block:
-    """Return the cells of a block whose data are as wanted."""
+    """Return the cells of a block whose data have the requested value."""
     chosen = _is_one_of(_data(block.data, key, f"{name} has no cell data", key), wanted)
     return Block(block.kind, block.nodes[chosen], {k: values[chosen] for k, values in block.data.items()})
 

@@ -135,7 +135,7 @@ def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
     """Return the characters between fields: one, or several of which each separates.
 
     Raises:
-        Unreadable: a line has semicolons and commas, and it is not said which are decimal.
+        Unreadable: a line has semicolons and commas, and no option says which are decimal.
     """
     if how.delimiter is not None:
         return how.delimiter
@@ -167,10 +167,10 @@ def missing(path: Path, name: str) -> Unreadable:
 
 
 def require_end(path: Path, name: str) -> None:
-    """Refuse a program's result whose last line does not end: its last number may be cut off.
+    """Refuse a program's result whose last line has no line break: its last number may be cut off.
 
     Raises:
-        Unreadable: with the last line.
+        Unreadable: There is no line break; the message holds the last line.
     """
     try:
         content = path.read_bytes()

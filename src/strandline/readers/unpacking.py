@@ -56,4 +56,4 @@ COMPRESSORS: dict[str, Callable[[Allowance, bytes], bytes]] = {
     "vtkZLibDataCompressor": Allowance.unzlib,
     "vtkLZMADataCompressor": Allowance.unlzma,
 }
-"""Names in VTK's files → what undoes them."""
+"""Names in VTK's files → functions that decompress."""

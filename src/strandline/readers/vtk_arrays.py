@@ -37,11 +37,11 @@ class Encoding:
     """How a file writes its binary numbers.
 
     Args:
-        order: of the bytes, ``<`` or ``>``.
-        header: type of the counts in front of binary data.
-        decompress: undoes the compression, up to the file's allowance; None for none.
-        appended: all appended data, behind its underscore.
-        raw: whether they are bytes and not base64.
+        order: Order of the bytes, ``<`` or ``>``.
+        header: Type of the counts before binary data.
+        decompress: Function that decompresses, up to the file's allowance; None: not compressed.
+        appended: All appended data after the underscore.
+        raw: Whether appended data are bytes, not base64.
     """
 
     order: str

@@ -1,4 +1,4 @@
-"""VTU, VTP and their parallel forms: points, cells and data, without the help of VTK."""
+"""VTU, VTP and their parallel forms: points, cells and data, read without VTK."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -68,7 +68,7 @@ def _read(path: Path, *, parallel: bool) -> Contents:
 
 
 def beside(path: Path, source: str) -> Path:
-    """Return the file that `path` refers to, which must lie in its folder or below."""
+    """Return the file that `path` names, which must lie in the same folder or below."""
     target = path.parent / source
     if not target.resolve().is_relative_to(path.parent.resolve()):
         raise ValueError(f"it refers to {source}, outside of its folder")

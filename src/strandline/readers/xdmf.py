@@ -34,10 +34,10 @@ def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
 
 
 def _require_own_data(path: Path, root: ElementTree.Element) -> None:
-    """Refuse data outside the folder of the file, and such as unpack to far more than the files that hold them.
+    """Refuse data outside the folder of the file, and data that unpack to far more than the files that hold them.
 
     Raises:
-        ValueError: (also KeyError, OSError) with the place.
+        ValueError: (also KeyError, OSError) There are such data; the message holds the place.
     """
     allowances: dict[Path, Allowance] = {}
     for item in root.iter("DataItem"):

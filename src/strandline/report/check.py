@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from strandline import plots
+from strandline.report import plots
 from strandline.report.figures import Captioned
 
 __all__ = ["draw_check"]

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from jaxtyping import Float
 
-from strandline import plots
-from strandline.active import FieldOutcome
-from strandline.calibrate import Calibration
+from strandline.calibration import Calibration
+from strandline.design.active import FieldOutcome
 from strandline.interface import Interface
 from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset
+from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
 
 __all__ = ["field_figures"]

@@ -1,22 +1,22 @@
-"""What a user must be told in words about a posterior by a surrogate of the field."""
+"""Warnings in words about a posterior by a surrogate of the field."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from strandline.active import FieldOutcome
-from strandline.calibrate import Calibration
-from strandline.field_likelihood import noise_length
+from strandline.calibration import Calibration
+from strandline.design.active import FieldOutcome
+from strandline.likelihood import noise_length
 
 __all__ = ["field_warnings"]
 
 UNSURE = 0.5
-"""Error of the interface, in shifts of it that the noise hides, from which a value of the cut reading is told."""
+"""Error of the interface, in shifts of it that the noise hides, from which a value of the cut reading is reported."""
 
 EFFECT = 0.25
 """Standard deviations that the surrogate's variance may move a mean."""
 TOUCHED = 0.05
-"""Posterior mass where runs are likely to fail that is told."""
+"""Posterior mass where runs are likely to fail, above which a warning reports it."""
 
 
 def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
@@ -48,7 +48,7 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
 
 
 def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
-    """The runs were chosen for the joint reading: values that the data speak against may lead where there are none."""
+    """The runs were chosen for the joint reading: unlikely values may lead to places without runs."""
     if calibration.under_uncertainty is None:
         return
     cut, problem = calibration.under_uncertainty.cut, calibration.problem

@@ -9,14 +9,14 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline import plots
-from strandline.active import FieldOutcome
-from strandline.calibrate import Calibration
+from strandline.calibration import Calibration
+from strandline.design.active import FieldOutcome
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.parameters import Parameter
 from strandline.posterior import Reading
-from strandline.quadrature import QuadratureResult, mixture
+from strandline.posterior.quadrature import QuadratureResult, mixture
+from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
 from strandline.report.field_figures import field_figures
 from strandline.report.run_figures import failed_runs, offsets_of_runs

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibrate import Problem
+from strandline.calibration import Problem
 from strandline.discrepancy import (
     Discrepancy,
     apart,
@@ -18,9 +18,8 @@ from strandline.discrepancy import (
     unit_mistake,
 )
 from strandline.errors import InvalidInput, NumericsError
-from strandline.field_likelihood import noise_length
 from strandline.interface import Interface, Observation
-from strandline.likelihood import InterfaceLikelihood
+from strandline.likelihood import InterfaceLikelihood, noise_length
 from strandline.runs import RunRecord
 
 __all__ = ["Nearest", "as_json", "nearest_runs", "nothing_near"]
@@ -28,7 +27,7 @@ __all__ = ["Nearest", "as_json", "nearest_runs", "nothing_near"]
 FAR = 5.0
 """Residual in units of the noise above which a run is not near the observation."""
 SPACINGS = 2.0
-"""A run is not near where the observation is further off than so many times the neighbouring runs."""
+"""A run is not near where the observation is further off than this many times the distance of neighbouring runs."""
 TELLING = 2.0
 """Ratio of extents, or its inverse, from which a message states it."""
 
@@ -94,7 +93,7 @@ def nearest_runs(
     Args:
         problem: What is asked; its first measure counts.
         records: The runs, at least one successful one among them.
-        log_likelihood: Of the successful runs under the first measure, where it is known already.
+        log_likelihood: Log-likelihoods of the successful runs (ok,) under the first measure, if they are known already.
 
     A run is far where all of these hold: its residual is above 5 noise units, or d² no longer grows with the distance;
     the interfaces are further apart than 5 times the noise; and further than the runs are from each other, so that no
@@ -111,7 +110,7 @@ def nearest_runs(
 def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: list[RunRecord]) -> Nearest:
     simulated = best.interfaces[seen.condition]
     square = float(InterfaceLikelihood((seen,), measure).discrepancies(best.interfaces)[0])
-    residual = noise_units(square, seen.noise_variance, count_of_distances(measure, simulated, seen.interface))
+    residual = noise_units(square, seen.noise.scale, count_of_distances(measure, simulated, seen.interface))
     distance, _ = apart(simulated, seen.interface)
     noise = None
     far = residual > FAR or distance > extent(seen.interface)
@@ -148,14 +147,14 @@ def _log_likelihood(problem: Problem, measure: Discrepancy, runs: list[RunRecord
 
 def _noise(seen: Observation, measure: Discrepancy, simulated: Interface) -> float:
     if count_of_distances(measure, simulated, seen.interface) is not None:
-        return float(np.sqrt(seen.noise_variance))
+        return float(np.sqrt(seen.noise.scale))
     return noise_length(seen, measure)
 
 
 def _outside(seen: Observation, runs: list[RunRecord], least: float) -> bool:
-    """Tell whether the observation is further from all runs than `least`, mm, and than the runs are from each other.
+    """Return whether the observation is further from all runs than `least`, mm, and than the runs are from each other.
 
-    Of the run nearest to it, the distance to as many neighbours counts as enclose a point: one more than there are
+    For the run nearest to it, the distance to as many neighbours counts as enclose a point: one more than there are
     inputs that vary.
     """
     interfaces = [record.interfaces[seen.condition] for record in runs]

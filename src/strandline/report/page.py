@@ -12,15 +12,15 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
-from strandline.calibrate import Calibration
-from strandline.plots.style import DOTS_PER_INCH, mark_doubt, styled
+from strandline.calibration import Calibration
 from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
 from strandline.report.figures import figure_groups
+from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.warnings import reason_to_doubt, small_share
 from strandline.typeset import RAISED, html_text, unit_text
 
-__all__ = ["FIGURES", "add_check", "template", "write_report"]
+__all__ = ["FIGURES", "PAGE_PIXELS_PER_INCH", "add_check", "template", "write_report"]
 
 FILE_NAME = "report.html"
 FIGURES = "figures"
@@ -47,14 +47,14 @@ def write_report(
     The page needs nothing from outside: pictures are inside it, there is no script and no link to load.
 
     Args:
-        calibration: what was found.
-        summary: the figures of summary.json.
-        study_text: study.yaml, shown as it is.
-        truth: the inputs of a synthetic observation.
-        folder: the study's.
-        check: the content of check.json where it belongs to this posterior.
-        on_failure: is called with the name and the error of figures that cannot be drawn or saved, and the page is
-            written without them; left out, the first such error is raised and the old report stays.
+        calibration: Result of the calibration.
+        summary: Content of summary.json.
+        study_text: Text of study.yaml, shown as it is.
+        truth: Inputs of a synthetic observation.
+        folder: Folder of the study.
+        check: Content of check.json if it belongs to this posterior.
+        on_failure: Function called with the name and the error of figures that cannot be drawn or saved; the page is
+            then written without them. By default, the first such error is raised and the old report stays.
     """
     doubt = reason_to_doubt(calibration, check)
     groups: dict[str, Iterator[Captioned]] = {
@@ -108,8 +108,8 @@ def add_check(check: Mapping[str, Any], folder: Path) -> None:
     """Write figures/check.png and .pdf of `folder`, and put the section of the check into its report, if there is one.
 
     Args:
-        check: the content of check.json.
-        folder: the study's.
+        check: Content of check.json.
+        folder: Folder of the study.
     """
     figures, report = folder / FIGURES, folder / FILE_NAME
     figures.mkdir(exist_ok=True)
@@ -153,7 +153,7 @@ def _marked(captioned: Captioned, doubt: str | None) -> Captioned:
 def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
     """Save one figure for print and return what the page needs of it.
 
-    The layout is found once, for both files: left to `savefig`, each of them finds it anew and draws twice.
+    The layout is found once, for both files: left to `savefig`, each of them finds it again and draws twice.
     """
     figure = captioned.figure
     figure.set_dpi(DOTS_PER_INCH)
@@ -195,7 +195,7 @@ def _environment(package: str) -> Environment:
 
 
 def _figures(value: float | list[float] | None, digits: int = 4) -> str:
-    """Return a number, or each of several, with so many digits."""
+    """Return a number, or each of several, with this many digits."""
     if isinstance(value, list):
         return ", ".join(_figures(item, digits) for item in value)
     return "–" if value is None else _unbroken(f"{value:.{digits}g}")

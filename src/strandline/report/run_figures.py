@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from strandline import plots
-from strandline.calibrate import Calibration
+from strandline.calibration import Calibration
 from strandline.posterior import observed_offsets
+from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
 
 __all__ = ["failed_runs", "offsets_of_runs"]

@@ -1,14 +1,14 @@
-"""What a user must be told in words about a finished calibration."""
+"""Warnings in words about a finished calibration."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from strandline.calibrate import Calibration
+from strandline.calibration import Calibration
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior
-from strandline.quadrature import mixture
+from strandline.posterior.quadrature import mixture
 from strandline.report.field_warnings import field_warnings
 from strandline.runs.tables import EXCLUDED
 
@@ -18,7 +18,7 @@ BOUND_SHARE = 0.02
 """A bound counts as touched where the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
 BOUND_MASS = 0.01
 MANY_BOUNDS = 3
-"""Ends of the box that are told in one sentence."""
+"""Number of ends of the box from which one sentence reports all of them."""
 LOO_LIMIT = 0.5
 """Leave-one-out error near the mode, in units of log-likelihood, above which the posterior's shape is in doubt."""
 ABOVE_ZERO = 1.0
@@ -27,7 +27,7 @@ ESS_SHARE = 0.1
 QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
 CUT_TAIL = 0.05
-"""Share of the cut reading left aside where the smallest log-likelihood that it uses is told."""
+"""Share of the cut reading that the reported smallest log-likelihood leaves aside."""
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
@@ -62,8 +62,8 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
     """Return why figures of the posterior must be marked, in a few words; None where it may be used.
 
     Args:
-        calibration: what was found.
-        check: the content of check.json where it belongs to this posterior.
+        calibration: Result of the calibration.
+        check: Content of check.json if it belongs to this posterior.
     """
     certificate = None if calibration.field is None else calibration.field.certificate
     if calibration.field is None and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
@@ -79,7 +79,7 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
 
 
 def small_share(share: float) -> str:
-    """Return a share that may be small, above zero, as it is told wherever it is."""
+    """Return a share above zero, which may be small, as text, the same in all places."""
     return f"{share:.2%}" if share >= 0.0001 else "less than 0.01%"
 
 

@@ -1,4 +1,4 @@
-"""What one job of a SLURM array does: one run of a batch, in a fresh folder, its record written beside the others.
+"""What one job of a SLURM array does: one run of a batch, in a fresh folder, its record written next to the others.
 
 As a command, for a model that can be imported:
 ``python -m strandline.runs.array_task my_model:simulate BATCH NUMBER``; for the model of a study there is
@@ -32,15 +32,15 @@ def main(arguments: list[str]) -> None:
 
 
 def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None:
-    """Make one run of the batch in `folder` and write its record; nothing is done where it has one already.
+    """Make one run of the batch in `folder` and write its record; nothing happens if it has one already.
 
     The run is made in a process of its own: a crash, a hang and the end of the walltime, which SLURM announces by
     SIGUSR1, become records.
 
     Args:
-        folder: of the batch.
-        index: number of the run.
-        load: returns the model.
+        folder: Folder of the batch.
+        index: Number of the run in the batch.
+        load: Function that returns the model.
     """
     walltime_over = threading.Event()
     signal.signal(signal.SIGUSR1, lambda number, frame: walltime_over.set())

@@ -30,7 +30,7 @@ def copied(connection: sqlite3.Connection, target: Path) -> None:
 
 
 def _moved(partial: Path, target: Path) -> None:
-    """Give the finished copy its name, and never overwrite a file; some disks know no hard links."""
+    """Give the finished copy its name, and never overwrite a file; some disks have no hard links."""
     try:
         os.link(partial, target)
     except FileExistsError:
@@ -42,7 +42,7 @@ def _moved(partial: Path, target: Path) -> None:
 
 
 def backup_before_upgrade(path: Path, connection: sqlite3.Connection) -> Path:
-    """Copy a ledger of an earlier version beside itself, as ``ledger.sqlite.v3-backup``; return the copy's path."""
+    """Copy a ledger of an earlier version to its own folder, as ``ledger.sqlite.v3-backup``; return the copy's path."""
     (version,) = connection.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchone()
     names = (f"{path.name}.v{version}-backup{f'-{number}' if number else ''}" for number in count())
     target = next(path.with_name(name) for name in names if not path.with_name(name).exists())

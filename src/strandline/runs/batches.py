@@ -37,8 +37,8 @@ def run_batches(
     """Return one record per run, in the order of the design: `batches`, then those that `choose` adds, one by one.
 
     Whenever the last batch is closed and there is a worker for a further run, `choose` is asked for the next batch,
-    once. It is given the settled records of all batches, failed runs among them, in the order of the design; runs
-    still under way are left out. When it returns an empty batch, the runs under way are waited for, and that is all.
+    once. It is given the settled records of all batches, failed runs among them, in the order of the design; runs still
+    under way are left out. When it returns an empty batch, the campaign waits for the runs under way and ends.
 
     A batch is closed when all of its runs are settled. So that one slow run does not hold up the others, it is closed
     as well when at least half of its distinct runs are settled and each of the others is slow: its present attempt has
@@ -59,19 +59,20 @@ def run_batches(
     grows with each batch.
 
     Args:
-        model: the simulator.
-        batches: those chosen before, at least one, none of them empty.
-        choose: called in this thread, while runs may be under way; it may take its time.
-        ledger: opened for writing, of this model; its caller is the only one to write.
-        executor: where the runs are made.
-        on_record: called with each record as it comes, the killed ones that will be tried again too.
-        policy: what is done about failed runs; None leaves them out, however many they are.
-        patience: how many times the longest time of a run it takes to be slow.
-        maximum_attempts: how often a run may take its process down.
+        model: The simulator.
+        batches: Batches chosen before, at least one, none of them empty.
+        choose: Function that returns the next batch, called in this thread, while runs may be under way; it may be
+            slow.
+        ledger: Ledger of this model, opened for writing; only the caller of this function writes to it.
+        executor: Executor that makes the runs.
+        on_record: Function called with each record as it comes, including killed runs that will be tried again.
+        policy: What is done about failed runs; None leaves them out, however many there are.
+        patience: Multiple of the longest time of a run beyond which a run is slow.
+        maximum_attempts: Number of times that a run may take its process down.
 
     Raises:
-        CampaignStopped: as `policy` says; what is finished is in the ledger.
-        InvalidInput: no batch to begin with, or an empty one; a `patience` that is not above 0.
+        CampaignStopped: The `policy` ends the campaign; what is finished is in the ledger.
+        InvalidInput: No first batch, or an empty one; a `patience` that is not above 0.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
     _require_batches(batches)
@@ -95,7 +96,7 @@ class _Course:
             campaign.pending += self._begun(batch)
 
     def goes_on(self) -> bool:
-        """Tell whether there are runs to make; chooses them where all runs are settled."""
+        """Return whether there are runs to make; choose them where all runs are settled."""
         while not self.campaign.pending and not self.ended:
             self.campaign.pending = self._next()
         return bool(self.campaign.pending)
@@ -129,7 +130,7 @@ class _Course:
         return requests
 
     def _closed(self, starts: Starts) -> bool:
-        """Tell whether the last batch, all of which is started, is settled but for slow runs."""
+        """Return whether the last batch, all of which is started, is settled except for slow runs."""
         settled = self.campaign.settled
         others = self.last - settled.keys()
         if not others:

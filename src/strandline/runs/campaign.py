@@ -22,12 +22,12 @@ class Progress:
     """How far a campaign is; counts are of distinct runs.
 
     Args:
-        total: runs that the design asks for.
-        finished: those that are settled: ok, or failed for good.
-        ok: settled with an interface.
-        failed: settled without one.
-        reused: settled before this campaign began.
-        elapsed: seconds since it began.
+        total: Runs that the design asks for.
+        finished: Settled runs: ok, or failed for good.
+        ok: Runs settled with an interface.
+        failed: Runs settled without an interface.
+        reused: Runs settled before this campaign began.
+        elapsed: Seconds since the campaign began.
     """
 
     total: int
@@ -64,16 +64,16 @@ def run_campaign(
     outcome replaces the old one.
 
     Args:
-        model: the simulator.
-        inputs: the design: one mapping of inputs by name per run.
-        ledger: opened for writing, of this model; its caller is the only one to write.
-        executor: where the runs are made.
-        on_record: called with each record as it comes, the killed ones that will be tried again too.
-        maximum_attempts: how often a run may take its process down.
-        policy: what is done about failed runs; None leaves them out, however many they are.
+        model: The simulator.
+        inputs: Design: one mapping of inputs by name per run.
+        ledger: Ledger of this model, opened for writing; only the caller of this function writes to it.
+        executor: Executor that makes the runs.
+        on_record: Function called with each record as it comes, including killed runs that will be tried again.
+        maximum_attempts: Number of times that a run may take its process down.
+        policy: What is done about failed runs; None leaves them out, however many there are.
 
     Raises:
-        CampaignStopped: as `policy` says; what is finished is in the ledger.
+        CampaignStopped: The `policy` ends the campaign; what is finished is in the ledger.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
     policy = policy or FailurePolicy(stop_share=2.0)
@@ -122,12 +122,12 @@ class Campaign:
         self.requests |= new
         known = self.ledger.latest(new)
         asked = asks_sensitivities(self.model)
-        anew = {key for key, record in known.items() if self.policy.tries_again(record)}
-        self.before |= {key: (self.ledger.attempts(key), self.ledger.open_attempts(key)) for key in anew}
+        again = {key for key, record in known.items() if self.policy.tries_again(record)}
+        self.before |= {key: (self.ledger.attempts(key), self.ledger.open_attempts(key)) for key in again}
         settled = {
             key: record
             for key, record in known.items()
-            if key not in anew and record.settles(sensitivities=asked) and not self._deserves_another(record)
+            if key not in again and record.settles(sensitivities=asked) and not self._deserves_another(record)
         }
         self.settled |= settled
         self.reused += len(settled)
@@ -138,7 +138,8 @@ class Campaign:
         """Run what is pending once, then plan what must be tried again.
 
         Args:
-            further: asked where no run waits for its start; such a call tries again at once what deserves it.
+            further: Function asked for more runs when none waits to be started; with it, runs that deserve another
+                attempt are tried again at once.
         """
         starts = Starts(self.ledger, self.pending, self.outstanding, further)
         try:
@@ -176,7 +177,7 @@ class Campaign:
             self.made.append(record)
 
     def _heed(self, record: RunRecord) -> None:
-        """Stop the campaign where the policy wants that."""
+        """Stop the campaign if the policy says so."""
         if self.policy.aborts(record):
             raise aborted(record)
         self.policy.require_worth_going_on(self.made)
@@ -194,21 +195,21 @@ class Campaign:
         return pending
 
     def _deserves_another(self, record: RunRecord) -> bool:
-        """Tell whether a run that ended like this is to be tried again."""
+        """Return whether a run that ended like this is to be tried again."""
         if record.state == EXCLUDED:
             return False
         allowed = self.policy.attempts(record, killed=self.maximum_attempts)
         return not record.ok and self._attempts(record.key, since_final=record.state == "killed") < allowed
 
     def _attempts(self, key: str, *, since_final: bool) -> int:
-        """Return how often a run was tried, since it last ended for good or ever; what is run anew starts at none."""
+        """Return how often a run was tried since it last ended for good, or in all; zero for one that is made again."""
         before = self.before.get(key, (0, 0))
         if since_final:
             return max(self.ledger.open_attempts(key) - before[1], 0)
         return self.ledger.attempts(key) - before[0]
 
     def _given_up_on(self, key: str) -> bool:
-        """Tell whether a run without a final end, killed or lost, has used up its attempts."""
+        """Return whether a run without a final end, killed or lost, has used up its attempts."""
         attempts, allowed = self._attempts(key, since_final=True), self.maximum_attempts
         known = self.ledger.latest([key]).get(key) if attempts else None
         if known is not None and known.state == "killed" and known.failure_kind != INTERRUPTED:
@@ -242,9 +243,9 @@ class Campaign:
 class Starts:
     """Hands out requests and records each as STARTED in that moment; knows which are running, and since when.
 
-    Those in `outstanding` are started already, by an earlier driver, and only waited for. Where no request waits any
-    more, `further` may give some; `NOT_NOW` is what is handed out where it gives none now. The first who finds none
-    waiting is told so without asking it: until all records are handed over it might not know what has ended.
+    Runs in `outstanding` were started by an earlier driver and are only waited for. When no request waits any more,
+    `further` may give some; if it gives none now, `NOT_NOW` is handed out. The first caller who finds none waiting gets
+    `NOT_NOW` before `further` is asked: until all records are handed over, `further` might not know what has ended.
     """
 
     def __init__(
@@ -282,7 +283,7 @@ class Starts:
             self.waiting.append(request)
 
     def _filled(self, further: "Further") -> bool:
-        """Tell whether it is known what comes next: requests that wait now, or the end."""
+        """Return whether the next step is known: requests that wait now, or the end."""
         requests = further(self) if self.told_to_wait else ()
         self.waiting.extend(requests or ())
         return requests is None or bool(self.waiting)
@@ -300,7 +301,7 @@ class Starts:
 
 
 Further = Callable[[Starts], Sequence[RunRequest] | None]
-"""What to start next, where nothing waits any more: none of it now, or None at all."""
+"""Returns what to start next when nothing waits any more: an empty sequence for nothing now, None for the end."""
 
 
 def _at_least_one(maximum_attempts: int) -> int:

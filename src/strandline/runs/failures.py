@@ -1,7 +1,8 @@
 """What a campaign does about runs that fail, by the kind of the failure.
 
 The words are those of the field (Dakota's failure capturing): `abort` ends the campaign, `retry` tries again,
-`continue` leaves the run out. Its fourth, `recover`, would put a number in the place of an interface; there is none.
+`continue` leaves the run out. Its fourth, `recover`, would put a number in the place of an interface; it is not
+available.
 """
 
 from collections import Counter
@@ -34,7 +35,7 @@ COMMON_KINDS = (
     "flipped",
     "no_common_points",
 )
-"""What can befall a run of any model, beside the kinds that the model itself has."""
+"""What can happen to a run of any model, in addition to the kinds of failure that the model itself has."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,11 @@ class FailurePolicy:
     """What is done about failed runs: by default they are data, and only a vanished process is tried again, twice.
 
     Args:
-        actions: by failure kind (``timeout``, ``exit_code``, …) or, for kinds without an entry, by state (``failed``,
-            ``invalid``, …): ``"continue"``, ``"abort"`` or a `Retry`.
-        stop_after: the campaign is stopped where of at least so many of its runs …
-        stop_share: … this share and more failed; above 1 never.
-        again: kinds and states whose earlier failures are not taken as final: they are run once more.
+        actions: Action by failure kind (``timeout``, ``exit_code``, …) or, for kinds without an entry, by state
+            (``failed``, ``invalid``, …): ``"continue"``, ``"abort"`` or a `Retry`.
+        stop_after: Number of settled runs from which on `stop_share` is checked.
+        stop_share: Share of failed runs from which on the campaign is stopped; above 1: never.
+        again: Kinds and states whose earlier failures are not final: these runs are made once more.
 
     Raises:
         InvalidInput: an unknown action, or bounds that make no sense.
@@ -99,11 +100,11 @@ class FailurePolicy:
         return killed if action is None and record.state == "killed" else 1
 
     def aborts(self, record: RunRecord) -> bool:
-        """Tell whether this end of a run ends the campaign."""
+        """Return whether this end of a run ends the campaign."""
         return not record.ok and self._action(record) == "abort"
 
     def tries_again(self, record: RunRecord) -> bool:
-        """Tell whether a failure of an earlier campaign is not taken as final: it ended that, or it is asked for."""
+        """Return whether a failure of an earlier campaign is not taken as final: it ended that, or it is asked for."""
         if record.state == EXCLUDED:
             return False
         wanted = bool(self.again & {record.failure_kind, record.state})
@@ -113,10 +114,11 @@ class FailurePolicy:
         """Stop a campaign nearly all of whose runs fail.
 
         Args:
-            made: the runs that this campaign has settled so far.
+            made: Runs that this campaign has settled so far.
 
         Raises:
-            CampaignStopped: with the commonest kind and the last lines of one of its logs.
+            CampaignStopped: Nearly all runs fail; the message holds the commonest kind and the last lines of one of its
+                logs.
         """
         failed = [record for record in made if not record.ok]
         if len(made) >= self.stop_after and len(failed) >= self.stop_share * len(made):
@@ -137,7 +139,7 @@ def aborted(record: RunRecord) -> CampaignStopped:
     return CampaignStopped(
         f"a run ended with {kind}, upon which this study is to stop (failures.kinds.{kind}: abort)\n"
         f"{_told(record)}\n"
-        "All finished runs are kept. Mend the cause and start again: this run is tried anew, and so are those that "
+        "All finished runs are kept. Mend the cause and start again: this run is tried again, and so are those that "
         "were under way beside it."
     )
 
@@ -166,10 +168,10 @@ def _last(lines: Iterable[str]) -> list[str]:
 
 
 def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse to try again what no run has ended with.
+    """Refuse to try again kinds of failure that no run has ended with.
 
     Raises:
-        InvalidInput: with the kinds there are.
+        InvalidInput: There is such a kind; the message lists those of the runs.
     """
     present = sorted(set(known))
     for kind in again:

@@ -55,8 +55,8 @@ class Hold:
         """Refuse to write where the ledger is not this driver's any more.
 
         Args:
-            connection: to the ledger.
-            session: of this driver.
+            connection: Connection to the ledger.
+            session: Number of this driver's session.
 
         Raises:
             LedgerError: the ledger was deleted, moved or replaced, or another driver uses it.

@@ -19,25 +19,25 @@ __all__ = ["VARIABLE", "Journal", "file_system", "has_rollback_journal", "is_net
 
 Journal = Literal["wal", "delete"]
 VARIABLE = "STRANDLINE_JOURNAL"
-"""Of the environment: ``wal`` or ``delete``, whatever the ledger lies on."""
+"""Environment variable: ``wal`` or ``delete``, whatever disk the ledger lies on."""
 MOUNTS = Path("/proc/self/mountinfo")
 NETWORK = re.compile(
     r"nfs4?|lustre|gpfs|mmfs|cifs|smb2|smb3|smbfs|ncpfs|davfs|9p|virtiofs|vboxsf|afs|acfs|coda|ceph|glusterfs|gfs2?|ocfs2|"
     r"beegfs|fhgfs|panfs|pvfs2|orangefs|wekafs|fuse(\..*)?"
 )
-"""Types of file systems that several machines may write; all of FUSE counts, for sshfs and rclone are of it."""
+"""Types of file systems that several machines may write; all of FUSE counts, since sshfs and rclone use it."""
 BUSY_SECONDS = 120.0
 """How long a driver waits for readers, which keep a ledger with a rollback journal from being written."""
 ROLLBACK = 1
 FORMAT_BYTE = 18
-"""Of a database file: 1 with a rollback journal, 2 with a write-ahead log."""
+"""Byte of a database file: 1 with a rollback journal, 2 with a write-ahead log."""
 
 
 def journal_for(path: Path, *, environment: Mapping[str, str] | None = None) -> Journal:
     """Return which journal the ledger at `path` should have.
 
     Raises:
-        InvalidInput: another word than ``wal`` or ``delete`` in the environment.
+        InvalidInput: A word other than ``wal`` or ``delete`` in the environment.
     """
     asked = (os.environ if environment is None else environment).get(VARIABLE, "")
     if asked in ("wal", "delete"):
@@ -62,7 +62,7 @@ def note(path: Path) -> str | None:
 
 
 def is_network(kind: str | None) -> bool:
-    """Tell whether several machines may write a file system of this type."""
+    """Return whether several machines may write a file system of this type."""
     return kind is not None and NETWORK.fullmatch(kind) is not None
 
 
@@ -84,7 +84,7 @@ def file_system(path: Path, *, mounts: Path | None = None) -> str | None:
 
 
 def settle(connection: sqlite3.Connection, path: Path) -> None:
-    """Give the ledger at `path` the journal that it should have; `connection` has not looked at it yet.
+    """Give the ledger at `path` the journal that it should have; `connection` has not read it yet.
 
     Raises:
         LedgerError: others read a ledger that must be converted.
@@ -107,7 +107,7 @@ def settle(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def has_rollback_journal(path: Path) -> bool:
-    """Tell whether the ledger at `path` has a rollback journal."""
+    """Return whether the ledger at `path` has a rollback journal."""
     with contextlib.suppress(OSError), path.open("rb") as file:
         file.seek(FORMAT_BYTE)
         return file.read(1) == bytes([ROLLBACK])

@@ -22,7 +22,8 @@ from typing import Any
 from filelock import BaseFileLock
 
 from strandline.errors import LedgerError
-from strandline.runs import schema, tables
+from strandline.models.protocol import ForwardModel, fingerprint
+from strandline.runs import rows, tables
 from strandline.runs.exclusions import Exclusion, read_exclusions, require_reason, write_exclusion
 from strandline.runs.hold import Hold, locked
 from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
@@ -41,7 +42,7 @@ LAST_OUTCOMES = "SELECT max(attempt) FROM outcomes JOIN starts USING (attempt)"
 
 @dataclass(frozen=True)
 class Counts:
-    """Distinct runs of a ledger by what came of their last start.
+    """Distinct runs of a ledger by the outcome of their last start.
 
     `open` are those started without an outcome: running while a driver holds the ledger, lost otherwise.
     """
@@ -71,32 +72,35 @@ class Ledger:
         self.backup: Path | None = None
 
     @classmethod
-    def open(cls, path: Path | str, *, model: str | None, description: str = "", read_only: bool = False) -> "Ledger":
+    def open(
+        cls, path: Path | str, *, model: ForwardModel | str | None, description: str = "", read_only: bool = False
+    ) -> "Ledger":
         """Return the ledger at `path`, created where there is none yet.
 
         Args:
-            path: the SQLite file; its lock lies next to it, with the suffix ``.lock``.
-            model: fingerprint of the model whose runs it keeps; None takes whatever it is, read-only alone.
-            description: one line about the model, kept when the ledger is created.
-            read_only: take no lock and write nothing; works while a driver is writing.
+            path: SQLite file; its lock lies next to it, with the suffix ``.lock``.
+            model: Fingerprint of the model whose runs it keeps; None accepts any, only with `read_only`.
+            description: One line about the model, kept when the ledger is created.
+            read_only: Whether to take no lock and write nothing; this works while a driver is writing.
 
         Raises:
             LedgerError: locked, of another model, of a newer version, damaged, missing (read-only), or in a folder
                 that cannot be written.
         """
         path = Path(path)
+        identity = model if model is None or isinstance(model, str) else fingerprint(model)
         if read_only:
-            return cls._for_reading(path, model)
-        if model is None:
+            return cls._for_reading(path, identity)
+        if identity is None:
             raise LedgerError(
                 f"model of the ledger {path}",
                 value=None,
-                expected="the model's fingerprint",
+                expected="the model, or its fingerprint",
                 remedy="Give it, or open the ledger with read_only=True.",
             )
         lock = locked(path)
         try:
-            return cls._for_writing(path, model, description, lock)
+            return cls._for_writing(path, identity, description, lock)
         except BaseException:
             lock.release()
             raise
@@ -216,7 +220,7 @@ class Ledger:
             return read_exclusions(self._connection)
 
     def exclude(self, key: str, why: str) -> None:
-        """Use this run no more, and do not make it again; its outcome stays as it is.
+        """Stop using this run, and do not make it again; its outcome stays as it is.
 
         Raises:
             LedgerError: no reason, no outcome, or excluded already.
@@ -255,7 +259,7 @@ class Ledger:
         return frozenset(keys) & {row[0] for row in self._rows(sql)}
 
     def counts(self) -> Counts:
-        """Return the number of distinct runs by what came of their last start."""
+        """Return the number of distinct runs by the outcome of their last start."""
         sql = """SELECT ifnull(state, 'open'), count(*) FROM starts LEFT JOIN outcomes USING (attempt)
             WHERE attempt IN (SELECT max(attempt) FROM starts GROUP BY key) GROUP BY 1"""
         return Counts(**dict(self._rows(sql)))
@@ -292,31 +296,31 @@ class Ledger:
         """
         session = self._writing_session()
         with translated(self.path):
-            rows = rows_to_write(plan, read_plan(self._connection, plan.study_sha256))
-        if rows:
+            new = rows_to_write(plan, read_plan(self._connection, plan.study_sha256))
+        if new:
             with self._transaction(), translated(self.path):
-                sql = f"INSERT INTO plans (session, planned_at, {PLAN_COLUMNS}) VALUES (?, ?{', ?' * len(rows[0])})"
-                self._connection.executemany(sql, [(session, time.time(), *row) for row in rows])
+                sql = f"INSERT INTO plans (session, planned_at, {PLAN_COLUMNS}) VALUES (?, ?{', ?' * len(new[0])})"
+                self._connection.executemany(sql, [(session, time.time(), *row) for row in new])
 
     def _meta(self, key: str) -> str:
         with translated(self.path):
             return tables.fact(self.path, self._connection, key)
 
     def _start(self, request: RunRequest, at: float) -> int:
-        row = (self._writing_session(), request.key, schema.inputs_text(request.inputs), at)
+        row = (self._writing_session(), request.key, rows.inputs_text(request.inputs), at)
         with translated(self.path):
             sql = "INSERT INTO starts (session, key, inputs, started_at) VALUES (?, ?, ?, ?)"
             return int(self._connection.execute(sql, row).lastrowid or 0)
 
     def _finish(self, number: int, record: RunRecord, *, origin: str | None = None) -> None:
         self._writing_session()
-        outcome, arrays = schema.rows_of(record, origin or record.origin)
+        outcome, arrays = rows.rows_of(record, origin or record.origin)
         row = (number, *outcome, time.time())
         alone = not arrays or self._connection.in_transaction
         with contextlib.nullcontext() if alone else self._transaction(), translated(self.path):
-            sql = f"INSERT INTO outcomes (attempt, {schema.OUTCOME_COLUMNS}, finished_at) VALUES ({schema.MARKS})"
+            sql = f"INSERT INTO outcomes (attempt, {rows.OUTCOME_COLUMNS}, finished_at) VALUES ({rows.MARKS})"
             self._connection.execute(sql, row)
-            sql = f"INSERT INTO arrays (attempt, {schema.ARRAY_COLUMNS}) VALUES ({schema.ARRAY_MARKS})"
+            sql = f"INSERT INTO arrays (attempt, {rows.ARRAY_COLUMNS}) VALUES ({rows.ARRAY_MARKS})"
             self._connection.executemany(sql, [(number, *array) for array in arrays])
 
     def _writing_session(self) -> int:
@@ -347,13 +351,13 @@ class Ledger:
 
     def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
         numbers = self._rows(f"SELECT attempt FROM outcomes WHERE attempt IN ({attempts}) ORDER BY attempt", values)
-        columns = f"key, inputs, {schema.OUTCOME_COLUMNS}"
+        columns = f"key, inputs, {rows.OUTCOME_COLUMNS}"
         sql = f"SELECT {columns} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
         for first in range(0, len(numbers), RECORDS_PER_READING):
             with self._reading():  # it ends before the caller goes on: a driver cannot write meanwhile
                 extended = tables.has_table(self._connection, "arrays")
                 records = [
-                    schema.record_of(self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else [])
+                    rows.record_of(self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else [])
                     for number in numbers[first : first + RECORDS_PER_READING]
                 ]
             yield from records
@@ -372,7 +376,7 @@ class Ledger:
                     self._connection.execute("COMMIT")
 
     def _arrays(self, number: int) -> list[Any]:
-        sql = f"SELECT {schema.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
+        sql = f"SELECT {rows.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
         return self._connection.execute(sql, (number,)).fetchall()
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:

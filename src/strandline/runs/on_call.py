@@ -1,4 +1,4 @@
-"""A worker process that is asked for one run at a time, by whoever has no list of runs but a caller who waits."""
+"""A worker process that is asked for one run at a time, for callers that have no list of runs but wait for each."""
 
 import pickle
 import shutil
@@ -21,8 +21,8 @@ class OnCall:
     The process starts with the first run and lives until `close`.
 
     Args:
-        model: defined in a module that can be imported.
-        timeout: seconds after which a run is killed; None for never.
+        model: Model that is defined in a module that can be imported.
+        timeout: Seconds after which a run is killed; None: never.
     """
 
     def __init__(self, model: ForwardModel, *, timeout: float | None = None) -> None:
@@ -35,7 +35,7 @@ class OnCall:
         self._closed = False
 
     def __call__(self, request: RunRequest) -> RunRecord:
-        """Return the record of the run, whatever becomes of it.
+        """Return the record of the run, however it ends.
 
         Raises:
             InvalidInput: the process cannot load the model.

@@ -1,6 +1,6 @@
-"""What a ledger tells of its runs without a look at their interfaces: standard library alone, and quick.
+"""What a ledger says about its runs without reading their interfaces: standard library alone, and quick.
 
-It reads beside a driver at work and takes no lock. Checksums are not compared: who needs the interfaces opens the
+It can read while a driver is at work, and takes no lock. Checksums are not compared: to get the interfaces, open the
 ledger with `Ledger.open`.
 """
 
@@ -30,16 +30,16 @@ class Attempt:
     """One start of a run and how it ended; `seconds` and `finished_at` are None where it has not.
 
     Args:
-        number: counts the starts of the whole ledger.
-        session: of the driver that started it.
-        inputs: by name, as JSON.
-        started_at: seconds since 1970.
-        state: one of `STATES`.
-        kind: short reason where it did not end ``ok``.
-        seconds: that it took.
-        origin: the ledger that it was copied from.
-        finished_at: seconds since 1970.
-        sensitivities: whether it yielded them.
+        number: Number of this start among all starts of the ledger.
+        session: Session of the driver that started it.
+        inputs: Inputs by name, as JSON.
+        started_at: Seconds since 1970.
+        state: One of `STATES`.
+        kind: Short reason where it did not end ``ok``.
+        seconds: Wall-clock time of the run.
+        origin: The ledger that it was copied from.
+        finished_at: Seconds since 1970.
+        sensitivities: Whether it yielded sensitivities.
     """
 
     number: int
@@ -79,7 +79,7 @@ class Run:
         return inputs
 
     def settled(self, *, sensitivities: bool) -> bool:
-        """Tell whether it will not be tried again, given whether `sensitivities` are wanted."""
+        """Return whether it will not be tried again, given whether `sensitivities` are wanted."""
         ended = self.outcome
         if ended is None:
             return False
@@ -97,7 +97,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Details:
-    """What is told of one start at length."""
+    """Details of one start."""
 
     message: str
     log: str
@@ -106,7 +106,7 @@ class Details:
 
 @dataclass(frozen=True)
 class Driver:
-    """Who opened the ledger last to make runs; `at_work` is None where that cannot be told from here."""
+    """Who opened the ledger last to make runs; `at_work` is None where that cannot be found out from here."""
 
     session: int
     pid: int
@@ -209,10 +209,10 @@ class Overview:
 
 
 def is_at_work(pid: int, host: str, lock: Path) -> bool | None:
-    """Tell whether the process `pid` on `host` holds the file `lock`, without touching it; None from another host.
+    """Return whether the process `pid` on `host` holds the file `lock`, without touching it; None from another host.
 
-    The lock is held as long as the file is open. Where the system does not tell who has it open, a process that is
-    alive counts.
+    The lock is held as long as the file is open. Where the system does not say who has it open, a process that is alive
+    counts.
     """
     if host != socket.gethostname() or os.name != "posix":
         return None

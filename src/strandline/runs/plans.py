@@ -1,4 +1,4 @@
-"""What a study asks of its ledger, as its driver noted it there: enough to tell how far the study is without it."""
+"""What a study asks of its ledger, as its driver noted it there: enough to see its progress without loading it."""
 
 import json
 import sqlite3
@@ -16,13 +16,13 @@ class Plan:
     """The runs that a study asks for, as far as they are known.
 
     Args:
-        study_sha256: of the text of study.yaml.
-        name: of the study.
-        model: fingerprint of its model.
-        inputs: names of the unknown inputs.
-        sensitivities: whether the runs are to yield them.
-        planned: number of runs of the design and of all rounds of refinement, those to come included.
-        parts: keys of the runs of the design, then of each round of refinement that has begun.
+        study_sha256: SHA-256 of the text of study.yaml.
+        name: Name of the study.
+        model: Fingerprint of its model.
+        inputs: Names of the unknown inputs.
+        sensitivities: Whether the runs are to yield sensitivities.
+        planned: Number of runs of the design and of all rounds of refinement, those to come included.
+        parts: Keys of the runs of the design, then of each round of refinement that has begun.
     """
 
     study_sha256: str
@@ -42,7 +42,7 @@ class Plan:
 def read_plan(connection: sqlite3.Connection, study_sha256: str) -> Plan | None:
     """Return the plan of the study with this digest; None where no driver has noted one.
 
-    Each row stands for one part and takes the place of that part and of those behind it.
+    Each row holds one part and replaces that part and those after it.
     """
     if not has_table(connection, "plans"):
         return None

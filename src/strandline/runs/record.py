@@ -1,4 +1,4 @@
-"""One forward run: what is asked, what came of it, and the one place where a simulator is called."""
+"""One forward run: its request, its outcome, and the one place where a simulator is called."""
 
 import contextlib
 import errno
@@ -34,9 +34,9 @@ __all__ = [
 
 State = Literal["ok", "failed", "timeout", "killed", "invalid", "excluded"]
 STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
-"""How a run ends: with an interface | by its own account | out of time | its process vanished | with no interface.
+"""How a run ends: with an interface | failed by itself | out of time | its process vanished | with no interface.
 
-Beside these a ledger gives ``excluded``, whatever the end, for a run that somebody has excluded by hand.
+In addition a ledger gives ``excluded``, whatever the end, for a run that somebody has excluded by hand.
 """
 
 MESSAGE_CHARACTERS = 4000
@@ -59,20 +59,21 @@ NOT_NOW = RunRequest("", {})
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """What came of one run. Every end but `ok` is data, not an exception.
+    """The outcome of one run. Every end except `ok` is data, not an exception.
 
     Args:
-        key: content address of the run, see `run_key`.
-        inputs: inputs by name.
-        state: one of `STATES`, or ``excluded``.
-        interfaces: the predicted interfaces by condition where `state` is ``ok``, else empty.
-        diagnostics: figures about the run; the evidence of the failure where it failed.
-        seconds: wall-clock time of the run.
-        failure_kind: short machine-readable reason where the run did not end ``ok``.
-        message: the reason for a person, with the last lines of the log.
-        log: tail of what the run wrote to its standard output and error, kept where it did not end ``ok``.
-        origin: the ledger it was copied from; None for a run made here.
-        sensitivities: by condition and input, d(points)/d(input), mm per unit of the input; empty if not asked for.
+        key: Content address of the run, see `run_key`.
+        inputs: Inputs by name.
+        state: One of `STATES`, or ``excluded``.
+        interfaces: The predicted interfaces by condition where `state` is ``ok``, else empty.
+        diagnostics: Figures about the run; the evidence of the failure where it failed.
+        seconds: Wall-clock time of the run.
+        failure_kind: Short machine-readable reason where the run did not end ``ok``.
+        message: The reason in words, with the last lines of the log.
+        log: Tail of what the run wrote to its standard output and error, kept where it did not end ``ok``.
+        origin: The ledger it was copied from; None for a run made here.
+        sensitivities: Derivatives d(points)/d(input) by condition and input, mm per unit of the input; empty if not
+            asked for.
     """
 
     key: str
@@ -103,12 +104,12 @@ class RunRecord:
         return self.state != "killed"
 
     def settles(self, *, sensitivities: bool) -> bool:
-        """Tell whether the run need not be made again, where `sensitivities` are (or are not) asked for."""
+        """Return whether the run need not be made again, where `sensitivities` are (or are not) asked for."""
         return self.final and (not sensitivities or not self.ok or bool(self.sensitivities))
 
 
 def excluded(record: RunRecord, why: str) -> RunRecord:
-    """Return what stands for a run that somebody has excluded by hand: it is not used, and not made again."""
+    """Return the record that stands for a run excluded by hand: the run is not used, and not made again."""
     return RunRecord(record.key, record.inputs, EXCLUDED, failure_kind=EXCLUDED, message=f"excluded by hand: {why}")
 
 
@@ -123,9 +124,9 @@ def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:
 
 
 def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecord:
-    """Call `model` in the empty folder `workdir` and return what came of it; no exception of the model gets out.
+    """Call `model` in the empty folder `workdir` and return its outcome; exceptions of the model become records.
 
-    `KeyboardInterrupt` is the driver's own and does.
+    Only `KeyboardInterrupt`, which is the driver's own, is passed on.
     """
     begin, log = time.perf_counter(), ""
     try:
@@ -171,14 +172,14 @@ def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecor
 
 
 def told_folder(record: RunRecord) -> str:
-    """Return the line of the message that tells where the folder of the run is kept; empty where it is not."""
+    """Return the line of the message that says where the folder of the run is kept; empty where it is not."""
     reason, _, _ = (record.message or "").partition(f"\n{LOG_TITLE}\n")
     return next((line for line in reason.splitlines() if line.startswith(FOLDER_TITLE)), "")
 
 
 @contextlib.contextmanager
 def _working_directory_kept() -> Iterator[None]:
-    """Return to the present working directory afterwards: the model may have gone to its own, which will be gone."""
+    """Return to the present working directory afterwards: the model may have changed it."""
     try:
         home = Path.cwd()
     except FileNotFoundError:
@@ -212,7 +213,7 @@ def _ended(
 
 
 def _is_want_of_memory(error: BaseException) -> bool:
-    """Tell whether the machine, and not the simulator, is to blame: another try may find it less busy."""
+    """Return whether the machine, not the simulator, is the cause: at the next attempt it may be less busy."""
     return isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
 
 

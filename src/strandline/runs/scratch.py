@@ -1,7 +1,7 @@
 """The folders in which runs are made; those of drivers that were killed are cleared by the next one.
 
-The name of a folder says whose it is: the machine, the process, and when that was started, for numbers of processes
-are given again.
+The name of a folder says whose it is: the machine, the process, and when that was started, since process numbers are
+reused.
 """
 
 import hashlib
@@ -49,7 +49,7 @@ def _entries(parent: Path) -> list[str]:
 
 
 def _lives(pid: int, begun: int) -> bool:
-    """Tell whether the process `pid` that was started at `begun` is still there; the dead one is not a later one."""
+    """Return whether the process `pid` that was started at `begun` is still there; a later one does not count."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from strandline.errors import LedgerError
-from strandline.runs import schema, tables
+from strandline.runs import rows, tables
 from strandline.runs.exclusions import read_exclusions
 from strandline.runs.tables import translated
 
@@ -45,12 +45,12 @@ def outcome_digest(path: Path, keys: frozenset[str]) -> str:
 def _damaged_outcomes(path: Path, connection: sqlite3.Connection) -> Iterator[str]:
     """Yield the runs whose contents do not match their checksum."""
     extended, damaged = tables.has_table(connection, "arrays"), []
-    sql = f"SELECT attempt, key, inputs, {schema.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)"
-    of_one = f"SELECT {schema.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
+    sql = f"SELECT attempt, key, inputs, {rows.OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)"
+    of_one = f"SELECT {rows.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
     for number, *row in connection.execute(sql):
         arrays = connection.execute(of_one, (number,)).fetchall() if extended else []
         try:
-            schema.record_of(path, tuple(row), arrays)
+            rows.record_of(path, tuple(row), arrays)
         except (LedgerError, ValueError, KeyError, TypeError):
             damaged.append(f"run {str(row[0])[:12]} (start {number})")
     if damaged:

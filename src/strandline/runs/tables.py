@@ -40,7 +40,7 @@ EXCLUDED: Final = "excluded"
 INTERRUPTED = "interrupted"
 """Failure kind of a run that its own driver stopped, by Ctrl-C or for another run's end: it is no attempt."""
 LOG_TITLE = "last lines of its log:"
-"""Line of a message behind which the end of the run's log stands."""
+"""Line of a message that is followed by the end of the run's log."""
 ATTEMPTS = 3
 """Starts after which a campaign gives up a run whose process vanishes each time."""
 APPEND_ONLY = ("sessions", "starts", "outcomes")
@@ -148,10 +148,10 @@ def connect(path: Path) -> sqlite3.Connection:
 def connect_read_only(path: Path) -> sqlite3.Connection:
     """Return a connection that cannot write.
 
-    Where a ledger that has one is without its write-ahead log nobody is writing it, and it is taken as it is: SQLite
-    would otherwise make a log's index that a reader cannot remove, or fail in a folder that cannot be written. With a
-    rollback journal, readers and the driver wait for each other. Where a driver was killed while it wrote, the reader
-    undoes what that had begun, as SQLite prescribes; this takes the right to write.
+    If the write-ahead log of a ledger that uses one is missing, nobody is writing the ledger, and it is read as it is:
+    SQLite would otherwise make a log's index that a reader cannot remove, or fail in a folder that cannot be written.
+    With a rollback journal, readers and the driver wait for each other. Where a driver was killed while it wrote, the
+    reader undoes what that had begun, as SQLite prescribes; this takes the right to write.
     """
     may_be_written = path.with_name(path.name + "-wal").exists() or journal.has_rollback_journal(path)
     try:
@@ -202,7 +202,7 @@ def last_driver(path: Path) -> str:
 
 
 def require_sound(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a damaged file: SQLite skips rows that it cannot find any more, and does not tell.
+    """Refuse a damaged file: SQLite skips rows that it cannot find any more, without a warning.
 
     Each run's contents have a checksum of their own, but a run that is not found has none.
     """
@@ -245,7 +245,7 @@ def fact(path: Path, connection: sqlite3.Connection, key: str) -> str:
 
 
 def has_table(connection: sqlite3.Connection, name: str) -> bool:
-    """Tell whether the ledger has this table; a writer may upgrade it while it is being read."""
+    """Return whether the ledger has this table; a writer may upgrade it while it is being read."""
     sql = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?"
     return bool(connection.execute(sql, (name,)).fetchone()[0])
 

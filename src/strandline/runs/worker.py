@@ -22,7 +22,7 @@ _loading = threading.Event()
 
 
 def loads_main_module() -> bool:
-    """Tell whether this process is a worker that is running the user's script in search of the model."""
+    """Return whether this process is a worker that is running the user's script in search of the model."""
     return _loading.is_set()
 
 
@@ -67,8 +67,8 @@ def _die_with_driver() -> None:
     """Have this process and its children killed when the driver is gone.
 
     The driver holds the other end of the standard input and never writes to it, so all that can happen there is its
-    closing. On Linux the kernel then kills the process group, whatever the simulator is doing; elsewhere a thread
-    does when it next gets to run.
+    closing. On Linux the kernel then kills the process group, whatever the simulator is doing; elsewhere a thread does
+    so when it next gets to run.
     """
     lifeline = os.dup(0)
     empty = os.open(os.devnull, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""The driver's end of a worker process: start it, send it a run, tell how it ended."""
+"""The driver's side of a worker process: start it, send it a run, report how it ended."""
 
 import contextlib
 import os
@@ -83,11 +83,11 @@ class Worker:
         return None
 
     def overdue(self) -> bool:
-        """Tell whether its run has had its time."""
+        """Return whether its run has used up its time."""
         return self.deadline is not None and time.monotonic() >= self.deadline
 
     def gone(self) -> bool:
-        """Tell whether the process has ended."""
+        """Return whether the process has ended."""
         return self.process.poll() is not None
 
     def out_of_time(self, timeout: float) -> RunRecord | None:
@@ -164,7 +164,7 @@ def _environment(own: Mapping[str, str]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def interrupts_held_back() -> Iterator[None]:
-    """Let a process that is started inside ignore Ctrl-C from its first instruction; it comes to us afterwards."""
+    """Let a process that is started inside ignore Ctrl-C from the start; this process gets it afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

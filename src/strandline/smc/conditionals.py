@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 
 from strandline.errors import InvalidInput, NumericsError
+from strandline.numerics.precision import use_double
 from strandline.smc.devices import COMPILER_OPTIONS
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
 from strandline.smc.on_host import advance_each_on_host, is_on_host
@@ -20,7 +21,6 @@ from strandline.smc.sampler import (
     finished,
     hashable,
     report,
-    require_double,
     require_steps_left,
 )
 from strandline.smc.steps import Info, Particles, advance
@@ -46,13 +46,13 @@ def sample_each(
     stands still once it has reached 1. θ is an argument of the compiled step, so there is one program for all.
 
     Args:
-        key: random key; not to be used again.
+        key: Random key; do not use it again.
         log_likelihood: log L of physical points for one θ, batched over the points and jittable; -inf allowed. One with
             an attribute `on_host` that is true gets NumPy arrays, points of all cases and as many θ, in rows.
         log_prior: log p of physical points, batched, jittable, normalised.
-        initial: draws of the prior for each case, physical.
-        given: θ of each case.
-        settings: the sampler's settings, the same for all.
+        initial: Draws of the prior for each case, physical.
+        given: Value of θ for each case (value, given).
+        settings: The sampler's settings, the same for all.
 
     Raises:
         InvalidInput: not one set of initial particles for each θ, double precision is off, fewer than two particles,
@@ -124,7 +124,7 @@ def _start(
     given: Float[Array, "case given"],
 ) -> Particles:
     """Return the checked states at γ = 0, cases on the leading axis."""
-    require_double()
+    use_double()
     positions = jnp.asarray(initial, float)
     likelihood = _first_values(log_likelihood, positions, given)
     prior = jax.jit(jax.vmap(log_prior))(positions)

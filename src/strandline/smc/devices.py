@@ -1,4 +1,4 @@
-"""Particles spread over the devices of JAX: the cores of a CPU, where JAX is told to see several, or accelerators."""
+"""Particles spread over the devices of JAX: the cores of a CPU, where JAX is set up to see several, or accelerators."""
 
 from typing import Any
 

@@ -84,14 +84,14 @@ def metropolis(
     """Move every particle `steps` times by a kernel that leaves π_γ ∝ L^γ p invariant.
 
     Args:
-        key: random key, spent here.
-        positions: physical positions.
+        key: Random key, spent here.
+        positions: Physical positions.
         log_likelihood: log L at the positions.
         log_prior: log p at the positions.
         target: (log L, log p) as batched, jittable functions; a log p of -inf rejects whatever log L says.
-        temperature: γ.
-        factor: F, the proposal's covariance being F Fᵀ.
-        steps: number of proposals per particle.
+        temperature: Exponent γ of the likelihood.
+        factor: Factor F of the proposal's covariance F Fᵀ.
+        steps: Number of proposals per particle.
     """
 
     def move(step: Int[Array, ""], now: Moved) -> Moved:

@@ -22,7 +22,7 @@ Keys = Key[Array, " case"] | UInt32[Array, "case 2"]
 
 
 def is_on_host(log_likelihood: Any) -> bool:
-    """Tell whether a log-likelihood wants NumPy arrays: it has an attribute `on_host` that is true."""
+    """Return whether a log-likelihood needs NumPy arrays: it has an attribute `on_host` that is true."""
     return bool(getattr(log_likelihood, "on_host", False))
 
 
@@ -60,13 +60,13 @@ def advance_each_on_host(
     """Advance every case that has not reached γ = 1; log L is asked for the particles of all of them at once.
 
     Args:
-        keys: of the cases.
-        states: cases on the leading axis.
-        given: θ of each case.
-        zeta: share of the effective sample size to keep.
-        resample_below: share of the effective sample size from which on to resample.
+        keys: Random keys of the cases.
+        states: States, cases on the leading axis.
+        given: Value of θ for each case (case, given).
+        zeta: Share of the effective sample size to keep.
+        resample_below: Share of the effective sample size from which on to resample.
         target: log L of points and as many θ, in rows, and log p.
-        moves: number of them.
+        moves: Number of moves per particle.
     """
     log_likelihood, log_prior = target
     active = np.asarray(states.temperature) < 1.0

@@ -26,10 +26,10 @@ class SMCSettings:
 
     Args:
         rejuvenation_steps: Metropolis-Hastings moves per particle and tempering step.
-        zeta: share of the effective sample size that one tempering step keeps, in (0, 1).
-        resample_below: resample where the effective sample size falls to this share of the particles; 0: never. With
-            the defaults that is every step but the last.
-        maximum_steps: tempering steps after which the sampler gives up.
+        zeta: Share of the effective sample size that one tempering step keeps, in (0, 1).
+        resample_below: Share of the particles; resample where the effective sample size falls to it; 0: never. With the
+            defaults that is every step but the last.
+        maximum_steps: Tempering steps after which the sampler gives up.
     """
 
     rejuvenation_steps: int = 15
@@ -53,11 +53,11 @@ class StepInfo:
     """What one tempering step did.
 
     Args:
-        temperature: γ after the step.
-        ess: effective sample size after reweighting, before any resampling.
-        acceptance: accepted share of the moves of this step.
-        resampled: whether the particles were resampled.
-        log_evidence_increment: log Σ w_i L_i^(γ' - γ).
+        temperature: Exponent γ of the likelihood after the step.
+        ess: Effective sample size after reweighting, before any resampling.
+        acceptance: Accepted share of the moves of this step.
+        resampled: Whether the particles were resampled.
+        log_evidence_increment: Increment of the log evidence, log Σ w_i L_i^(γ' - γ).
         covariance_scale: (a + b·mean acceptance)² used in this step, from the acceptance of the previous one; 1 in
             the first step, as if all had been accepted.
     """

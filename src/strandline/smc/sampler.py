@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
+from strandline.numerics.precision import use_double
 from strandline.smc.devices import COMPILER_OPTIONS, spread
 from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey
 from strandline.smc.on_host import advance_on_host, is_on_host
@@ -26,7 +27,6 @@ __all__ = [
     "finished",
     "hashable",
     "report",
-    "require_double",
     "require_steps_left",
     "sample",
 ]
@@ -50,14 +50,14 @@ def sample(
     between calls.
 
     Args:
-        key: random key; not to be used again.
+        key: Random key; do not use it again.
         log_likelihood: log L of physical points, batched and jittable; -inf allowed. Where log p is -inf its value
             is ignored. One with an attribute `on_host` that is true gets and returns NumPy arrays, is never asked
             where log p is -inf, and is no part of what is compiled.
         log_prior: log p of physical points, batched, jittable, normalised if the evidence is to mean anything.
-        initial: draws of the prior, physical.
-        settings: the sampler's settings.
-        on_step: called after every tempering step.
+        initial: Draws of the prior, physical.
+        settings: The sampler's settings.
+        on_step: Function called after every tempering step.
 
     Raises:
         InvalidInput: double precision is off, fewer than two particles, or an initial particle outside the prior.
@@ -87,7 +87,7 @@ def _start(
     initial: Float[Array | np.ndarray, "particle dim"],
 ) -> Particles:
     """Return the state at γ = 0 after checking all that can be checked."""
-    require_double()
+    use_double()
     positions = jnp.asarray(initial, float)
     if is_on_host(log_likelihood):
         values = jnp.asarray(log_likelihood(np.asarray(positions)))  # type: ignore[arg-type]
@@ -180,14 +180,4 @@ def finished(state: Particles, steps: tuple[StepInfo, ...], settings: SMCSetting
         ess=float(effective_sample_size(state.log_weights)),
         steps=steps,
         likelihood_evaluations=len(state.positions) * (1 + settings.rejuvenation_steps * len(steps)),
-    )
-
-
-def require_double() -> None:
-    """Refuse single precision."""
-    require(
-        jnp.zeros(()).dtype == jnp.float64,
-        "precision of JAX",
-        "float32",
-        'float64: call jax.config.update("jax_enable_x64", True) before any other use of JAX',
     )

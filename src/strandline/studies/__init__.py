@@ -4,17 +4,20 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from strandline.studies.check import Check, check_posterior
+    from strandline.studies.check import PosteriorCheck, check_posterior
+    from strandline.studies.result import Result, load_result
     from strandline.studies.run import Outcome, run_study
     from strandline.studies.study import Study, load_study
 
-__all__ = ["Check", "Outcome", "Study", "check_posterior", "load_study", "run_study"]
+__all__ = ["Outcome", "PosteriorCheck", "Result", "Study", "check_posterior", "load_result", "load_study", "run_study"]
 
 _MODULES = {
-    "Check": "check",
+    "PosteriorCheck": "check",
     "Outcome": "run",
+    "Result": "result",
     "Study": "study",
     "check_posterior": "check",
+    "load_result": "result",
     "load_study": "study",
     "run_study": "run",
 }

@@ -1,14 +1,13 @@
 """`StudyFile` → domain objects, with every check that needs no forward run."""
 
 import dataclasses
-import importlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from strandline.active import Active
+from strandline.design.active import Active
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models import MODELS
@@ -21,13 +20,14 @@ from strandline.models.protocol import (
 )
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
+from strandline.registry import suggestion
 from strandline.runs import FailurePolicy, Retry
 from strandline.runs.failures import COMMON_KINDS
 from strandline.runs.record import STATES
-from strandline.studies.chosen import construct, entry, suggestion
+from strandline.studies.chosen import construct, entry, open_entry
 from strandline.studies.observed import TO_MM, read_points
-from strandline.studies.schema import ActiveFile, Input, Quantity, Refine, StudyFile
-from strandline.studies.schema_failures import Failures
+from strandline.studies.study_file import ActiveFile, Input, Quantity, Refine, StudyFile
+from strandline.studies.study_file_failures import Failures
 from strandline.surrogate import KERNELS
 
 __all__ = [
@@ -64,9 +64,7 @@ def build_model(
             expected="`sensitivities: true` as a key of the study",
             remedy="Move the key to the top level of study.yaml.",
         )
-    target = entry(MODELS, name, "model")
-    module, _, attribute = target.partition(":")
-    factory = getattr(importlib.import_module(module), attribute)
+    factory = open_entry(MODELS, name, "model", "forward model")
     if wants_folder(factory):
         model: ForwardModel = construct(factory, options, f"model.{name}", folder=folder)
     else:
@@ -76,7 +74,7 @@ def build_model(
 
 
 def wants_folder(factory: Any) -> bool:
-    """Tell whether a model is to be told the study folder: it has a field `folder`, which is no option then."""
+    """Return whether a model needs the study folder: it has a field `folder`, which is no option then."""
     return any(f.name == "folder" and f.init for f in dataclasses.fields(factory))
 
 
@@ -108,7 +106,8 @@ def build_discrepancies(
             raise InvalidStudy(
                 "discrepancy", value=name, expected="each measure once", remedy=f"Remove the second {name}."
             )
-        result[name] = construct(entry(DISCREPANCIES, name, "discrepancy"), options, f"discrepancy.{name}")
+        measure = open_entry(DISCREPANCIES, name, "discrepancy", "discrepancy")
+        result[name] = construct(measure, options, f"discrepancy.{name}")
     return result
 
 
@@ -291,13 +290,13 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
 
 def _prior(name: str, item: Input) -> Prior:
     (kind, numbers) = next(iter(item.prior.items()))
-    prior_class: Any = entry(PRIORS, kind, f"inputs.{name}.prior")
-    wanted = dataclasses.fields(prior_class)
+    prior_class: Any = open_entry(PRIORS, kind, f"inputs.{name}.prior", "prior")
+    wanted = [field.name for field in dataclasses.fields(prior_class)]
     if len(numbers) != len(wanted):
         raise InvalidStudy(
             f"inputs.{name}.prior.{kind}",
             value=numbers,
-            expected=f"{len(wanted)} numbers {prior_class.fields}",
+            expected=f"{len(wanted)} numbers {getattr(prior_class, 'fields', wanted)}",
             remedy="Correct the list.",
         )
     try:

@@ -14,29 +14,29 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibrate import Observer
+from strandline.calibration import Observer
 from strandline.discrepancy import oriented_like_runs
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import ForwardModel, fingerprint
+from strandline.models.protocol import ForwardModel
 from strandline.posterior import Posterior, from_datatree, read, reweight, subset
 from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.check_file import Compared, describe
 from strandline.studies.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable, write_json
-from strandline.studies.ledgers import require_finished, settled, tell_backup
 from strandline.studies.observed import noisy
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
+from strandline.studies.study_runs import report_backup, settled
 
-__all__ = ["Check", "check_posterior"]
+__all__ = ["PosteriorCheck", "check_posterior"]
 
 FEWEST_DRAWS = 20
 
 
 @dataclass(frozen=True)
-class Check:
+class PosteriorCheck:
     """The content of check.json, and where it lies."""
 
     content: dict[str, Any]
@@ -45,17 +45,17 @@ class Check:
 
 def check_posterior(
     study: Study, *, draws: int = 200, executor: Executor | None = None, observer: Observer | None = None
-) -> Check:
+) -> PosteriorCheck:
     """Run the true model at draws of the study's posterior, and reweight them by what it says of each.
 
     The draws depend on the posterior, the seed and their number alone, and the runs are kept: what was run already is
     not run again. Writes check.json, figures/check.png and .pdf, and a section of report.html.
 
     Args:
-        study: from `load_study`, finished.
-        draws: how many; at least 20, at most as many as there are particles.
-        executor: where forward runs are made, if not where the study says.
-        observer: who is told how far it is.
+        study: A finished study, from `load_study`.
+        draws: Number of draws; at least 20, at most as many as there are particles.
+        executor: Where forward runs are made, if not where the study says.
+        observer: Receives the progress.
 
     Raises:
         InvalidInput: `draws` too small or too large.
@@ -84,7 +84,7 @@ def check_posterior(
         add_check(content, study.folder)
         content["seconds"] = time.perf_counter() - begun
         write_json(study.folder / CHECK, content)
-    return Check(content, study.folder / CHECK)
+    return PosteriorCheck(content, study.folder / CHECK)
 
 
 def _finished_posterior(study: Study) -> Posterior:
@@ -98,7 +98,7 @@ def _finished_posterior(study: Study) -> Posterior:
             expected=f"{POSTERIOR}, made from study.yaml as it is",
             remedy=f"Run it first: strandline run {study.folder}",
         )
-    require_finished(study)
+    study.runs.require_finished()
     try:
         return from_datatree(read(path), study.space)
     except (OSError, KeyError, ValueError) as error:
@@ -106,7 +106,7 @@ def _finished_posterior(study: Study) -> Posterior:
             f"{POSTERIOR} cannot be read",
             value=str(error),
             expected="the posterior of this study",
-            remedy=f"Make it anew: strandline report {study.folder}",
+            remedy=f"Make it again: strandline report {study.folder}",
         ) from error
 
 
@@ -114,11 +114,11 @@ def _observations(study: Study) -> tuple[Observation, ...]:
     """Return what the posterior was made from; a synthetic observation is a run in the study's ledger, and noise."""
     observed = study.observed
     if study.truth is not None:
-        identity = fingerprint(study.model)
+        identity = study.runs.identity
         key = run_key(identity, study.truth)
         with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
             observed = noisy(ledger.latest([key])[key].interfaces, study.synthetic_noise)
-    return tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+    return study.observations(observed)
 
 
 def _oriented(seen: Observation, records: Sequence[RunRecord]) -> Observation:
@@ -131,11 +131,11 @@ def _run(
     study: Study, positions: Float[np.ndarray, "draw dim"], executor: Executor, observer: Observer
 ) -> tuple[tuple[RunRecord, ...], int]:
     """Return the record of each draw, and how many runs were made for them now."""
-    model, identity = _plain(study), fingerprint(study.model)
+    model, identity = _plain(study), study.runs.identity
     inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in positions]
     keys = {run_key(identity, entry) for entry in inputs}
     with Ledger.open(study.folder / CHECK_LEDGER, model=identity, description=f"{study.name}, checked") as ledger:
-        tell_backup(ledger, observer.note)
+        report_backup(ledger, observer.note)
         known = len(settled(ledger, keys))
         records = run_campaign(model, inputs, ledger=ledger, executor=executor, on_record=observer.run)
     return records, len(keys) - known

@@ -13,7 +13,6 @@ from jaxtyping import Float, Int
 
 from strandline import __version__
 from strandline.interface import Interface, Observation
-from strandline.models.protocol import fingerprint
 from strandline.posterior import (
     Posterior,
     Reweighting,
@@ -45,12 +44,12 @@ class Compared:
     """Draws of a posterior with what the true model makes of them, one of each a draw.
 
     Args:
-        posterior: that was checked.
-        chosen: particle numbers.
-        records: of the runs.
-        true: log-likelihoods by the true model; -inf where the run failed.
-        surrogate: log-likelihoods by the surrogate.
-        result: the reweighted moments.
+        posterior: The posterior that was checked.
+        chosen: Particle numbers of the draws, shape (draw,).
+        records: Records of the runs at the draws.
+        true: Log-likelihoods by the true model, shape (draw,); -inf where the run failed.
+        surrogate: Log-likelihoods by the surrogate, shape (draw,).
+        result: The reweighted moments.
     """
 
     posterior: Posterior
@@ -78,7 +77,7 @@ def describe(study: Study, found: Compared, observations: Sequence[Observation],
         "version": __version__,
         "versions": versions(),
         "seed": study.settings.seed,
-        "model": fingerprint(study.model),
+        "model": study.runs.identity,
         "draws": number,
         "runs": {
             "ok": number - len(found.failed),
@@ -117,7 +116,7 @@ def read_check(folder: Path, posterior: Posterior) -> dict[str, Any] | None:
 
 
 def _digest(posterior: Posterior) -> str:
-    """Tell posteriors apart by their particles, to the bit."""
+    """Return a digest of the particles, which differs between posteriors that differ in a bit."""
     parts = (posterior.draws, posterior.log_weights, posterior.log_likelihood)
     return hashlib.sha256(b"".join(np.ascontiguousarray(part, float).tobytes() for part in parts)).hexdigest()
 
@@ -198,7 +197,7 @@ def _interfaces(study: Study, observation: Observation, records: Sequence[RunRec
 def _reference(
     study: Study, median: Float[np.ndarray, "point xyz"]
 ) -> tuple[Literal["undeformed", "median"], Float[np.ndarray, "point xyz"]]:
-    """Return from where displacements are counted: the undeformed nodes where the model tells them."""
+    """Return from where displacements are counted: the undeformed nodes where the model gives them."""
     undeformed = getattr(study.model, "undeformed", lambda: None)()
     if undeformed is not None and undeformed.points.shape == median.shape:
         return "undeformed", undeformed.points

@@ -2,20 +2,20 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
+from collections.abc import Mapping
 from typing import Any, get_args
 
 from strandline.errors import InvalidInput, InvalidStudy
+from strandline.registry import lookup, suggestion
 from strandline.text import decimal
 
-__all__ = ["construct", "entry", "suggestion"]
+__all__ = ["construct", "entry", "open_entry"]
 
 PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
 
 def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
-    """Return the entry `name` of `registry`; one that is not there is refused, with the nearest one named."""
+    """Return the entry `name` of a registry of ours alone; one that is not there is refused, with the nearest one."""
     if name not in registry:
         raise InvalidStudy(
             place,
@@ -26,10 +26,27 @@ def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
     return registry[name]
 
 
-def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return a question after the known name nearest to `name`; `otherwise` where none is near."""
-    close = get_close_matches(name, list(known), n=1)
-    return f"Did you mean {close[0]}?" if close else otherwise
+def open_entry(registry: Mapping[str, Any], name: str, place: str, protocol: str) -> Any:
+    """Return the entry `name` of a registry, or the class ``module:name``.
+
+    Args:
+        registry: Entries by name.
+        name: Name in the study file.
+        place: Place in the study file.
+        protocol: What the class must be, for messages.
+    """
+    try:
+        found = lookup(registry, name, place)
+    except InvalidInput as error:
+        raise InvalidStudy(error.what, value=error.value, expected=error.expected, remedy=error.remedy) from None
+    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+        raise InvalidStudy(
+            place,
+            value=name,
+            expected=f"a {protocol} that is a dataclass: its fields are the options",
+            remedy="Decorate the class with @dataclass(frozen=True).",
+        )
+    return found
 
 
 def construct(factory: Any, options: Mapping[str, Any] | None, place: str, **given: Any) -> Any:

@@ -8,12 +8,10 @@ from typing import Any
 
 from strandline import __version__
 from strandline.errors import StrandlineError
-from strandline.models.protocol import fingerprint
 from strandline.models.python import PythonModel
 from strandline.runs.overview import Overview
 from strandline.runs.soundness import outcome_digest, unsound
 from strandline.studies.folder import CHECK, CHECK_LEDGER, LEDGER, POSTERIOR, SUMMARY
-from strandline.studies.ledgers import needed_keys
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.study import Study, load_study
 from strandline.studies.summary import versions
@@ -109,7 +107,7 @@ def _model(study: Study) -> Iterator[Finding]:
     if not study.ledger_path.is_file():
         return
     with Overview(study.ledger_path) as ledger:
-        kept, now = ledger.model(), fingerprint(study.model)
+        kept, now = ledger.model(), study.runs.identity
     if kept != now:
         yield Finding(
             f"the model has changed: its fingerprint is {now}, the ledger keeps runs of {kept}",
@@ -125,7 +123,7 @@ def _model(study: Study) -> Iterator[Finding]:
 
 def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
     """Yield how the results differ from what study.yaml, ledger, model and packages would give now."""
-    report = f"Make them anew: strandline report {study.folder}"
+    report = f"Make them again: strandline report {study.folder}"
     summary = _read(study.folder / SUMMARY)
     if not summary:
         there = [name for name in (POSTERIOR, "report.html") if (study.folder / name).exists()]
@@ -133,15 +131,15 @@ def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
             yield Finding(f"{', '.join(there)} without a readable {SUMMARY}: the last analysis did not end", report)
         return
     if summary.get("study_sha256") != study.text_digest:
-        yield Finding("the results are of another study.yaml", f"Make them anew: strandline run {study.folder}")
+        yield Finding("the results are of another study.yaml", f"Make them again: strandline run {study.folder}")
         return
     missing = [name for name in (POSTERIOR, "report.html", "figures") if not (study.folder / name).exists()]
     if missing:
         yield Finding(f"missing beside {SUMMARY}: {', '.join(missing)}", report)
-    if summary.get("model") != fingerprint(study.model):
+    if summary.get("model") != study.runs.identity:
         yield Finding(f"the results were made with the model {summary.get('model')}", report)
     digest = summary.get("ledger_sha256")
-    if digest is not None and digest != outcome_digest(study.ledger_path, frozenset(needed_keys(study))):
+    if digest is not None and digest != outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)):
         yield Finding("the ledger has changed since the results were made (runs made again, or excluded)", report)
     yield from _environment(summary, report)
     check = _read(study.folder / CHECK)

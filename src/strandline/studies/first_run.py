@@ -1,4 +1,4 @@
-"""What one forward run tells about a study before the others are made."""
+"""What one forward run shows about a study before the others are made."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -7,20 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from strandline.active import SLOW_BATCH, seconds_of_a_batch
+from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, count_of_distances, oriented_like_runs
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
-from strandline.field_likelihood import noise_length
 from strandline.interface import Interface, Observation
-from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import fingerprint
+from strandline.likelihood import InterfaceLikelihood, noise_length
 from strandline.runs import Ledger, RunRecord, run_key
-from strandline.studies.ledgers import needed_keys
 from strandline.studies.observed import noisy, require_plausible
 from strandline.studies.study import Study
 
 __all__ = [
-    "Noise",
+    "NoiseLength",
     "batch_lines",
     "displacement_lines",
     "facing",
@@ -41,7 +38,7 @@ MOST_KNOWN = 200
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseLength:
     """The noise as a length.
 
     Args:
@@ -59,22 +56,22 @@ class Noise:
         return f"{mm / self.mm:.3g} times the shift of {_length(self.mm)} that the noise hides"
 
 
-def noise_of(study: Study, interface: Interface) -> Noise:
+def noise_of(study: Study, interface: Interface, condition: str = "") -> NoiseLength:
     """Return the noise of the first measure as a length.
 
     σ_N where the measure sums squared distances; otherwise the shift of `interface` for which d² = σ_N².
     """
     measure = _measure(study)
     if count_of_distances(measure, interface, interface) is not None:
-        return Noise(float(np.sqrt(study.noise_variance)), True)
-    return Noise(noise_length(Observation(interface, study.noise_variance), measure), False)
+        return NoiseLength(float(np.sqrt(study.noise_of(condition).scale)), True)
+    return NoiseLength(noise_length(Observation(interface, study.noise_of(condition)), measure), False)
 
 
 def observations_of(study: Study) -> Mapping[str, Interface]:
     """Return the observed interfaces; a synthetic one where the ledger has its run, else nothing."""
     if study.truth is None or not study.ledger_path.is_file():
         return study.observed
-    identity = fingerprint(study.model)
+    identity = study.runs.identity
     key = run_key(identity, study.truth)
     with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
         record = ledger.latest([key]).get(key)
@@ -150,10 +147,10 @@ def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
     for condition, run in record.interfaces.items():
         if run.dim != undeformed.dim:
             continue
-        of, noise = f" ({condition})" if condition else "", noise_of(study, undeformed)
+        of, noise = f" ({condition})" if condition else "", noise_of(study, undeformed, condition)
         moved = _largest_displacement(run, undeformed)
         yield f"largest displacement{of}: {_length(moved)}, {noise.times(moved)}"
-        if _hidden(measure, run, undeformed, study.noise_variance):
+        if _hidden(measure, run, undeformed, study.noise_of(condition).scale):
             yield f"warning{of}: the displacement is below the noise: the data cannot tell"
 
 
@@ -164,7 +161,7 @@ def _largest_displacement(run: Interface, undeformed: Interface) -> float:
 
 
 def _hidden(measure: Discrepancy, run: Interface, undeformed: Interface, variance: float) -> bool:
-    """Tell whether the undeformed interface explains the run within the noise: d² < σ_N²."""
+    """Return whether the undeformed interface explains the run within the noise: d² < σ_N²."""
     try:
         return float(measure(run, undeformed)) < variance
     except InvalidInput:  # e.g. nodes that do not correspond
@@ -176,15 +173,15 @@ def known_range(study: Study) -> str | None:
     observed = observations_of(study)
     if not observed or not study.ledger_path.is_file():
         return None
-    identity = fingerprint(study.model)
+    identity = study.runs.identity
     truth = None if study.truth is None else run_key(identity, study.truth)
     with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
-        latest = ledger.latest([key for key in needed_keys(study) if key != truth])
+        latest = ledger.latest([key for key in study.runs.needed_keys if key != truth])
     known = [latest[key] for key in sorted(latest) if latest[key].ok]
     chosen = known[:: max(1, -(-len(known) // MOST_KNOWN))]
     if not chosen:
         return None
-    observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+    observations = study.observations(observed)
     likelihood = InterfaceLikelihood(observations, _measure(study))
     values = np.array([value for record in chosen if (value := _value(likelihood, record)) is not None])
     if not len(values):
@@ -234,7 +231,7 @@ def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
     if study.settings.active is None:
         return
     observed = dict(observations_of(study)) or dict(record.interfaces)
-    observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+    observations = study.observations(observed)
     try:
         seconds = seconds_of_a_batch(observations, _measure(study), record.interfaces, study.space.dim)
     except (InvalidInput, NumericsError):

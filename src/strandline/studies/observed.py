@@ -21,8 +21,8 @@ class SyntheticNoise:
     """Independent Gaussian noise on every node coordinate of a synthetic observation.
 
     Args:
-        sd: its standard deviation, mm.
-        seed: of its random numbers.
+        sd: Standard deviation of the noise, mm.
+        seed: Seed of its random numbers.
     """
 
     sd: float
@@ -66,10 +66,10 @@ def read_points(
     and lines that begin with # are passed over. The points stand in order along the interface.
 
     Args:
-        path: of the file.
-        unit: of its numbers, a key of `TO_MM`.
-        what: the points are, for messages.
-        options: how to read it, see `strandline.readers.Reading`.
+        path: Path of the file.
+        unit: Unit of the numbers in the file, a key of `TO_MM`.
+        what: Name of the points in messages.
+        options: How to read the file, see `strandline.readers.Reading`.
 
     Raises:
         InvalidStudy: the file is missing, empty or damaged, or holds no simple interface.

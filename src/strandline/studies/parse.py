@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
-from strandline.studies.schema import ONE, SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
+from strandline.studies.study_file import ONE, SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
 from strandline.studies.yaml_text import load_yaml
 
 __all__ = ["parse_study"]
@@ -142,7 +142,7 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
         if part not in current.model_fields:
             continue
         current = _model_within(current.model_fields[str(part)].annotation)
-    return list(current.model_fields) if current is not None else []
+    return [name for name, field in current.model_fields.items() if not field.exclude] if current is not None else []
 
 
 def _model_within(annotation: Any) -> Any:
@@ -157,7 +157,7 @@ def _model_within(annotation: Any) -> Any:
 
 
 def _is_internal(part: int | str) -> bool:
-    """Tell pydantic's own names of union branches from keys of the file."""
+    """Return whether `part` is one of pydantic's own names of union branches, not a key of the file."""
     return isinstance(part, str) and (
         part in INTERNAL or part.startswith(("function-", "dict[", "list[", "constrained"))
     )

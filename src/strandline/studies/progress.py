@@ -52,22 +52,22 @@ class StudyProgress:
     """Counts of the planned runs by what came of them, each in one of ok, failed, open, to do.
 
     Args:
-        name: of the study.
-        planned: runs of the design and of all rounds of refinement.
-        ok: those that gave an interface.
-        failed: those that did not and will not be tried again.
-        open: runs started and not ended, of a driver that is at work or may be.
-        lost: runs started and not ended whose driver is gone; they are to do.
-        detached: whether jobs of a SLURM array are out, which go on without a driver; `open` may be with them.
-        failures: by kind, the commonest first.
-        rate: runs per minute, of the last driver that ended any.
-        seconds_left: estimated time to the last run that is planned, where a driver is at work.
-        median_seconds: of the finished runs.
-        slowest: of the finished runs.
-        driver: who opened the ledger last, and whether it is at work.
-        active: whether an active design is under way, which may stop before `planned` runs.
-        last_batch: what the last batch of an active design came to, in a line; empty where there is none.
-        results: whether summary.json is there, and of study.yaml as it is now.
+        name: Name of the study.
+        planned: Number of runs of the design and of all rounds of refinement.
+        ok: Number of runs that gave an interface.
+        failed: Number of runs that gave none and will not be tried again.
+        open: Number of runs started and not ended, of a driver that is at work or may be.
+        lost: Number of runs started and not ended whose driver is gone; they are to do.
+        detached: Whether jobs of a SLURM array are out, which go on without a driver; `open` may be with them.
+        failures: Failures by kind, the commonest first.
+        rate: Runs per minute, of the last driver that ended any.
+        seconds_left: Estimated time to the last run that is planned, s, where a driver is at work.
+        median_seconds: Median duration of the finished runs, s.
+        slowest: Slowest of the finished runs.
+        driver: Process that opened the ledger last, and whether it is at work.
+        active: Whether an active design is under way, which may stop before `planned` runs.
+        last_batch: Outcome of the last batch of an active design, in a line; empty where there is none.
+        results: Whether summary.json is there, and of study.yaml as it is now.
     """
 
     name: str
@@ -98,7 +98,7 @@ class StudyProgress:
         return max(self.planned - self.done - self.open, 0)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all that is told, as JSON knows it."""
+        """Return everything that the status shows, in types that JSON has."""
         driver = self.driver
         return {
             "name": self.name,
@@ -145,9 +145,8 @@ def progress_in(folder: Path) -> StudyProgress:
 
 def progress_of(study: "Study") -> StudyProgress:
     """Return how far `study` is; reads the ledger without the lock of its driver."""
-    from strandline.studies.ledgers import plan_of
 
-    return _progress(study.folder, plan_of(study))
+    return _progress(study.folder, study.runs.plan)
 
 
 def recorded_plan(folder: Path) -> Plan | None:
@@ -163,7 +162,7 @@ def recorded_plan(folder: Path) -> Plan | None:
 
 
 def results_of(study: "Study") -> Results:
-    """Tell whether the study has results, and whether they are of study.yaml as it is."""
+    """Return whether the study has results, and whether they are of study.yaml as it is."""
     return _results(study.folder, study.text_digest)
 
 
@@ -295,7 +294,7 @@ def _seconds(attempt: Attempt) -> float:
 
 
 def _detached(folder: Path) -> bool:
-    """Tell whether batches of a SLURM array are out: they have a folder as long as nobody has collected them."""
+    """Return whether batches of a SLURM array are out: they have a folder as long as nobody has collected them."""
     return any((folder / "slurm").glob("*/batch.json"))
 
 

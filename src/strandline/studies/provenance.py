@@ -44,7 +44,7 @@ def require_its_own_text(study: Study) -> None:
 
 
 def _same(one: object, other: object) -> bool:
-    """Tell whether two values are the same object or equal; what cannot be compared is not."""
+    """Return whether two values are the same object or equal; False where they cannot be compared."""
     if one is other:
         return True
     try:

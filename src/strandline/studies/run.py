@@ -11,11 +11,10 @@ from typing import Any
 from xarray import DataTree
 
 from strandline import __version__
-from strandline.active import BatchReport
-from strandline.calibrate import Calibration, Observer, Problem, calibrate
+from strandline.calibration import Calibration, Observer, Problem, calibrate
+from strandline.design.active import BatchReport
 from strandline.errors import InvalidStudy, NumericsError
-from strandline.interface import Interface, Observation
-from strandline.models.protocol import fingerprint
+from strandline.interface import Interface
 from strandline.posterior import to_datatree, write
 from strandline.report import write_report
 from strandline.report.nearness import nearest_runs, nothing_near
@@ -23,22 +22,11 @@ from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
 from strandline.studies.first_run import require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
-from strandline.studies.ledgers import (
-    begin_active,
-    check_ledgers,
-    design_inputs,
-    design_keys,
-    end_active,
-    note_batch,
-    plan_of,
-    take_over,
-    tell_backup,
-    write_round,
-)
 from strandline.studies.observed import noisy
 from strandline.studies.provenance import require_its_own_text
 from strandline.studies.results import Results, require_writers
 from strandline.studies.study import Study
+from strandline.studies.study_runs import report_backup
 from strandline.studies.summary import summarise
 
 __all__ = ["Outcome", "run_study", "submit_study"]
@@ -55,14 +43,20 @@ class Outcome:
     summary: dict[str, Any]
     report: Path
 
+    def __repr__(self) -> str:
+        return f"<Outcome {self.calibration.posterior.line}; report: {self.report}>"
+
+    def _repr_html_(self) -> str:
+        return self.calibration._repr_html_()
+
 
 def run_study(study: Study, *, executor: Executor | None = None, observer: Observer | None = None) -> Outcome:
     """Do the whole of a study; what the ledger holds already is not run again.
 
     Args:
-        study: from `load_study`.
-        executor: where forward runs are made, if not where the study says.
-        observer: who is told how far it is.
+        study: A study, from `load_study`.
+        executor: Where forward runs are made, if not where the study says.
+        observer: Receives the progress.
 
     Raises:
         InvalidStudy: the folder cannot be written to, the synthetic observation cannot be made, or the study was
@@ -76,15 +70,15 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     require_its_own_text(study)
     require_writers()
     require_writable(study.folder)
-    check_ledgers(study)
+    study.runs.require_sound_ledgers()
     executor, observer, made = executor or study.executor, observer or Observer(), _Made()
-    with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
-        tell_backup(ledger, observer.note)
-        given = begin_active(study, ledger)
-        ledger.plan(plan_of(study))
-        take_over(study, ledger)
+    with study.runs.ledger() as ledger:
+        report_backup(ledger, observer.note)
+        given = study.runs.begin_active(ledger)
+        ledger.plan(study.runs.plan)
+        study.runs.take_over(ledger)
         observed = _observe(study, ledger, executor, observer)
-        observations = tuple(Observation(seen, study.noise_variance, name) for name, seen in observed.items())
+        observations = study.observations(observed)
         problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
         _try_measures(problem)
         with _told_if_nothing_near(study, problem, ledger):
@@ -96,8 +90,8 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
                 observer=_noting_rounds(_checking_sizes(made.listening(observer), study), study, ledger),
                 given=given,
             )
-        end_active(study)
-        ledger.plan(plan_of(study))
+        study.runs.end_active()
+        ledger.plan(study.runs.plan)
     return _write_results(study, calibration, made.number, observer)
 
 
@@ -105,9 +99,9 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
     """Hand the runs that are known to be needed and not yet made to an executor that does not wait for them.
 
     Args:
-        study: from `load_study`.
-        executor: what makes the runs; it raises when all of them are on their way.
-        observer: who is told of runs that were collected meanwhile.
+        study: A study, from `load_study`.
+        executor: Makes the runs; it raises when all of them are on their way.
+        observer: Receives the runs that were collected meanwhile.
 
     Raises:
         InvalidStudy: the folder cannot be written to.
@@ -117,12 +111,12 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
     require_its_own_text(study)
     require_writers()
     require_writable(study.folder)
-    check_ledgers(study)
+    study.runs.require_sound_ledgers()
     tell = observer or Observer()
-    inputs = [*([] if study.truth is None else [study.truth]), *design_inputs(study)]
-    with Ledger.open(study.ledger_path, model=fingerprint(study.model), description=study.name) as ledger:
-        tell_backup(ledger, tell.note)
-        take_over(study, ledger)
+    inputs = [*([] if study.truth is None else [study.truth]), *study.runs.design]
+    with study.runs.ledger() as ledger:
+        report_backup(ledger, tell.note)
+        study.runs.take_over(ledger)
         tell.stage("forward")
         run_campaign(study.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)
 
@@ -139,7 +133,7 @@ def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Ite
     except InvalidStudy:
         raise
     except (NumericsError, ArithmeticError, ValueError) as error:
-        known = ledger.latest(design_keys(study))
+        known = ledger.latest(study.runs.design_keys)
         records = [record for record in known.values() if record.ok]
         if not records:
             raise
@@ -154,13 +148,13 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
     numbers = count()
 
     def draws(inputs: Sequence[Mapping[str, float]]) -> None:
-        write_round(study, next(numbers), inputs)
-        ledger.plan(plan_of(study))
-        take_over(study, ledger)
+        study.runs.begin_round(next(numbers), inputs)
+        ledger.plan(study.runs.plan)
+        study.runs.take_over(ledger)
         observer.draws(inputs)
 
     def batch(report: BatchReport) -> None:
-        note_batch(study, report.line)
+        study.runs.note_batch(report.line)
         observer.batch(report)
 
     return replace(observer, draws=draws, batch=batch)

@@ -147,15 +147,15 @@ def served_models(
 ) -> tuple[ServedModel, ...]:
     """Return the models `interface`, or ``interface:CONDITION`` for each condition, and `log_likelihood`.
 
-    One run is made at the medians of the priors, which tells the sizes of the outputs, and one for a synthetic
+    One run is made at the medians of the priors, which gives the sizes of the outputs, and one for a synthetic
     observation. All take one block, the study's unknown inputs in its order. `interface` yields the coordinates x0,
     y0, x1, y1, … of the points, mm, and of a surface its triangles as a second block; `log_likelihood` log L of the
     first measure by the true model, without the constant.
 
     Args:
-        study: from `load_study`.
-        solve: makes a run; called by several threads at once.
-        differentiate: makes a run with sensitivities; None where the model has none.
+        study: A study, from `load_study`.
+        solve: Makes a run; called by several threads at once.
+        differentiate: Makes a run with sensitivities; None where the model has none.
         outside: Whether inputs outside the boxes of the priors are answered too.
 
     Raises:
@@ -196,10 +196,8 @@ def _observations(study: Study, solve: Solve, example: RunRecord) -> tuple[Obser
         observed = noisy(
             _required(solve(study.truth), "of the synthetic observation").interfaces, study.synthetic_noise
         )
-    return tuple(
-        Observation(oriented_like_runs(seen, [example.interfaces[name]]).interface, study.noise_variance, name)
-        for name, seen in observed.items()
-    )
+    turned = {n: oriented_like_runs(seen, [example.interfaces[n]]).interface for n, seen in observed.items()}
+    return study.observations(turned)
 
 
 def _required(record: RunRecord, what: str) -> RunRecord:

@@ -1,18 +1,21 @@
 """A study: a folder with study.yaml, loaded and checked as far as that goes without a forward run."""
 
 import hashlib
+import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 
-from strandline.calibrate import Settings
+from strandline.calibration import Settings
+from strandline.design.refinement import Refinement
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
-from strandline.interface import Interface
+from strandline.interface import GaussianNoise, Interface, Noise, Observation
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
-from strandline.refinement import Refinement
+from strandline.posterior.shown import html_table
 from strandline.runs import Executor
 from strandline.smc import SMCSettings
 from strandline.studies import build
@@ -21,7 +24,9 @@ from strandline.studies.folder import LEDGER
 from strandline.studies.known_model import as_in_ledgers
 from strandline.studies.observed import SyntheticNoise, read_points, require_plausible
 from strandline.studies.parse import parse_study
-from strandline.studies.schema import ConditionFile, ObservationFile, StudyFile
+from strandline.studies.study_file import ConditionFile, ObservationFile, StudyFile
+from strandline.studies.study_runs import StudyRuns
+from strandline.typeset import html_text
 
 __all__ = ["Study", "load_study"]
 
@@ -34,21 +39,22 @@ class Study:
     """All that study.yaml says, as objects of the domain.
 
     Args:
-        folder: where the study lies and its results go.
-        name: of the study.
-        text: of study.yaml, kept for provenance.
-        model: the simulator, asked for sensitivities where the study wants them.
-        space: the unknown inputs.
-        fixed: the known inputs.
-        discrepancies: measures by name; the first one makes the posterior.
-        noise_variance: σ_N², in the unit of d²; of every condition.
-        observed: the observed interfaces by condition, mm; empty where the model makes synthetic ones.
-        truth: the inputs at which the model makes a synthetic observation of each of its conditions, or None.
-        synthetic_noise: what is added to a synthetic observation, or None.
-        turned: the conditions whose observed points ran the other way round and were turned.
-        settings: how the posterior is computed.
-        executor: where forward runs are made.
-        reuse: ledgers of other studies whose runs are taken over where they fit.
+        folder: Folder where the study lies and its results go.
+        name: Name of the study.
+        text: Text of study.yaml, kept for provenance.
+        model: The simulator, asked for sensitivities where the study wants them.
+        space: The unknown inputs.
+        fixed: The known inputs by name.
+        discrepancies: Measures by name; the first one makes the posterior.
+        noise: Noise of every condition that has none of its own.
+        noises: Noise by condition.
+        observed: The observed interfaces by condition, mm; empty where the model makes synthetic ones.
+        truth: The inputs at which the model makes a synthetic observation of each of its conditions, or None.
+        synthetic_noise: Noise added to a synthetic observation, or None.
+        turned: The conditions whose observed points ran the other way round and were turned.
+        settings: How the posterior is computed.
+        executor: Where forward runs are made.
+        reuse: Ledgers of other studies whose runs are taken over where they fit.
         as_loaded: What study.yaml says, to notice what was replaced since; None for a study made otherwise.
     """
 
@@ -59,7 +65,8 @@ class Study:
     space: ParameterSpace
     fixed: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
-    noise_variance: float
+    noise: Noise
+    noises: Mapping[str, Noise]
     observed: Mapping[str, Interface]
     truth: Mapping[str, float] | None
     synthetic_noise: SyntheticNoise | None
@@ -69,6 +76,31 @@ class Study:
     reuse: tuple[Path, ...]
     as_loaded: "Study | None" = field(default=None, repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        unknown, model = ", ".join(self.space.names), type(self.model).__name__
+        return f"<Study {self.name}: {unknown} of {model}, {self.settings.planned_runs} runs, {self.folder}>"
+
+    def _repr_html_(self) -> str:
+        priors = [(html_text(p.name), html.escape(p.unit), html.escape(repr(p.prior))) for p in self.space]
+        facts = [("model", html.escape(type(self.model).__name__)), ("folder", html.escape(str(self.folder)))]
+        facts += [("runs", str(self.settings.planned_runs)), ("measures", ", ".join(self.discrepancies))]
+        facts += [(html.escape(name), f"{value:g}") for name, value in self.fixed.items()]
+        inputs = html_table(("input", "unit", "prior"), priors, caption=self.name)
+        return inputs + html_table(("study", ""), facts)
+
+    @cached_property
+    def runs(self) -> StudyRuns:
+        """The runs that the study needs, and what its ledgers hold of them."""
+        return StudyRuns(self)
+
+    def noise_of(self, condition: str) -> Noise:
+        """Return the noise of a condition."""
+        return self.noises.get(condition, self.noise)
+
+    def observations(self, observed: Mapping[str, Interface]) -> tuple[Observation, ...]:
+        """Return observed interfaces by condition with their noise."""
+        return tuple(Observation(seen, self.noise_of(name), name) for name, seen in observed.items())
+
     @property
     def ledger_path(self) -> Path:
         """The ledger of this study's runs."""
@@ -76,7 +108,7 @@ class Study:
 
     @property
     def text_digest(self) -> str:
-        """Tells whether results belong to study.yaml as it is."""
+        """SHA-256 of study.yaml, by which results of another version of it are noticed."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
@@ -85,12 +117,13 @@ class Study:
         return asks_sensitivities(self.model)
 
 
-def load_study(folder: Path) -> Study:
+def load_study(folder: Path | str) -> Study:
     """Return the study in `folder`; nothing is written and no forward run is made.
 
     Raises:
         InvalidStudy: see `parse_study`, or any value in it that cannot be used.
     """
+    folder = Path(folder)
     content, text = parse_study(folder)
     model = build.build_model(content.model, folder, sensitivities=content.sensitivities)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
@@ -106,7 +139,8 @@ def load_study(folder: Path) -> Study:
         space=space,
         fixed=fixed,
         discrepancies=build.build_discrepancies(content.discrepancy),
-        noise_variance=content.noise.squared,
+        noise=GaussianNoise(content.noise.squared),
+        noises=_noises(content, model),
         observed=observed,
         truth=truth,
         synthetic_noise=_synthetic_noise(content),
@@ -116,6 +150,20 @@ def load_study(folder: Path) -> Study:
         reuse=reuse,
     )
     return replace(study, as_loaded=study)
+
+
+def _noises(content: StudyFile, model: ForwardModel) -> dict[str, Noise]:
+    """Return the noise of each condition that has its own."""
+    known = declared_conditions(model)
+    for condition in content.noise.conditions:
+        if condition not in known:
+            raise InvalidStudy(
+                "noise.conditions: the model has no such condition",
+                value=condition,
+                expected=f"some of {', '.join(known)}" if any(known) else "no conditions: the model has a single one",
+                remedy="Correct the name, or remove it.",
+            )
+    return {name: GaussianNoise(given.squared) for name, given in content.noise.conditions.items()}
 
 
 def _settings(content: StudyFile, model: ForwardModel) -> Settings:

@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 
 from strandline import __version__
-from strandline.calibrate import Calibration
+from strandline.calibration import Calibration
+from strandline.design.refinement import shifts
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import fingerprint
 from strandline.posterior import Posterior, Reading
-from strandline.quadrature import QuadratureResult, mixture
-from strandline.refinement import shifts
+from strandline.posterior.quadrature import QuadratureResult, mixture
 from strandline.report.nearness import as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
-from strandline.studies.ledgers import needed_keys
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate
 from strandline.surrogate import LogLikelihoodSurrogate
@@ -48,9 +46,9 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "version": __version__,
         "versions": versions(),
         "seed": study.settings.seed,
-        "model": fingerprint(study.model),
+        "model": study.runs.identity,
         "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
-        "ledger_sha256": outcome_digest(study.ledger_path, frozenset(needed_keys(study))),
+        "ledger_sha256": outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)),
         "set_aside": [asdict(one) for one in calibration.set_aside],
         "excluded": [
             {"key": record.key, "inputs": dict(record.inputs), "why": record.message}
@@ -214,10 +212,9 @@ def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
         "discrepancy": name,
         "options": _described(discrepancy),
         "unit": likelihood.unit,
-        "noise_variance": study.noise_variance,
+        **study.noise.facts,
         "conditions": [
-            {"condition": o.condition, "noise_variance": o.noise_variance, "points": len(o.interface.points)}
-            for o in observations
+            {"condition": o.condition, **o.noise.facts, "points": len(o.interface.points)} for o in observations
         ],
         "independent_terms": likelihood.independent_terms,
         "gaussian_constant": likelihood.constant,

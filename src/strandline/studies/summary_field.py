@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.active import CheckResult, FieldOutcome, Step
-from strandline.calibrate import Calibration
+from strandline.calibration import Calibration
+from strandline.design.active import BatchCheck, FieldOutcome, Step
 
 __all__ = ["certificate", "comparison", "field_surrogate"]
 
@@ -75,7 +75,7 @@ def comparison(calibration: Calibration) -> dict[str, Any] | None:
     }
 
 
-def _check(found: CheckResult, step: Step | None, names: tuple[str, ...]) -> dict[str, Any]:
+def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict[str, Any]:
     weights = found.reweighting
     return {
         "by": "left-out runs" if step is not None and step.kind == "given" else "runs at draws of the posterior",

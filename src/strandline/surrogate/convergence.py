@@ -42,12 +42,12 @@ def convergence_study(
     """Fit a surrogate to the first runs, more and more of them, and compare each with the truth at the test points.
 
     Args:
-        x: physical inputs of the successful runs, in the order of the Sobol sequence.
-        log_likelihood: their log-likelihoods.
-        x_test: physical inputs of runs that are not among those; the study takes 100 from later in the sequence.
-        log_likelihood_test: their log-likelihoods.
-        sizes: numbers of training runs; left out, those of `STUDY_SIZES` that there are runs for.
-        kernel: a name in `KERNELS`.
+        x: Physical inputs of the successful runs, in the order of the Sobol sequence.
+        log_likelihood: Log-likelihoods of these runs.
+        x_test: Physical inputs of test runs, which are not among those; the study takes 100 from later in the sequence.
+        log_likelihood_test: Log-likelihoods of the test runs.
+        sizes: Numbers of training runs; by default those of `STUDY_SIZES` that there are runs for.
+        kernel: A name in `KERNELS`.
 
     Raises:
         InvalidInput: more training runs asked for than given, or no test points.

@@ -2,7 +2,7 @@
 
 A Gaussian process classifier with the logistic likelihood in Laplace's approximation: Rasmussen and Williams (2006),
 Algorithms 3.1 and 3.2; the mean of the logistic function by MacKay's formula. Its hyperparameters come from a small
-grid, by evidence and a weak prior: failures at random widen its error bars and move no border.
+grid, by evidence and a weak prior: random failures widen its error bars but move no border.
 """
 
 from dataclasses import dataclass

@@ -12,8 +12,8 @@ from scipy.linalg import solve_triangular
 from scipy.stats import qmc
 
 from strandline.errors import InvalidInput
+from strandline.numerics.linear_algebra import factorise, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
-from strandline.surrogate.linear_algebra import factorise, solve
 
 __all__ = [
     "SINGLE_PRECISION_LIMIT",
@@ -42,16 +42,17 @@ class GaussianProcess:
     Inputs of all methods are physical; so are the coordinates of the derivatives.
 
     Args:
-        x_train: standardised training inputs (run, dim), (x - shift) / scale.
-        shift: mean of each input column, physical.
-        scale: standard deviation of each input column, physical.
-        target_mean: mean of the targets, added to every prediction.
+        x_train: Standardised training inputs (run, dim), (x - shift) / scale.
+        shift: Mean of each input column, physical.
+        scale: Standard deviation of each input column, physical.
+        target_mean: Mean of the targets, added to every prediction.
         alpha: (K + σ_n² I)⁻¹ (y - target_mean).
-        cholesky: lower Cholesky factor of K + σ_n² I.
-        kernel: the correlation function.
-        length_scale: l, in standard deviations of the inputs; one for each input with a kernel that has them.
-        signal_variance: σ0², in squared units of the target.
-        nugget: σ_n², in squared units of the target.
+        cholesky: Lower Cholesky factor of K + σ_n² I.
+        kernel: The correlation function.
+        length_scale: Length scale l, in standard deviations of the inputs; one for each input with a kernel that has
+            them.
+        signal_variance: Signal variance σ0², in squared units of the target.
+        nugget: Noise variance σ_n², in squared units of the target.
     """
 
     x_train: Float[np.ndarray, "run dim"]
@@ -153,12 +154,13 @@ def condition(
     """Return the Gaussian process with given hyperparameters, conditioned on physical inputs x and targets y.
 
     Args:
-        x: training inputs, physical.
-        y: training targets.
-        kernel: the correlation function.
-        length_scale: l, in standard deviations of the inputs; one for each input with a kernel that has them.
-        signal_variance: σ0².
-        nugget: σ_n².
+        x: Training inputs, physical.
+        y: Training targets.
+        kernel: The correlation function.
+        length_scale: Length scale l, in standard deviations of the inputs; one for each input with a kernel that has
+            them.
+        signal_variance: Signal variance σ0², in squared units of the target.
+        nugget: Noise variance σ_n², in squared units of the target.
 
     Raises:
         InvalidInput: an input column that does not vary, or a length scale that is not positive.
@@ -193,15 +195,15 @@ def batched_mean(
     For derivatives use `GaussianProcess.gradient`: JAX's own are NaN at a training point (√r² at 0).
 
     Args:
-        gp: the conditioned process.
-        fused: reduce over a (particle, run) array in one kernel, right on an accelerator; False scans over the
-            training points, right on a CPU. None (the default) chooses by JAX's default back end.
-        precision: of the sum over the training points; what comes in and goes out has that of the points. ``float32``
-            takes a half to a quarter of the time, and is refused where `single_precision_error` is above
+        gp: The conditioned process.
+        fused: Whether to reduce over a (particle, run) array in one kernel, which suits an accelerator; False scans
+            over the training points, which suits a CPU. None (the default) chooses by JAX's default back end.
+        precision: Precision of the sum over the training points; arguments and result have that of the points.
+            ``float32`` takes a half to a quarter of the time, and is refused where `single_precision_error` is above
             `SINGLE_PRECISION_LIMIT`; ``auto`` takes it where it is allowed.
 
     Raises:
-        InvalidInput: single precision that would be felt.
+        InvalidInput: Single precision whose error would matter.
     """
     unit = gp.scale * gp.length_scale
     of_sum = np.dtype(_allowed(gp, precision))

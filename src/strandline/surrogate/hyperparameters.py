@@ -2,9 +2,9 @@
 
 On a log-likelihood the evidence rises along σ0²/l³ = const, so the coordinates are (log σ0²/l³, log l) and l is
 bounded; the nugget is given. With a length for each input there is a log l for each, and l³ is that of their geometric
-mean: the ridge, on which all lengths grow together, is straight again. (All this of Matérn 3/2; the ridge of a smoother
-kernel runs at another angle to these coordinates.) A function can have several maxima and flat slopes between them:
-hence two starts, and every stop is judged, the optimiser's own success too.
+mean: the ridge, on which all lengths grow together, is straight again. (All this holds for Matérn 3/2; the ridge of a
+smoother kernel runs at another angle to these coordinates.) A function can have several maxima and flat slopes between
+them: so there are two starts, and every stop is judged, the optimiser's own success too.
 """
 
 import math
@@ -16,8 +16,8 @@ from jaxtyping import Float
 from scipy.optimize import OptimizeResult, minimize
 
 from strandline.errors import InvalidInput, NumericsError, TooFewRuns
+from strandline.numerics.linear_algebra import factorise, invert, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
-from strandline.surrogate.linear_algebra import factorise, invert, solve
 
 __all__ = [
     "Attempt",

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from strandline.numerics.linear_algebra import invert
 from strandline.surrogate.gaussian_process import GaussianProcess
-from strandline.surrogate.linear_algebra import invert
 
 __all__ = ["NEAR_MODE_COUNT", "NEAR_MODE_WINDOW", "Validation", "validate"]
 
@@ -28,7 +28,7 @@ class Validation:
         loo_rms: root mean square of the residuals.
         loo_rms_near_mode: the same near the mode: the error that a posterior feels.
         near_mode_count: number of runs near the mode.
-        standardised_rms: root mean square of the standardised residuals; near 1 if the variance can be believed.
+        standardised_rms: root mean square of the standardised residuals; near 1 if the variance is realistic.
         standardised_rms_near_mode: the same near the mode.
     """
 

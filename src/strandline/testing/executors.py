@@ -51,7 +51,7 @@ def requests_for(model: Any, stiffness: Sequence[float] = STIFFNESS) -> list[Run
 
 
 def same_outcome(one: RunRecord, other: RunRecord) -> bool:
-    """Tell whether two records say the same, the interface bit for bit; times and logs may differ."""
+    """Return whether two records agree, the interface bit for bit; times and logs may differ."""
     return _facts(one) == _facts(other)
 
 
@@ -136,7 +136,7 @@ def check_gives_each_run_an_empty_folder(executor: Executor, *, workers: int) ->
 
 
 def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
-    """A request that follows from the record before it is made, and `NOT_NOW` is none."""
+    """A request that follows from the record before it is made; `NOT_NOW` is not a request."""
     requests = requests_for(Cantilever())
     records: list[RunRecord] = []
 
@@ -151,7 +151,7 @@ def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
 
 
 def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -> None:
-    """The only worker that was told `NOT_NOW` keeps no record back when it pulls again."""
+    """The only worker, which got `NOT_NOW` before, keeps no record back when it pulls again."""
     if workers > 1:
         return
     requests = requests_for(Cantilever())
@@ -171,7 +171,7 @@ def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -
 
 
 def check_asks_beside_a_run(executor: Executor, *, workers: int) -> None:
-    """A free worker asks again though no run ends, and makes what there is beside a long one."""
+    """A free worker asks again though no run ends, and makes further runs while a long one goes on."""
     if workers == 1:
         return
     requests = requests_for(Cantilever(), [600.0, 400.0, 300.0])
@@ -244,7 +244,7 @@ CRASH_CHECKS: dict[str, Check] = {
     "segfault": _failure_check("segfault", "killed", "worker_died", told="SIGSEGV"),
     "huge_output": _failure_check("chatter", "failed", "exception", told="the last words"),
 }
-"""What an executor with processes of its own must survive, and tell about."""
+"""What an executor with processes of its own must survive and report."""
 
 TIMEOUT_CHECKS: dict[str, Check] = {
     "hang": _failure_check("hang", "timeout", "timeout", told="waiting for nothing"),

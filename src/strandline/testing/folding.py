@@ -24,8 +24,8 @@ class Folding:
     ``t = 100 / ((1 + ν)(180 + 40 ν) softness)``: what a structure does near a limit point.
 
     Args:
-        nodes: of the interface.
-        softness: 1 for the fold that `FOLD` states; another value moves it away from there.
+        nodes: Number of nodes of the interface.
+        softness: Divisor of the load at the fold; 1 gives the fold that `FOLD` states, another value moves it.
     """
 
     nodes: int = 21

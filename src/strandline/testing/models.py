@@ -42,9 +42,9 @@ class Cantilever:
     the lower side.
 
     Args:
-        length: L, mm.
-        height: h, mm.
-        nodes: nodes on each of the two long sides.
+        length: Length L, mm.
+        height: Height h, mm.
+        nodes: Number of nodes on each of the two long sides.
 
     Inputs are Young's modulus ``E`` in Pa and the force ``load`` in N per m of depth, positive upwards.
     """
@@ -104,9 +104,9 @@ class TwoLoads:
     The displacement u is proportional to F/E, so ∂u/∂E = -u/E and ∂u/∂F = u/F.
 
     Args:
-        beam: the specimen.
-        ratio: of the two forces.
-        sensitivities: whether runs yield d(points)/dE, mm/Pa, and d(points)/d(load), mm per N/m, too.
+        beam: Specimen.
+        ratio: Ratio of the two forces.
+        sensitivities: Whether runs yield d(points)/dE, mm/Pa, and d(points)/d(load), mm per N/m, too.
     """
 
     beam: Cantilever = Cantilever()

@@ -1,4 +1,4 @@
-"""A SLURM of one's own for tests: three virtual nodes on this machine, up in seconds, gone afterwards.
+"""A private SLURM for tests: three virtual nodes on this machine, started in seconds and removed afterwards.
 
 It needs the programs of the Debian packages ``slurmctld slurmd slurm-client munge`` and no rights. Its daemons have
 ports, a socket and a key of their own; they are ended by their pid files.
@@ -87,7 +87,7 @@ class TemporarySlurm:
         _wait_until(self.idle, 30.0)
 
     def idle(self) -> bool:
-        """Tell whether all nodes wait for jobs."""
+        """Return whether all nodes wait for jobs."""
         words = self.command("sinfo", "--noheader", "--Node", "--format=%T", check=False).split()
         return len(words) == len(NODES) and set(words) == {"idle"}
 
@@ -99,7 +99,7 @@ def missing_programs() -> list[str]:
 
 @contextlib.contextmanager
 def temporary_slurm() -> Iterator[TemporarySlurm]:
-    """Give a SLURM of three nodes with two CPUs each, and make it that of this process and its children."""
+    """Yield a SLURM of three nodes with two CPUs each, and make it that of this process and its children."""
     with tempfile.TemporaryDirectory(prefix="strandline-slurm-", ignore_cleanup_errors=True) as folder:
         slurm = TemporarySlurm(Path(folder))
         _write_settings(slurm)

@@ -62,7 +62,7 @@ class ModelUnderTest:
         return list(self.ask("OutputSizes")["outputSizes"])
 
     def supports(self, feature: str) -> bool:
-        """Tell whether the server says that the model supports `feature`."""
+        """Return whether the server says that the model supports `feature`."""
         return bool(self.ask("ModelInfo")["support"].get(feature, False))
 
     @property
@@ -87,7 +87,7 @@ Check = Callable[[ModelUnderTest], None]
 
 
 def check_info(model: ModelUnderTest) -> None:
-    """Info tells the version 1.0 and the names of the models, and nothing else."""
+    """Info gives the version 1.0 and the names of the models, and nothing else."""
     response = model.get("Info")
     _require(response.status_code == 200, f"Info is answered with HTTP {response.status_code}")
     info = _keys(response.json(), {"protocolVersion", "models"}, "Info")
@@ -99,7 +99,7 @@ def check_info(model: ModelUnderTest) -> None:
 
 
 def check_model_info(model: ModelUnderTest) -> None:
-    """ModelInfo tells by true and false which of the four features the model supports."""
+    """ModelInfo says by true and false which of the four features the model supports."""
     support = _keys(model.ask("ModelInfo"), {"support"}, "ModelInfo")["support"]
     _require(isinstance(support, dict) and set(support) <= set(FEATURES), f"support is {support}")
     _require(all(type(value) is bool for value in support.values()), "support holds something else than true and false")

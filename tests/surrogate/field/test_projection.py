@@ -13,8 +13,8 @@ from tests.surrogate.field.remeshed import Height, cap, disc, ellipsoid
 from strandline.design import sobol
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy
 from strandline.errors import InvalidInterface
-from strandline.field_likelihood import FieldLikelihood
 from strandline.interface import Interface, Observation
+from strandline.likelihood import FieldLikelihood
 from strandline.surrogate.field import FieldTraining, fit_field
 from strandline.surrogate.field.correspondence import common_layout, fields_of, registered
 from strandline.surrogate.field.projection import Projection, Reference, _along_normals

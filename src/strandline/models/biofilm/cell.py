@@ -21,7 +21,7 @@ from strandline.models.biofilm.stress import stress_at_nodes
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
 
-__all__ = ["FlowCell", "FlowFields", "Solution"]
+__all__ = ["STRESS_SCALE", "VELOCITY_SCALE", "VISCOSITY", "FlowCell", "FlowFields", "Solution"]
 
 VELOCITY_SCALE = 100.0
 """U in mm/s; with lengths in mm and ρ = 1e3 kg/m³ the stress scale ρU² is 10 Pa and the scaled viscosity 0.01."""
@@ -41,12 +41,12 @@ class FlowFields:
     """The solved state for pictures: corners and edge midpoints of the mesh, four flat triangles per element.
 
     Args:
-        points: deformed node positions, mm.
-        triangles: node numbers.
-        cell_part: per triangle, 0 in the fluid, else the number of the solid's part from 1.
-        velocity: mm/s, zero in the solid.
-        pressure: fluid pressure, Pa, zero in the solid.
-        displacement: mm; in the fluid that of the mesh.
+        points: Deformed node positions, mm.
+        triangles: Node numbers.
+        cell_part: Number of the solid's part, from 1, for each triangle (cell,); 0 in the fluid.
+        velocity: Fluid velocity, mm/s; zero in the solid.
+        pressure: Fluid pressure, Pa, zero in the solid.
+        displacement: Node displacements, mm; in the fluid, those of the mesh.
         stress: Cauchy stress of the solid per triangle, (σxx, σyy, σxy, σzz), Pa, zero in the fluid.
     """
 
@@ -64,11 +64,11 @@ class Solution:
     """A steady state.
 
     Args:
-        unknowns: of the coupled system.
-        displacement: of the interface's nodes, mm.
-        min_J_fluid: lower bound of det F of the mesh motion.
-        min_J_solid: lower bound of det F of the solid.
-        jacobians: assembled and factorised, on the load path too.
+        unknowns: Unknowns of the coupled system (unknown,), scaled.
+        displacement: Displacements of the interface's nodes (point, 2), mm.
+        min_J_fluid: Lower bound of det F of the mesh motion.
+        min_J_solid: Lower bound of det F of the solid.
+        jacobians: Number of Jacobians assembled and factorised, including those on the load path.
     """
 
     unknowns: Vector
@@ -120,10 +120,10 @@ class FlowCell:
         """Return the steady state at Young's moduli [Pa] and Poisson's ratios of the parts, and inflow [mm²/s].
 
         Args:
-            young: of each part.
-            poisson: of each part.
-            rate: V_in.
-            budget: Jacobians after which the search is given up; 0 for none.
+            young: Young's modulus of each part, Pa.
+            poisson: Poisson's ratio of each part.
+            rate: Inflow rate V_in, mm²/s.
+            budget: Number of Jacobians after which the search is given up; 0: no limit.
 
         Raises:
             ForwardModelError: ``limit_point``, ``continuation_stalled``, ``newton_maxit``, ``newton_stalled``,
@@ -156,7 +156,7 @@ class FlowCell:
         return self.system.factorise(x)
 
     def by_load(self) -> Vector:
-        """Return the derivative of the residual by the load, at the state factorised last."""
+        """Return the derivative of the residual by the load, at the last factorised state."""
         return self.system.by_prescribed(self.inflow)
 
     def largest_compression(self, x: Vector) -> float:
@@ -200,7 +200,7 @@ class FlowCell:
         return [self._interface_values(self._with_unknowns(d)) for d in derivatives]
 
     def _check_balance(self, x: Vector, load: float) -> None:
-        """Refuse a state whose residual, computed anew, is not small beside the reactions at the boundaries."""
+        """Refuse a state whose recomputed residual is not small compared with the reactions at the boundaries."""
         self.residual(x, load)
         rows = np.abs(self.system.full_residual())
         left, reaction = rows[self.system.free].max(), rows.max()

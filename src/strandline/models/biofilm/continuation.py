@@ -1,9 +1,9 @@
-"""Following the steady states from rest as the load grows, to the load wanted or around the fold before it.
+"""Follow the steady states from rest as the load grows, up to the target load or around the fold before it.
 
 The path (x, load) is continued by pseudo-arclength: a step prescribes how far a functional of the unknowns advances and
 leaves the load free, so that nothing is singular where the load has a maximum. The functional is the strain of the one
-element that gives way fastest, chosen anew at each step: the fold of a Saint-Venant–Kirchhoff solid is local, and an
-arclength over all unknowns does not see it before it is passed. Source: Keller, Lectures on Numerical Methods in
+element that gives way fastest, chosen again at each step: the fold of a Saint-Venant–Kirchhoff solid is local, and an
+arclength over all unknowns does not notice it until it is passed. Source: Keller, Lectures on Numerical Methods in
 Bifurcation Problems (1987), chapters 4 and 5; Rheinboldt and Burkardt, ACM Trans. Math. Softw. 9 (1983) 215, for the
 local parametrisation.
 """
@@ -37,13 +37,13 @@ class LoadedSystem(Protocol):
     def factorise(self, x: Vector, load: float) -> LinearSolver: ...
 
     def by_load(self) -> Vector:
-        """Return the derivative of the residual by the load, at the state factorised last."""
+        """Return the derivative of the residual by the load, at the last factorised state."""
         ...
 
     def critical_strain(self, x: Vector, tangent: Vector) -> Strain: ...
 
     def check(self, x: Vector) -> Mapping[str, float]:
-        """Return figures that tell how far a solution is from being none; raise ForwardModelError where it is none."""
+        """Return figures that show how close a solution is to being invalid; raise ForwardModelError where it is."""
         ...
 
 
@@ -52,7 +52,7 @@ CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, cont
 POLISH = NewtonSettings(1e-8, maximum_jacobians=2, smallest_damping=1.0)
 """For a point that seems to lie beyond a fold."""
 ARRIVAL = NewtonSettings(maximum_jacobians=6, smallest_damping=0.1)
-"""For the state at the load wanted."""
+"""For the state at the target load."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ class ContinuationSettings:
     """Steps and budget.
 
     Args:
-        first_step: of strain, along the tangent.
-        smallest_step: of strain; shorter ones stall.
-        largest_step: of strain, along the parabola through the last two points.
-        maximum_jacobians: budget of the path, not counting the arrival at the load once it is passed; 0 for none.
+        first_step: First step of strain, along the tangent.
+        smallest_step: Smallest step of strain; the path stalls below it.
+        largest_step: Largest step of strain, along the parabola through the last two points.
+        maximum_jacobians: Budget of the path, not counting the arrival at the load once it is passed; 0: no limit.
     """
 
     first_step: float = 0.2
@@ -83,7 +83,7 @@ class PathPoint:
 
 @dataclass(frozen=True, eq=False)
 class Traced:
-    """The steady state at the load wanted, and what the path to it cost."""
+    """The steady state at the target load, and what the path to it cost."""
 
     x: Vector
     jacobians: int
@@ -95,16 +95,16 @@ def trace(
     """Return the path of steady states from rest, where it reaches `load`.
 
     Args:
-        system: the equations.
-        linear: first-order solution at `load`.
-        load: the load wanted, above zero.
-        first_load: of the first point, below `load`.
-        settings: steps and budget.
+        system: The equations.
+        linear: First-order solution at `load`.
+        load: Target load, above zero.
+        first_load: Load of the first point, below `load`.
+        settings: Steps and budget.
 
     Raises:
-        ForwardModelError: ``limit_point``: the load has a maximum below the one wanted, shown by the sign of the
-            tangent beyond it; ``continuation_stalled``: neither within the budget; or what `check` raises. The evidence
-            holds `load_reached`, the largest load with a steady state that was found, and with a limit point
+        ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of the
+            tangent beyond it; ``continuation_stalled``: neither is found within the budget; or what `check` raises. The
+            evidence holds `load_reached`, the largest load with a steady state that was found, and with a limit point
             `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is negative.
     """
     return _Path(system, load, settings).follow(linear, first_load)
@@ -144,7 +144,7 @@ class _Path:
     def _arrival(self, below: PathPoint, above: PathPoint, strain: Strain) -> Vector | None:
         """Return the steady state at the load between two points; None where Newton's method does not find it.
 
-        There is one, so the first search may exceed the budget.
+        Such a state exists, so the first search may exceed the budget.
         """
         if self.budget > 0 and not self.bracketed:
             self.budget = max(self.budget, self.jacobians + ARRIVAL.maximum_jacobians)
@@ -201,7 +201,7 @@ class _Path:
     def _advance(self, last: PathPoint, point: PathPoint, strain: Strain, step: float) -> PathPoint:
         """Return the point whose strain is larger by `step`, or by a half, a quarter, … of it.
 
-        A tangent that seems to fall is judged with a new Jacobian, at the point solved to the end.
+        A tangent that seems to fall is judged with a new Jacobian, at the fully converged point.
         """
         reason: tuple[str, str, dict[str, float]]
         reason = ("continuation_stalled", "the steps along the load path became too short", {})

@@ -39,7 +39,7 @@ def subdivide(interface: Interface, channel: Channel, partition: Partition) -> t
 
 
 def _on_wall(end: Point, wall: float) -> Point:
-    """Return an end of the outline exactly on the floor or on the channel's end, from which it is less than 1e-9."""
+    """Return an end of the outline, moved exactly onto the floor or the channel's end if it is within 1e-9 of it."""
     x, y = end
     return (x, 0.0) if abs(y) < ON_WALL else (wall, y)
 
@@ -54,7 +54,7 @@ def mesh_flow_cell(
 
     Regions: ``fluid`` and the parts of the solid; boundaries: ``inlet``, ``outlet``, ``top``, ``floor``, ``base``,
     ``side`` (a layer's ends), ``interface``, ``inner`` (between parts). Deterministic: the same arguments give the same
-    mesh to the bit.
+    mesh, bit for bit.
     """
     figure, parts = subdivide(interface, channel, partition)
     number = {FLUID: 1} | {name: k for k, name in enumerate(parts, 2)}

@@ -4,8 +4,8 @@ NGSolve finds PARDISO by itself where mkl is installed, and runs it on one threa
 (matching, scaling, ordering) costs several times its factorisation, so it is kept: made with the first values that a
 matrix is factorised with, which a `FlowCell` chooses itself, so that no run depends on the runs before it. Where an
 analysis does not suit other values, at ν = 0.5 above all, and where a matrix is singular, PARDISO perturbs pivots and
-returns nonsense without a word. So its residual is checked, and a solution that fails is made again with an analysis
-of its own.
+returns wrong results without a warning. So its residual is checked, and a solution that fails is made again with an
+analysis of its own.
 """
 
 import os
@@ -20,7 +20,7 @@ from ngsolve import la
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.biofilm.silence import without_prints
 
-__all__ = ["SOLVERS", "Factorisation", "linear_solver"]
+__all__ = ["SOLVERS", "VARIABLE", "Factorisation", "linear_solver"]
 
 SOLVERS = ("umfpack", "pardiso")
 VARIABLE = "STRANDLINE_LINEAR_SOLVER"
@@ -35,7 +35,7 @@ def linear_solver() -> str:
     """Return one of `SOLVERS`: the environment's choice, else PARDISO where it works; decided once per process.
 
     Raises:
-        InvalidInput: the environment variable STRANDLINE_LINEAR_SOLVER asks for what is not there.
+        InvalidInput: The environment variable STRANDLINE_LINEAR_SOLVER asks for a solver that is not installed.
     """
     chosen = os.environ.get(VARIABLE)
     if chosen is None:
@@ -95,7 +95,7 @@ class _Umfpack:
 
 
 class _Pardiso:
-    """Values of their own, and an analysis shared with other values until it does not suit these."""
+    """A set of values, and an analysis that is shared with other values until it no longer suits these."""
 
     def __init__(self, matrix: Any, size: int) -> None:
         self._values = np.array(matrix.AsVector().FV().NumPy())
@@ -107,10 +107,10 @@ class _Pardiso:
         self._analysis.factorise(self._values)
 
     def solve(self, right: Vector) -> Vector:
-        """Return A⁻¹ right; a shared analysis that does not suit these values is replaced by one of their own.
+        """Return A⁻¹ right; a shared analysis that does not suit these values is replaced by a new one.
 
         Raises:
-            ForwardModelError: ``linear_solve``, the residual is not small with that one either.
+            ForwardModelError: ``linear_solve``: the residual is not small with the new analysis either.
         """
         self._analysis.factorise(self._values)
         x, residual = self._analysis.solve(right)
@@ -138,7 +138,7 @@ class _Analysis:
         self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
 
     def factorise(self, values: Float[np.ndarray, " nonzero"]) -> None:
-        """Factorise the matrix with `values`, unless it is that array that was loaded last."""
+        """Factorise the matrix with `values`, unless that array was loaded last."""
         if self._loaded is values:
             return
         self._loaded = None
@@ -153,14 +153,14 @@ class _Analysis:
         return x, float(np.linalg.norm(back - right))
 
     def renewed(self) -> "_Analysis":
-        """Return a new analysis for the values loaded, with as much iterative refinement as is of use."""
+        """Return a new analysis for the values loaded, with as much iterative refinement as is useful."""
         fresh = _Analysis(self._matrix, self._size, refinement=16)
         fresh._loaded = self._loaded
         return fresh
 
 
 _analyses: WeakKeyDictionary[Any, _Analysis] = WeakKeyDictionary()
-"""By matrix; an analysis refers to a copy only, so it goes when its matrix goes."""
+"""Analyses by matrix; an analysis refers to a copy only, so it is freed together with its matrix."""
 
 
 def _product(operator: Any, vector: Vector, given: Any, result: Any) -> Vector:

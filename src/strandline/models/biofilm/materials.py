@@ -22,8 +22,8 @@ class MixedStress:
     """Stress of a law and what defines its pressure.
 
     Args:
-        second_piola: S, a 2 × 2 form.
-        constraint: vanishes where pₛ is the pressure-like stress of the law.
+        second_piola: Second Piola–Kirchhoff stress S, a 2 × 2 form.
+        constraint: Form that vanishes where pₛ is the pressure-like stress of the law.
     """
 
     second_piola: Form

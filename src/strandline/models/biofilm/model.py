@@ -36,24 +36,24 @@ class Biofilm:
     """Quasi-steady fluid–structure interaction of a soft solid on the floor of a channel, plane strain.
 
     Water enters with a parabolic profile of volume rate V_in and leaves on the other side. The output is the deformed
-    interface, mm, at the nodes of the outline from left to right. Deterministic to the bit. `from_options` takes plain
-    mappings and lists, as in a study file.
+    interface, mm, at the nodes of the outline from left to right. The result is reproducible to the bit. `from_options`
+    takes plain mappings and lists, as in a study file.
 
     Args:
         mesh: ``coarse`` (488 elements with the study's outline), ``default`` (1194) or ``fine`` (3454).
         material: ``saint_venant_kirchhoff`` or ``neo_hookean``.
-        channel: a `Channel`; 2 mm × 1 mm, inlet left, horizontal outflow where it is left out.
-        outline: an `Outline`; the study's where it is left out.
-        partition: a `Partition` of the solid into parts of their own E and ν.
-        inflow_rates: of several experiments with the same specimen, mm²/s by the name of the condition: one interface
-            each, and V_in is no input any more.
-        sensitivities: whether runs return d(interface)/d(input) as well.
+        channel: A `Channel`; by default 2 mm × 1 mm, inlet left, horizontal outflow.
+        outline: An `Outline`; the study's by default.
+        partition: A `Partition` of the solid into parts, each with its own E and ν.
+        inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
+            condition. Each experiment gives one interface, and V_in is no longer an input.
+        sensitivities: Whether runs return d(interface)/d(input) as well.
         failure_budget: Jacobians after which a run gives up its search for a steady state, so that a failure costs
             about three median runs; 0: no limit, every failed run is followed around its limit point (about five).
 
     Raises:
         InvalidInput: an option that cannot be used; a degenerate outline, with the place; a linear solver that the
-            environment asks for and that is not there.
+            environment asks for and that is not installed.
 
     A run raises ForwardModelError with kind ``limit_point``, ``continuation_stalled``, ``inverted_elements``,
     ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence.
@@ -93,7 +93,7 @@ class Biofilm:
 
     @classmethod
     def from_options(cls, **options: Any) -> "Biofilm":
-        """Return the model of plain options: mappings for channel, outline, partition; inflow rates by name.
+        """Return the model made from plain options: mappings for channel, outline, partition; inflow rates by name.
 
         `partition` may also be ``three_parts``, the heterogeneous specimen of the study.
         """
@@ -157,8 +157,8 @@ class Biofilm:
         """Return velocity, pressure and displacement of the solved state; at the last of several inflow rates.
 
         Args:
-            inputs: as for a run.
-            condition: the name of one of the inflow rates, if not the last one is meant.
+            inputs: Inputs of the run by name.
+            condition: Name of one of the inflow rates; the last one by default.
         """
         cell = _flow_cell(self._geometry)
         rates = dict(self.inflow_rates) or {"": float(inputs.get("V_in", 0.0))}
@@ -170,7 +170,7 @@ class Biofilm:
         """Return the deformed interfaces by condition on the next finer mesh, at the same nodes; a check of accuracy.
 
         Raises:
-            ForwardModelError: As a run does.
+            ForwardModelError: The run fails, as any run may.
         """
         cell = _new_cell(self._geometry, FINER[self.mesh])
         rates = self.inflow_rates or (("", float(inputs.get("V_in", 0.0))),)
@@ -182,7 +182,7 @@ class Biofilm:
 
     @property
     def _geometry(self) -> "Biofilm":
-        """The model without what does not touch mesh and forms."""
+        """The model reduced to what affects mesh and forms."""
         return dataclasses.replace(self, inflow_rates=(), sensitivities=False, failure_budget=0)
 
     def _material_values(self, inputs: Mapping[str, float]) -> tuple[list[float], list[float]]:

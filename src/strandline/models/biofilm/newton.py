@@ -41,10 +41,10 @@ class NewtonSettings:
     """When to stop.
 
     Args:
-        tolerance: length of the last correction, see `length`.
-        maximum_jacobians: bound on the cost.
-        smallest_damping: below it the iteration has stalled; 1 admits full steps only.
-        contraction: quasi-Newton steps go on with a Jacobian while each is shorter than the last by this factor.
+        tolerance: Length of the last correction, see `length`.
+        maximum_jacobians: Bound on the cost.
+        smallest_damping: Smallest damping factor; below it the iteration has stalled. 1 allows full steps only.
+        contraction: Quasi-Newton steps go on with a Jacobian as long as each is shorter than the last by this factor.
     """
 
     tolerance: float = 1e-9
@@ -102,15 +102,15 @@ def solve(
     """Return the root of `system` that Newton's method reaches from `x`.
 
     Args:
-        system: what is to vanish.
-        x: first guess.
-        weights: of the unknowns in the norm that measures corrections.
-        settings: when to stop.
-        first: the step at `x`, where it has been taken before; its Jacobian is not counted.
+        system: System whose residual is to vanish.
+        x: First guess.
+        weights: Weights of the unknowns (unknown,) in the norm that measures corrections.
+        settings: When to stop.
+        first: Step at `x`, if it has been computed before; its Jacobian is not counted.
 
     Raises:
         ForwardModelError: ``newton_stalled`` (damping below its bound), ``newton_maxit``, or what `system` raises. Its
-            evidence holds the number of `jacobians` and of `simplified_steps`, unless `system` has said its own.
+            evidence holds the number of `jacobians` and of `simplified_steps`, unless `system` has given its own.
     """
     search = _Search(system, weights, settings)
     try:
@@ -128,7 +128,7 @@ class _Search:
         self.jacobians, self.steps = 0, 0
 
     def run(self, x: Vector, first: NewtonStep | None) -> NewtonSolution:
-        """Iterate from x, the first step being given where it is known, until convergence or a reason to stop."""
+        """Iterate from x until convergence or a reason to stop; a known first step is reused."""
         damping, previous, taken = 1.0, None, first
         while True:
             taken = taken or self._step(x)
@@ -195,9 +195,9 @@ class _Search:
         """Go on with Broyden updates of a Jacobian while they contract; return the point and the last correction.
 
         Args:
-            jacobian: the one that is updated.
-            x: where the first correction, the Newton step, has led.
-            corrections: the Newton step and the simplified one that it leaves.
+            jacobian: Jacobian that is updated.
+            x: Point after the first correction, which is the Newton step.
+            corrections: The Newton step and the simplified one that it leaves.
         """
         directions = [corrections[0]]
         squares = [self._inner(corrections[0], corrections[0])]

@@ -25,12 +25,12 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
     Both meshes carry velocity [mm/s], pressure [Pa] and displacement [mm] at the nodes. Per cell they carry the `part`,
     0 in the fluid, 1, 2, … in the solid in the order of the partition's markers, and the solid's Cauchy stress [Pa], 0
     in the fluid, with the components in ParaView's order xx, yy, zz, xy, yz, xz. In the fluid the displacement is that
-    of the mesh; in the solid velocity and pressure are 0. The times 0 and 1 of the PVD stand for undeformed and
-    deformed.
+    of the mesh; in the solid velocity and pressure are 0. In the PVD, time 0 is the undeformed and time 1 the deformed
+    state.
 
     Args:
-        fields: from `Biofilm.fields`.
-        folder: where the files go.
+        fields: Solved state from `Biofilm.fields`.
+        folder: Folder of the files.
 
     Raises:
         InvalidInput: the package meshio is not installed, or the folder cannot be written to.

@@ -17,7 +17,7 @@ def without_prints() -> Iterator[None]:
     """Discard what this process writes to standard output meanwhile, below Python too.
 
     The C library buffers its prints, so they are flushed before and after. Where standard output is closed, or the
-    system is none of POSIX, nothing is done.
+    system is not POSIX, nothing is done.
     """
     library = _c_library()
     try:
@@ -41,7 +41,7 @@ def without_prints() -> Iterator[None]:
 
 @cache
 def _c_library() -> Any:
-    """Return the C library of this process, None where there is none to be had."""
+    """Return the C library of this process, None where there is none."""
     try:
         return ctypes.CDLL(None) if os.name == "posix" else None
     except OSError:

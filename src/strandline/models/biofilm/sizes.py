@@ -30,8 +30,8 @@ MESHES = {
 
 The nodes of the study's outline are 0.022 mm apart, so there `interface` of ``coarse`` acts on base and inner edges
 alone. Its values are the best of several hundred; others close by make up to three times the error, at random.
-Measure every change of them with ``python -m validation.biofilm_mesh``, and on other outlines with
-``python -m validation.mesh_on_other_outlines``.
+Measure every change of them with ``python -m verification.validation.biofilm_mesh``, and on other outlines with
+``python -m verification.validation.mesh_on_other_outlines``.
 """
 
 FINER = {
@@ -82,7 +82,7 @@ def segment_sizes(interface: Interface, size: MeshSize) -> Float[np.ndarray, " c
 
 
 def is_adapted(interface: Interface, size: MeshSize, channel: Channel) -> bool:
-    """Tell whether the outline asks for smaller elements than those of the mesh's name."""
+    """Return whether the outline asks for smaller elements than those of the mesh's name."""
     return bool(_sharp(interface).any()) or len(gap_sizes(interface, size, channel)) > 0
 
 

@@ -1,9 +1,9 @@
 """The steady state at a load: by Newton's method at once, or along the load path where the solid bends far.
 
-The largest compressive strain of the first-order solution tells which. Below `SAFE_STRAIN` full Newton steps reach the
-steady state. Above `DIRECT_STRAIN` the fold of the Saint-Venant–Kirchhoff law has been passed in every run seen, and
-only the path shows it. Between them Newton's method is tried first, and what it finds has to lie on the branch that is
-connected with the state at rest: there the most compressed element is compressed further as the load grows.
+The largest compressive strain of the first-order solution decides which. Below `SAFE_STRAIN` full Newton steps reach
+the steady state. Above `DIRECT_STRAIN` the fold of the Saint-Venant–Kirchhoff law has been passed in every run seen,
+and only the path shows it. Between them Newton's method is tried first, and what it finds has to lie on the branch that
+is connected with the state at rest: there the most compressed element is compressed further as the load grows.
 `docs/explanation/forward-model.md` shows the figures behind these bounds.
 """
 
@@ -19,7 +19,7 @@ from strandline.models.biofilm.continuation import ContinuationSettings, LoadedS
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
 from strandline.models.biofilm.strain import Strain
 
-__all__ = ["Bending", "Steady", "steady_state"]
+__all__ = ["DIRECT_STRAIN", "SAFE_STRAIN", "Bending", "Steady", "steady_state"]
 
 SAFE_STRAIN = 0.2
 DIRECT_STRAIN = 0.27
@@ -57,12 +57,12 @@ def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
     """Return the steady state that is connected with the one at rest.
 
     Args:
-        bending: the solid in the flow.
-        load: the load wanted.
-        budget: Jacobians after which a search along the load path is given up; 0 for none.
+        bending: The solid in the flow.
+        load: Target load.
+        budget: Number of Jacobians after which a search along the load path is given up; 0: no limit.
 
     Raises:
-        ForwardModelError: as `continuation.trace` does.
+        ForwardModelError: For the reasons given in `continuation.trace`.
     """
     system = _AtLoad(bending, load)
     start = bending.undeformed(load)
@@ -92,7 +92,7 @@ def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
 
 
 def _on_first_branch(bending: Bending, x: Vector, load: float) -> bool:
-    """Tell whether the most compressed element is compressed further as the load grows."""
+    """Return whether the most compressed element is compressed further as the load grows."""
     jacobian = bending.factorise(x, load)
     tangent = -jacobian.solve(bending.by_load())
     return bool(bending.largest_strain(x).functional @ tangent > 0.0)

@@ -30,8 +30,8 @@ def stress_at_nodes(system: CoupledSystem, part: Int[np.ndarray, " element"]) ->
     """Return the scaled stress at the six P2 nodes of each element, as `cauchy_stress` orders it; 0 in the fluid.
 
     Args:
-        system: At the state of interest.
-        part: For each element 0 in the fluid, else the number of the solid's part from 1.
+        system: Coupled system at the state of interest.
+        part: Number of the solid's part, from 1, for each element (element,); 0 in the fluid.
     """
     displacement = system.state.components[2]
     result = np.zeros((len(part), 6, 4))

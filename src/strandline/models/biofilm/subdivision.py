@@ -39,10 +39,10 @@ Partition.PRESETS["three_parts"] = Partition(
 
 
 def check_partition(lines: Sequence[object] = (), markers: Sequence[object] = ()) -> None:
-    """Refuse lists, as a study file has them, that are no lines and no markers of a partition.
+    """Refuse lists from a study file that are not the lines and markers of a partition.
 
     Raises:
-        InvalidInput: with the list.
+        InvalidInput: There is such a list; the message holds it.
     """
     for what, given, shape, example in (
         ("lines", lines, (2, 2), "pairs of points in mm, e.g. [[[0.4, 0.1], [1.5, 0.1]]]"),
@@ -58,7 +58,7 @@ def check_partition(lines: Sequence[object] = (), markers: Sequence[object] = ()
 
 
 def _is_numbers(value: object, shape: tuple[int, ...]) -> bool:
-    """Tell whether `value` is an array of finite numbers of that shape."""
+    """Return whether `value` is an array of finite numbers of that shape."""
     try:
         array = np.array(value, float)
     except (TypeError, ValueError):
@@ -126,7 +126,7 @@ class Subdivision:
         return list(chosen)
 
     def contains(self, name: str, point: Point) -> bool:
-        """Tell whether `point` lies inside a polygon, by the crossings of a ray."""
+        """Return whether `point` lies inside a polygon, by the crossings of a ray."""
         a = np.array([self.vertices[v] for v in self.rings[name]])
         b = np.roll(a, -1, axis=0)
         spans = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
@@ -149,7 +149,7 @@ class Subdivision:
                 yield Edge(start, end, name, owner.get((end, start)))
 
     def _crossings(self, name: str, line: tuple[Point, Point]) -> list[int]:
-        """Return the vertices at which `line` meets a polygon, made where there are none yet."""
+        """Return the vertices at which `line` meets a polygon, created where they do not exist yet."""
         found: list[int] = []
         for start, end in _pairs(self.rings[name]):
             vertex = self._meeting(start, end, line)

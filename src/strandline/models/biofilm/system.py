@@ -41,13 +41,13 @@ class CoupledSystem:
 
     Args:
         mesh: NGSolve mesh; the boundary between the regions is called ``interface``.
-        boundaries: where the conditions hold.
-        viscosity: scaled dynamic viscosity.
-        density: scaled density of the fluid.
-        order: polynomial order of velocity and displacement; pressures have one less.
-        law: of the solid, from `materials`.
-        solids: names of the solid's regions; each has its own Young's modulus and Poisson's ratio.
-        body_force: scaled force per volume of the undeformed solid.
+        boundaries: Names of the boundaries where the conditions hold.
+        viscosity: Scaled dynamic viscosity.
+        density: Scaled density of the fluid.
+        order: Polynomial order of velocity and displacement; pressures have one less.
+        law: Law of the solid, from `materials`.
+        solids: Names of the solid's regions; each has its own Young's modulus and Poisson's ratio.
+        body_force: Scaled force per volume of the undeformed solid.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class CoupledSystem:
         return values
 
     def block(self, component: int) -> Bool[np.ndarray, " unknown"]:
-        """Tell which unknowns belong to component 0 v, 1 p, 2 d, 3 and on: pₛ, one a solid region."""
+        """Return which unknowns belong to a component: 0 v, 1 p, 2 d, from 3 on the pₛ of each solid region."""
         part = self.space.Range(component)
         return np.asarray((self.free >= part.start) & (self.free < part.stop))
 
@@ -170,7 +170,7 @@ class _Pattern:
     balance_entries: Int[np.ndarray, " slot"]
 
     def fill(self, balance: Float[np.ndarray, " entry"]) -> Any:
-        """Write the entries of the momentum rows beside the constant ones of the mesh motion; return the matrix."""
+        """Write the entries of the momentum rows next to the constant ones of the mesh motion; return the matrix."""
         values = self.matrix.AsVector().FV().NumPy()
         values[:] = self.base
         values[self.balance_slots] = balance[self.balance_entries]
@@ -209,7 +209,7 @@ def _reduced_entries(
     rows_wanted: Bool[np.ndarray, " dof"],
     number: Int[np.ndarray, " dof"],
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return reduced row, reduced column, entry number and value of the nonzero entries in the wanted free rows."""
+    """Return reduced row, reduced column, entry number and value of the nonzero entries in the selected free rows."""
     _, columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR())
     rows = np.repeat(np.arange(matrix.height), np.diff(pointers))
     keep = rows_wanted[rows] & (number[rows] >= 0) & (number[columns] >= 0) & (values != 0.0)

@@ -1,1 +1,1 @@
-"""A simulator of one's own, run as a command: templates in, a result file out."""
+"""A simulator of your own, run as a command: templates in, a result file out."""

@@ -13,10 +13,10 @@ RUNS = "runs"
 
 
 def require_keep(keep: object) -> None:
-    """Refuse another word than all, failed or none.
+    """Refuse any word except all, failed and none.
 
     Raises:
-        InvalidInput: with the word.
+        InvalidInput: It is another word; the message holds it.
     """
     if keep not in KEPT:
         raise InvalidInput("keep", value=keep, expected=f"one of {', '.join(KEPT)}", remedy="Choose one of them.")

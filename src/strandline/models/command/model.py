@@ -33,30 +33,30 @@ LOG = "command.log"
 class CommandModel:
     """The simulator that a command starts in a fresh folder for each run.
 
-    Templates are rendered into the folder, files copied there, the command and what `post` adds are run in it without
-    a shell, and the interface is read from the result file. Success is a result that is there, newer than the start,
-    whole and finite; the exit code alone is not trusted. No process that the command started outlives the run.
+    Templates are rendered into the folder, files copied there, the command and what `post` adds are run in it without a
+    shell, and the interface is read from the result file. A run succeeds if its result exists, is newer than the start,
+    complete and finite; the exit code alone is not enough. No process that the command started outlives the run.
 
     Args:
-        command: program and arguments; with `shell` one text.
-        result: the file that holds the interface and how it is read, see `strandline.readers.Reading`.
-        results: instead, one such mapping for each condition.
-        templates: files in the study folder → names in the folder of the run.
-        files: of the study folder, copied beside.
-        shell: whether the command is a text for /bin/sh.
-        post: a command, or a list of commands, run after it.
-        environment: variables of the environment, added to those of strandline.
-        timeout: seconds for all commands of a run; None for never.
-        grace: seconds between SIGTERM and SIGKILL.
-        exit_codes: that count as success, or ``any``.
-        success: ``{log: TEXT}`` that a good run prints, or writes into ``file``.
-        keep: which folders of runs are kept in the study's folder `runs`: ``all``, ``failed`` or ``none``.
-        version: of the simulator; it counts for what runs are the same.
-        inputs: as they are declared; empty where nothing is known of units and ranges.
-        folder: of the study.
+        command: Program and arguments; with `shell` one text.
+        result: The file that holds the interface and how it is read, see `strandline.readers.Reading`.
+        results: Used instead of `result`: one such mapping for each condition.
+        templates: Files in the study folder → names in the folder of the run.
+        files: Names of files in the study folder, copied into the folder of the run.
+        shell: Whether the command is a text for /bin/sh.
+        post: A command, or a list of commands, run after it.
+        environment: Variables of the environment, added to those of strandline.
+        timeout: Seconds for all commands of a run; None: no limit.
+        grace: Seconds between SIGTERM and SIGKILL.
+        exit_codes: Exit codes that count as success, or ``any``.
+        success: ``{log: TEXT}``, a text that a good run prints, or writes into ``file``.
+        keep: Which folders of runs are kept in the study's folder `runs`: ``all``, ``failed`` or ``none``.
+        version: Version of the simulator; runs of different versions are different runs.
+        inputs: Declared inputs; empty where nothing is known of units and ranges.
+        folder: Folder of the study.
 
     Raises:
-        InvalidInput: an option that cannot be, a file that is not there or lies elsewhere, a mistake in a template.
+        InvalidInput: An invalid option, a file that is missing or lies elsewhere, or a mistake in a template.
     """
 
     command: Any
@@ -101,7 +101,7 @@ class CommandModel:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Those of which there is a result; a single unnamed one by default."""
+        """Names of the conditions that have a result; a single unnamed one by default."""
         return tuple(self._parts.readings)
 
     @property
@@ -125,10 +125,10 @@ class CommandModel:
         return "command:" + hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
-        """Refuse templates with variables that are no input, and unknown inputs that stand nowhere.
+        """Refuse templates with variables that are not inputs, and unknown inputs that no template uses.
 
         Raises:
-            InvalidInput: with the variable, its file and line.
+            InvalidInput: There is one; the message holds the variable, its file and line.
         """
         unknown = list(unknown)
         known = {*unknown, *fixed, PYTHON}
@@ -148,7 +148,8 @@ class CommandModel:
         """Run the command in `workdir` and return the interfaces that it left.
 
         Raises:
-            ForwardModelError: with the kind, the state, and the last lines that the command printed.
+            ForwardModelError: The run fails; the error holds the kind, the state, and the last lines that the command
+                printed.
         """
         values: dict[str, Any] = {name: float(value) for name, value in inputs.items()} | {PYTHON: sys.executable}
         parts = self._parts
@@ -212,7 +213,7 @@ class CommandModel:
 
 @dataclass(frozen=True)
 class _Parts:
-    """What the options come to, the templates read: a study folder that changes later changes no campaign."""
+    """The checked options and the templates read, so that later changes of the study folder affect no campaign."""
 
     templates: tuple[tuple[str, Template], ...]
     files: tuple[SourceFile, ...]
@@ -286,7 +287,7 @@ def _require_distinct(targets: list[str]) -> None:
 
 
 def _killed(ended: Ended, program: str) -> ForwardModelError:
-    """Return the error of a command that something other than itself, and other than strandline, has killed."""
+    """Return the error of a command that was killed, but neither by itself nor by strandline."""
     message = f"{program} ended with {ended.how}: something killed it from outside"
     evidence = {"exit_code": float(ended.exit_code or 0)}
     if ended.out_of_memory:

@@ -14,10 +14,10 @@ class SourceFile:
     """A file of the study folder that each run gets a copy of.
 
     Args:
-        name: in the study folder, and in that of the run.
-        path: where it is.
-        digest: of its contents when the study was loaded.
-        stamp: its size and time of change then.
+        name: Name in the study folder and in the folder of the run.
+        path: Path of the file.
+        digest: Digest of its contents when the study was loaded.
+        stamp: Its size and time of change when the study was loaded.
     """
 
     name: str

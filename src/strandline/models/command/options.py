@@ -1,4 +1,4 @@
-"""Options of a command in study.yaml → checked values, with one clear line for whatever is wrong."""
+"""Options of a command in study.yaml → checked values, with one clear line for each mistake."""
 
 import math
 from collections.abc import Mapping
@@ -70,7 +70,7 @@ def seconds(name: str, value: object) -> None:
     """Refuse anything but seconds above 0, or none.
 
     Raises:
-        InvalidInput: with the value.
+        InvalidInput: It is something else; the message holds the value.
     """
     if value is not None and not (isinstance(value, int | float) and 0 < value <= LONGEST_SECONDS):
         raise _unfit(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")

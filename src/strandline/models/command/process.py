@@ -1,4 +1,4 @@
-"""The worker's end of a command: have it run under a supervisor, hear how it ended."""
+"""The worker's side of a command: run it under a supervisor and receive how it ended."""
 
 import contextlib
 import errno
@@ -29,12 +29,12 @@ class Ended:
     """How a command ended.
 
     Args:
-        exit_code: minus the number of the signal where one ended it; None where it never started.
-        timed_out: whether it was ended because its time was up.
-        seconds: wall-clock time.
-        tail: the last that it printed.
-        problem: why it could not be started; "" where it could.
-        out_of_memory: whether the kernel killed a process for lack of memory meanwhile.
+        exit_code: Minus the number of the signal where one ended it; None where it never started.
+        timed_out: Whether it was ended because its time was up.
+        seconds: Wall-clock time.
+        tail: End of what it printed.
+        problem: Why it could not be started; "" where it could.
+        out_of_memory: Whether the kernel killed a process for lack of memory meanwhile.
     """
 
     exit_code: int | None
@@ -51,7 +51,7 @@ class Ended:
 
     @property
     def how(self) -> str:
-        """Exit code or signal, for a person."""
+        """Exit code or signal, in words."""
         if self.exit_code is None or self.exit_code >= 0:
             return f"exit code {self.exit_code}"
         with contextlib.suppress(ValueError):
@@ -68,15 +68,15 @@ def supervised(
     grace: float,
     log: Path,
 ) -> Ended:
-    """Run a command in `folder` to its end; no process that it started is left then, whatever it did.
+    """Run a command in `folder` to its end; afterwards no process that it started is left.
 
     Args:
-        arguments: the program and its arguments; no shell.
-        folder: its working directory.
-        environment: all of it.
-        timeout: seconds after which it is ended; None for never.
-        grace: seconds between SIGTERM and SIGKILL.
-        log: file for what it prints, of at most twice `LOG_LIMIT` bytes.
+        arguments: The program and its arguments; no shell.
+        folder: Its working directory.
+        environment: The complete environment.
+        timeout: Seconds after which it is ended; None: no limit.
+        grace: Seconds between SIGTERM and SIGKILL.
+        log: File for what it prints, of at most twice `LOG_LIMIT` bytes.
 
     Raises:
         ForwardModelError: ``supervisor_died`` or ``out_of_memory``, both of the state ``killed``; ``processes_left``.
@@ -106,7 +106,7 @@ def supervised(
 
 
 def _started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    """Return a supervisor that waits to be told what to run."""
+    """Return a supervisor that waits for its request."""
     try:
         return subprocess.Popen(
             [sys.executable, "-I", "-S", str(SUPERVISOR)],

@@ -1,4 +1,4 @@
-"""What a run must have left, looked at closely before it is believed."""
+"""What a run must have left, checked closely before it is used."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ __all__ = ["LogText", "read_results", "readings_of"]
 
 @dataclass(frozen=True)
 class LogText:
-    """A text that a run which went well has written.
+    """A text that every successful run writes.
 
     Args:
-        text: that must be there.
-        file: in which; "" for what the command printed.
+        text: Text that must be there.
+        file: File that must contain it; "" for what the command printed.
     """
 
     text: str
@@ -57,10 +57,10 @@ class LogText:
 
 
 def readings_of(result: object, results: object) -> dict[str, Reading]:
-    """Return how the result of each condition is read; "" is the name of an only one.
+    """Return how the result of each condition is read; "" names a single unnamed condition.
 
     Raises:
-        InvalidInput: both or none of the two options, or one that cannot be.
+        InvalidInput: Both or none of the two options, or an invalid one.
     """
     if (result is None) == (results is None):
         raise InvalidInput(
@@ -90,12 +90,12 @@ def read_results(readings: Mapping[str, Reading], folder: Path, started: int) ->
     """Return the interfaces by condition.
 
     Args:
-        readings: of the result files.
-        folder: of the run.
-        started: when the command was, in nanoseconds of the folder's file system.
+        readings: How to read the result file of each condition.
+        folder: Folder of the run.
+        started: Start of the command, in nanoseconds by the clock of the folder's file system.
 
     Raises:
-        ForwardModelError: of the state ``invalid``, with the kind.
+        ForwardModelError: A result cannot be used; the state is ``invalid``, the kind says why.
     """
     return {condition: _read(reading, folder, started) for condition, reading in readings.items()}
 

@@ -1,4 +1,4 @@
-"""The program that runs one command of a simulator and answers for every process which comes of it.
+"""The program that runs one command of a simulator and is responsible for every process that it starts.
 
 It stands between the worker and the simulator, in a session of its own, and imports nothing but the standard library:
 
@@ -100,7 +100,7 @@ class Tree:
                 self.poll.unregister(0)
 
     def alive(self) -> bool:
-        """Collect what has ended; tell whether anything is left."""
+        """Collect what has ended; return whether anything is left."""
         while True:
             try:
                 pid, status = os.waitpid(-1, os.WNOHANG)
@@ -216,7 +216,7 @@ def request() -> dict[str, object] | None:
 
 
 def run(asked) -> dict[str, object]:  # type: ignore[no-untyped-def]
-    """Run the command to one of its ends and tell which."""
+    """Run the command until it ends; return how it ended."""
     log = Log(asked["log"], asked["log_limit"])
     began = time.monotonic()
     deadline = float("inf") if asked["timeout"] is None else began + asked["timeout"]

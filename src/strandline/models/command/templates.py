@@ -19,8 +19,8 @@ class Template:
     """A text in which inputs stand as ``{{ name }}``; numbers are written with all their digits.
 
     Args:
-        place: for messages, e.g. the name of the file.
-        text: of the template.
+        place: Place named in messages, e.g. the name of the file.
+        text: Text of the template.
 
     Raises:
         InvalidInput: a mistake in it, with the line.
@@ -56,7 +56,7 @@ class Template:
         """Refuse variables other than `names`.
 
         Raises:
-            InvalidInput: with the first of them and its line.
+            InvalidInput: There is one; the message holds the first of them and its line.
         """
         known = set(names)
         for name in sorted(self.names - known):

@@ -18,16 +18,18 @@ Blocks = list[list[float]]
 class ServedModel:
     """A model as the protocol sees it: blocks of numbers in, blocks of numbers out.
 
-    Whatever the functions raise becomes an answer: `InvalidInput` the caller's mistake, all else the model's failure.
+    Every exception of the functions becomes an answer: `InvalidInput` is the caller's mistake, any other exception is
+    the model's failure.
 
     Args:
-        name: of the model.
-        input_sizes: numbers in each input block.
-        output_sizes: numbers in each output block.
-        evaluate: input blocks → output blocks.
-        gradient: (out, in, input blocks, weights) → weights times the Jacobian of block out by block in; None where it
-            is not offered.
-        apply_jacobian: (out, in, input blocks, vector) → the Jacobian times vector; None where it is not offered.
+        name: Name of the model.
+        input_sizes: Numbers in each input block.
+        output_sizes: Numbers in each output block.
+        evaluate: Function, input blocks → output blocks.
+        gradient: Function, (out, in, input blocks, weights) → weights times the Jacobian of block out by block in; None
+            where it is not offered.
+        apply_jacobian: Function, (out, in, input blocks, vector) → the Jacobian times vector; None where it is not
+            offered.
     """
 
     name: str

@@ -1,7 +1,8 @@
-"""The client's side of UM-Bridge 1.0: one request at a time, a limit on everything, and a kind for every mishap.
+"""The client's side of UM-Bridge 1.0: one request at a time, a limit on everything, and a kind for every failure.
 
 The kinds of `ForwardModelError`: ``connection`` (no server, or it hung up), ``timeout``, ``protocol`` (an answer that
-is none of UM-Bridge's, or not of this model), ``model_error`` (the server says that its model failed), ``non_finite``.
+does not follow UM-Bridge or does not belong to this model), ``model_error`` (the server says that its model failed),
+``non_finite``.
 """
 
 import contextlib
@@ -59,10 +60,10 @@ class Client:
     are not followed. The environment variable STRANDLINE_TOKEN, where it is set, is sent as ``Authorization: Bearer``.
 
     Args:
-        url: of the server.
-        name: of the model.
-        config: passed on with every call.
-        timeout: seconds that a call may take from its beginning to the last byte of the answer.
+        url: URL of the server.
+        name: Name of the model.
+        config: Configuration sent with every call.
+        timeout: Seconds that a call may take from its beginning to the last byte of the answer.
     """
 
     url: str
@@ -229,7 +230,7 @@ def _headers() -> dict[bytes, bytes]:
 def _deadline(seconds: float) -> Iterator[Any]:
     """Yield a listener for the connection's events; after `seconds` the connection that it has seen is cut.
 
-    The client's own limits are for each reading from the socket, and a server that drips never exceeds them.
+    The client's own limits are for each reading from the socket, and a server that sends slowly never exceeds them.
     """
     opened: list[socket.socket] = []
 
@@ -252,7 +253,7 @@ def _deadline(seconds: float) -> Iterator[Any]:
 
 
 def _parsed(body: bytes) -> Any:
-    """Return the JSON in `body`, that with Python's nan and inf included; None where it is none."""
+    """Return the JSON in `body`, with Python's nan and inf accepted; None where it is not JSON."""
     text = body.decode("utf-8", "replace")
     for candidate in (text, NUMBERS_OF_PYTHON.sub("NaN", text)):
         with contextlib.suppress(ValueError, RecursionError):
@@ -265,7 +266,7 @@ def _is_number(value: object) -> bool:
 
 
 def _told(text: object) -> str:
-    """Return text of a stranger, tags of HTML left out, on one short line."""
+    """Return text from outside on one short line, without HTML tags."""
     plain = text[: 20 * SHOWN_CHARACTERS].decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
     return _cut(" ".join(re.sub(r"<[^<>]*>", " ", plain).split()))
 

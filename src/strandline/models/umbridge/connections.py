@@ -29,7 +29,7 @@ class Connections:
         self._waiting: dict[socket.socket, float] = {}
 
     def admit(self, connection: socket.socket) -> bool:
-        """Give a new connection a place; tell whether there is one."""
+        """Give a new connection a place; return whether there is one."""
         for _ in range(2):  # after the first round those that have just been made may be ended too
             if self._free.acquire(blocking=False):
                 break
@@ -57,7 +57,7 @@ class Connections:
             self._waiting.pop(connection, None)
 
     def end_overdue(self) -> None:
-        """End the connections whose client has not sent a whole request in time, however steadily it drips."""
+        """End the connections whose client has not sent a whole request in time, even if it keeps sending slowly."""
         self._end_older_than(self._patience)
 
     def _end_older_than(self, seconds: float, *, most: int | None = None) -> None:

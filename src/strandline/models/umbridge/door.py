@@ -1,7 +1,7 @@
 """Who may send requests to a server: checks of the headers, made before anything is computed.
 
 A server on the loopback address is within reach of every web page that the user opens, and of every user of the
-machine. A page shows itself by its `Origin`, or, where its domain points to this address (DNS rebinding), by its
+machine. A page is recognised by its `Origin`, or, where its domain points to this address (DNS rebinding), by its
 `Host`; a form cannot send JSON. Against other users only a token helps.
 """
 
@@ -29,7 +29,7 @@ class Door:
     """Lets requests in, or refuses them.
 
     Args:
-        names: Names under which the server may be called (`Host`), in small letters.
+        names: Names under which the server may be called (`Host`), in lower case.
         any_address: Whether it may be called by any numeric address; if not, by loopback addresses only.
         origins: Web pages that may send requests (`Origin`), e.g. ``https://example.org``.
         token: Secret that each request must carry; None for none.
@@ -71,7 +71,7 @@ class Door:
         """Refuse a request that may come from a web page, or that lacks the token.
 
         Raises:
-            Refused: with HTTP 401, 403 or 415.
+            Refused: The request is refused with HTTP 401, 403 or 415.
         """
         hosts, origin = headers.get_all("Host", []), headers.get("Origin")
         if len(hosts) != 1 or not self._is_called(hosts[0]):
@@ -89,7 +89,7 @@ class Door:
             raise Refused("Unauthorized", "this server wants its token: send `Authorization: Bearer TOKEN`", 401)
 
     def _is_called(self, host: str) -> bool:
-        """Tell whether `host`, with or without a port, is a name or address of this server."""
+        """Return whether `host`, with or without a port, is a name or address of this server."""
         name = host.strip().lower()
         name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
         try:
@@ -100,7 +100,7 @@ class Door:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address to listen on is reached from this machine alone."""
+    """Return whether an address to listen on can be reached only from this machine."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -108,7 +108,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _carries(authorization: str, token: str) -> bool:
-    """Tell whether a header has the token: as ``Bearer TOKEN``, or as the password of ``Basic``."""
+    """Return whether a header has the token: as ``Bearer TOKEN``, or as the password of ``Basic``."""
     scheme, _, given = authorization.partition(" ")
     if scheme.lower() == "basic":
         try:

@@ -22,20 +22,20 @@ __all__ = ["UMBridge", "UMBridgeModel"]
 
 @dataclass(frozen=True)
 class UMBridge:
-    """The options of ``model: {umbridge: …}`` in a study file; `from_options` makes the model of them.
+    """The options of ``model: {umbridge: …}`` in a study file; `from_options` makes the model from them.
 
     Args:
-        url: of the server.
-        name: of its model.
-        inputs: the names of the inputs in the order in which the model takes them: a list is the one block of inputs, a
+        url: URL of the server.
+        name: Name of its model.
+        inputs: The names of the inputs in the order in which the model takes them: a list is the one block of inputs, a
             list of lists several blocks. A name may bring its unit, ``{E: Pa}``; if all do, the study's units and
             names are checked against them.
-        interface: what the output holds, see `Layout`.
-        unit: of the coordinates: mm, um, µm or m.
-        config: passed on with every call.
-        timeout: seconds that a call may take.
-        version: anything that tells this server's model from its earlier selves, see `UMBridgeModel`.
-        sensitivities: have the server differentiate too.
+        interface: What the output holds, see `Layout`.
+        unit: Unit of the coordinates: mm, um, µm or m.
+        config: Configuration sent with every call.
+        timeout: Seconds that a call may take.
+        version: Any text that distinguishes this server's model from its earlier versions, see `UMBridgeModel`.
+        sensitivities: Whether the server computes derivatives too.
     """
 
     url: str
@@ -71,20 +71,20 @@ class UMBridge:
 
 @dataclass(frozen=True)
 class UMBridgeModel:
-    """A model of a UM-Bridge server, called for each run; all of what it says of itself is asked once and kept.
+    """A model of a UM-Bridge server, called for each run; its description is requested once and kept.
 
     Runs belong to the model's name, its config, the order of the inputs, the layout and unit of its output, the version
-    of the protocol and `version`, not to the address of the server. A server whose model has changed under the same
-    name cannot be seen: change `version` then.
+    of the protocol and `version`, not to the address of the server. A model that has changed under the same name cannot
+    be recognised: change `version` then.
 
     Args:
-        client: that calls it.
-        blocks: names of the inputs by block.
-        units: of the inputs by name; empty where they are not known.
-        layout: of the output.
-        unit: of the coordinates, a key of `UNITS`.
-        version: part of the fingerprint.
-        sensitivities: whether runs yield d(points)/d(input) too, by ApplyJacobian, one call for each input, or where
+        client: Client that calls the model.
+        blocks: Names of the inputs by block.
+        units: Units of the inputs by name; empty where they are not known.
+        layout: Layout of the output.
+        unit: Unit of the coordinates, a key of `UNITS`.
+        version: Part of the fingerprint.
+        sensitivities: Whether runs yield d(points)/d(input) too, by ApplyJacobian, one call for each input, or where
             the server lacks it by Gradient, one call for each coordinate.
 
     Raises:
@@ -128,7 +128,7 @@ class UMBridgeModel:
         """What the server says of the model, asked once.
 
         Raises:
-            ForwardModelError: as `Client.describe`, or blocks of inputs of other sizes than the study's.
+            ForwardModelError: As for `Client.describe`; or the input blocks have other sizes than the study's.
         """
         described = self.client.describe()
         sizes = tuple(len(block) for block in self.blocks)

@@ -1,4 +1,4 @@
-"""An HTTP server for UM-Bridge, on the standard library's.
+"""An HTTP server for UM-Bridge, based on that of the standard library.
 
 `umbridge.serve_models` listens on every interface of the machine, takes requests of any size, answers malformed ones
 and failing models with a page of text instead of the protocol's errors, and writes NaN as `nan`, which is no JSON.
@@ -33,12 +33,12 @@ DRAINED_BYTES = 65536
 class UMBridgeServer(ThreadingHTTPServer):
     """Answers for `models`, each request in a thread of its own; `serve_forever` until `shutdown`.
 
-    The models' functions are called by several threads at once and see to themselves that this does no harm.
+    Several threads call the models' functions at once, so these functions must be thread-safe.
 
     Args:
-        models: the models, with different names.
-        host: the address to listen on; the default is reached from this machine alone.
-        port: 0 for any free one; `url` tells which.
+        models: The models, with different names.
+        host: Address to listen on; the default can be reached only from this machine.
+        port: Port to listen on; 0 takes any free one, which `url` then holds.
         door: Decides which requests are answered; by default those of programs that call it by an address of its own.
         connections: Largest number of connections, and of threads.
         patience: Seconds that a client gets to send a whole request.
@@ -77,7 +77,7 @@ class UMBridgeServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Where it is found."""
+        """Address of the server."""
         host, port = str(self.server_address[0]), self.server_address[1]
         return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
@@ -108,7 +108,7 @@ class UMBridgeServer(ThreadingHTTPServer):
         self.connections.end_overdue()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of clients that go away, and one line of anything else."""
+        """Ignore clients that go away; print one line about any other error."""
         error = sys.exception()
         if not isinstance(error, OSError):
             print(f"a request could not be answered: {type(error).__name__}: {str(error)[:200]!r}", file=sys.stderr)

@@ -1,7 +1,7 @@
 """Where runs are made: in this process, in worker processes on this machine, on a Dask cluster, in jobs of SLURM.
 
 An executor takes the model and an iterable of requests and yields one record per request, in the order in which runs
-end. It pulls a request in the moment in which it starts it. `strandline.testing.executors` has the tests that any
+end. It pulls a request at the moment when it starts the run. `strandline.testing.executors` has the tests that any
 executor must pass.
 """
 
@@ -38,7 +38,7 @@ class Executor(Protocol):
     nothing to start now, but there may be later. It then pulls again as soon as it has handed over all records that it
     has, and not before, since what comes next may follow from them; and at least every half second or so even if
     nothing ends. `run_batches` calls such an executor once, which keeps its workers from batch to batch and makes the
-    next batch beside a slow run. One without this attribute never meets `NOT_NOW`; it is called for each batch.
+    next batch while a slow run goes on. One without this attribute never gets `NOT_NOW`; it is called for each batch.
     """
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:

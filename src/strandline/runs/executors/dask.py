@@ -1,8 +1,8 @@
 """Runs on a Dask cluster: on this machine, in jobs of SLURM or PBS, or wherever a scheduler has its workers.
 
 Each run is submitted to one chosen thread of one worker when that thread is free, never earlier, so that a worker that
-vanishes takes down exactly the runs that it was making: Dask itself would also condemn what waited behind them, or
-repeat for ever what outlives the walltime of its job.
+vanishes takes down exactly the runs that it was making: Dask itself would also give up the runs queued on that worker,
+or repeat for ever a run that outlives the walltime of its job.
 """
 
 import sys
@@ -32,20 +32,22 @@ KINDS = ("local", "slurm", "pbs")
 
 @dataclass(frozen=True)
 class DaskCluster:
-    """Runs on a Dask cluster, each in a worker process of its own beside the Dask worker that was given it.
+    """Runs on a Dask cluster, each in a worker process of its own, started by its Dask worker.
 
     Args:
         cluster: ``local``, worker processes on this machine; ``slurm`` or ``pbs``, one worker per job.
-        address: scheduler that is there already, ``tcp://host:port`` or ``tls://host:port``; instead of a cluster.
-        workers: how many workers, or jobs; the same as `minimum` and `maximum`.
-        minimum: jobs that are kept while there are fewer runs left than jobs.
-        maximum: jobs at most. A job that vanishes is replaced.
-        timeout: seconds after which a run is killed; None for never.
-        jobs: of ``slurm`` and ``pbs``: `cores` (runs at a time in a job), `memory`, `walltime`, `queue`, `account`,
-            `interface`, and lists `extra` (directives of the job) and `prologue` (lines before the worker starts).
+        address: Address of a scheduler that is running already, ``tcp://host:port`` or ``tls://host:port``; instead of
+            a cluster.
+        workers: Number of workers, or jobs; the same as `minimum` and `maximum`.
+        minimum: Number of jobs that are kept while there are fewer runs left than jobs.
+        maximum: Largest number of jobs. A job that vanishes is replaced.
+        timeout: Seconds after which a run is killed; None: never.
+        jobs: Options of jobs of ``slurm`` and ``pbs``: `cores` (runs at a time in a job), `memory`, `walltime`,
+            `queue`, `account`, `interface`, and lists `extra` (directives of the job) and `prologue` (lines before the
+            worker starts).
 
-    A cluster that is started here speaks TLS with a key of its own, and its workers live on where there is `NOT_NOW` a
-    run for them. At an `address`, Dask's own configuration says which keys are used.
+    A cluster that is started here speaks TLS with a key of its own, and its workers stay alive while there is no run
+    for them yet (`NOT_NOW`). At an `address`, Dask's own configuration says which keys are used.
 
     Raises:
         InvalidInput: options that do not fit together; a timeout that the walltime does not leave room for.
@@ -71,7 +73,7 @@ class DaskCluster:
 
     @property
     def kind(self) -> str:
-        """What sort of cluster it is: one of `KINDS`, or ``address``."""
+        """Kind of cluster: one of `KINDS`, or ``address``."""
         return "address" if self.address is not None else self.cluster or "local"
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:

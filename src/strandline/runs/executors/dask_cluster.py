@@ -18,13 +18,12 @@ __all__ = ["JOB_OPTIONS", "Cluster", "opened"]
 JOB_OPTIONS = ("cores", "memory", "walltime", "queue", "account", "interface", "extra", "prologue")
 REACH_SECONDS = 20.0
 LOOPBACK = "127.0.0.1:0"
-"""Where Dask puts the pages about a cluster, which show what runs and ask for no key: any free port, for this machine
-alone."""
+"""Where Dask puts the pages about a cluster, which show what runs and need no key: any free port, local only."""
 LOST_WORKER = "distributed.deploy.lost-worker-timeout"
 LOST_JOB_SECONDS = 2
 """A job that is gone does not come back: it is replaced at once, not after Dask's 15 s."""
 LOST_PROCESS_SECONDS = 15
-"""A process of our own machine is started anew, which takes seconds where much else goes on."""
+"""Seconds to wait for a process on this machine, which is restarted; on a busy machine that takes seconds."""
 
 
 @dataclass
@@ -42,7 +41,7 @@ class Cluster:
             self.maker.adapt(minimum_jobs=jobs, maximum_jobs=max(jobs, 1))
 
     def replace_the_lost(self) -> None:
-        """Have workers of our own machine started that Dask has given up, as it does those that come back too late."""
+        """Restart workers of this machine that Dask has given up, as it does with those that come back too late."""
         if self.maker is None or self.submissions is not None:
             return
         wanted = self.maker.worker_spec
@@ -62,7 +61,7 @@ class Submissions:
     refused: str | None = None
 
     def noted(self, job_type: Any) -> Any:
-        """Return a type of job that leaves word here."""
+        """Return a type of job that reports here."""
         from distributed.core import Status
 
         submissions = self
@@ -82,7 +81,7 @@ class Submissions:
 
 @contextlib.contextmanager
 def opened(kind: str, address: str | None, workers: int, jobs: Mapping[str, Any]) -> Iterator[Cluster]:
-    """Give a cluster with `workers` workers, or jobs; one that was started here is ended afterwards.
+    """Yield a cluster with `workers` workers, or jobs; one that was started here is ended afterwards.
 
     Raises:
         InvalidInput: it does not start, or does not answer.
@@ -111,7 +110,7 @@ def _end(maker: Any) -> None:
 
 @contextlib.contextmanager
 def _client(place: Any, address: str) -> Iterator[Any]:
-    """Give a client of the scheduler at `place`, an address or a cluster of ours."""
+    """Yield a client of the scheduler at `place`, an address or a cluster of ours."""
     from distributed import Client
 
     try:

@@ -43,13 +43,13 @@ class Driver:
     A thread gets runs once it has a worker process that has loaded the model, so that no run waits for its start.
 
     Args:
-        cluster: where the runs are made.
-        setup: model, from `packed_model`.
-        requests: runs to make.
-        timeout: seconds after which a run is killed; None for never.
-        life: seconds that a worker lives; None where it has no end.
-        least: jobs that are kept while there are fewer runs left than jobs.
-        most: threads that are used at most.
+        cluster: Cluster that makes the runs.
+        setup: Model, from `packed_model`.
+        requests: Runs to make.
+        timeout: Seconds after which a run is killed; None: never.
+        life: Seconds that a worker lives; None: no limit.
+        least: Number of jobs that are kept while there are fewer runs left than jobs.
+        most: Largest number of threads that are used.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Driver:
         return free
 
     def _pulled(self) -> RunRequest | None:
-        """Return the next request; None where there is none now, or none any more."""
+        """Return the next request; None where there is none now, or there will be none."""
         if self.exhausted or self.told_to_wait:
             return None
         try:
@@ -224,7 +224,7 @@ class Driver:
             future.release()
 
     def _look(self) -> None:
-        """Learn which workers are there; what was out at one that is not is lost."""
+        """Find out which workers are there; the runs of those that are gone are lost."""
         self.looked = time.monotonic()
         try:
             self.threads = dict(self.cluster.client.nthreads())
@@ -243,7 +243,7 @@ class Driver:
         self._start_processes()
 
     def _forget_the_gone(self) -> None:
-        """Call the runs lost that were out at workers that are not there any more."""
+        """Record as lost the runs of workers that are no longer there."""
         self.ready = {worker: ready for worker, ready in self.ready.items() if worker in self.threads}
         for key in [key for key, (worker, _) in self.starts.items() if worker not in self.threads]:
             self.starts.pop(key)[1].cancel(force=True)
@@ -255,7 +255,7 @@ class Driver:
             self.done.append((out.worker, _vanished(out, f"the Dask worker {out.worker} is gone")))
 
     def _spent(self, worker: str) -> bool:
-        """Tell whether a run started there now might not end before its job does."""
+        """Return whether a run started there now might not end before its job does."""
         if self.life is None or self.timeout is None:
             return False
         return time.monotonic() > self.first_seen[worker] + self.life - self.timeout - 0.5 * SPARE_SECONDS
@@ -263,8 +263,8 @@ class Driver:
     def _retire(self, worker: str) -> None:
         """Let a worker go whose job has too little time left; another job takes its place.
 
-        Dask keeps a worker that holds the only copy of a result, as it may of a run that has just ended, and tells
-        nobody: as long as the worker is there, it is told again.
+        Dask silently keeps a worker that holds the only copy of a result, for example of a run that has just ended. So
+        the request is repeated as long as the worker is there.
         """
         now = time.monotonic()
         if now < self.retired.get(worker, -math.inf) + SECONDS_BETWEEN_DISMISSALS:
@@ -274,7 +274,7 @@ class Driver:
             self.cluster.client.retire_workers([worker], close_workers=True)
 
     def _no_more(self) -> None:
-        """Let jobs go for which there is nothing left to do."""
+        """Release jobs that have nothing left to do."""
         self.exhausted = True
         self.cluster.shrink(max(self.least, len({out.worker for out in self.out.values()})))
 

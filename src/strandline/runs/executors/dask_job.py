@@ -1,4 +1,4 @@
-"""What a Dask worker does with a run: hand it to a worker process of strandline, which takes the harm."""
+"""What a Dask worker does with a run: hand it to a worker process of strandline, so a crash harms only that process."""
 
 import itertools
 import threading
@@ -55,7 +55,7 @@ class DaskJob:
     timeout: float | None
 
     def __call__(self) -> RunRecord | None:
-        """Make the run; nobody hears of it where the driver went away meanwhile.
+        """Make the run; its record goes nowhere if the driver has gone meanwhile.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
@@ -118,7 +118,7 @@ _seats = _Seats()
 
 
 def _wanted() -> Callable[[], bool]:
-    """Return what tells whether the scheduler still wants the task of the calling thread."""
+    """Return a function that says whether the scheduler still wants the task of the calling thread."""
     from distributed import get_worker
 
     worker = get_worker()

@@ -1,4 +1,4 @@
-"""Keys by which the parts of a Dask cluster know each other: who has no key can neither give runs nor take them."""
+"""Keys by which the parts of a Dask cluster know each other: whoever has no key can neither give runs nor take them."""
 
 import contextlib
 import os
@@ -31,7 +31,7 @@ def key_in_memory() -> Any:
 
 @contextlib.contextmanager
 def keys_in_files(parent: Path) -> Iterator[Any]:
-    """Give a new key whose files, for the eyes of this user alone, lie in a folder of their own inside `parent`.
+    """Yield a new key whose files, readable by this user only, lie in a folder of their own inside `parent`.
 
     Jobs find them by their path, which is all that a command line shows. They are removed in the end; those of a driver
     that was killed are removed by the next one on the same machine.

@@ -28,12 +28,12 @@ class LocalProcesses:
     """Runs in worker processes on this machine; a crash or a hang costs the one run that it hits.
 
     Args:
-        workers: how many processes; None for one per core that this process may use. Each computes on one thread.
-        timeout: seconds after which a run is killed; None for never.
+        workers: Number of processes; None: one per core that this process may use. Each computes on one thread.
+        timeout: Seconds after which a run is killed; None: never.
 
-    Workers are fresh interpreters that load the model once. Each run has an empty folder of its own, removed after
-    it. What the simulator prints is kept where the run did not end well. Workers without a run live on where there
-    is `NOT_NOW` one for them.
+    Workers are fresh interpreters that load the model once. Each run has an empty folder of its own, removed after it.
+    What the simulator prints is kept where the run did not end well. Workers without a run stay alive while there is
+    none for them yet (`NOT_NOW`).
     """
 
     workers: int | None = None
@@ -120,7 +120,7 @@ class _Pool:
         self.workers.append(Worker.launch(self.folder, self.launched, self.setup))
 
     def _ask_again(self) -> None:
-        """Pull for the workers that have nothing to do, until they are told to wait once more."""
+        """Pull requests for the idle workers until `NOT_NOW` comes again."""
         idle = [worker for worker in self.workers if worker.ready and not worker.busy]
         self.told_to_wait = not idle
         for worker in idle:
@@ -172,7 +172,7 @@ class _Pool:
         shutil.rmtree(worker.workdir, ignore_errors=True)
 
     def _assign(self, worker: Worker) -> None:
-        """Pull the next request, which starts it, and send it to `worker`; later where all are told to wait."""
+        """Pull the next request, which starts it, and send it to `worker`; try again later after `NOT_NOW`."""
         if self.exhausted or self.told_to_wait:
             return
         try:

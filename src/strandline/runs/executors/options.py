@@ -1,4 +1,4 @@
-"""Options that executors share, and what makes sense of them."""
+"""Options that executors share, and their checks."""
 
 import re
 
@@ -32,7 +32,7 @@ def require_timeout(timeout: float | None) -> None:
 
 
 def require_room_in_walltime(timeout: float | None, walltime: str | None) -> None:
-    """Refuse a timeout that the job of a run may not live to see: it would be killed, and tried again, and again."""
+    """Refuse a timeout longer than the job of a run may last: the run would be killed and tried again and again."""
     if timeout is None or walltime is None:
         return
     longest = walltime_seconds(walltime) - SPARE_SECONDS
@@ -49,7 +49,7 @@ def walltime_seconds(text: str) -> float:
     """Return the seconds of a walltime as SLURM writes it: MM:SS, HH:MM:SS, D-HH, D-HH:MM or D-HH:MM:SS.
 
     Raises:
-        InvalidInput: it is none of these; a bare number is not taken, for SLURM and PBS differ in its unit.
+        InvalidInput: It is none of these; a bare number is refused, since SLURM and PBS differ in its unit.
     """
     found = DAYS.fullmatch(text) or CLOCK.fullmatch(text)
     if found is None:

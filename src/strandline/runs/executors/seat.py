@@ -28,7 +28,7 @@ class Seat:
         self.launched = self.runs = 0
 
     def start(self, *, wanted: Callable[[], bool]) -> bool:
-        """Start the worker process; return whether it has loaded the model, false where it is not `wanted` any more.
+        """Start the worker process; return whether it has loaded the model, false if it is no longer `wanted`.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
@@ -36,9 +36,9 @@ class Seat:
         return self._ready_worker(wanted) is not None
 
     def run(self, request: RunRequest, timeout: float | None, *, wanted: Callable[[], bool]) -> RunRecord | None:
-        """Return what came of a run; one that is not `wanted` any more is stopped within half a second, as out of time.
+        """Return the outcome of a run; one that is no longer `wanted` is stopped within half a second, as out of time.
 
-        None where it was not wanted any more before it began.
+        None if it was no longer wanted before it began.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
@@ -62,7 +62,7 @@ class Seat:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _ready_worker(self, wanted: Callable[[], bool]) -> Worker | None:
-        """Return a worker that has loaded the model; None where nobody wants one any more."""
+        """Return a worker that has loaded the model; None if it is no longer wanted."""
         if self.worker is not None and self.worker.gone():
             self._drop()
         killed = 0
@@ -118,6 +118,6 @@ def killed_while_starting(times: int) -> InvalidInput:
     return InvalidInput(
         "worker processes are killed before they have loaded the model",
         value=f"{times} times",
-        expected="workers that live until they are told to go",
+        expected="workers that run until they are asked to stop",
         remedy="Look for what kills them (memory?), or use fewer workers.",
     )

@@ -1,7 +1,7 @@
 """Runs as the jobs of SLURM arrays, which go on without a driver: for long runs, and for such as use MPI.
 
-The executor keeps nothing in memory that counts: what was submitted, and what has come back, lies in the folders of
-its batches. A driver that was killed, or left, is followed by one that collects.
+The executor keeps nothing in memory that counts: what was submitted, and what has come back, lies in the folders of its
+batches. After a driver that was killed, or left, another one can collect the results.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ from strandline.runs.run_file import read_run
 __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
 
 UNUSABLE = "model_not_loaded"
-"""Failure kind of a run whose job could not load the model: that says nothing about the run."""
+"""Failure kind of a run whose job could not load the model: this does not count as a result of the run."""
 LOOKS_FOR_A_LATE_RESULT = 4
-"""So often is a job looked at that has ended without a result, which may be on its way through a file system."""
+"""Number of looks at a job that has ended without a result, which may still be on its way through a file system."""
 WARNING_SECONDS = 45
 GOING = frozenset({"PENDING", "RUNNING", "CONFIGURING", "COMPLETING", "SUSPENDED", "STAGE_OUT", "SIGNALING", "STOPPED"})
 ENDINGS: Mapping[str, tuple[State, str]] = {
@@ -45,7 +45,7 @@ ENDINGS: Mapping[str, tuple[State, str]] = {
 
 
 class Detached(StrandlineError):
-    """Everything that can be submitted is, and the driver was told not to wait; `number` runs are out."""
+    """Everything that can be submitted is submitted, and the driver does not wait; `number` runs are out."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -57,20 +57,20 @@ class SlurmArray:
     """Runs as jobs of SLURM arrays, one run a job; they go on where the driver does not.
 
     Args:
-        folder: where batches lie; on a file system that the nodes see.
-        command: what a job runs, followed by the batch's folder and the run's number; `strandline.runs.array_task`
-            has what it must do.
-        timeout: seconds after which a run is killed; None for never.
-        walltime: of a job; a run that comes to its end is a ``timeout``.
-        partition: left out, the cluster's own.
-        account: left out, the user's own.
-        cpus: of a job.
-        memory: of a job, as SLURM writes it.
-        max_running: how many jobs may run at the same time.
-        max_jobs: how many jobs may be with SLURM at the same time; left out, all.
-        extra: further options of ``sbatch``.
-        poll: seconds between two looks.
-        detach: submit and leave, by raising `Detached`.
+        folder: Folder of the batches, on a file system that the nodes see.
+        command: Command that a job runs, followed by the batch's folder and the run's number;
+            `strandline.runs.array_task` shows what it must do.
+        timeout: Seconds after which a run is killed; None: never.
+        walltime: Walltime of a job; a run that reaches its end is a ``timeout``.
+        partition: Partition; by default the cluster's.
+        account: Account; by default the user's.
+        cpus: Number of CPUs of a job.
+        memory: Memory of a job, as SLURM writes it.
+        max_running: Largest number of jobs that run at the same time.
+        max_jobs: Largest number of jobs that SLURM has at the same time; by default all.
+        extra: Further options of ``sbatch``.
+        poll: Seconds between two looks.
+        detach: Whether to submit and leave, by raising `Detached`.
 
     Raises:
         InvalidInput: options that make no sense; a timeout that the walltime does not leave room for.
@@ -134,7 +134,7 @@ class SlurmArray:
         return [*fixed, *(f"--{name}={value}" for name, value in given.items() if value is not None), *self.extra]
 
     def _warning(self) -> int:
-        """Return how many seconds before the end of its walltime a job is told of it: at most a tenth of it."""
+        """Return how many seconds before the end of its walltime a job is warned: at most a tenth of the walltime."""
         return (
             WARNING_SECONDS
             if self.walltime is None
@@ -189,7 +189,7 @@ class _Driver:
                 time.sleep(self.options.poll)
 
     def _pull(self, known: Mapping[str, tuple[Batch, int]]) -> None:
-        """Pull what there is room for; half of the room at least, so that arrays are worth their name."""
+        """Pull what there is room for, at least half of the room, so that arrays do not become tiny."""
         most = self.options.max_jobs
         if self.exhausted or (most is not None and len(self.out) + len(self.waiting) > most // 2):
             return
@@ -223,7 +223,7 @@ class _Driver:
         batch = Batch.new(self.options.folder.resolve(), self.model, requests, self.options.timeout)
         script = batch.folder / "job.sh"
         command = shlex.join([*self.options.command, str(batch.folder)])
-        # A warning that comes before the job can hear it must not kill it: SLURM then tells of the walltime's end.
+        # A warning that comes before the job handles it must not kill it: SLURM then reports the walltime's end.
         lines = ["#!/bin/bash", "trap '' USR1", f'exec {command} "$SLURM_ARRAY_TASK_ID"', ""]
         script.write_text("\n".join(lines), encoding="utf-8")
         logs = str(batch.folder / "logs" / "A.txt").replace("%", "%%").removesuffix("A.txt") + "%a.txt"
@@ -279,7 +279,7 @@ class _Driver:
         return record
 
     def _give_up(self, batch: Batch) -> None:
-        """Cancel a batch that cannot come to anything."""
+        """Cancel a batch that cannot succeed."""
         with contextlib.suppress(slurm.SlurmUnreachable):
             slurm.cancel(batch.name)
         batch.remove()
@@ -293,7 +293,7 @@ class _Driver:
 
 
 def _found(batch: Batch) -> bool:
-    """Tell whether SLURM has the job of a batch whose driver did not live to note its number."""
+    """Return whether SLURM has the job of a batch whose driver did not live to note its number."""
     job = slurm.job_called(batch.name)
     if job is not None:
         batch.submitted(job)

@@ -32,12 +32,12 @@ class Batch:
     """One submitted array.
 
     Args:
-        folder: where its files lie; its name is that of the job.
-        created: when, in seconds since 1970.
-        fingerprint: of the model.
-        sensitivities: whether the model is asked for them.
-        timeout: seconds after which a run is killed.
-        requests: the runs, by their number in the array.
+        folder: Folder of its files; its name is that of the job.
+        created: Time of its creation, seconds since 1970.
+        fingerprint: Fingerprint of the model.
+        sensitivities: Whether the model is asked for sensitivities.
+        timeout: Seconds after which a run is killed.
+        requests: The runs, by their number in the array.
     """
 
     folder: Path
@@ -70,7 +70,7 @@ class Batch:
         """Return the batch in `folder`.
 
         Raises:
-            FileNotFoundError: there is none, or none any more.
+            FileNotFoundError: There is none, or it has been removed.
         """
         content = json.loads((folder / BATCH).read_text(encoding="utf-8"))
         requests = tuple(RunRequest(run["key"], run["inputs"]) for run in content["runs"])
@@ -80,7 +80,7 @@ class Batch:
 
     @property
     def name(self) -> str:
-        """Of the job, and of the folder."""
+        """Name of the job and of the folder."""
         return self.folder.name
 
     @property

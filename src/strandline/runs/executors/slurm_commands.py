@@ -14,14 +14,14 @@ DEFAULT_LARGEST_ARRAY = 1001
 
 
 class SlurmUnreachable(InvalidInput):
-    """SLURM did not answer, or refused; it may do better later."""
+    """SLURM did not answer, or refused; it may work later."""
 
 
 def submit(options: Sequence[str], script: Path) -> str:
     """Submit `script` and return the number of its job.
 
     Raises:
-        SlurmUnreachable: with what sbatch said.
+        SlurmUnreachable: The command sbatch fails; the message holds what it said.
     """
     return _said("sbatch", "--parsable", *options, str(script)).strip().partition(";")[0]
 

@@ -1,6 +1,5 @@
 """A surrogate of the interface as a field: modes of its displacement, and a Gaussian process for each."""
 
 from strandline.surrogate.field.field import FieldPrediction, FieldSurrogate, FieldTraining, fewest_runs, fit_field
-from strandline.surrogate.field.one_thread import one_thread
 
-__all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field", "one_thread"]
+__all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field"]

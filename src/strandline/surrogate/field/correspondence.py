@@ -25,10 +25,10 @@ class Layout:
     """What the points of one condition's interface are in all runs.
 
     Args:
-        template: an interface that has these points, for its cells and the weights of its points.
-        way: the nodes where they correspond; for want of that, points at equal shares of the arclength of a polyline,
-            or the template's nodes projected onto a surface.
-        reference: the template, to project onto surfaces; None for the other ways.
+        template: An interface that has these points, for its cells and the weights of its points.
+        way: The nodes where they correspond; otherwise points at equal shares of the arclength of a polyline, or the
+            template's nodes projected onto a surface.
+        reference: The template, to project onto surfaces; None in the other ways.
     """
 
     template: Interface

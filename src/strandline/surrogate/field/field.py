@@ -1,7 +1,7 @@
 """A surrogate of what the simulator returns: the interface as a field over the inputs.
 
-Interfaces → fields over common points → modes (POD) → one Gaussian process a mode. It serves every measure, noise and
-observation, and is far smoother in the inputs than a log-likelihood is.
+Interfaces → fields over common points → modes (POD) → one Gaussian process a mode. It works for every measure, noise
+and observation, and is far smoother in the inputs than a log-likelihood is.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,10 +12,10 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
+from strandline.numerics.one_thread import one_thread
 from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
 from strandline.surrogate.field.modes import Modes, decompose
-from strandline.surrogate.field.one_thread import one_thread
 from strandline.surrogate.field.restricted_evidence import Observed
 from strandline.surrogate.field.warping import WARPS, Warping, eligible
 
@@ -32,11 +32,12 @@ class FieldTraining:
     """Successful runs.
 
     Args:
-        x: physical inputs (run, dim).
-        interfaces: of each run by condition.
-        gradients: of each run by condition, d(points)/d(inputs) (point, xyz, dim) in mm per unit; None without.
-        low: lower corner of the box of the inputs.
-        high: upper corner.
+        x: Physical inputs (run, dim).
+        interfaces: Interfaces of each run by condition.
+        gradients: Derivatives d(points)/d(inputs) of each run by condition (point, xyz, dim), mm per unit of the input;
+            None: there are none.
+        low: Lower corner of the box of the inputs.
+        high: Upper corner of the box of the inputs.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -59,12 +60,12 @@ class FieldSurrogate:
     """The interface of every condition as a function of the inputs.
 
     Args:
-        layouts: of the points, by condition.
-        warping: of the inputs.
-        modes: of the field.
-        processes: one for each mode.
-        registration_error: largest root mean square error of bringing a run's interface to the layout, mm.
-        gradients: whether sensitivities were learnt from.
+        layouts: Layouts of the points by condition.
+        warping: Warping of the inputs.
+        modes: Modes of the field.
+        processes: Processes, one for each mode.
+        registration_error: Largest root mean square error of bringing a run's interface to the layout, mm.
+        gradients: Whether it was trained with sensitivities too.
     """
 
     layouts: Mapping[str, Layout]
@@ -101,8 +102,8 @@ class FieldSurrogate:
         """Return the points of the interfaces by condition, mm.
 
         Args:
-            coefficients: of the modes.
-            tail: standard normal numbers by which what the modes leave is added; without, it is left out.
+            coefficients: Coefficients of the modes (draw, mode), mm.
+            tail: Standard normal numbers that multiply the remainder which the modes leave; None leaves it out.
         """
         fields = self.modes.fields(coefficients)
         if tail is not None:
@@ -141,14 +142,14 @@ def fewest_runs(dim: int, *, gradients: bool) -> int:
 
 
 def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> FieldSurrogate:
-    """Return the surrogate of the field that these runs are of; a function of them alone.
+    """Return the surrogate of the field from these runs; the result depends on nothing else.
 
     Inputs that are positive over a wide box may enter by their logarithm or their reciprocal, first all of them alike,
     then one after the other: the warp with the smallest leave-one-run-out error of the leading modes is taken.
 
     Args:
-        training: the runs.
-        tolerance: of the root mean square along the interface that the modes leave, mm.
+        training: The runs.
+        tolerance: Largest root mean square along the interface that the modes may leave, mm.
 
     Raises:
         TooFewRuns: fewer than `fewest_runs`.

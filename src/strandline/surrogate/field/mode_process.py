@@ -41,11 +41,11 @@ class ModeProcess:
     """The process of one coefficient; inputs of all methods are standardised.
 
     Args:
-        observed: what it was conditioned on.
-        lengths: length scales, in standard deviations of the inputs.
-        nugget: noise variance relative to that of the process.
-        factors: of its covariance.
-        widening: factor of all variances, at least 1, by which the errors of left-out runs exceed what they should be.
+        observed: Data that it was conditioned on.
+        lengths: Length scales, in standard deviations of the inputs.
+        nugget: Noise variance relative to that of the process.
+        factors: Factors of its covariance.
+        widening: Factor of all variances, at least 1, by which the errors of left-out runs exceed what they should be.
     """
 
     observed: Observed
@@ -75,7 +75,7 @@ class ModeProcess:
         return np.asarray(found + self._trend(z) @ self.factors.coefficients)
 
     def variance(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return the posterior variance of the coefficient, what is not known of its mean function included."""
+        """Return the posterior variance of the coefficient, including the uncertainty of its mean function."""
         half, of_mean = self._reduced(z)
         explained = np.einsum("rp,rp->p", half, half) - np.einsum("tp,tp->p", of_mean, of_mean)
         return np.asarray(self.scale * np.maximum(1.0 - explained, 0.0))
@@ -128,7 +128,7 @@ def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
     `quick`: from one start and for few iterations, to compare.
 
     Raises:
-        NumericsError: no start of the optimiser came to hyperparameters with a covariance that can be factorised.
+        NumericsError: No start of the optimiser led to hyperparameters with a covariance that can be factorised.
     """
     dim = observed.z.shape[1]
     box = [tuple(map(math.log, LENGTHS))] * dim + [tuple(map(math.log, NUGGETS))]

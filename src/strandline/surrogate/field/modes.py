@@ -19,10 +19,10 @@ class Modes:
     """An orthonormal basis of the fields seen; the squared norm of a field is its mean square along the interface.
 
     Args:
-        mean: field of the mean (value,), mm.
-        roots: square roots of the weights of the values, whose squares sum to the number of conditions.
-        basis: orthonormal weighted fields of the modes (mode, value).
-        tail: weighted fields of what was cut off, times their standard deviations over the runs (rest, value), mm.
+        mean: Mean field (value,), mm.
+        roots: Square roots of the weights of the values, whose squares sum to the number of conditions.
+        basis: Orthonormal weighted fields of the modes (mode, value).
+        tail: Weighted fields of what was cut off, times their standard deviations over the runs (rest, value), mm.
     """
 
     mean: Float[np.ndarray, " value"]
@@ -58,10 +58,11 @@ def decompose(
     """Return the fewest modes that leave a root mean square of the fields below `tolerance`, mm.
 
     Args:
-        fields: one row a run.
-        weights: share of the interface that each value stands for.
-        derivatives: of the fields by the standardised inputs; their directions are spanned too.
-        tolerance: of the remainder, mm.
+        fields: Fields (run, value), mm.
+        weights: Share of the interface that each value stands for.
+        derivatives: Derivatives of the fields by the standardised inputs (run, value, dim), whose directions the modes
+            span too; None: there are none.
+        tolerance: Largest root mean square of the remainder, mm.
     """
     mean, roots = fields.mean(axis=0), np.sqrt(weights)
     centred = (fields - mean) * roots

@@ -1,4 +1,4 @@
-"""Which of many interfaces differ in kind from the others: the exceptions that make no field with the rest."""
+"""Which of many interfaces differ in kind from the others, so that they cannot form one field with the rest."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ NEARER = 0.1
 
 
 def flipped(interface: Interface | None, other: Interface) -> bool:
-    """Tell whether a polyline is, beyond doubt, `other` (or one close to it) run through the other way round."""
+    """Return whether a polyline is clearly `other`, or one close to it, in the opposite direction."""
     if interface is None or interface.dim != 2 or other.dim != 2 or interface.closed != other.closed:
         return False
     if interface.closed:

@@ -20,9 +20,9 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from strandline.discrepancy.memo import Snapshot
-from strandline.discrepancy.nearest import closest_points, squared_distances
+from strandline.discrepancy.search.nearest import closest_points, squared_distances
 from strandline.interface import Interface
-from strandline.triangles import shortest_altitudes, vector_areas
+from strandline.interface.triangles import shortest_altitudes, vector_areas
 
 __all__ = ["Projection", "Reference", "common_reference"]
 
@@ -43,7 +43,7 @@ Points = Float[np.ndarray, "point 3"]
 
 
 class Topology(NamedTuple):
-    """What no displacement changes."""
+    """Properties of a surface that no displacement changes."""
 
     parts: int
     rims: int
@@ -57,8 +57,8 @@ class Projection(NamedTuple):
     """The reference's nodes on a surface, mm.
 
     Args:
-        points: in the reference's order.
-        error: root mean square distance of the surface's nodes from the triangles between the points, or of the nodes
+        points: Points (point, xyz) in the reference's order.
+        error: Root mean square distance of the surface's nodes from the triangles between the points, or of the nodes
             of its rim from the sides between the points of the rim, whichever is larger, mm.
     """
 
@@ -80,7 +80,7 @@ class Reference:
 
     @cached_property
     def topology(self) -> Topology:
-        """Of its triangles."""
+        """Topology of its triangles."""
         return _topology(self.surface)
 
     @cached_property
@@ -101,7 +101,7 @@ class Reference:
         return out
 
     def on(self, surface: Interface) -> "Projection | str":
-        """Return its nodes on `surface`, whichever side that faces; or, in words, why that makes no sense."""
+        """Return its nodes on `surface`, whichever side that faces; or, in words, why that is impossible."""
         key = blake2b(surface.points.tobytes() + surface.cells.tobytes()).digest()
         if key not in self.known:
             self.known[key] = _project(surface, self)

@@ -22,10 +22,10 @@ class Observed:
     """What is known of one function: values, and gradients where there are any.
 
     Args:
-        z: inputs, standardised (run, dim).
-        values: (run,).
-        gradients: by the standardised inputs (run, dim), or None.
-        linear: whether the mean is linear in the inputs or constant.
+        z: Inputs, standardised (run, dim).
+        values: Values of the function (run,).
+        gradients: Derivatives by the standardised inputs (run, dim), or None.
+        linear: Whether the mean is linear in the inputs or constant.
     """
 
     z: Float[np.ndarray, "run dim"]
@@ -45,14 +45,14 @@ class Conditioned:
     """Factors of a process with given hyperparameters; N observations, p terms of the mean.
 
     Args:
-        cholesky: lower factor of K + τ I.
-        trend: F.
-        solved_trend: (K + τ I)⁻¹ F.
-        normal: Fᵀ (K + τ I)⁻¹ F.
-        coefficients: b.
-        residual: y - F b.
-        alpha: (K + τ I)⁻¹ residual.
-        variance: s².
+        cholesky: Lower factor of K + τ I.
+        trend: Terms F of the mean at the observations.
+        solved_trend: Solution (K + τ I)⁻¹ F.
+        normal: Normal matrix Fᵀ (K + τ I)⁻¹ F.
+        coefficients: Coefficients b of the mean.
+        residual: Residual y - F b.
+        alpha: Solution (K + τ I)⁻¹ residual.
+        variance: Variance s² of the process.
     """
 
     cholesky: Float[np.ndarray, "row row"]

@@ -34,7 +34,7 @@ class Warping:
     Args:
         names: a warp of `WARPS` for each input.
         low: lower corner of the box of the inputs.
-        high: upper corner.
+        high: upper corner of the box of the inputs.
     """
 
     names: tuple[str, ...]

@@ -61,7 +61,7 @@ class Ard:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """See `Pairs`. Distances are computed anew each time: a matrix for each input would not fit in memory."""
+    """See `Pairs`. Distances are computed again each time: a matrix for each input would not fit in memory."""
 
     radial: Isotropic
     columns: Float[np.ndarray, "dim run"]

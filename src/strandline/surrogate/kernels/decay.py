@@ -1,8 +1,8 @@
 """exp(x) of arguments that are not positive, for the hot loop of the sampler: cheaper than JAX's own on a CPU.
 
-The nearest whole number of x log₂e goes into the exponent of the result, the rest through a polynomial of degree 9. No
-cases are told apart, but that results below 1e-270 are cut there. It pays where a radial kernel is summed (a fifth of
-the time); in a product of kernels, whose loop has more in its registers, JAX's own is quicker.
+The nearest whole number of x log₂e goes into the exponent of the result, the rest through a polynomial of degree 9.
+There are no special cases, except that results below 1e-270 are cut there. It pays where a radial kernel is summed (a
+fifth of the time); in a product of kernels, whose loop has more in its registers, JAX's own is quicker.
 """
 
 from typing import Any

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from strandline.numerics.linear_algebra import distances
 from strandline.surrogate.kernels.protocol import Array
 from strandline.surrogate.kernels.tiles import Tile, add_over_tiles, clear_above, over_tiles
-from strandline.surrogate.linear_algebra import distances
 
 __all__ = ["Isotropic"]
 

@@ -1,7 +1,7 @@
 """Products over the inputs of one-dimensional correlation functions p(t) exp(-t), t = κ |x - x'| / l.
 
-Each input has a length l of its own, and the whole one variance: of a variance for each factor only the product could
-be told from data. The Matérn functions of half-integer order have this form, and their product needs a single
+Each input has a length l of its own, and the whole has one variance: if each factor had its own, data could determine
+only their product. The Matérn functions of half-integer order have this form, and their product needs a single
 exponential: c = Π_d p(t_d) · exp(-Σ_d t_d). Relative to c, and with u = (x - x') / l:
 
 - ∂c/∂u_d = -κ² u_d q(t_d) c with the decline q(t) = (p - p') / (t p);
@@ -83,7 +83,7 @@ class Product:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """See `Pairs`. Distances are computed anew each time: a matrix for each input would not fit in memory."""
+    """See `Pairs`. Distances are computed again each time: a matrix for each input would not fit in memory."""
 
     kernel: Product
     columns: Float[np.ndarray, "dim run"]

@@ -1,7 +1,7 @@
 """The lower triangle of a matrix in tiles that stay in the cache, done by several threads where that is worth it.
 
-NumPy lets go of the interpreter within an operation on a tile, so that threads overlap. There are as many as
-``OMP_NUM_THREADS`` says, the limit that BLAS keeps as well; left out, as many as the process has cores.
+NumPy releases the interpreter within an operation on a tile, so that threads overlap. There are as many as
+``OMP_NUM_THREADS`` says, the limit that BLAS keeps as well; by default, as many as the process has cores.
 """
 
 import os

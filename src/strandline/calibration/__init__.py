@@ -1,0 +1,6 @@
+"""From a problem to its posterior: `calibrate` is the whole method on one screen."""
+
+from strandline.calibration.method import calibrate
+from strandline.calibration.problem import Calibration, Observer, Problem, Settings
+
+__all__ = ["Calibration", "Observer", "Problem", "Settings", "calibrate"]

@@ -1,0 +1,285 @@
+"""The forward runs of a calibration and what they teach: surrogates of the log-likelihood, or of the field."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration.problem import Observer, Problem, Settings, Stopwatch
+from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
+from strandline.design import sobol
+from strandline.design.active import Active, ActiveRuns, Certificate, Knowledge, learn
+from strandline.design.refinement import Learnt, Refinement, Round, refine
+from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
+from strandline.likelihood.set_aside import Judge, SetAside
+from strandline.parameters import ParameterSpace
+from strandline.runs import (
+    Executor,
+    Ledger,
+    RunRecord,
+    run_batches,
+    run_campaign,
+)
+from strandline.runs.executors import usable_cores
+from strandline.runs.failures import counted
+from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood
+
+__all__ = ["Learning", "Lesson"]
+
+LARGEST_BATCH = 16
+"""Runs of an active design chosen together where nobody says how many, at most."""
+ROUNDS_INSTEAD = 4
+"""Rounds of refinement that make the second half of an active design's runs where there can be no field."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What all forward runs have taught.
+
+    Args:
+        learnt: Runs, and surrogates of the log-likelihood; with a field, to compare.
+        rounds: Rounds of refinement.
+        knowledge: What is known of the field; None where the surrogate is one of the log-likelihood.
+        certificate: What speaks for an active design; None for a fixed one.
+        no_field: Why there is no surrogate of the field although the settings ask for one.
+        set_aside: Runs that ended ok and were not used.
+    """
+
+    learnt: Learnt
+    rounds: tuple[Round, ...] = ()
+    knowledge: Knowledge | None = None
+    certificate: Certificate | None = None
+    no_field: str | None = None
+    set_aside: tuple[SetAside, ...] = ()
+
+    def target(self, space: ParameterSpace) -> Target:
+        """Return the log-likelihood to sample from."""
+        surrogates = [one.process for one in self.learnt.surrogates.values()]
+        if self.knowledge is None:
+            return LogLikelihoodTarget(surrogates[0], space)
+        return FieldTarget(self.knowledge, space, self.certificate, next(iter(surrogates), None))
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """What a `Calibration` reports of the runs, by the names of its fields."""
+        learnt = self.learnt
+        return {
+            "records": learnt.records,
+            "training": learnt.training,
+            "log_likelihoods": learnt.log_likelihoods,
+            "surrogates": learnt.surrogates,
+            "rounds": self.rounds,
+            "no_field": self.no_field,
+            "set_aside": self.set_aside,
+        }
+
+
+@dataclass(frozen=True)
+class Learning:
+    """The forward runs and the surrogates of one calibration."""
+
+    problem: Problem
+    settings: Settings
+    ledger: Ledger
+    executor: Executor
+    tell: Observer
+    watch: Stopwatch
+
+    @cached_property
+    def judge(self) -> Judge:
+        """Says which runs can be used."""
+        return Judge(self.problem.observations, self.problem.discrepancies, self.settings.failures)
+
+    def lesson(self, given: Float[np.ndarray, "run dim"] | None) -> Lesson:
+        """Make all forward runs and learn from them, by the surrogate that the settings name where that can be.
+
+        Args:
+            given: Inputs of finished runs to begin with, shape (run, dim), in place of the Sobol design.
+        """
+        begin = self._first(self.settings.runs) if given is None else given
+        if self.settings.surrogate == "log_likelihood":
+            return self._refined(begin, self.settings.refine)
+        choosing = None if self.settings.active is None else self._active(self.settings.active)
+        if choosing is not None:
+            choosing.design.start(begin, given=given is not None)
+        try:
+            learnt, knowledge = self._by_field(begin, choosing)
+        except NoCommonPoints as error:
+            self.judge.forget_exceptions()
+            asked = begin if choosing is None else choosing.asked
+            return replace(self._instead(asked), no_field=str(error.value))
+        certificate = None if choosing is None else choosing.certificate
+        aside = self.judge.set_aside(learnt.records)
+        return Lesson(learnt, knowledge=knowledge, certificate=certificate, set_aside=aside)
+
+    def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
+        space = self.problem.space
+        return space.to_physical(sobol(number, space.dim, scramble=self.settings.scramble))
+
+    def _refined(self, first: Float[np.ndarray, "run dim"], refinement: Refinement) -> Lesson:
+        learnt, rounds = refine(
+            self.extend(None, first),
+            self.extend,
+            self.problem.space,
+            refinement,
+            particles=self.settings.particles,
+            seed=self.settings.seed,
+            stage=lambda: self.watch("refinement", self.tell),
+        )
+        return Lesson(learnt, rounds, set_aside=self.judge.set_aside(learnt.records))
+
+    def _instead(self, asked: Float[np.ndarray, "run dim"]) -> Lesson:
+        """Learn the log-likelihood from the runs `asked` for so far, and from what an active design may still make.
+
+        Half of all runs are spread over the box, the others are made where the posterior lies.
+        """
+        most = len(asked) if self.settings.active is None else max(self.settings.active.runs, len(asked))
+        more = max(most - ROUNDS_INSTEAD * (most // (2 * ROUNDS_INSTEAD)) - len(asked), 0)
+        if more:
+            further = self._first(self.settings.runs + more)[self.settings.runs :]
+            self.tell.draws(self._inputs(further))
+            asked = np.concatenate([asked, further])
+        runs = (most - len(asked)) // ROUNDS_INSTEAD
+        return self._refined(asked, Refinement(ROUNDS_INSTEAD, runs) if runs else Refinement())
+
+    def extend(self, known: Learnt | None, points: Float[np.ndarray, "run dim"]) -> Learnt:
+        """Run the model at `points`, behind the known runs, and train the surrogates with all of them."""
+        with self.watch("forward", self.tell):
+            if known is not None:
+                self.tell.draws(self._inputs(points))
+            records = run_campaign(
+                self.problem.model,
+                self._inputs(points),
+                ledger=self.ledger,
+                executor=self.executor,
+                on_record=self.tell.run,
+                policy=self.settings.failures,
+            )
+        if known is not None:
+            points, records = np.concatenate([known.design, points]), (*known.records, *records)
+        with self.watch("surrogate", self.tell):
+            records = self.judge.usable(records)
+            training, log_likelihoods = _training_set(self.judge, points, records)
+            surrogates = _trained(training, log_likelihoods, self.settings.kernel)
+        return Learnt(points, records, training, log_likelihoods, surrogates)
+
+    def _by_field(self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None) -> tuple[Learnt, Knowledge]:
+        """Run the model at `first`, and where the active design wants; learn the field.
+
+        The surrogates of the log-likelihood are trained beside it, to compare, where they can be.
+        """
+        space = self.problem.space
+        with self.watch("forward", self.tell):
+            records = self._run(first, choosing)
+        points = np.array([[record.inputs[name] for name in space.names] for record in records], float)
+        with self.watch("surrogate", self.tell):
+            if choosing is None or choosing.design.state is None:
+                knowledge, records = self._known_field(points, records)
+            else:
+                knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
+            training, log_likelihoods = _training_set(self.judge, points, records)
+            surrogates = _to_compare(training, log_likelihoods, self.settings.kernel)
+        return Learnt(points, records, training, log_likelihoods, surrogates), knowledge
+
+    def _known_field(
+        self, points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    ) -> tuple[Knowledge, tuple[RunRecord, ...]]:
+        """Learn the field; return the records too, those that it was not learnt from turned into invalid ones."""
+        measure = next(iter(self.problem.discrepancies.values()))
+        while True:
+            used = self.judge.usable(records)
+            _require_enough(sum(record.ok for record in used), used, self.problem.space.dim)
+            try:
+                return learn(points, used, self.problem.space, self.judge.observations, measure), used
+            except NoCommonPoints as error:
+                self.judge.without_exceptions(records, error)
+
+    def _run(self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
+        model, inputs = self.problem.model, self._inputs(first)
+        common: dict[str, Any] = {
+            "ledger": self.ledger,
+            "executor": self.executor,
+            "on_record": self.tell.run,
+            "policy": self.settings.failures,
+        }
+        if choosing is None:
+            return run_campaign(model, inputs, **common)
+
+        def choose(records: Sequence[RunRecord]) -> Sequence[Mapping[str, float]]:
+            batch = self._inputs(choosing(records))
+            if batch:
+                self.tell.draws(batch)
+            return batch
+
+        return run_batches(model, [inputs], choose, patience=choosing.active.patience, **common)
+
+    def _active(self, active: Active) -> ActiveRuns:
+        workers = getattr(self.executor, "workers", None) or usable_cores()
+        return ActiveRuns(
+            active=active,
+            space=self.problem.space,
+            discrepancy=next(iter(self.problem.discrepancies.values())),
+            batch=active.batch or min(max(workers, 2), LARGEST_BATCH),
+            seed=self.settings.seed,
+            scramble=self.settings.scramble,
+            judge=self.judge,
+            aside=lambda: self.watch("choice", self.tell),
+            on_step=self.tell.step,
+            told=self.tell.batch,
+        )
+
+    def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:
+        return [{**self.problem.fixed, **self.problem.space.as_mapping(x)} for x in points]
+
+
+def _trained(
+    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], kernel: str
+) -> dict[str, LogLikelihoodSurrogate]:
+    """Return a surrogate for each measure; none of one, beside the first, that too few runs can be compared by."""
+    found = {}
+    for name, values in log_likelihoods.items():
+        usable = np.isfinite(values)
+        if usable.all():
+            found[name] = fit_log_likelihood(training, values, kernel=kernel)
+        elif usable.sum() >= training.shape[1] + 2:
+            found[name] = fit_log_likelihood(training[usable], values[usable], kernel=kernel)
+    return found
+
+
+def _to_compare(
+    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], kernel: str
+) -> dict[str, LogLikelihoodSurrogate]:
+    """Return the surrogates of the log-likelihood, none where one cannot be trained."""
+    try:
+        return _trained(training, log_likelihoods, kernel)
+    except (NumericsError, TooFewRuns):
+        return {}
+
+
+def _training_set(
+    judge: Judge, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
+    """Return the inputs of the usable runs and their log-likelihood under each measure, NaN where it has none."""
+    succeeded = [i for i, record in enumerate(records) if record.ok]
+    _require_enough(len(succeeded), records, design.shape[1])
+    values = {name: np.array([judge.value(name, records[i]) for i in succeeded]) for name in judge.likelihoods}
+    return design[succeeded], values
+
+
+def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> None:
+    needed = dim + 2
+    if succeeded >= needed:
+        return
+    kinds = Counter(record.failure_kind or record.state for record in records if not record.ok)
+    shown = counted(dict(kinds.most_common(3))) or "none failed"
+    last = next((record.message for record in records if record.message), "")
+    raise TooFewRuns(
+        "every forward run failed" if succeeded == 0 else "too few successful forward runs",
+        value=f"{succeeded} of {len(records)} ({shown}{'; e.g. ' + last.splitlines()[0] if last else ''})",
+        expected=f"at least {needed} for a Gaussian process in {dim} dimension(s)",
+        remedy="Enlarge the design, or look at the failures with `strandline status`.",
+    )

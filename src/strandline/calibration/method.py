@@ -1,0 +1,118 @@
+"""The whole method on one screen: from a problem to the posterior.
+
+priors → Sobol design → forward runs → discrepancy → surrogate of the log-likelihood (→ further runs where the posterior
+lies → better surrogate) → tempered SMC → posterior. Or: forward runs → surrogate of the interface as a field (→ batches
+chosen on the posterior so far) → discrepancy of the predicted interface → tempered SMC → posterior.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration.cut_posterior import under_uncertainty
+from strandline.calibration.learning import Learning
+from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
+from strandline.calibration.targets import Target
+from strandline.models.protocol import require_conditions
+from strandline.numerics.precision import use_double
+from strandline.parameters import ParameterSpace
+from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
+from strandline.runs import Executor, InProcess, Ledger
+from strandline.smc import SMCResult, sample
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    problem: Problem,
+    settings: Settings | None = None,
+    *,
+    ledger: Ledger | Path | str | None = None,
+    executor: Executor | None = None,
+    observer: Observer | None = None,
+    given: Float[np.ndarray, "run dim"] | None = None,
+) -> Calibration:
+    """Return the posterior of the unknown inputs of `problem`.
+
+    Finished runs in the ledger are not repeated. The same arguments give the same result to the bit, whatever order the
+    runs ended in. If the runs' interfaces have no common points, the log-likelihood is learnt instead of the field.
+
+    Args:
+        problem: Simulator, inputs with their priors, observations and measures.
+        settings: How the posterior is computed.
+        ledger: Where forward runs are kept, a ledger or its path; forgotten afterwards if omitted.
+        executor: Where forward runs are made; in this process if omitted.
+        observer: Functions to call as the work goes on.
+        given: Inputs of finished runs to begin with, shape (run, dim), in place of the Sobol design.
+
+    Raises:
+        InvalidInput: An observed condition that the model does not have; raised before any run.
+        CampaignStopped: As `settings.failures` says; what is finished is in the ledger.
+        TooFewRuns: Fewer successful runs than the Gaussian process needs.
+    """
+    if not isinstance(ledger, Ledger):
+        with _opened(ledger, problem) as opened:
+            return calibrate(problem, settings, ledger=opened, executor=executor, observer=observer, given=given)
+    use_double()
+    require_conditions((o.condition for o in problem.observations), problem.model)
+    settings, executor, tell = settings or Settings(), executor or InProcess(), observer or Observer()
+    watch, space = Stopwatch(), problem.space
+    learning = Learning(problem, settings, ledger, executor, tell, watch)
+    lesson = learning.lesson(given)
+    target = lesson.target(space)
+    with watch("sampling", tell), target.threads():
+        sampling = _sample(target, space, settings, tell)
+        posterior = target.posterior(sampling)
+    both = None
+    if space.nuisance:
+        with watch("cut", tell):
+            both = under_uncertainty(posterior, target.compiled, settings)
+    with watch("check", tell):
+        mode = posterior.map_estimate
+        hessian = target.hessian(mode, posterior.sd) + log_prior_hessian(space, mode)
+        checks = target.checks(sampling, posterior, both.cut if both else None, seed=settings.seed)
+        sensitivity = _sensitivity(space, target.values, settings.seed)
+    return Calibration(
+        problem=replace(problem, observations=learning.judge.observations),
+        settings=settings,
+        **lesson.found,
+        sampling=sampling,
+        posterior=posterior,
+        gaussian=GaussianApproximation(posterior.mean, posterior.covariance),
+        laplace=laplace(hessian, mode),
+        under_uncertainty=both,
+        **vars(checks),
+        sensitivity=sensitivity,
+        seconds=watch.seconds,
+        turned=learning.judge.turned,
+    )
+
+
+@contextmanager
+def _opened(path: Path | str | None, problem: Problem) -> Iterator[Ledger]:
+    """Give the ledger at `path`, or one in a folder that is removed afterwards."""
+    with TemporaryDirectory() as folder:
+        place = Path(folder) / "ledger.sqlite" if path is None else path
+        with Ledger.open(place, model=problem.model) as ledger:
+            yield ledger
+
+
+def _sample(target: Target, space: ParameterSpace, settings: Settings, tell: Observer) -> SMCResult:
+    start, chain = jax.random.split(jax.random.key(settings.seed))
+    uniform = jax.random.uniform(start, (settings.particles, space.dim), dtype=float)
+    initial = space.prior_quantiles(np.asarray(uniform))
+    return sample(chain, target.compiled, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
+
+
+def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:
+    """Return how much each input has to do with the log-likelihood; None where there is one input only."""
+    if space.dim == 1:
+        return None
+    return sobol_indices(log_likelihood, space, number=2048 if space.dim < 4 else 1024, seed=seed)

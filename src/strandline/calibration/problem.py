@@ -1,0 +1,210 @@
+"""What a calibration is asked, how it is answered, and what it yields."""
+
+import html
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design.active import Active, BatchReport, FieldOutcome
+from strandline.design.refinement import Refinement, Round
+from strandline.discrepancy import Discrepancy
+from strandline.errors import InvalidInput
+from strandline.interface import Observation
+from strandline.likelihood.set_aside import SetAside
+from strandline.models.protocol import ForwardModel
+from strandline.parameters import ParameterSpace
+from strandline.posterior import (
+    GaussianApproximation,
+    LaplaceApproximation,
+    Posterior,
+    SobolIndices,
+    UnderUncertainty,
+)
+from strandline.posterior.quadrature import QuadratureResult
+from strandline.posterior.shown import html_table
+from strandline.runs import (
+    FailurePolicy,
+    Progress,
+    RunRecord,
+)
+from strandline.smc import (
+    SMCResult,
+    SMCSettings,
+    StepInfo,
+)
+from strandline.surrogate import LogLikelihoodSurrogate
+
+__all__ = ["Calibration", "Observer", "Problem", "Settings", "Stopwatch"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is asked.
+
+    Args:
+        model: the simulator.
+        space: its unknown inputs with their priors.
+        fixed: its known inputs by name.
+        observations: the observed interface of each observed condition, and the noise.
+        discrepancies: measures by name. The first one makes the posterior; the others get a surrogate to compare with.
+    """
+
+    model: ForwardModel
+    space: ParameterSpace
+    fixed: Mapping[str, float]
+    observations: tuple[Observation, ...]
+    discrepancies: Mapping[str, Discrepancy]
+
+    def __post_init__(self) -> None:
+        _require("model of the problem", self.model, callable(self.model), "a function (inputs, workdir) or a model")
+        space = isinstance(self.space, ParameterSpace)
+        _require("inputs of the problem", self.space, space, "a ParameterSpace of Parameters")
+        fixed = isinstance(self.fixed, Mapping)
+        _require("known inputs of the problem", self.fixed, fixed, "numbers by name, e.g. {} or {'load': 1.0}")
+        seen = isinstance(self.observations, tuple | list)
+        seen = seen and all(isinstance(one, Observation) for one in self.observations)
+        _require("observations of the problem", self.observations, seen, "a tuple of Observations, one a condition")
+        named = isinstance(self.discrepancies, Mapping) and all(map(callable, self.discrepancies.values()))
+        _require("measures of the problem", self.discrepancies, named, "discrepancies by name, the first one first")
+        object.__setattr__(self, "observations", tuple(self.observations))
+
+
+def _require(what: str, value: object, right: bool, expected: str) -> None:
+    if not right:
+        raise InvalidInput(
+            what, value=f"{type(value).__name__}: {value!r}", expected=expected, remedy="See strandline.Problem."
+        )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How it is answered; the defaults are the study's.
+
+    Args:
+        runs: Number of runs of the Sobol design.
+        scramble: Seed of the design's scrambling, None for the plain sequence.
+        refine: Further runs where the posterior lies; none by default.
+        kernel: Name of the Gaussian process's kernel.
+        particles: Number of particles of the sampler.
+        smc: Other settings of the sampler.
+        seed: Seed of every random number after the design.
+        nuisance_values: Number of values of the nuisance inputs, where there are any, that represent their prior in the
+            cut reading of the posterior under uncertainty.
+        failures: What is done about forward runs that fail.
+        surrogate: Quantity that the surrogate predicts: the log-likelihood, as in the study, or the interface
+            as a ``field``.
+        active: Further runs chosen as the posterior takes shape; only with a surrogate of the field.
+    """
+
+    runs: int = 1000
+    scramble: int | None = None
+    refine: Refinement = field(default_factory=Refinement)
+    kernel: str = "matern32"
+    particles: int = 5000
+    smc: SMCSettings = field(default_factory=SMCSettings)
+    seed: int = 1
+    nuisance_values: int = 32
+    failures: FailurePolicy = field(default_factory=FailurePolicy)
+    surrogate: Literal["log_likelihood", "field"] = "log_likelihood"
+    active: Active | None = None
+
+    @property
+    def planned_runs(self) -> int:
+        """Runs of the Sobol design and of all rounds of refinement; of an active design, the most that it may make."""
+        return self.runs + self.refine.total if self.active is None else self.active.runs
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Problem, settings and all that was learnt; the runs of each round of refinement stand behind the earlier ones.
+
+    With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
+    `cut_quadrature` has one result for each value of the nuisance inputs; else both are None. With a surrogate of the
+    field, `field` is what it knows; `surrogates`, of the log-likelihood, are then there to compare, or empty.
+    `no_field` says why there is none though it was asked for. `set_aside` are runs that ended ok and were not used;
+    unless one measure alone cannot use them, they stand in `records` as invalid. `turned` are the conditions whose
+    observation ran against the runs and stands in `problem` turned round.
+    """
+
+    problem: Problem
+    settings: Settings
+    records: tuple[RunRecord, ...]
+    training: Float[np.ndarray, "run dim"]
+    log_likelihoods: Mapping[str, Float[np.ndarray, " run"]]
+    surrogates: Mapping[str, LogLikelihoodSurrogate]
+    sampling: SMCResult
+    posterior: Posterior
+    gaussian: GaussianApproximation
+    laplace: LaplaceApproximation
+    quadrature: QuadratureResult | None
+    seconds: Mapping[str, float]
+    under_uncertainty: UnderUncertainty | None = None
+    cut_quadrature: tuple[QuadratureResult, ...] | None = None
+    rounds: tuple[Round, ...] = ()
+    sensitivity: SobolIndices | None = None
+    field: FieldOutcome | None = None
+    no_field: str | None = None
+    set_aside: tuple[SetAside, ...] = ()
+    turned: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        ok = sum(record.ok for record in self.records)
+        return f"<Calibration {self.posterior.line}; {ok} of {len(self.records)} runs ok>"
+
+    def _repr_html_(self) -> str:
+        ok = sum(record.ok for record in self.records)
+        measure = next(iter(self.problem.discrepancies))
+        facts = [("runs", f"{ok} of {len(self.records)} ok"), ("measure", html.escape(measure))]
+        facts += [("log evidence", f"{self.posterior.log_evidence:.4g}"), ("ESS", f"{self.posterior.ess:.0f}")]
+        facts += [("surrogate", "log-likelihood" if self.field is None else "interface as a field")]
+        return self.posterior._repr_html_() + html_table(("calibration", ""), facts)
+
+    @property
+    def surrogate(self) -> LogLikelihoodSurrogate:
+        """The surrogate of the log-likelihood under the first measure."""
+        return next(iter(self.surrogates.values()))
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Who wants to know how far it is: functions called as the work goes on; by default nobody.
+
+    `draws` hears of the inputs of each round of refinement before they are run, `batch` of the posterior after each
+    batch of an active design, `note` of what a person should know.
+    """
+
+    stage: Callable[[str], None] = lambda name: None
+    draws: Callable[[Sequence[Mapping[str, float]]], None] = lambda inputs: None
+    run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
+    step: Callable[[StepInfo], None] = lambda info: None
+    note: Callable[[str], None] = lambda text: None
+    batch: Callable[[BatchReport], None] = lambda report: None
+
+
+class Stopwatch:
+    """Seconds by stage, added up where a stage comes again; a stage inside another one does not count there."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.within: list[str] = []
+
+    @contextmanager
+    def __call__(self, stage: str, observer: Observer) -> Iterator[None]:
+        observer.stage(stage)
+        self.within.append(stage)
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            taken = time.perf_counter() - begun
+            self.within.pop()
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + taken
+            if self.within:
+                outer = self.within[-1]
+                self.seconds[outer] = self.seconds.get(outer, 0.0) - taken
+                observer.stage(outer)

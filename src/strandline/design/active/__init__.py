@@ -1,0 +1,29 @@
+"""Active designs on a surrogate of the field: what is known, what to run next, and when to stop."""
+
+from strandline.design.active.active_design import Active, ActiveDesign, Batch, BatchCheck, Step
+from strandline.design.active.campaign import ActiveRuns
+from strandline.design.active.choice import CRITERIA
+from strandline.design.active.cost import SLOW_BATCH, seconds_of_a_batch
+from strandline.design.active.outcome import Certificate, FieldOutcome, VarianceEffect
+from strandline.design.active.reported import BatchReport
+from strandline.design.active.state import Knowledge, State, learn, posterior_state
+
+__all__ = [
+    "CRITERIA",
+    "SLOW_BATCH",
+    "Active",
+    "ActiveDesign",
+    "ActiveRuns",
+    "Batch",
+    "BatchCheck",
+    "BatchReport",
+    "Certificate",
+    "FieldOutcome",
+    "Knowledge",
+    "State",
+    "Step",
+    "VarianceEffect",
+    "learn",
+    "posterior_state",
+    "seconds_of_a_batch",
+]

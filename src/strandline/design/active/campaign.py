@@ -1,0 +1,114 @@
+"""The batches of an active design as a campaign asks for them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design.active.active_design import Active, ActiveDesign, Batch
+from strandline.design.active.outcome import Certificate
+from strandline.design.active.reported import BatchReport, report_batch
+from strandline.design.active.state import State, learn, posterior_state
+from strandline.discrepancy import Discrepancy
+from strandline.errors import NoCommonPoints, TooFewRuns
+from strandline.likelihood.set_aside import Judge
+from strandline.numerics.one_thread import one_thread
+from strandline.parameters import ParameterSpace
+from strandline.runs import RunRecord
+from strandline.smc import StepInfo
+
+__all__ = ["ActiveRuns"]
+
+Points = Float[np.ndarray, "run dim"]
+
+
+@dataclass
+class ActiveRuns:
+    """Chooses the batches of a campaign for `run_batches`, and keeps account.
+
+    Args:
+        active: Settings of the design.
+        space: The unknown inputs.
+        discrepancy: The measure.
+        batch: Number of runs chosen together.
+        seed: Seed of all random numbers.
+        scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
+        judge: Decides which runs can be used.
+        aside: Returns a context for the time that choosing takes.
+        on_step: Called after each tempering step of the sampling that a choice begins with.
+        told: Called with a report of each batch once the posterior is updated.
+    """
+
+    active: Active
+    space: ParameterSpace
+    discrepancy: Discrepancy
+    batch: int
+    seed: int
+    scramble: int | None
+    judge: Judge
+    aside: Callable[[], Any]
+    on_step: Callable[[StepInfo], None] | None = None
+    told: Callable[[BatchReport], None] = lambda report: None
+    design: ActiveDesign = field(init=False)
+
+    def __post_init__(self) -> None:
+        def state(x: Points, records: Sequence[RunRecord]) -> State:
+            known = learn(x, records, self.space, self.judge.observations, self.discrepancy)
+            return posterior_state(known, self.space, (self.seed, len(x)), on_step=self.on_step)
+
+        self.design = ActiveDesign(
+            self.active,
+            self.space,
+            batch=self.batch,
+            learn=state,
+            log_likelihood=lambda record: self.judge.value(self.judge.first, record),
+            seed=self.seed,
+            scramble=self.scramble,
+        )
+
+    def points(self, records: Sequence[RunRecord]) -> Points:
+        """Return the unknown inputs of runs."""
+        return np.array([[record.inputs[name] for name in self.space.names] for record in records], float)
+
+    def __call__(self, records: Sequence[RunRecord]) -> Points:
+        """Return the inputs of the next batch, none to stop; more of the first design where too few succeeded."""
+        with self.aside(), one_thread():
+            try:
+                before = len(self.design.steps)
+                batch = self._next(records)
+                if len(self.design.steps) > before:
+                    self.told(report_batch(self.design, self.space))
+            except TooFewRuns:
+                batch = self.design.more_of_the_first()
+                if batch is None:
+                    raise
+        return np.empty((0, self.space.dim)) if batch is None else batch.points
+
+    def _next(self, records: Sequence[RunRecord]) -> Batch | None:
+        """Return the next batch; the design stays as it was where the runs make no field yet."""
+        points = self.points(records)
+        while True:
+            try:
+                return self.design.next(points, self.judge.usable(records))
+            except NoCommonPoints as error:
+                self.judge.without_exceptions(records, error)
+
+    @property
+    def asked(self) -> Points:
+        """Inputs of all batches so far, in their order."""
+        return np.concatenate([batch.points for batch in self.design.batches])
+
+    @property
+    def certificate(self) -> Certificate:
+        """What speaks for the posterior."""
+        design = self.design
+        checks = [step for step in design.steps if step.check is not None]
+        return Certificate(
+            converged=design.converged,
+            reasons=design.reasons,
+            steps=tuple(design.steps),
+            batches=tuple(design.batches),
+            checked=checks[-1] if checks else None,
+        )

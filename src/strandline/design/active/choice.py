@@ -1,0 +1,135 @@
+"""Which inputs to run next: among particles of the tempered posterior, and a share to explore."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design.active.state import State
+from strandline.design.space_filling import sobol
+from strandline.parameters import ParameterSpace
+from strandline.posterior import subset
+
+__all__ = ["CRITERIA", "Criterion", "choose"]
+
+CANDIDATES, TARGETS = 300, 200
+"""Particles of π_γ among which runs are chosen; particles at which they are to help, half of them of the posterior."""
+EXPLORATION = 64
+"""Points of the Sobol sequence looked at for a run that explores."""
+_LEADING = 6  # modes whose variances count
+
+
+def choose(
+    state: State, space: ParameterSpace, number: int, *, explore: float, first: int, criterion: str, seed: int
+) -> Float[np.ndarray, "run dim"]:
+    """Return the inputs of the next runs, one after the other as if the ones before had been made.
+
+    Args:
+        state: The posterior so far.
+        space: The inputs.
+        number: Number of runs to choose.
+        explore: Share of all runs that explore: the point of the Sobol sequence of which least is known.
+        first: Number of runs made so far; the share is kept over all batches.
+        criterion: Name in `CRITERIA`.
+        seed: Seed of the draws.
+    """
+    candidates = state.positions[subset(np.exp(state.log_weights_tempered), CANDIDATES, seed)]
+    candidates = np.unique(candidates, axis=0)
+    unknown = space.to_physical(sobol(first + EXPLORATION, space.dim, scramble=None)[first:])
+    half = [subset(np.exp(w), TARGETS // 2, seed + 1) for w in (state.log_weights, state.log_weights_tempered)]
+    targets = np.unique(state.positions[np.concatenate(half)], axis=0)
+    picking = CRITERIA[criterion](state, _new(candidates, state), _new(unknown, state), targets)
+    return np.array([picking(_explores(first + k, explore)) for k in range(number)])
+
+
+def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarray, "new dim"]:
+    """Return those of the points that were not run."""
+    known = {row.tobytes() for row in state.knowledge.x}
+    return points[[row.tobytes() not in known for row in points]]
+
+
+def _explores(run: int, share: float) -> bool:
+    return int((run + 1) * share) > int(run * share)
+
+
+Criterion = Callable[
+    [State, Float[np.ndarray, "candidate dim"], Float[np.ndarray, "other dim"], Float[np.ndarray, "target dim"]],
+    Callable[[bool], Float[np.ndarray, " dim"]],
+]
+"""(state, candidates, points to explore, targets) → a function that picks a point, given whether to explore."""
+
+
+def expected_variance(
+    state: State,
+    candidates: Float[np.ndarray, "candidate dim"],
+    unknown: Float[np.ndarray, "other dim"],
+    targets: Float[np.ndarray, "target dim"],
+) -> Callable[[bool], Float[np.ndarray, " dim"]]:
+    """Pick what lowers the variance of the field at the targets most, times the probability that the run succeeds.
+
+    The posterior variance of a Gaussian process does not depend on what the runs will return, so that several can be
+    chosen one after the other: Sacks et al. (1989), Section 5; Cohn (1996). Runs that failed count as if they had given
+    information: another one beside them would fail as well.
+    """
+    failed = state.knowledge.x[~state.knowledge.ok]
+    z = [state.knowledge.surrogate.warping.standardise(x) for x in (candidates, unknown, targets, failed)]
+    a, b = len(candidates), len(candidates) + len(unknown)
+    end = b + len(targets)
+    everything = np.concatenate([candidates, unknown])
+    processes = state.knowledge.surrogate.processes[:_LEADING]
+    covariances = [p.covariance(np.concatenate(z), np.concatenate(z)) for p in processes]
+    noise = [p.nugget * p.scale for p in processes]
+    chance = np.exp(state.knowledge.log_feasibility(everything))
+    taken = np.zeros(b, bool)
+
+    def run(point: int) -> None:
+        for C, tau in zip(covariances, noise, strict=True):
+            C -= np.outer(C[:, point], C[point]) / (C[point, point] + tau + _tiny(C))
+
+    for point in range(end, end + len(failed)):
+        run(point)
+
+    def pick(exploring: bool) -> Float[np.ndarray, " dim"]:
+        if exploring:
+            gain = sum(np.diagonal(C)[:b] for C in covariances) * chance
+        else:
+            parts = zip(covariances, noise, strict=True)
+            gain = sum((C[b:end, :b] ** 2).sum(axis=0) / (np.diagonal(C)[:b] + tau + _tiny(C)) for C, tau in parts)
+            gain = gain * chance
+        allowed = ~taken & ((np.arange(b) >= a) == exploring)
+        best = int(np.argmax(np.where(allowed, gain, -np.inf)))
+        taken[best] = True
+        run(best)
+        return np.asarray(everything[best])
+
+    return pick
+
+
+def repulsion(
+    state: State,
+    candidates: Float[np.ndarray, "candidate dim"],
+    unknown: Float[np.ndarray, "other dim"],
+    targets: Float[np.ndarray, "target dim"],
+) -> Callable[[bool], Float[np.ndarray, " dim"]]:
+    """Pick the draw of the tempered posterior that is farthest from all runs, in standard deviations of the targets."""
+    standardise = state.knowledge.surrogate.warping.standardise
+    spread = np.maximum(standardise(targets).std(axis=0), 1e-6)
+    known = [standardise(state.knowledge.x) / spread]
+    pools = {False: candidates, True: unknown}
+
+    def pick(exploring: bool) -> Float[np.ndarray, " dim"]:
+        pool = pools[exploring]
+        z = standardise(pool) / spread
+        distances = np.min(np.linalg.norm(z[:, None] - np.concatenate(known), axis=2), axis=1)
+        best = int(np.argmax(distances))
+        known.append(z[best : best + 1])
+        return np.asarray(pool[best])
+
+    return pick
+
+
+def _tiny(C: Float[np.ndarray, "all all"]) -> float:
+    return 1e-12 * float(np.diagonal(C).max()) + 1e-300
+
+
+CRITERIA: dict[str, Criterion] = {"expected_variance": expected_variance, "repulsion": repulsion}

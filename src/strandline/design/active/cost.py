@@ -1,0 +1,64 @@
+"""What choosing a batch costs: seconds to compare interfaces, before any batch is chosen."""
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design.active.state import MANY_INPUTS_PARTICLES, PARTICLES, SAMPLING
+from strandline.discrepancy import Discrepancy, squared_discrepancies
+from strandline.interface import Interface, Observation
+from strandline.likelihood.field import DRAWS, noise_length
+
+__all__ = ["SLOW_BATCH", "seconds_of_a_batch"]
+
+SLOW_BATCH = 30.0
+"""Seconds from which a batch counts as slow."""
+TEMPERING_STEPS = 20
+"""Steps that a sampling takes from the prior to a posterior far narrower: 21 for a drop with five inputs."""
+TRIED = 32, 1024
+"""Interfaces compared to find out what one costs; the larger number where the smaller takes less than `QUICK`."""
+QUICK = 0.2
+REPEATS = 3
+"""The quickest comparison counts: whatever else runs on the machine makes the others slower."""
+
+
+def seconds_of_a_batch(
+    observations: tuple[Observation, ...],
+    discrepancy: Discrepancy,
+    simulated: Mapping[str, Interface],
+    dim: int,
+) -> float:
+    """Return the seconds that comparing interfaces takes in the choice of one batch, estimated by trying.
+
+    Args:
+        observations: one for each observed condition.
+        discrepancy: the measure that makes the posterior.
+        simulated: an interface of each condition, as the simulator returns it.
+        dim: number of inputs.
+    """
+    each = sum(_seconds_of_one(seen, discrepancy, simulated[seen.condition]) for seen in observations)
+    moves = 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps
+    return each * PARTICLES.get(dim, MANY_INPUTS_PARTICLES) * (moves + DRAWS)
+
+
+def _seconds_of_one(seen: Observation, discrepancy: Discrepancy, simulated: Interface) -> float:
+    """Return the seconds of one comparison among many, of interfaces as far apart as the noise."""
+    width = noise_length(seen, discrepancy)
+    for number in TRIED:
+        points = simulated.points + width * np.linspace(-1.0, 1.0, number)[:, None, None]
+        squared_discrepancies(discrepancy, points, simulated, seen.interface)  # compiles, and fills caches
+        seconds = min(_seconds(seen, discrepancy, simulated, points) for _ in range(REPEATS))
+        if seconds > QUICK:
+            break
+    return seconds / number
+
+
+def _seconds(
+    seen: Observation, discrepancy: Discrepancy, simulated: Interface, points: Float[np.ndarray, "run point xyz"]
+) -> float:
+    """Return the seconds of one comparison of all interfaces: of the clock, or of the processor where others use it."""
+    begun, used = time.perf_counter(), time.process_time()
+    squared_discrepancies(discrepancy, points, simulated, seen.interface)
+    return min(time.perf_counter() - begun, time.process_time() - used)

@@ -1,0 +1,44 @@
+"""A check that costs no run: the true log-likelihood of runs made already, against their prediction from all others."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design.active.state import State
+from strandline.runs import RunRecord
+
+__all__ = ["left_out_ratios"]
+
+MASS = 0.95
+"""Runs count that lie where the posterior density is as high as in its densest part of this mass."""
+
+
+def left_out_ratios(
+    state: State,
+    records: Sequence[RunRecord],
+    log_likelihood: Callable[[RunRecord], float],
+    log_prior: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]],
+) -> tuple[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]]:
+    """Return inputs of the runs inside the posterior, and log(true/predicted likelihood) of each.
+
+    The prediction is that of the surrogate without the run, so that the ratios are those of a worse surrogate than the
+    one in use. They say how much the weights of a check would differ, not where the posterior would go.
+
+    Args:
+        state: The posterior given all runs.
+        records: Records of all runs, in the order of `state.knowledge.x`.
+        log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
+        log_prior: Function that returns the log prior density of points, shape (point,).
+    """
+    knowledge, likelihood = state.knowledge, state.knowledge.likelihood
+    x = knowledge.x[knowledge.ok]
+    density = state.log_expected + np.asarray(log_prior(state.positions))
+    order = np.argsort(-density)
+    within = np.cumsum(np.exp(state.log_weights)[order]) <= MASS
+    lowest = density[order[within]].min() if within.any() else density.max()
+    inside = knowledge.expected(x) + np.asarray(log_prior(x)) >= lowest
+    good = [record for record in records if record.ok]
+    true = np.array([log_likelihood(good[i]) for i in np.flatnonzero(inside)])
+    predicted = likelihood.left_out(np.flatnonzero(inside))
+    return x[inside], true - predicted

@@ -1,0 +1,52 @@
+"""What a batch of an active design came to, in one line."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from strandline.design.active.active_design import ActiveDesign, Step
+from strandline.parameters import ParameterSpace
+from strandline.text import with_sd
+
+__all__ = ["BatchReport", "report_batch"]
+
+Next = Literal["batch", "check", "done", "stop"]
+NEXT = {"batch": "a batch", "check": "check", "done": "done, converged", "stop": "stop, not converged"}
+SHOWN = 3
+"""Inputs whose mean and standard deviation a line has room for."""
+
+
+@dataclass(frozen=True)
+class BatchReport:
+    """The posterior after a batch, and what comes next.
+
+    Args:
+        number: which batch, the first design being 1.
+        posterior: mean and standard deviation of each calibrated input by its symbol, as text.
+        moved: how far the posterior has moved, in standard deviations; None where there is none to compare with.
+        next: what the design does next.
+    """
+
+    number: int
+    posterior: tuple[str, ...]
+    moved: float | None
+    next: Next
+
+    @property
+    def line(self) -> str:
+        """``batch 3: E 396 ± 31, moved 0.05 sd; next: check``."""
+        shown = ", ".join(self.posterior[:SHOWN]) + (", …" if len(self.posterior) > SHOWN else "")
+        moved = "" if self.moved is None else f", moved {self.moved:.2f} sd"
+        return f"batch {self.number}: {shown}{moved}; next: {NEXT[self.next]}"
+
+
+def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
+    """Return the report on the last step of `design`, which has decided what comes next."""
+    step: Step = design.steps[-1]
+    after = len(design.batches) > len(design.steps)
+    coming: Next = "done" if design.converged else "stop"
+    if after:
+        coming = "check" if design.batches[-1].kind == "check" else "batch"
+    posterior = tuple(
+        f"{space.parameters[i].shown} {with_sd(float(step.mean[i]), float(step.sd[i]))}" for i in space.calibrated
+    )
+    return BatchReport(len(design.steps), posterior, None if step.moved is None else step.moved.shift, coming)

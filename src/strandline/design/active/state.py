@@ -1,0 +1,242 @@
+"""What is known after some runs: the surrogate of the field, where runs fail, and the posterior that follows."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax
+
+from strandline.discrepancy import Discrepancy
+from strandline.errors import NoCommonPoints
+from strandline.interface import Observation
+from strandline.likelihood import FieldLikelihood, OnHost, noise_length
+from strandline.likelihood.set_aside import says_whether_runs_succeed
+from strandline.numerics.one_thread import one_thread
+from strandline.parameters import ParameterSpace
+from strandline.runs import RunRecord
+from strandline.smc import SMCSettings, StepInfo, sample
+from strandline.surrogate.feasibility import Feasibility, learn_feasibility
+from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
+
+__all__ = ["Knowledge", "Moved", "Remembered", "State", "learn", "posterior_state"]
+
+SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
+"""Of the posterior after each batch."""
+PARTICLES = {1: 2000, 2: 2000, 3: 2000}
+MANY_INPUTS_PARTICLES = 1200
+TEMPERATURE = 0.5
+"""γ of π_γ ∝ L^γ p that is sampled; its particles are weighted to the posterior, and runs are chosen among them."""
+STREAM = 4
+"""Keeps the random numbers of the active design apart from all others of the same seed."""
+TOLERATED_REMAINDER = 0.08
+"""What the modes may leave, as a share of the shift of the interface that the noise hides."""
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """Surrogate and classifier learnt from some runs.
+
+    Args:
+        x: Inputs of all runs, shape (run, dim).
+        ok: Whether each run succeeded, shape (run,).
+        likelihood: Log-likelihood through the surrogate of the field.
+        feasibility: Classifier of the probability that a run succeeds.
+        highest: Largest log probability of success at any of the runs; the classifier is taken relative to it.
+    """
+
+    x: Float[np.ndarray, "run dim"]
+    ok: np.ndarray
+    likelihood: FieldLikelihood
+    feasibility: Feasibility
+    highest: float
+
+    @property
+    def surrogate(self) -> FieldSurrogate:
+        """The surrogate of the field."""
+        return self.likelihood.surrogate
+
+    def log_feasibility(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the log probability of success relative to the safest run: failures at random change nothing."""
+        z = self.surrogate.warping.standardise(x)
+        return np.asarray(np.minimum(self.feasibility.log_probability(z) - self.highest, 0.0))
+
+    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return log L of the predicted interface, and of there being one."""
+        return np.asarray(self.likelihood.plug_in(x) + self.log_feasibility(x))
+
+    def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return log E[L] over the fields that the surrogate holds possible, and of there being an interface."""
+        return np.asarray(self.likelihood.expected(x) + self.log_feasibility(x))
+
+
+def learn(
+    x: Float[np.ndarray, "run dim"],
+    records: Sequence[RunRecord],
+    space: ParameterSpace,
+    observations: tuple[Observation, ...],
+    discrepancy: Discrepancy,
+) -> Knowledge:
+    """Return what these runs teach; a function of them alone.
+
+    Raises:
+        TooFewRuns: too few succeeded.
+        NoCommonPoints: interfaces that cannot be brought to common points, or only so that they are
+            farther off than the noise hides.
+    """
+    ok = np.array([record.ok for record in records], bool)
+    good = [record for record in records if record.ok]
+    names = [seen.condition for seen in observations]
+    interfaces = [{name: record.interfaces[name] for name in names} for record in good]
+    hidden = min(noise_length(seen, discrepancy) for seen in observations)
+    training = FieldTraining(x[ok], interfaces, _gradients(good, names, space.names), space.low, space.high)
+    surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
+    if surrogate.registration_error > hidden:
+        raise NoCommonPoints(
+            "interfaces of the runs for a surrogate of the field",
+            value=f"common points {surrogate.registration_error:.3g} mm away from them, root mean square",
+            expected=f"at most {hidden:.3g} mm, the shift of the interface that the noise hides",
+            remedy="Let the simulator return more nodes, or nodes that are the same in all runs.",
+        )
+    z = surrogate.warping.standardise(x)
+    told = np.array([says_whether_runs_succeed(record) for record in records], bool)
+    feasibility = learn_feasibility(z[told], ok[told])
+    highest = float(feasibility.log_probability(z).max())
+    return Knowledge(x, ok, FieldLikelihood(surrogate, observations, discrepancy), feasibility, highest)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The posterior after some runs, as particles of π_γ with two sets of weights.
+
+    Args:
+        knowledge: What the runs taught, from which the posterior follows.
+        positions: Particles, shape (particle, dim).
+        log_weights: Normalised log weights of the posterior with the expected likelihood, shape (particle,).
+        log_weights_tempered: Normalised log weights of π_γ, shape (particle,).
+        log_weights_plug_in: Log weights of the posterior as if the predicted interfaces were exact, shape (particle,).
+        log_expected: log E[L] at the particles, shape (particle,).
+        log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
+    """
+
+    knowledge: Knowledge
+    positions: Float[np.ndarray, "particle dim"]
+    log_weights: Float[np.ndarray, " particle"]
+    log_weights_tempered: Float[np.ndarray, " particle"]
+    log_weights_plug_in: Float[np.ndarray, " particle"]
+    log_expected: Float[np.ndarray, " particle"]
+    log_plug_in: Float[np.ndarray, " particle"]
+
+    @property
+    def mean(self) -> Float[np.ndarray, " dim"]:
+        """Posterior mean, shape (dim,)."""
+        return np.asarray(np.exp(self.log_weights) @ self.positions)
+
+    @property
+    def sd(self) -> Float[np.ndarray, " dim"]:
+        """Posterior standard deviation, shape (dim,)."""
+        return np.asarray(np.sqrt(np.exp(self.log_weights) @ (self.positions - self.mean) ** 2))
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How far a posterior is from an earlier one.
+
+    Args:
+        shift: largest shift of a mean, in standard deviations.
+        width: largest change of the logarithm of a standard deviation.
+        effective: effective sample size of the weights between the two, as a share.
+    """
+
+    shift: float
+    width: float
+    effective: float
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """What is kept of a posterior to measure later how far it has moved.
+
+    Args:
+        runs: Number of runs that the posterior was made from.
+        positions: Particles, shape (particle, dim).
+        log_weights: Normalised log weights of the posterior, shape (particle,).
+        log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
+    """
+
+    runs: int
+    positions: Float[np.ndarray, "particle dim"]
+    log_weights: Float[np.ndarray, " particle"]
+    log_plug_in: Float[np.ndarray, " particle"]
+
+    @classmethod
+    def of(cls, state: State) -> "Remembered":
+        """Return what is kept of `state`."""
+        return cls(len(state.knowledge.x), state.positions, state.log_weights, state.log_plug_in)
+
+    def moved(self, knowledge: Knowledge) -> Moved:
+        """Return how far the posterior that `knowledge` leads to is from this one.
+
+        The same particles are weighted by the ratio of the two likelihoods: two samples, each of its own particles,
+        differ by their noise, which in seven dimensions is larger than what is looked for.
+        """
+        log_weights = log_softmax(self.log_weights + knowledge.plug_in(self.positions) - self.log_plug_in)
+        before, after = np.exp(self.log_weights), np.exp(log_weights)
+        means = before @ self.positions, after @ self.positions
+        sds = [np.sqrt(w @ (self.positions - m) ** 2) for w, m in zip((before, after), means, strict=True)]
+        tiny = np.finfo(float).tiny
+        return Moved(
+            shift=float(np.abs((means[1] - means[0]) / np.maximum(sds[0], tiny)).max()),
+            width=float(np.abs(np.log(np.maximum(sds[1], tiny) / np.maximum(sds[0], tiny))).max()),
+            effective=float(1.0 / (after @ np.exp(log_weights - self.log_weights))),
+        )
+
+
+def posterior_state(
+    knowledge: Knowledge,
+    space: ParameterSpace,
+    seed: tuple[int, ...],
+    *,
+    on_step: Callable[[StepInfo], None] | None = None,
+) -> State:
+    """Return the posterior that `knowledge` leads to; the same arguments give the same bits.
+
+    Args:
+        knowledge: What the runs taught.
+        space: The inputs with their priors.
+        seed: Seed of the random numbers, one or more integers.
+        on_step: Called after every tempering step.
+    """
+    rng = np.random.default_rng([*seed, STREAM])
+    number = PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
+    initial = space.prior_quantiles(rng.random((number, space.dim)))
+    host = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x))
+    key = jax.random.key(int(rng.integers(2**32)))
+    with one_thread():
+        tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING, on_step=on_step)
+        x, exact = tempered.positions, tempered.log_likelihood / TEMPERATURE
+        expected = knowledge.expected(x)
+    rest = tempered.log_weights - tempered.log_likelihood
+    return State(
+        knowledge=knowledge,
+        positions=x,
+        log_weights=log_softmax(rest + expected),
+        log_weights_tempered=tempered.log_weights,
+        log_weights_plug_in=log_softmax(rest + exact),
+        log_expected=expected,
+        log_plug_in=exact,
+    )
+
+
+def _gradients(
+    records: Sequence[RunRecord], conditions: Sequence[str], inputs: Sequence[str]
+) -> list[Mapping[str, Float[np.ndarray, "point xyz dim"]]] | None:
+    """Return the sensitivities of each run by condition, inputs on the last axis; None unless all runs have all."""
+    out: list[Mapping[str, Float[np.ndarray, "point xyz dim"]]] = []
+    for record in records:
+        found = record.sensitivities
+        if any(name not in found.get(condition, {}) for condition in conditions for name in inputs):
+            return None
+        out.append({c: np.stack([found[c][name] for name in inputs], axis=-1) for c in conditions})
+    return out

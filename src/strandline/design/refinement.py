@@ -1,0 +1,240 @@
+"""Further forward runs where the posterior lies (Willmann et al. 2022, Remark 7), in rounds.
+
+Each round samples the posterior of the surrogate so far, runs the simulator at some of the particles, and trains the
+surrogate again with all runs. What the surrogate had predicted there and what the runs then gave is the honest measure
+of its error, for the runs were no part of its training.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax
+
+from strandline.errors import InvalidInput
+from strandline.parameters import ParameterSpace
+from strandline.posterior.weighted import Weighted
+from strandline.runs import RunRecord
+from strandline.smc import SMCSettings, sample
+from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
+
+__all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts"]
+
+SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
+"""Settings of the samplings between rounds: cheaper than the one that makes the posterior."""
+STREAM = 3
+"""Keeps the random numbers of the rounds apart from all others of the same seed."""
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How a design is refined.
+
+    Args:
+        rounds: Number of rounds; 0 leaves the design as it is.
+        runs: Number of further runs in each round.
+        temperature: Exponent γ of π_γ ∝ L^γ p, from which half of the runs of a round are drawn, to cover the flanks of
+            the posterior; the other half are draws of the posterior itself. With 1, all of them are.
+
+    Raises:
+        InvalidInput: a number out of its range.
+    """
+
+    rounds: int = 0
+    runs: int = 100
+    temperature: float = 0.4
+
+    def __post_init__(self) -> None:
+        _require(self.rounds >= 0, "rounds of the refinement", self.rounds, "0 or more")
+        _require(self.runs >= 1, "runs of a round of the refinement", self.runs, "at least 1")
+        _require(0 < self.temperature <= 1, "temperature of the refinement", self.temperature, "above 0, at most 1")
+
+    @property
+    def total(self) -> int:
+        """Runs of all rounds."""
+        return self.rounds * self.runs
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """The runs so far and the surrogates that they trained, by measure; the first measure makes the posterior.
+
+    Args:
+        design: Physical inputs of all runs, shape (run, dim).
+        records: Outcomes of all runs, in the same order.
+        training: Inputs of the successful runs, in the same order, shape (ok, dim).
+        log_likelihoods: Log-likelihoods of the successful runs by measure, each of shape (ok,).
+        surrogates: Surrogates trained with them, by measure.
+    """
+
+    design: Float[np.ndarray, "run dim"]
+    records: tuple[RunRecord, ...]
+    training: Float[np.ndarray, "ok dim"]
+    log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]]
+    surrogates: Mapping[str, LogLikelihoodSurrogate]
+
+    @property
+    def log_likelihood(self) -> Float[np.ndarray, " ok"]:
+        """Log-likelihoods of the successful runs under the first measure, shape (ok,)."""
+        return next(iter(self.log_likelihoods.values()))
+
+    @property
+    def surrogate(self) -> LogLikelihoodSurrogate:
+        """Surrogate of the first measure."""
+        return next(iter(self.surrogates.values()))
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What one round found out about the surrogate that it began with.
+
+    Args:
+        n_train: Number of runs that had trained this surrogate.
+        runs: Number of further runs made.
+        failed: Number of these runs that failed.
+        error_rms: Root mean square of predicted minus found log-likelihood over the successful ones; None if there
+            are none.
+        error_rms_posterior: The same over those drawn from the posterior itself, not from the tempered one.
+        mean: Posterior mean by this surrogate, shape (dim,).
+        sd: Posterior standard deviation by this surrogate, shape (dim,).
+    """
+
+    n_train: int
+    runs: int
+    failed: int
+    error_rms: float | None
+    error_rms_posterior: float | None
+    mean: Float[np.ndarray, " dim"]
+    sd: Float[np.ndarray, " dim"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Proposal:
+    """Where a round makes runs, the first `own` drawn from the posterior itself, and that posterior's moments."""
+
+    points: Float[np.ndarray, "run dim"]
+    own: int
+    mean: Float[np.ndarray, " dim"]
+    sd: Float[np.ndarray, " dim"]
+
+
+def refine(
+    learnt: Learnt,
+    extend: Callable[[Learnt, Float[np.ndarray, "run dim"]], Learnt],
+    space: ParameterSpace,
+    refinement: Refinement,
+    *,
+    particles: int,
+    seed: int,
+    stage: Callable[[], AbstractContextManager[Any]] = nullcontext,
+) -> tuple[Learnt, tuple[Round, ...]]:
+    """Return what is learnt after all rounds, and an account of each.
+
+    The same arguments give the same inputs to the bit, so that runs kept in a ledger are found again.
+
+    Args:
+        learnt: Runs and surrogates of the first design.
+        extend: Makes runs at further inputs and trains the surrogate with all of them, the new ones last.
+        space: The unknown inputs.
+        refinement: Number of rounds, and of runs in each.
+        particles: Number of particles of the samplings between rounds.
+        seed: Seed of the random numbers of the rounds.
+        stage: Returns a context in which each of these samplings is done.
+    """
+    rounds = []
+    for number in range(refinement.rounds):
+        with stage():
+            proposal = _propose(learnt.surrogate, space, refinement, particles=particles, seed=(seed, STREAM, number))
+        after = extend(learnt, proposal.points)
+        rounds.append(_account(learnt, after, proposal))
+        learnt = after
+    return learnt, tuple(rounds)
+
+
+def shifts(
+    rounds: Sequence[Round], final: Float[np.ndarray, " dim"], sd: Float[np.ndarray, " dim"]
+) -> tuple[Float[np.ndarray, " dim"], ...]:
+    """Return by how much each round has moved the posterior means (dim,), in standard deviations after it.
+
+    Args:
+        rounds: Rounds in the order in which they were made.
+        final: Means of the posterior after the last round, shape (dim,).
+        sd: Standard deviations of the posterior after the last round, shape (dim,).
+    """
+    means, deviations = [r.mean for r in rounds] + [final], [r.sd for r in rounds] + [sd]
+    return tuple((means[k + 1] - means[k]) / deviations[k + 1] for k in range(len(rounds)))
+
+
+def _propose(
+    surrogate: LogLikelihoodSurrogate,
+    space: ParameterSpace,
+    refinement: Refinement,
+    *,
+    particles: int,
+    seed: tuple[int, ...],
+) -> _Proposal:
+    """Sample π_γ once; weights L^(1 - γ) make of the same particles those of the posterior."""
+    rng = np.random.default_rng(seed)
+    mean, gamma = batched_mean(surrogate.process), refinement.temperature
+    initial = space.prior_quantiles(rng.random((particles, space.dim)))
+    key = jax.random.key(int(rng.integers(2**32)))
+    tempered = sample(key, lambda x: gamma * mean(x), space.log_prior, initial, settings=SAMPLING)
+    rest = (1.0 / gamma - 1.0) * tempered.log_likelihood
+    log_weights = log_softmax(tempered.log_weights + rest)
+    positions = tempered.positions
+    posterior = Weighted(positions, np.exp(log_weights))
+    own = refinement.runs if gamma == 1.0 else refinement.runs - refinement.runs // 2
+    first = _distinct(positions, log_weights, own, rng, positions[:0])
+    second = _distinct(positions, tempered.log_weights, refinement.runs - own, rng, first)
+    return _Proposal(np.concatenate([first, second]), len(first), posterior.mean, posterior.sd)
+
+
+def _distinct(
+    positions: Float[np.ndarray, "particle dim"],
+    log_weights: Float[np.ndarray, " particle"],
+    number: int,
+    rng: np.random.Generator,
+    taken: Float[np.ndarray, "other dim"],
+) -> Float[np.ndarray, "run dim"]:
+    """Return `number` draws by weight, no position twice and none of `taken`: a run repeated teaches nothing.
+
+    Sampling without replacement: the largest sums of log weight and Gumbel noise.
+    """
+    rows, member = np.unique(positions, axis=0, return_inverse=True)
+    total = np.full(len(rows), -np.inf)
+    np.logaddexp.at(total, member.ravel(), log_weights)
+    known = {row.tobytes() for row in taken}
+    free = np.array([row.tobytes() not in known for row in rows])
+    score = np.where(free, total + rng.gumbel(size=len(rows)), -np.inf)
+    best = np.argsort(-score, kind="stable")[: min(number, int(np.isfinite(score).sum()))]
+    return np.asarray(rows[best])
+
+
+def _account(before: Learnt, after: Learnt, proposal: _Proposal) -> Round:
+    records = after.records[len(before.records) :]
+    ok = np.array([record.ok for record in records], bool)
+    found, at = after.log_likelihood[len(before.training) :], after.training[len(before.training) :]
+    error = before.surrogate.process.mean(at) - found
+    own = (np.arange(len(records)) < proposal.own)[ok]
+    return Round(
+        n_train=len(before.training),
+        runs=len(records),
+        failed=int((~ok).sum()),
+        error_rms=_rms(error),
+        error_rms_posterior=_rms(error[own]),
+        mean=proposal.mean,
+        sd=proposal.sd,
+    )
+
+
+def _rms(values: Float[np.ndarray, " run"]) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _require(right: bool, what: str, value: object, expected: str) -> None:
+    if not right:
+        raise InvalidInput(what, value=value, expected=expected, remedy="Change it and calibrate again.")

@@ -1,0 +1,1 @@
+"""Inner products of surface currents: integrals of the kernel over pairs of segments or triangles."""

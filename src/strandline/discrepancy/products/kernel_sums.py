@@ -1,0 +1,240 @@
+"""The double sum behind every inner product of currents, for few nodes and for very many.
+
+Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j. No matrix of all pairs is ever held: few pairs are summed in blocks; many, by a
+compiled loop over the y of each tile of neighbouring x. Where the kernel is short, a tree finds which y a tile needs.
+Threads share the batches of tiles; which tiles make a batch does not depend on their number, and neither does the sum.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache, partial, reduce
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.polynomial import Chebyshev, Polynomial
+from scipy.spatial import cKDTree
+
+from strandline.numerics.compiled import WIDEST
+from strandline.numerics.threads import double, side_by_side
+
+__all__ = ["Nodes", "kernel_sum"]
+
+BLOCK = 1 << 16
+"""Pairs that NumPy works on at once: bounds the memory."""
+SMALL = 1 << 20
+"""Pairs up to which the blocks are quicker than finding neighbours and compiling."""
+_TILE, _FULL_TILE = 128, 5120
+"""Nodes in a tile, where a tree chooses their partners and, at most, where all are."""
+_TILES = 128
+"""Tiles, at most, in one compiled call where a tree chooses the partners."""
+_UNROLLED = 8
+"""Partners that one step of the loop takes."""
+_GATHERED = 1 << 19
+"""Partners, of all tiles together, in one compiled call."""
+_POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
+"""Coefficients of 2**t on |t| ≤ 1/2, to 2e-14 of it."""
+_WHOLE = 1.5 * 2.0**52
+"""Added to a number, it leaves the nearest whole one in the last bits."""
+_CLOSE = 300.0
+"""|x|² + |y|², times log₂e/2σ², up to which |x - y|² may be had from x·y: to 1e-13 of the kernel, which is no 0 yet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Places with a vector each: quadrature points of an interface, mm, and its normals there times length or area."""
+
+    points: Float[np.ndarray, "node xyz"]
+    normals: Float[np.ndarray, "node xyz"]
+
+    def __getitem__(self, some: slice | Int[np.ndarray, " some"]) -> "Nodes":
+        return Nodes(self.points[some], self.normals[some])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float) -> float:
+    """Return Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j over the nodes (x, n) of `a` and (y, m) of `b`.
+
+    Args:
+        a: Nodes of one interface.
+        b: Nodes of the other interface.
+        width: Kernel width σ, mm.
+        reach: Distance beyond which pairs may be left out, mm.
+
+    Many pairs go through JAX where its float64 is switched on, else through NumPy: slower, and the same to rounding.
+    """
+    if len(a) * len(b) <= SMALL:
+        return _blocked(a, b, width)
+    summed = _compiled if double() else _in_blocks
+    return math.fsum(side_by_side(summed(_with_blank(a), _with_blank(b), width), _batches(a, b, reach)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Tiles of the one side, and which of the `partners` of the other each needs: those from `begin` up to `end`."""
+
+    tiles: Int[np.ndarray, "tile node"]
+    partners: Int[np.ndarray, " partner"]
+    begin: Int[np.ndarray, " tile"]
+    end: Int[np.ndarray, " tile"]
+    weights: Float[np.ndarray, " tile"]
+
+
+def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
+    """Yield every pair within reach once, some that are farther apart, and blank nodes to fill the rows with.
+
+    Of a sum with itself, every pair of different tiles is yielded one way round only, with weight 2.
+    """
+    order = cKDTree(a.points).indices
+    tiles = _cut(order, _TILE, blank=len(a))
+    x = a.points[_cut(order, _TILE, blank=int(order[-1]))]
+    middles = 0.5 * (x.min(axis=1) + x.max(axis=1))
+    radii = np.linalg.norm(x - middles[:, None], axis=2).max(axis=1) + reach
+    tree = cKDTree(b.points)
+    counts = tree.query_ball_point(middles, radii, return_length=True)
+    if 2 * counts.sum() > len(tiles) * len(b):
+        yield from _everyone(len(a), len(b), itself=a is b)
+        return
+    rank = np.argsort(order)
+    groups = np.stack([np.cumsum(counts) // _GATHERED, np.arange(len(tiles)) // _TILES])
+    for some in np.split(np.arange(len(tiles)), np.flatnonzero(np.diff(groups).any(axis=0)) + 1):
+        near = [np.array(row, int) for row in tree.query_ball_point(middles[some], radii[some])]
+        weights = np.ones(len(some))
+        if a is b:
+            near = [row[rank[row] >= (k + 1) * _TILE] for k, row in zip(some, near, strict=True)] + list(tiles[some])
+            some, weights = np.tile(some, 2), np.repeat([2.0, 1.0], len(some))
+        rows = [_cut(row, _UNROLLED, blank=len(b)).ravel() for row in near]
+        partners, end = np.concatenate(rows), np.cumsum([len(row) for row in rows])
+        spare = 0, (2 if a is b else 1) * _TILES - len(some)
+        yield _Batch(
+            np.pad(tiles[some], (spare, (0, 0)), constant_values=len(a)),
+            _filled_up(partners, blank=len(b)),
+            np.pad(np.concatenate([[0], end[:-1]]), spare),
+            np.pad(end, spare),
+            np.pad(weights, spare),
+        )
+
+
+def _everyone(number: int, others: int, *, itself: bool) -> Iterator[_Batch]:
+    """Yield every pair of nodes, in their order, tile by tile."""
+    step = _FULL_TILE // 8
+    size = -(-number // (-(-number // _FULL_TILE) * step)) * step
+    tiles = _cut(np.arange(number), size, blank=number)
+    partners = _cut(np.arange(others), _UNROLLED, blank=others).ravel()
+    first = np.arange(len(tiles)) * size
+    begin, end, weights = 0 * first, np.full(len(tiles), len(partners)), np.ones(len(tiles))
+    if itself:
+        behind = np.minimum(first + size, len(partners))
+        begin, end = np.concatenate([first, behind]), np.concatenate([behind, end])
+        tiles, weights = np.tile(tiles, (2, 1)), np.concatenate([weights, 2 * weights])
+    filled = _filled_up(partners, blank=others)
+    for k in range(len(tiles)):
+        yield _Batch(tiles[k : k + 1], filled, begin[k : k + 1], end[k : k + 1], weights[k : k + 1])
+
+
+def _cut(order: Int[np.ndarray, " node"], size: int, *, blank: int) -> Int[np.ndarray, "tile {size}"]:
+    """Return rows of `size`, the last one filled up with `blank`."""
+    return np.pad(order, (0, -len(order) % size), constant_values=blank).reshape(-1, size)
+
+
+def _filled_up(partners: Int[np.ndarray, " partner"], *, blank: int) -> Int[np.ndarray, " filled"]:
+    """Return an array as long as the next power of two: few different ones to compile for, none of which costs time."""
+    length = max(1 << max(len(partners) - 1, 0).bit_length(), _UNROLLED)
+    return np.pad(partners, (0, length - len(partners)), constant_values=blank)
+
+
+def _with_blank(nodes: Nodes) -> Nodes:
+    """Return the nodes and a blank one after them, in the place of the last one and without a normal."""
+    return Nodes(np.pad(nodes.points, ((0, 1), (0, 0)), mode="edge"), np.pad(nodes.normals, ((0, 1), (0, 0))))
+
+
+def _in_blocks(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+    """Return what sums a batch with NumPy."""
+
+    def sums(batch: _Batch) -> float:
+        rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
+        return math.fsum(
+            weight * _blocked(a[tile], b[batch.partners[first:last]], width) for tile, first, last, weight in rows
+        )
+
+    return sums
+
+
+def _blocked(a: Nodes, b: Nodes, width: float) -> float:
+    total = 0.0
+    size = max(1, BLOCK // max(len(b), 1))
+    for k in range(0, len(a), size):
+        x, n = a.points[k : k + size], a.normals[k : k + size]
+        r2 = reduce(np.add, ((x[:, i, None] - b.points[:, i]) ** 2 for i in range(x.shape[1])))
+        total += float(np.sum(n * (np.exp(r2 * (-0.5 / width**2)) @ b.normals)))
+    return total
+
+
+def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+    """Return what sums a batch by the compiled loop."""
+    middle, scale = 0.5 * (a.points.min(axis=0) + a.points.max(axis=0)), math.sqrt(0.5 / math.log(2)) / width
+    x, y = ((one.points - middle) * scale for one in (a, b))
+    squares = (y**2).sum(axis=1)
+    others = np.hstack([y, b.normals, squares[:, None]])
+    close = bool((x**2).sum(axis=1).max() + squares.max() <= _CLOSE)
+
+    def sums(batch: _Batch) -> float:
+        rows = (np.moveaxis(column[batch.tiles], 2, 1) for column in (x, a.normals))
+        found = _tile_sums()(*rows, others[batch.partners], batch.begin, batch.end, batch.weights, _WHOLE, close=close)
+        return float(found)
+
+    return sums
+
+
+@lru_cache(maxsize=1)
+def _tile_sums() -> Callable[..., Any]:
+    """Return the compiled loop: tiles on the minor axis, `_UNROLLED` partners a step, O(nodes) memory."""
+    import jax
+    import jax.numpy as jnp
+
+    def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array, whole: jax.Array, close: bool) -> Any:
+        x, n, first, last, weight = row
+        dim = len(x)
+        squares, twice = (x**2).sum(axis=0), -2 * x
+
+        def square(y: jax.Array) -> Any:
+            if close:
+                return sum((twice[i] * y[i] for i in range(dim)), squares + y[2 * dim])
+            return sum((x[i] - y[i]) ** 2 for i in range(dim))
+
+        def step(k: jax.Array, sums: jax.Array) -> jax.Array:
+            some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim + 1))
+            for y in some:
+                sums = sums + _exp2(square(y), whole, bounded=close) * sum(n[i] * y[dim + i] for i in range(dim))
+            return sums
+
+        sums = jax.lax.fori_loop(0, (last - first) // _UNROLLED, step, jnp.zeros(x.shape[1]))
+        return total + weight * sums.sum(), None
+
+    @partial(jax.jit, compiler_options=WIDEST, static_argnames="close")
+    def tile_sums(x, n, others, begin, end, weights, whole, close):  # type: ignore[no-untyped-def]
+        task = partial(one_tile, others=others, whole=whole, close=close)
+        return jax.lax.scan(task, 0.0, (x, n, begin, end, weights))[0]
+
+    return tile_sums
+
+
+def _exp2(x: Any, whole: Any, *, bounded: bool) -> Any:
+    """Return 2**-x for x ≥ 0, to 2e-14 of it, and less than 1e-270 where it is less: half the time of `jnp.exp2`.
+
+    The nearest whole number goes into the exponent of the result, the rest through a polynomial. `whole` is `_WHOLE`,
+    handed in so that the compiler cannot cancel it. A `bounded` x is less than 1000.
+    """
+    from jax import lax
+
+    x = x if bounded else lax.min(x, 900.0)
+    shifted = whole - x
+    share = (whole - shifted) - x
+    power = _POWERS[-1]
+    for coefficient in _POWERS[-2::-1]:
+        power = power * share + coefficient
+    bits = lax.bitcast_convert_type(shifted, np.dtype(np.int64)) << 52
+    return lax.bitcast_convert_type(lax.bitcast_convert_type(power, np.dtype(np.int64)) + bits, np.dtype(np.float64))

@@ -1,0 +1,1 @@
+"""Nearest points of polylines and surfaces."""

@@ -1,0 +1,236 @@
+"""Sums of squared closest distances between points and polylines that move a little from run to run.
+
+The runs of a batch hardly differ, so that only a few segments can be the closest ones to a point in any of them. Bounds
+on how far points and segments move within a block of runs say which; these are compared for all runs of the block
+together, compiled and in double precision. No closest segment is ever left out: the sums equal those of trying all
+segments, except for rounding.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from strandline.discrepancy.search.blocks import motion, similar
+from strandline.numerics.compiled import WIDEST, ample
+from strandline.numerics.threads import double, side_by_side
+
+__all__ = ["FEWEST", "sums_of_squares"]
+
+FEWEST = 16
+"""Runs from which it is worth compiling."""
+BLOCK = 384
+"""Runs worked on together: what one loop touches fits into a core's cache."""
+ENOUGH = 64
+"""Pairs compared, in all runs, for each that was bounded, from which it pays to bound them again for half the runs."""
+ABREAST = 2
+"""Segments compared with a point in one step of the loop."""
+_SLACK = 1e-9
+"""How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
+
+Points = Float[np.ndarray, "#run point 2"]
+Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the runs where all share it
+
+
+def sums_of_squares(
+    points: Points,
+    corners: Float[np.ndarray, "#run corner 2"],
+    cells: Int[np.ndarray, "cell 2"],
+    weights: Float[np.ndarray, "#run point"],
+) -> Float[np.ndarray, " run"] | None:
+    """Return Σ w δ² over the points of each run, δ the distance to the closest point of that run's polyline; mm².
+
+    What has one row is the same in all runs. Returns None where it is not worth it, or JAX is in single precision.
+
+    Args:
+        points: Points whose distances are computed (run, point, 2), mm.
+        corners: Corners of the polylines (run, corner, 2), mm.
+        cells: Numbers of the two corners of each segment.
+        weights: Weights w of the points.
+    """
+    runs = max(len(points), len(corners))
+    if runs < FEWEST or not double():
+        return None
+    moving, out = points if len(points) > 1 else corners, np.empty(runs)
+    centre = moving[0].mean(axis=0)
+
+    def block(task: tuple[_Pairs, Int[np.ndarray, " some"]]) -> Float[np.ndarray, " some"]:
+        pairs, rows = task
+        some = _rows(points, rows) - centre, _rows(corners, rows) - centre, _rows(weights, rows)
+        return _of_block(pairs, *some, cells)[: len(rows)]
+
+    (order,) = similar(moving, runs)
+    tasks = [*_tasks(points, corners, cells, order)]
+    for (_, rows), sums in zip(tasks, side_by_side(block, tasks), strict=True):
+        out[rows] = sums
+    return out
+
+
+def _tasks(
+    points: Points, corners: Points, cells: Int[np.ndarray, "cell 2"], rows: Int[np.ndarray, " some"]
+) -> Iterator[tuple["_Pairs", Int[np.ndarray, " some"]]]:
+    """Yield blocks of runs with their pairs; runs that share few enough pairs share the search for them."""
+    some = [array if len(array) == 1 else array[rows] for array in (points, corners)]
+    near = _near(some[0], some[1], cells)
+    if len(rows) > BLOCK and len(rows) * near.sum() > ENOUGH * near.size:
+        for half in np.array_split(rows, 2):
+            yield from _tasks(points, corners, cells, half)
+        return
+    pairs = _Pairs.of(near)
+    for part in np.array_split(rows, 2 * -(-len(rows) // (2 * BLOCK))):  # as many for each of two threads
+        yield pairs, part
+
+
+def _rows(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "..."]:
+    """Return these runs, the last one repeated up to one of few lengths; all of it where all runs share it."""
+    if len(array) == 1:
+        return array
+    length = ample(max(len(rows), FEWEST))
+    return np.asarray(array[np.pad(rows, (0, length - len(rows)), mode="edge")])
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Segments to compare with each point, `ABREAST` of them in a row; rows of one point follow each other.
+
+    Args:
+        segments: Numbers of segments, some repeated to fill the rows.
+        points: Number of the point of each row.
+        last: Whether a row is the last one of its point.
+        number: Number of rows that count; after them the arrays are filled up to one of few lengths.
+    """
+
+    segments: Int[np.ndarray, "row abreast"]
+    points: Int[np.ndarray, " row"]
+    last: Bool[np.ndarray, " row"]
+    number: int
+
+    @classmethod
+    def of(cls, near: Bool[np.ndarray, "point cell"]) -> "_Pairs":
+        """Return the pairs that `near` marks; each point has one at least."""
+        point, cell = np.nonzero(near)
+        counts = np.bincount(point, minlength=len(near))
+        rows = -(-counts // ABREAST)
+        owner, total = np.repeat(np.arange(len(near)), rows), int(rows.sum())
+        place = ABREAST * (np.arange(total) - (np.cumsum(rows) - rows)[owner])
+        within = np.minimum(place[:, None] + np.arange(ABREAST), (counts - 1)[owner, None])
+        segments = cell[(np.cumsum(counts) - counts)[owner, None] + within]
+        last = np.append(owner[1:] != owner[:-1], True)
+        room = (1 << (total - 1).bit_length()) - total
+        filled = np.pad(segments, ((0, room), (0, 0))), np.pad(owner, (0, room)), np.pad(last, (0, room))
+        return cls(*filled, total)
+
+
+def _of_block(
+    pairs: _Pairs,
+    points: Points,
+    corners: Points,
+    weights: Float[np.ndarray, "#run point"],
+    cells: Int[np.ndarray, "cell 2"],
+) -> Float[np.ndarray, " run"]:
+    """Return the sums of the runs of one block."""
+    x, y = _runs_last(points[..., 0]), _runs_last(points[..., 1])
+    ends = _runs_last(corners[..., 0]), _runs_last(corners[..., 1])
+    runs = max(len(points), len(corners))
+    rows = (pairs.segments, pairs.points, pairs.last, pairs.number)
+    return np.asarray(_sums()(x, y, _runs_last(weights), *ends, cells, *rows, runs=runs))
+
+
+def _runs_last(values: Float[np.ndarray, "#run point"]) -> Values:
+    """Return values with the runs on the last axis; without that axis where all runs share them."""
+    return values[0] if len(values) == 1 else np.ascontiguousarray(values.T)
+
+
+def _near(points: Points, corners: Points, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:
+    """Return which segments may be the closest ones to which points in some run of the block.
+
+    A segment moves at most as far as its corners do. It may be the closest one if it comes, at its best, as near as
+    some other one surely is.
+    """
+    middles, moved = motion(points)
+    bends, bent = motion(corners)
+    least, most = _bounds()(*middles.T, *bends.T, cells, bent[cells].max(axis=1))
+    slack = _SLACK * max(float(np.abs(middles).max()), float(np.abs(bends).max()))
+    beyond = np.asarray(least) > (np.asarray(most) + 2 * moved + slack)[:, None]
+    return np.asarray(~beyond)
+
+
+def _frames(x: Any, y: Any, cells: Any) -> tuple[Any, ...]:
+    """Return of each segment its unit tangent u, its middle m as m·u and m×u, and half its length."""
+    import jax.numpy as jnp
+
+    i, j = cells[:, 0], cells[:, 1]
+    dx, dy = x[j] - x[i], y[j] - y[i]
+    mx, my = 0.5 * (x[i] + x[j]), 0.5 * (y[i] + y[j])
+    length = jnp.sqrt(dx * dx + dy * dy)
+    whole = jnp.where(length > 0, length, 1.0)
+    ux, uy = dx / whole + (length == 0), dy / whole
+    return ux, uy, mx * ux + my * uy, mx * uy - my * ux, 0.5 * length
+
+
+def _square(x: Any, y: Any, segment: Any) -> Any:
+    """Return the squared distance of points to segments given by their frames."""
+    import jax.numpy as jnp
+
+    ux, uy, along, across, half = segment
+    beyond = jnp.maximum(jnp.abs(x * ux + y * uy - along) - half, 0.0)
+    off = x * uy - y * ux - across
+    return beyond * beyond + off * off
+
+
+@lru_cache(maxsize=1)
+def _bounds() -> Any:
+    """Return the compiled function for the least distance to each segment, and the largest to the closest one."""
+    import jax
+    import jax.numpy as jnp
+
+    @partial(jax.jit, compiler_options=WIDEST)
+    def bounds(x: Any, y: Any, across: Any, up: Any, cells: Any, bent: Any) -> Any:
+        distance = jnp.sqrt(_square(x[:, None], y[:, None], _frames(across, up, cells)))
+        return distance - bent, (distance + bent).min(axis=1)
+
+    return bounds
+
+
+@lru_cache(maxsize=1)
+def _sums() -> Any:
+    """Return the compiled loop over the rows of pairs.
+
+    Runs are on the last axis, which an array that all runs share does not have: numbers instead of vectors of length
+    one make the loop ten times as fast.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    @partial(jax.jit, compiler_options=WIDEST, static_argnames="runs")
+    def sums(
+        x: Any,
+        y: Any,
+        weights: Any,
+        across: Any,
+        up: Any,
+        cells: Any,
+        segments: Any,
+        owners: Any,
+        last: Any,
+        number: Any,
+        *,
+        runs: int,
+    ) -> Any:
+        frames = _frames(across, up, cells)
+
+        def row(i: Any, state: Any) -> Any:
+            best, total = state
+            p = owners[i]
+            for k in range(ABREAST):
+                best = jnp.minimum(best, _square(x[p], y[p], [frame[segments[i, k]] for frame in frames]))
+            total = total + jnp.where(last[i], weights[p] * best, 0.0)
+            return jnp.where(last[i], jnp.inf, best), total
+
+        begin = jnp.full(runs, jnp.inf), jnp.zeros(runs)
+        return jax.lax.fori_loop(0, number, row, begin)[1]
+
+    return sums

@@ -1,0 +1,326 @@
+"""The closest points of a polyline or a triangulated surface, found by a tree and as certain as by looking everywhere.
+
+The distance to the cell with the nearest centre is an upper bound of the distance to the interface. A tree of boxes
+around the cells is then gone down for all points at once; a box farther away than the bound holds nothing closer. What
+is left is looked at, so that the answer is that of trying every cell, to the last bit, whatever the sizes of the cells.
+Where a polyline is not very long, a sieve that tries all of its segments is quicker than the tree.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache, reduce
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from strandline.discrepancy.memo import Snapshot
+from strandline.discrepancy.search.sieve import GROUP, near_groups
+from strandline.errors import InvalidInterface
+from strandline.interface import Interface
+
+__all__ = ["ClosestPoints", "brute_force", "closest_points", "squared_distances"]
+
+BLOCK = 1 << 15
+"""Pairs of a point and a cell that are worked on at once: bounds the memory."""
+SMALL = 1 << 14
+"""Pairs of a point and a cell up to which trying all of them is quicker than the tree."""
+MANY, SHORT = 1 << 20, 1 << 14
+"""Pairs of a point and a segment from which the sieve is worth compiling; segments up to which it beats the tree."""
+_LEAF = 3
+"""Cells in the lowest boxes of the tree, at least; less than twice as many at most."""
+_GUESS = 0.02
+"""Error allowed of the first bound, as a share of it: spares points far away most of the search for it."""
+_SLACK = 1e-9, 1e-14
+"""How much farther than the bound a box may be: far more than rounding, as a share of the bound and of the extent."""
+
+Vectors = Float[np.ndarray, "xyz *#pair"]
+
+
+@dataclass(frozen=True, eq=False)
+class ClosestPoints:
+    """The point of an interface that is closest to each of some points.
+
+    Args:
+        points: closest points, mm.
+        cells: the cell that each lies on, the first where several share it.
+        squares: squared distances, mm².
+    """
+
+    points: Float[np.ndarray, "point xyz"]
+    cells: Int[np.ndarray, " point"]
+    squares: Float[np.ndarray, " point"]
+
+
+def squared_distances(points: Float[np.ndarray, "point xyz"], target: Interface) -> Float[np.ndarray, " point"]:
+    """Return the squared distance, mm², of each point to the closest point of `target`, on its cells.
+
+    Raises:
+        InvalidInterface: points with another number of coordinates than `target`.
+    """
+    return closest_points(points, target).squares
+
+
+def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface) -> ClosestPoints:
+    """Return the closest points of `target`, on its segments or triangles.
+
+    The search trees are kept for the interfaces searched last.
+
+    Raises:
+        InvalidInterface: points with another number of coordinates than `target`.
+    """
+    if points.shape[1] != target.dim:
+        raise InvalidInterface(
+            "points to project onto an interface",
+            value=f"{points.shape[1]} coordinates",
+            expected=f"{target.dim} coordinates, as the interface has",
+            remedy="Compare like with like.",
+        )
+    if len(points) * len(target.cells) <= SMALL:
+        return brute_force(points, target)
+    best, snapshot = _Best(points, target), Snapshot.of(target)
+    if target.dim == 2 and len(target.cells) <= SHORT and len(points) * len(target.cells) >= MANY:
+        _sift(best, snapshot)
+    _go_down(best, snapshot, np.flatnonzero(best.cells < 0))
+    return best.found()
+
+
+def brute_force(points: Float[np.ndarray, "point xyz"], target: Interface) -> ClosestPoints:
+    """Return the closest points by trying every cell for every point."""
+    best = _Best(points, target)
+    size = max(1, BLOCK // len(target.cells))
+    cells = _corners(target, np.arange(len(target.cells))[None])
+    for first in range(0, len(points), size):
+        block = slice(first, first + size)
+        squares = _squares(points[block].T[:, :, None], cells)
+        best.cells[block] = np.argmin(squares, axis=1)
+        best.squares[block] = squares[np.arange(len(squares)), best.cells[block]]
+    return best.found()
+
+
+def _sift(best: "_Best", snapshot: Snapshot) -> None:
+    """Look at the segments that the sieve lets through; points too far away for it keep none."""
+    size = max(1, BLOCK // GROUP)
+    for rows, groups in near_groups(best.points, snapshot):
+        for k in range(0, len(rows), size):
+            cells = GROUP * groups[k : k + size, None] + np.arange(GROUP)
+            best.look_at(np.repeat(rows[k : k + size], GROUP), np.minimum(cells.ravel(), len(best.target.cells) - 1))
+
+
+def _go_down(best: "_Best", snapshot: Snapshot, rows: Int[np.ndarray, " point"]) -> None:
+    """Search the tree for the points of these rows."""
+    for some in np.split(rows, range(BLOCK, len(rows), BLOCK)):
+        if some.size:
+            tree = _tree(snapshot)
+            best.look_at(some, tree.centres.query(best.points[some], eps=_GUESS)[1])
+            tree.look(best, some, np.zeros_like(some), 0)
+
+
+class _Best:
+    """The closest cell found so far for each point, and its squared distance."""
+
+    def __init__(self, points: Float[np.ndarray, "point xyz"], target: Interface) -> None:
+        self.points, self.target = points, target
+        self.columns = np.ascontiguousarray(points.T)
+        self.cells = np.full(len(points), -1)
+        self.squares = np.full(len(points), np.inf)
+        self.rounding = _SLACK[1] * max(float(np.abs(x).max(initial=0.0)) for x in (points, target.points))
+
+    def reach(self, rows: Int[np.ndarray, " pair"]) -> Float[np.ndarray, " pair"]:
+        """Return the square of the distance within which something closer may be found, a little more for rounding."""
+        return np.asarray((np.sqrt(self.squares.take(rows)) * (1 + _SLACK[0]) + self.rounding) ** 2)
+
+    def look_at(self, rows: Int[np.ndarray, " pair"], cells: Int[np.ndarray, " pair"]) -> None:
+        """Try these pairs of a point and a cell, `rows` in ascending order; of equal cells, the first is kept."""
+        if rows.size == 0:
+            return
+        squares = _squares(self.columns.take(rows, axis=1), _corners(self.target, cells))
+        first = np.flatnonzero(np.diff(rows, prepend=-1))
+        least = np.minimum.reduceat(squares, first)
+        counts = np.diff(first, append=len(rows))
+        tied = np.where(squares == np.repeat(least, counts), cells, len(self.target.cells))
+        cell, rows = np.minimum.reduceat(tied, first), rows[first]
+        better = (least < self.squares[rows]) | ((least == self.squares[rows]) & (cell < self.cells[rows]))
+        self.squares[rows[better]], self.cells[rows[better]] = least[better], cell[better]
+
+    def found(self) -> ClosestPoints:
+        corners = _corners(self.target, self.cells)
+        return ClosestPoints(_closest(self.columns, corners).T.copy(), self.cells, self.squares)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """Boxes around cells near each other, halved from level to level.
+
+    Args:
+        centres: Tree of the cells' centres.
+        order: Number of the cell in each of the lowest boxes; some are repeated to fill all boxes alike.
+        levels: Corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and last of all one for each cell.
+        cylinders: Cylinders around the contents of the lowest boxes above those of single cells. They show how flat the
+            contents lie, which a slanted box does not, and so rule out most boxes for points that are far away.
+    """
+
+    centres: cKDTree
+    order: Int[np.ndarray, " place"]
+    levels: list[Float[np.ndarray, "2 xyz _"]]
+    cylinders: "_Cylinders"
+
+    def look(self, best: _Best, rows: Int[np.ndarray, " pair"], boxes: Int[np.ndarray, " pair"], level: int) -> None:
+        """Improve the best by the cells in the boxes, each of them paired with the point of its row."""
+        if len(rows) > BLOCK:
+            half = len(rows) // 2
+            self.look(best, rows[:half], boxes[:half], level)
+            self.look(best, rows[half:], boxes[half:], level)
+            return
+        near = self._within(best, rows, boxes, level)
+        rows, boxes = rows[near], boxes[near]
+        if level == len(self.levels) - 2:
+            squares = self.cylinders.squares(best.columns.take(rows, axis=1), boxes)
+            self._tighten(best, rows, boxes, squares)
+            near = squares <= best.reach(rows)
+            rows, boxes = rows[near], boxes[near]
+        if level == len(self.levels) - 1:
+            best.look_at(rows, self.order[boxes])
+        elif len(rows):
+            parts = self.levels[level + 1].shape[2] // self.levels[level].shape[2]
+            inner = (parts * boxes[:, None] + np.arange(parts)).ravel()
+            self.look(best, np.repeat(rows, parts), inner, level + 1)
+
+    def _tighten(
+        self,
+        best: _Best,
+        rows: Int[np.ndarray, " pair"],
+        boxes: Int[np.ndarray, " pair"],
+        squares: Float[np.ndarray, " pair"],
+    ) -> None:
+        """Look at the cells in the box that seems nearest to each point, for a better bound."""
+        if rows.size:
+            first = np.flatnonzero(np.diff(rows, prepend=-1))
+            least = np.repeat(np.minimum.reduceat(squares, first), np.diff(first, append=len(rows)))
+            which = np.flatnonzero(squares == least)
+            which = which[np.diff(rows[which], prepend=-1) > 0]
+            parts = len(self.order) // self.levels[-2].shape[2]
+            cells = self.order[parts * boxes[which, None] + np.arange(parts)]
+            best.look_at(np.repeat(rows[which], parts), cells.ravel())
+
+    def _within(
+        self, best: _Best, rows: Int[np.ndarray, " pair"], boxes: Int[np.ndarray, " pair"], level: int
+    ) -> Bool[np.ndarray, " pair"]:
+        low, high = self.levels[level]
+        square = np.zeros(len(rows))
+        for k in range(len(low)):
+            x = best.columns[k].take(rows)
+            apart = np.maximum(np.maximum(low[k].take(boxes) - x, x - high[k].take(boxes)), 0.0)
+            square += apart * apart
+        return np.asarray(square <= best.reach(rows))
+
+
+@dataclass(frozen=True, eq=False)
+class _Cylinders:
+    """Flat cylinders that hold the cells of a box each: (xyz, box) or (box,), mm."""
+
+    centres: Float[np.ndarray, "xyz box"]
+    axes: Float[np.ndarray, "xyz box"]
+    heights: Float[np.ndarray, " box"]
+    radii: Float[np.ndarray, " box"]
+
+    @classmethod
+    def around(
+        cls, corners: Float[np.ndarray, "xyz box corner"], normals: Float[np.ndarray, "xyz box"]
+    ) -> "_Cylinders":
+        """Return the cylinders around corners, along the normals; where those cancel, along any axis."""
+        length = np.sqrt(_dot(normals, normals))
+        upright = np.eye(len(normals))[0][:, None]
+        axes = np.where(length > 0, normals / np.where(length > 0, length, 1.0), upright)
+        centres = corners.mean(axis=2)
+        up, off = _split(corners - centres[:, :, None], axes[:, :, None])
+        return cls(centres, axes, np.abs(up).max(axis=1), np.sqrt(off.max(axis=1)))
+
+    def squares(self, p: Vectors, boxes: Int[np.ndarray, " pair"]) -> Float[np.ndarray, " pair"]:
+        """Return the squared distances of points (xyz, pair) to cylinders."""
+        up, off = _split(p - self.centres.take(boxes, axis=1), self.axes.take(boxes, axis=1))
+        above = np.maximum(np.abs(up) - self.heights.take(boxes), 0.0)
+        beside = np.maximum(np.sqrt(off) - self.radii.take(boxes), 0.0)
+        return np.asarray(above * above + beside * beside)
+
+
+def _split(q: Vectors, axes: Vectors) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
+    """Return the component along unit axes and the square of what is left."""
+    up = _dot(q, axes)
+    return up, _dot(q - up * axes, q - up * axes)
+
+
+@lru_cache(maxsize=8)
+def _tree(snapshot: Snapshot) -> _Tree:
+    target = snapshot.interface
+    number = len(target.cells)
+    halvings = max((number // _LEAF).bit_length() - 1, 0)
+    leaf = -(-number // 2**halvings)
+    centres = target.centres
+    order = cKDTree(centres, leafsize=leaf).indices[np.arange(leaf * 2**halvings) * number // (leaf * 2**halvings)]
+    corners = _corners(target, order)
+    levels = [np.stack([reduce(np.minimum, corners), reduce(np.maximum, corners)])]
+    for parts in [leaf] + [2] * (halvings % 2) + [4] * (halvings // 2):
+        low, high = levels[0]
+        low = reduce(np.minimum, (low[:, k::parts] for k in range(parts)))
+        high = reduce(np.maximum, (high[:, k::parts] for k in range(parts)))
+        levels.insert(0, np.stack([low, high]))
+    flat = _Cylinders.around(
+        np.concatenate([one.reshape(target.dim, -1, leaf) for one in corners], axis=2),
+        target.normals[order].reshape(2**halvings, leaf, target.dim).sum(axis=1).T,
+    )
+    return _Tree(cKDTree(centres), order, levels, flat)
+
+
+def _corners(target: Interface, which: Int[np.ndarray, "*#pair"]) -> list[Float[np.ndarray, "xyz ..."]]:
+    """Return the corners of these cells; `take` needs a fifth of the time of indexing with lists."""
+    columns = np.ascontiguousarray(target.points.T)
+    return [columns.take(corner.take(which), axis=1) for corner in target.cells.T]
+
+
+def _squares(p: Vectors, corners: list[Vectors]) -> Float[np.ndarray, "..."]:
+    """Return the squared distances of points (xyz, pair) to cells; shapes may differ by what broadcasts."""
+    return np.asarray(reduce(np.minimum, (_dot(r, r) for r in _residuals(p, corners))))
+
+
+def _closest(p: Vectors, corners: list[Vectors]) -> Vectors:
+    """Return the closest points of cells."""
+    residuals = np.stack(list(_residuals(p, corners)))
+    best = np.argmin(_dot(np.moveaxis(residuals, 1, 0), np.moveaxis(residuals, 1, 0)), axis=0)
+    return np.asarray(p - np.take_along_axis(residuals, best[None, None], axis=0)[0])
+
+
+def _residuals(p: Vectors, corners: list[Vectors]) -> Iterator[Vectors]:
+    """Yield p less the closest point of each side, and of a triangle's inside; inf where that is on no inside."""
+    a, b, *more = corners
+    yield _off_segment(p, a, b)
+    for c in more:
+        yield _off_segment(p, b, c)
+        yield _off_segment(p, c, a)
+        yield _off_inside(p, a, b, c)
+
+
+def _off_segment(p: Vectors, a: Vectors, b: Vectors) -> Vectors:
+    d, q = b - a, p - a
+    return np.asarray(q - np.clip(_dot(q, d) / _dot(d, d), 0.0, 1.0) * d)
+
+
+def _off_inside(p: Vectors, a: Vectors, b: Vectors, c: Vectors) -> Vectors:
+    """Solve for the share of c first, along the altitude, then for that of b: as good for slivers as for others.
+
+    The altitude is made orthogonal twice, since what is left of a sliver after once is rounding.
+    """
+    d, e, q = b - a, c - a, p - a
+    square = _dot(d, d)
+    altitude = e - _dot(e, d) / square * d
+    altitude = altitude - _dot(altitude, d) / square * d
+    w = _dot(q, altitude) / _dot(e, altitude)
+    r = q - w * e
+    v = _dot(r, d) / square
+    inside = (v >= 0) & (w >= 0) & (v + w <= 1)
+    return np.where(inside, r - v * d, np.inf)
+
+
+def _dot(a: Vectors, b: Vectors) -> Float[np.ndarray, "..."]:
+    """Add up in a fixed order, so that a pair gives the same to the last bit wherever it is met."""
+    return np.asarray(reduce(np.add, (x * y for x, y in zip(a, b, strict=True))))

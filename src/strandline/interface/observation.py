@@ -1,0 +1,47 @@
+"""What was observed: an interface, its noise, and the condition it belongs to."""
+
+from dataclasses import dataclass
+
+from strandline.errors import InvalidInput
+from strandline.interface.interface import Interface
+from strandline.interface.noise import GaussianNoise, Noise
+from strandline.text import is_label
+
+__all__ = ["Observation", "is_condition"]
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Observation:
+    """An observed interface and its noise.
+
+    Args:
+        interface: Observed interface, mm.
+        noise: Noise model; a number is the variance σ_N² of Gaussian noise, in the unit of the discrepancy d².
+        condition: Experimental condition or time; "" where the model has but one, without a name.
+
+    Raises:
+        InvalidInput: A variance that is not a finite number above 0, or something that is no noise model.
+    """
+
+    interface: Interface
+    noise: Noise
+    condition: str = ""
+
+    def __init__(self, interface: Interface, noise: Noise | float, condition: str = "") -> None:
+        if isinstance(noise, int | float) and not isinstance(noise, bool):
+            noise = GaussianNoise(float(noise))
+        if not isinstance(noise, Noise):
+            raise InvalidInput(
+                "noise of an observation",
+                value=noise,
+                expected="a noise model, or the variance σ_N² in the unit of d²",
+                remedy="Give e.g. GaussianNoise(variance=0.001), or 0.001.",
+            )
+        object.__setattr__(self, "interface", interface)
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "condition", condition)
+
+
+def is_condition(name: object) -> bool:
+    """Return whether `name` can be a condition's: "" for the only one, else a short text that file names can hold."""
+    return isinstance(name, str) and is_label(name) and name == name.strip() and not set(name) & set("/\\")

@@ -1,0 +1,57 @@
+"""Geometry of triangulated surfaces in space: functions of points (point, 3), mm, and corners (cell, 3)."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+__all__ = ["agreement", "encloses", "shortest_altitudes", "signed_volume", "vector_areas"]
+
+Points = Float[np.ndarray, "point 3"]
+Triangles = Int[np.ndarray, "cell 3"]
+
+
+def vector_areas(points: Points, cells: Triangles) -> Float[np.ndarray, "cell 3"]:
+    """Return the normal of each triangle times its area, mm²: the corners run counter-clockwise seen from its tip."""
+    a, b, c = (points[cells[:, k]] for k in range(3))
+    return np.asarray(0.5 * np.cross(b - a, c - a))
+
+
+def shortest_altitudes(points: Points, cells: Triangles) -> Float[np.ndarray, " cell"]:
+    """Return twice the area of each triangle by its longest side, mm; 0 where a corner is repeated."""
+    corners = points[cells]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    twice = 2 * np.linalg.norm(vector_areas(points, cells), axis=1)
+    return np.asarray(np.divide(twice, longest, out=np.zeros_like(twice), where=longest > 0))
+
+
+def encloses(points: Points, cells: Triangles) -> bool:
+    """Return whether the surface is closed: each side of a triangle is that of one other, run through the other way."""
+    one, two = cells.ravel(), np.roll(cells, -1, axis=1).ravel()
+    there, back = np.sort(one * len(points) + two), np.sort(two * len(points) + one)
+    return bool(np.array_equal(there, back) and (np.diff(there) > 0).all())
+
+
+def signed_volume(points: Points, cells: Triangles) -> float:
+    """Return the volume that a closed surface encloses, mm³; above 0 where the normals point outwards."""
+    a, b, c = (points[cells[:, k]] - points.mean(axis=0) for k in range(3))
+    return float(np.sum(a * np.cross(b, c))) / 6
+
+
+def agreement(
+    centres: Points,
+    normals: Points,
+    other_centres: Float[np.ndarray, "other 3"],
+    other_normals: Float[np.ndarray, "other 3"],
+) -> float:
+    """Return the mean cosine between normals of neighbours, each triangle with the nearest one of the other surface.
+
+    Means over the area of either surface, added up: -2 … 2, below 0 where they face opposite sides.
+    """
+    there = cKDTree(other_centres).query(centres)[1]
+    back = cKDTree(centres).query(other_centres)[1]
+    return _mean_cosine(normals, other_normals[there]) + _mean_cosine(other_normals, normals[back])
+
+
+def _mean_cosine(normals: Float[np.ndarray, "cell 3"], neighbours: Float[np.ndarray, "cell 3"]) -> float:
+    areas = np.linalg.norm(normals, axis=1)
+    return float(np.sum(normals * neighbours / np.linalg.norm(neighbours, axis=1, keepdims=True)) / areas.sum())

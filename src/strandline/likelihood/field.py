@@ -1,0 +1,125 @@
+"""The likelihood of inputs through a surrogate of the field: the measure is evaluated on the predicted interface."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import logsumexp
+from scipy.stats import norm, qmc
+
+from strandline.discrepancy import Discrepancy, squared_discrepancies
+from strandline.interface import Observation
+from strandline.surrogate.field import FieldPrediction, FieldSurrogate
+
+__all__ = ["FieldLikelihood", "OnHost", "noise_length"]
+
+DRAWS = 16
+"""Fields drawn at each point for the expected likelihood; they come in pairs of opposite sign."""
+_BLOCK = 8192  # interfaces predicted together
+
+
+@dataclass(frozen=True, eq=False)
+class FieldLikelihood:
+    """log L of inputs, given a surrogate of the interface.
+
+    Args:
+        surrogate: Surrogate of the field.
+        observations: Observed interfaces, one for each condition that was observed.
+        discrepancy: The measure d².
+    """
+
+    surrogate: FieldSurrogate
+    observations: tuple[Observation, ...]
+    discrepancy: Discrepancy
+
+    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return log L of the predicted interfaces as if they were exact."""
+        blocks = [x[k : k + _BLOCK] for k in range(0, len(x), _BLOCK)]
+        return np.concatenate([self._of(self.surrogate.mean(block), None) for block in blocks])
+
+    def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return log E[L] over the fields that the surrogate holds possible at each point.
+
+        The mean over `DRAWS` fields, the same standard normal numbers at every point. What the modes leave is drawn
+        like the modes.
+        """
+        number = max(_BLOCK // DRAWS, 1)
+        blocks = [x[k : k + number] for k in range(0, len(x), number)]
+        return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
+
+    def left_out(self, runs: Int[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
+        """Return log E[L] at training runs, by their numbers, each predicted from all others."""
+        left_out = [process.left_out() for process in self.surrogate.processes]
+        values = np.stack([p.observed.values for p in self.surrogate.processes], axis=1)
+        mean = values - np.stack([one.errors for one in left_out], axis=1)
+        return self._drawn(FieldPrediction(mean[runs], np.stack([one.variances for one in left_out], axis=1)[runs]))
+
+    def _drawn(self, found: FieldPrediction) -> Float[np.ndarray, " point"]:
+        of_modes, of_tail = self._numbers
+        drawn = found.mean[:, None] + np.sqrt(found.variance)[:, None] * of_modes
+        tail = np.tile(of_tail, (len(found.mean), 1))
+        values = self._of(drawn.reshape(-1, drawn.shape[2]), tail).reshape(-1, DRAWS)
+        return np.asarray(logsumexp(values, axis=1) - np.log(DRAWS))
+
+    def _of(
+        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
+    ) -> Float[np.ndarray, " draw"]:
+        points = self.surrogate.points(coefficients, tail)
+        total = np.zeros(len(coefficients))
+        for seen in self.observations:
+            template = self.surrogate.layouts[seen.condition].template
+            squares = squared_discrepancies(self.discrepancy, points[seen.condition], template, seen.interface)
+            total += seen.noise.log_density(squares)
+        return total
+
+    @cached_property
+    def _numbers(self) -> tuple[Float[np.ndarray, "draw mode"], Float[np.ndarray, "draw rest"]]:
+        """Standard normal numbers: a Sobol sequence in the modes, each point with its opposite."""
+        modes, rest = len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
+        half = qmc.Sobol(modes, seed=np.random.default_rng(0)).random(DRAWS // 2)
+        of_modes = norm.ppf(np.clip(half, 1e-6, 1 - 1e-6))
+        of_tail = np.random.default_rng(1).standard_normal((DRAWS // 2, rest))
+        return np.concatenate([of_modes, -of_modes]), np.concatenate([of_tail, -of_tail])
+
+
+@dataclass(frozen=True)
+class OnHost:
+    """A function of NumPy arrays for the sampler, which keeps it out of what it compiles.
+
+    Args:
+        function: log L of points.
+    """
+
+    function: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
+    on_host = True
+
+    def __call__(self, x: Any) -> Any:
+        """Return the function's values."""
+        return self.function(x)
+
+
+def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
+    """Return the shift of the observed interface, mm, that costs half a unit of log-likelihood: d² = σ_N².
+
+    The mean over shifts along the axes; half the interface's extent where no shift costs as much.
+    """
+    seen = observation.interface
+    extent = float(np.ptp(seen.points, axis=0).max())
+    found = [_shift(observation, discrepancy, axis, extent) for axis in np.eye(seen.dim)]
+    return float(np.mean(found))
+
+
+def _shift(
+    observation: Observation, discrepancy: Discrepancy, direction: Float[np.ndarray, " xyz"], extent: float
+) -> float:
+    """Bisect in the logarithm: d² grows with small shifts."""
+    seen, low, high = observation.interface, 1e-7 * extent, 0.5 * extent
+    for _ in range(30):
+        middle = float(np.sqrt(low * high))
+        shifted = (seen.points + middle * direction)[None]
+        square = float(squared_discrepancies(discrepancy, shifted, seen, seen)[0])
+        low, high = (low, middle) if square > observation.noise.scale else (middle, high)
+    return high

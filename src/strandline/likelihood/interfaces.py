@@ -1,0 +1,123 @@
+"""From discrepancies to a log-likelihood; several conditions add."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.discrepancy import Discrepancy, independent_terms, unit_of
+from strandline.errors import InvalidInput, NumericsError
+from strandline.interface import Interface, Observation
+
+__all__ = ["InterfaceLikelihood"]
+
+
+@dataclass(frozen=True)
+class InterfaceLikelihood:
+    """log L = Σ over conditions of what their noise makes of d²; with Gaussian noise, Eq. (4) of the study.
+
+    Args:
+        observations: one for each condition or time that was observed; simulated ones beyond these are passed over.
+        discrepancy: the measure d².
+
+    Raises:
+        InvalidInput: no observation, or two of one condition.
+    """
+
+    observations: tuple[Observation, ...]
+    discrepancy: Discrepancy
+
+    def __post_init__(self) -> None:
+        if not self.observations:
+            raise InvalidInput(
+                "observations of the likelihood",
+                value="none",
+                expected="at least one observed interface",
+                remedy="Supply an observation.",
+            )
+        name, number = Counter(self.conditions).most_common(1)[0]
+        if number > 1:
+            raise InvalidInput(
+                "conditions of the observations",
+                value=f"{number} observations of {_spoken(name)}",
+                expected="a different condition for each",
+                remedy="Name the conditions as the model does.",
+            )
+
+    def __call__(self, interfaces: Interface | Mapping[str, Interface]) -> float:
+        """Return log L, without `constant`, of the simulated interfaces by condition."""
+        squares = np.split(self.discrepancies(interfaces), len(self.observations))
+        pairs = zip(self.observations, squares, strict=True)
+        return float(sum(o.noise.log_density(square)[0] for o, square in pairs))
+
+    def discrepancies(self, interfaces: Interface | Mapping[str, Interface]) -> Float[np.ndarray, " condition"]:
+        """Return d² of each observation, in `unit`.
+
+        Args:
+            interfaces: the simulated ones by condition; a bare interface serves where there is one observation.
+
+        Raises:
+            InvalidInput: an observed condition is not among the simulated ones.
+            NumericsError: the measure returned a number that is negative or not finite.
+        """
+        simulated = self._matched(interfaces)
+        return np.array([self._discrepancy(simulated[o.condition], o) for o in self.observations])
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """The observed conditions, in the order of the observations."""
+        return tuple(o.condition for o in self.observations)
+
+    @property
+    def independent_terms(self) -> int | None:
+        """Number of independent residuals that d² sums over all observations; None where it is no such sum."""
+        counts = [independent_terms(self.discrepancy, o.interface) for o in self.observations]
+        known = [count for count in counts if count is not None]
+        return sum(known) if len(known) == len(counts) else None
+
+    @property
+    def unit(self) -> str:
+        """Unit of d² and of the noise variances."""
+        return unit_of(self.discrepancy, self.observations[0].interface)
+
+    @property
+    def constant(self) -> float | None:
+        """The Gaussian constant -½ Σ n_c log(2πσ_N,c²) that `__call__` leaves out.
+
+        None where d² is not the sum of a number n_c of independent residuals fixed by the observation. σ_N in mm: the
+        constant depends on the unit, as any log density of data does.
+        """
+        counts = [independent_terms(self.discrepancy, o.interface) for o in self.observations]
+        if any(count is None for count in counts):
+            return None
+        return sum(o.noise.constant(n or 0) for o, n in zip(self.observations, counts, strict=True))
+
+    def _matched(self, interfaces: Interface | Mapping[str, Interface]) -> Mapping[str, Interface]:
+        """Return the simulated interfaces by condition, all observed ones among them."""
+        if isinstance(interfaces, Interface):
+            interfaces = {self.conditions[0] if len(self.conditions) == 1 else "": interfaces}
+        missing = [name for name in self.conditions if name not in interfaces]
+        if missing:
+            raise InvalidInput(
+                f"the simulated interfaces lack {', '.join(map(_spoken, missing))}, which was observed",
+                value=", ".join(map(_spoken, interfaces)) or None,
+                expected=f"at least {', '.join(map(_spoken, self.conditions))}",
+                remedy="Give each observation the name that its condition has in the model.",
+            )
+        return interfaces
+
+    def _discrepancy(self, simulated: Interface, observation: Observation) -> float:
+        d2 = float(self.discrepancy(simulated, observation.interface))
+        if not (math.isfinite(d2) and d2 >= 0):
+            raise NumericsError(
+                f"discrepancy {self.discrepancy!r} of condition {observation.condition!r} is {d2:g}; "
+                "a squared distance is finite and not negative: mend the measure"
+            )
+        return d2
+
+
+def _spoken(condition: str) -> str:
+    return f"condition {condition!r}" if condition else "a condition without a name"

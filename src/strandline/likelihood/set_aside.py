@@ -1,0 +1,230 @@
+"""Single runs that the analysis cannot use, though they ended ok: named, set aside, and the study goes on.
+
+A run may have another number of points than the measure needs, coordinates of 1e160, or an interface that runs the
+other way round. Such a run counts as `invalid` for this analysis; the ledger keeps it as it is.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from strandline.discrepancy import Discrepancy, oriented_like_runs
+from strandline.errors import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.likelihood.field import noise_length
+from strandline.runs import FailurePolicy, RunRecord
+from strandline.runs.tables import EXCLUDED
+from strandline.surrogate.field.odd import FLIPPED, flipped, odd_ones
+
+__all__ = ["Judge", "SetAside", "says_whether_runs_succeed"]
+
+NOT_COMPARABLE = "not_comparable"
+NO_COMMON_POINTS = "no_common_points"
+KINDS = frozenset({NOT_COMPARABLE, FLIPPED, NO_COMMON_POINTS})
+FARTHEST = 1e6
+"""Extents of the observed interface: beyond so many from it there is nothing to compare."""
+EXCEPTIONS = 0.1
+"""Share of the runs, and at least one, that may be set aside for want of common points; more are no exceptions."""
+
+
+@dataclass(frozen=True)
+class SetAside:
+    """A run that ended ok and is not used.
+
+    Args:
+        key: Content address of the run.
+        inputs: Inputs by name.
+        kind: ``not_comparable``, ``flipped`` or ``no_common_points``.
+        measure: Name of the measure it is set aside for; None where it is not used at all.
+        why: Reason in words.
+    """
+
+    key: str
+    inputs: Mapping[str, float]
+    kind: str
+    measure: str | None
+    why: str
+
+
+class Judge:
+    """Evaluates the measures on runs, each once, and says which runs cannot be used.
+
+    The first runs say from which end an interface is run through; an observation from the other end is turned round
+    then, and `turned` names its condition.
+
+    Args:
+        observations: One for each observed condition.
+        discrepancies: Measures by name; the first one makes the posterior.
+        policy: What is done about failed runs, those that are set aside among them.
+    """
+
+    def __init__(
+        self, observations: tuple[Observation, ...], discrepancies: Mapping[str, Discrepancy], policy: FailurePolicy
+    ) -> None:
+        self.observations, self.discrepancies, self.policy = observations, discrepancies, policy
+        self.likelihoods = {name: InterfaceLikelihood(observations, one) for name, one in discrepancies.items()}
+        self.first = next(iter(self.likelihoods))
+        self.turned: tuple[str, ...] = ()
+        self._oriented = False
+        self._known: dict[tuple[str, str], float | InvalidInput | NumericsError | ArithmeticError] = {}
+        self._aside: dict[str, SetAside] = {}
+        self._exceptions: dict[str, SetAside] = {}
+
+    def usable(self, records: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
+        """Return `records`, those that cannot be used turned into `invalid` ones.
+
+        Raises:
+            InvalidInput: The measure cannot be evaluated on any of the runs: then it is not the runs that are odd.
+            NumericsError: Likewise.
+            CampaignStopped: As the policy says.
+        """
+        good = [record for record in records if record.ok]
+        self._orient(good)
+        self._aside |= {one.key: one for one in self._not_comparable(good)}
+        if not self._aside and not self._exceptions:
+            return tuple(records)
+        out = tuple(self._judged(record) for record in records)
+        self._heed(out)
+        return out
+
+    def without_exceptions(self, records: Sequence[RunRecord], error: NoCommonPoints) -> None:
+        """Set aside the few runs whose interfaces do not fit the others', from now on.
+
+        Args:
+            records: All runs.
+            error: What was raised for want of common points.
+
+        Raises:
+            NoCommonPoints: `error`, where such runs are no exceptions, or the best run is one of them.
+        """
+        good = [record for record in records if record.ok and record.key not in self._aside]
+        names = [seen.condition for seen in self.observations]
+        measure = self.likelihoods[self.first].discrepancy
+        hidden = min(noise_length(seen, measure) for seen in self.observations)
+        odd = odd_ones([{name: record.interfaces[name] for name in names} for record in good], hidden)
+        values = np.array([self.value(self.first, record) for record in good])
+        regular = [i for i in range(len(good)) if i not in odd]
+        if not odd or len(odd) > max(1, EXCEPTIONS * len(good)) or values[[*odd]].max() > values[regular].max():
+            raise error
+        found = {good[i].key: SetAside(good[i].key, good[i].inputs, NO_COMMON_POINTS, None, odd[i]) for i in odd}
+        if found.keys() <= self._exceptions.keys():
+            raise error
+        self._exceptions = found
+
+    def forget_exceptions(self) -> None:
+        """Use the runs without common points again: the log-likelihood needs none."""
+        self._exceptions = {}
+
+    def value(self, measure: str, record: RunRecord) -> float:
+        """Return the log-likelihood of a run under a measure, NaN where it cannot be evaluated."""
+        found = self._evaluated(measure, record)
+        return found if isinstance(found, float) else math.nan
+
+    def set_aside(self, records: Sequence[RunRecord]) -> tuple[SetAside, ...]:
+        """Return which of the runs are set aside, for one measure or for all."""
+        first = {**self._exceptions, **self._aside}
+        whole = [first[record.key] for record in records if record.key in first]
+        partly = [
+            SetAside(record.key, record.inputs, NOT_COMPARABLE, name, _one_line(found))
+            for name in self.likelihoods
+            for record in records
+            if name != self.first and isinstance(found := self._known.get((name, record.key)), Exception)
+        ]
+        return (*whole, *partly)
+
+    def _orient(self, good: Sequence[RunRecord]) -> None:
+        """Turn the observations round that run against the first runs there are."""
+        if self._oriented or not good:
+            return
+        self._oriented, observations, turned = True, [], []
+        for seen in self.observations:
+            runs = [record.interfaces[seen.condition] for record in good if seen.condition in record.interfaces]
+            interface, against = oriented_like_runs(seen.interface, runs)
+            observations.append(replace(seen, interface=interface))
+            turned += [seen.condition] if against else []
+        if turned:
+            self.observations, self.turned = tuple(observations), tuple(turned)
+            self.likelihoods = {
+                name: InterfaceLikelihood(self.observations, one) for name, one in self.discrepancies.items()
+            }
+
+    def _evaluated(self, measure: str, record: RunRecord) -> float | InvalidInput | NumericsError | ArithmeticError:
+        key = measure, record.key
+        if key not in self._known:
+            try:
+                _require_near(record, self.observations)
+                self._known[key] = self.likelihoods[measure](record.interfaces)
+            except (InvalidInput, NumericsError, ArithmeticError) as error:
+                self._known[key] = error
+        return self._known[key]
+
+    def _not_comparable(self, good: Sequence[RunRecord]) -> Iterator[SetAside]:
+        found = [self._evaluated(self.first, record) for record in good]
+        errors = [one for one in found if not isinstance(one, float)]
+        if errors and len(errors) == len(found):
+            raise errors[0]
+        for record, one in zip(good, found, strict=True):
+            if not isinstance(one, float):
+                yield SetAside(record.key, record.inputs, NOT_COMPARABLE, self.first, _one_line(one))
+        rest = [record for record, one in zip(good, found, strict=True) if isinstance(one, float)]
+        turned = [record for record in rest if self._flipped(record)]
+        if 2 * len(turned) < len(rest):  # else it is the observation that runs the other way
+            for record in turned:
+                yield SetAside(record.key, record.inputs, FLIPPED, None, "its points run from the other end")
+
+    def _flipped(self, record: RunRecord) -> bool:
+        return any(flipped(record.interfaces.get(seen.condition), seen.interface) for seen in self.observations)
+
+    def _judged(self, record: RunRecord) -> RunRecord:
+        found = self._aside.get(record.key) or self._exceptions.get(record.key)
+        if found is None or not record.ok:
+            return record
+        nothing: dict[str, Any] = {"interfaces": {}, "sensitivities": {}}
+        return replace(record, state="invalid", failure_kind=found.kind, message=found.why, **nothing)
+
+    def _heed(self, records: Sequence[RunRecord]) -> None:
+        """Stop where the policy wants that."""
+        for record in records:
+            if record.failure_kind in KINDS and self.policy.aborts(record):
+                raise CampaignStopped(
+                    f"run {record.key[:12]} cannot be used ({record.failure_kind}), and study.yaml says to stop then\n"
+                    f"at {_inputs(record.inputs)}: {record.message}\n"
+                    "All finished runs are kept. Mend the model and start a new ledger, or leave this run out: "
+                    f"strandline runs STUDY --exclude {record.key[:12]} --why REASON"
+                )
+        self.policy.require_worth_going_on(records)
+
+
+def says_whether_runs_succeed(record: RunRecord) -> bool:
+    """Return whether a record says if runs succeed at its inputs; what was set aside or excluded does not."""
+    return record.state != EXCLUDED and record.failure_kind not in KINDS
+
+
+def _require_near(record: RunRecord, observations: Sequence[Observation]) -> None:
+    """Refuse coordinates so far away that squares of distances say nothing."""
+    for seen in observations:
+        simulated = record.interfaces.get(seen.condition)
+        if simulated is None:
+            continue  # the likelihood says which condition is missing
+        low, high = seen.interface.points.min(axis=0), seen.interface.points.max(axis=0)
+        extent = float((high - low).max())
+        largest = float(np.abs(simulated.points).max())
+        if largest > FARTHEST * max(extent, float(np.abs([low, high]).max())):
+            raise InvalidInput(
+                "coordinates of the simulated interface",
+                value=f"{largest:.3g} mm",
+                expected=f"at most {FARTHEST:.0e} times the observed interface's extent of {extent:.3g} mm",
+                remedy="Look at the model's units and at whether this run has converged.",
+            )
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _inputs(inputs: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())

@@ -1,0 +1,26 @@
+"""Double precision of JAX."""
+
+from strandline.errors import InvalidInput
+
+__all__ = ["use_double"]
+
+
+def use_double() -> None:
+    """Switch JAX to double precision, for the whole process, unless it computes in it already.
+
+    Raises:
+        InvalidInput: It stays in single precision, as inside ``with jax.enable_x64(False)``.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    if jnp.zeros(()).dtype == jnp.float64:
+        return
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
+    if jnp.zeros(()).dtype != jnp.float64:
+        raise InvalidInput(
+            "precision of JAX",
+            value="float32",
+            expected="float64",
+            remedy='Leave `with jax.enable_x64(False)`, or call jax.config.update("jax_enable_x64", True) first.',
+        )

@@ -1,0 +1,68 @@
+"""Work in parts, done by several threads where these may compute at once: results in the order of the parts.
+
+NumPy and compiled functions release the interpreter while they compute. There are as many threads as
+``OMP_NUM_THREADS`` says, the limit that BLAS keeps as well; by default, as many as the process has cores.
+"""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
+from typing import TypeVar
+
+import numpy as np
+
+__all__ = ["double", "side_by_side", "threads"]
+
+Part = TypeVar("Part")
+Result = TypeVar("Result")
+
+
+def side_by_side(task: Callable[[Part], Result], parts: Iterable[Part]) -> Iterator[Result]:
+    """Yield `task` of each part in their order; at any time, only as many parts are drawn as two for each thread.
+
+    What a part gives does not depend on the number of threads, as long as the parts do not. Compiled functions may be
+    called: where JAX's float64 is switched on for the calling thread alone, that one does everything. A task must not
+    call this function itself.
+    """
+    workers = threads()
+    if workers == 1:
+        yield from map(task, parts)
+        return
+    pool = _pool(workers, os.getpid())
+    if pool.submit(double).result() != double():
+        yield from map(task, parts)
+        return
+    waiting: deque[Future[Result]] = deque()
+    try:
+        for part in parts:
+            waiting.append(pool.submit(task, part))
+            if len(waiting) == 2 * workers:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+@lru_cache(maxsize=4)
+def _pool(workers: int, process: int) -> ThreadPoolExecutor:
+    """Return the threads of this process, kept: each new one would keep memory of its own that it freed."""
+    return ThreadPoolExecutor(workers, thread_name_prefix=f"strandline-{process}")
+
+
+def double() -> bool:
+    """Return whether JAX computes in float64, in this thread."""
+    import jax.numpy as jnp
+
+    return bool(jnp.zeros(()).dtype == np.float64)
+
+
+def threads() -> int:
+    """Return the number of threads to use."""
+    limit = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    if limit.isdigit() and int(limit) > 0:
+        return int(limit)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,41 @@
+"""A posterior at a prompt and in a notebook: one line, or one table."""
+
+import html
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.parameters import ParameterSpace
+from strandline.text import with_sd
+from strandline.typeset import html_text, unit_text
+
+__all__ = ["html_table", "moments_line", "moments_table"]
+
+MOST_SHOWN = 8
+"""Inputs named in one line."""
+
+
+def moments_line(space: ParameterSpace, mean: Float[np.ndarray, " dim"], sd: Float[np.ndarray, " dim"]) -> str:
+    """Return ``E = 399.6 ± 15 Pa, nu = 0.297 ± 0.059``."""
+    rows = zip(space, mean.tolist(), sd.tolist(), strict=True)
+    parts = [f"{p.name} = {with_sd(middle, width)} {unit_text(p.unit)}".rstrip() for p, middle, width in rows]
+    more = f", and {len(parts) - MOST_SHOWN} more" if len(parts) > MOST_SHOWN else ""
+    return ", ".join(parts[:MOST_SHOWN]) + more
+
+
+def moments_table(space: ParameterSpace, columns: Mapping[str, Float[np.ndarray, " dim"]]) -> str:
+    """Return an HTML table with a row for each input, of its numbers by name."""
+    rows = [
+        (html_text(parameter.name), html.escape(unit_text(parameter.unit)), *(f"{c[i]:.4g}" for c in columns.values()))
+        for i, parameter in enumerate(space)
+    ]
+    return html_table(("input", "unit", *columns), rows)
+
+
+def html_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str = "") -> str:
+    """Return a plain HTML table; cells are HTML, head and caption are text."""
+    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    above = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+    return f"<table>{above}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"

@@ -1,0 +1,65 @@
+"""Named entries of a registry, a dict one can read; and what third parties add by ``module:name``."""
+
+import importlib
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from strandline.errors import InvalidInput
+
+__all__ = ["imported", "lookup", "suggestion"]
+
+
+def lookup(registry: Mapping[str, Any], name: str, what: str) -> Any:
+    """Return an entry of `registry`, or the object that ``module:name`` names.
+
+    Args:
+        registry: Entries by name: objects, or ``module:name`` of objects that are imported only when used.
+        name: Name of an entry, or ``module:name``.
+        what: What the entries are, for messages.
+
+    Raises:
+        InvalidInput: There is no such entry; the nearest one is named.
+    """
+    if name in registry:
+        found = registry[name]
+        return imported(found, what) if isinstance(found, str) else found
+    if ":" in name:
+        return imported(name, what)
+    raise InvalidInput(
+        what,
+        value=name,
+        expected=f"one of {', '.join(registry)}, or module:name",
+        remedy=suggestion(name, registry, "Choose one of them."),
+    )
+
+
+def imported(target: str, what: str) -> Any:
+    """Return the object ``module:name``.
+
+    Raises:
+        InvalidInput: No such module, or no such name in it.
+    """
+    module, _, name = target.partition(":")
+    if not (module and name):
+        raise _refused(what, target, "module:name, e.g. my_package.measures:Hausdorff")
+    try:
+        found: Any = importlib.import_module(module)
+    except Exception as error:
+        raise _refused(what, target, f"a module that can be imported ({type(error).__name__}: {error})") from None
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if found is None:
+        raise _refused(what, target, f"a name that {module} has")
+    return found
+
+
+def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return a question after the known name nearest to `name`; `otherwise` where none is near."""
+    close = get_close_matches(name, list(known), n=1)
+    return f"Did you mean {close[0]}?" if close else otherwise
+
+
+def _refused(what: str, target: str, expected: str) -> InvalidInput:
+    remedy = "Correct the name, install the module, or put its folder on PYTHONPATH."
+    return InvalidInput(what, value=target, expected=expected, remedy=remedy)

@@ -1,0 +1,58 @@
+"""Errors of a surrogate of the interface along it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+
+from strandline.report.plots.style import (
+    BLUE,
+    CYCLE,
+    DASHES,
+    SINGLE,
+    axes_or_new,
+    below,
+    styled,
+)
+
+__all__ = ["ErrorsAlong", "plot_field_error"]
+
+MM_TO_MICROMETRES = 1e3
+DECADES = 1e-3
+"""Lowest error shown, as a share of the largest: ends that are held have errors of rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorsAlong:
+    """Errors at places along an interface, mm; medians over runs or draws.
+
+    Args:
+        arc_length: Places along the interface (point,), mm.
+        left_out: Errors of runs (point,), each predicted from the others.
+        predicted: Standard deviations (point,) that the surrogate predicts at draws of the posterior.
+    """
+
+    arc_length: Float[np.ndarray, " point"]
+    left_out: Float[np.ndarray, " point"]
+    predicted: Float[np.ndarray, " point"]
+
+
+def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = None) -> Axes:
+    """Draw both errors over the arc length, logarithmic, in µm; one colour for each condition."""
+    with styled():
+        ax = axes_or_new(ax, (SINGLE, 2.9))
+        for k, (condition, along) in enumerate(errors.items()):
+            colour = CYCLE[k % len(CYCLE)] if len(errors) > 1 else BLUE
+            of = f", {condition}" if condition else ""
+            lines = {"runs, each from the others": along.left_out, "its own estimate at draws": along.predicted}
+            for dashes, (label, values) in zip(DASHES, lines.items(), strict=False):
+                shown = np.where(values > 0, MM_TO_MICROMETRES * values, np.nan)  # fixed ends have no error
+                ax.semilogy(along.arc_length, shown, linestyle=dashes, color=colour, label=label + of)
+        highest = MM_TO_MICROMETRES * max(float(np.nanmax([a.left_out, a.predicted])) for a in errors.values())
+        if highest > 0:
+            ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))
+        ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
+        below(ax, columns=2)
+    return ax

@@ -1,0 +1,340 @@
+"""Joint marginal of two inputs with everything the study draws into it (Figs. 9a, 9c, 9d, 14)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from strandline.errors import InvalidInput, NumericsError
+from strandline.posterior import (
+    GaussianApproximation,
+    KernelDensity,
+    LaplaceApproximation,
+    Posterior,
+    histogram_mode,
+    systematic_indices,
+)
+from strandline.report.plots.marginals import draw_marginal
+from strandline.report.plots.style import (
+    BLACK,
+    BLUE,
+    DOUBLE,
+    GREEN,
+    ORANGE,
+    SINGLE,
+    axes_or_new,
+    figure_of,
+    figure_or_new,
+    legend_under,
+    mark,
+    percent,
+    styled,
+)
+from strandline.report.plots.view import shown_interval
+
+__all__ = ["plot_hexagons", "plot_joint", "plot_pairs", "plot_selected_pairs"]
+
+PERCENTILES = (0.1, 0.5, 0.9)
+_GRID = 71
+"""Points across on which percentile lines are found."""
+NEGLIGIBLE = 1e-3
+"""Hexagons with less than this share of the fullest one's mass are left out."""
+
+
+def plot_joint(
+    posterior: Posterior,
+    names: tuple[str, str],
+    *,
+    laplace: LaplaceApproximation | None = None,
+    truth: Mapping[str, float] | None = None,
+    mode: Float[np.ndarray, "2"] | None = None,
+    percentiles: Sequence[float] = PERCENTILES,
+    bins: int = 30,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw hexagons of weight, percentile lines of three approximations, point estimates, marginals and priors.
+
+    Args:
+        posterior: The weighted draws, of any number of inputs.
+        names: The inputs along x and y.
+        laplace: The Laplace approximation of *all* inputs of `posterior`; an indefinite one is noted, not drawn.
+        truth: The ground truth by name.
+        mode: MAP estimate of the two inputs; by default the best particle if these are all inputs, else the centre of
+            the fullest bin (paper, Remark 8).
+        percentiles: Probabilities that the lines enclose, as fractions.
+        bins: Hexagons across, and bins of the marginals.
+        figure: Figure to draw in.
+    """
+    x, y = (posterior.space[name] for name in names)
+    values = posterior.columns(names)
+    with styled():
+        figure = figure_or_new(figure, (DOUBLE, 6.2))
+        main, top, right = _layout(figure)
+        plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
+        _draw_gaussian(main, posterior, names, percentiles)
+        note = _draw_laplace(main, posterior, names, laplace, percentiles)
+        _draw_points(main, posterior, names, mode, truth)
+        across, up = (shown_interval(posterior, name) for name in names)
+        draw_marginal(top, x, values[:, 0], posterior.weights, shown=across, bins=bins)
+        draw_marginal(right, y, values[:, 1], posterior.weights, shown=up, bins=bins, upright=True)
+        figure.colorbar(main.collections[0], ax=right, label="probability of a hexagon", location="right", shrink=0.9)
+        _legend(figure, main, top, percentiles, note)
+    return figure
+
+
+def plot_hexagons(
+    posterior: Posterior,
+    names: tuple[str, str],
+    *,
+    percentiles: Sequence[float] = PERCENTILES,
+    bins: int = 30,
+    colour_bar: bool = True,
+    particles: int = 5000,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the weighted hexagonal histogram of two inputs with percentile lines of a kernel density estimate.
+
+    Args:
+        posterior: The weighted draws.
+        names: The inputs along x and y.
+        percentiles: Probabilities that the lines enclose, as fractions.
+        bins: Hexagons across.
+        colour_bar: Whether to draw one.
+        particles: Largest number of particles behind the lines, a fifth of them for the bandwidth; more are thinned by
+            systematic resampling. Hexagons take all.
+        ax: Axes to draw in.
+    """
+    x, y = (posterior.space[name] for name in names)
+    across, up = (shown_interval(posterior, name) for name in names)
+    values = posterior.columns(names)
+    with styled():
+        ax = axes_or_new(ax, (SINGLE, 2.8))
+        drawn = ax.hexbin(
+            values[:, 0],
+            values[:, 1],
+            C=posterior.weights,
+            reduce_C_function=np.sum,
+            gridsize=bins,
+            extent=(*across, *up),
+            cmap="Blues",
+            linewidths=0.1,
+        )
+        mass: Any = drawn.get_array()
+        drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
+        drawn.set_clim(vmin=0.0)
+        thinned = _thinned(values, posterior.weights, particles)
+        bounds = x.interval, y.interval
+        judged = max(particles // 5, 200)
+        _draw_kde(ax, *thinned, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
+        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
+        if colour_bar:
+            figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
+    return ax
+
+
+def plot_pairs(
+    posterior: Posterior,
+    names: Sequence[str] | None = None,
+    *,
+    bins: int = 20,
+    truth: Mapping[str, float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the joint marginals of all pairs of inputs below a diagonal of their marginals; one input or more."""
+    chosen = posterior.space.names if names is None else tuple(names)
+    count = len(chosen)
+    with styled():
+        figure = figure_or_new(figure, _pairs_size(count))
+        panels: Any = figure.subplots(count, count, squeeze=False)
+        for i, j in np.ndindex(count, count):
+            _pair_panel(panels[i, j], posterior, chosen[j], chosen[i], bins, truth)
+            panels[i, j].set_xlabel(panels[i, j].get_xlabel() if i == count - 1 else "")
+            panels[i, j].set_ylabel(panels[i, j].get_ylabel() if j == 0 and i > 0 else "")
+            panels[i, j].tick_params(labelbottom=i == count - 1, labelleft=j == 0 and i > 0)
+            if count > 4:
+                _few_ticks(panels[i, j], i == j)
+        shown = (panels[0, 0], panels[1, 0]) if count > 1 else (panels[0, 0],)
+        entries = {label: h for ax in shown for h, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+        legend_under(figure, entries)
+    return figure
+
+
+def _pairs_size(count: int) -> tuple[float, float]:
+    """Return the size of a figure of this many inputs: one column of a journal for one or two, else two."""
+    return (SINGLE, 0.9 + 1.5 * count) if count < 3 else (DOUBLE, 7.1)
+
+
+def _few_ticks(ax: Axes, diagonal: bool) -> None:
+    """Leave room between the numbers of a small panel."""
+    ax.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    if not diagonal:
+        ax.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+
+
+def plot_selected_pairs(
+    posterior: Posterior,
+    pairs: Sequence[tuple[str, str]],
+    *,
+    bins: int = 25,
+    truth: Mapping[str, float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the joint marginals of some pairs of inputs, three in a row (Fig. 14); `plot_pairs` draws all of them.
+
+    Args:
+        posterior: the weighted draws.
+        pairs: the inputs along x and y of each panel.
+        bins: hexagons across.
+        truth: the ground truth by name.
+        figure: figure to draw in.
+
+    Raises:
+        InvalidInput: no pair, or an input that the posterior does not have.
+    """
+    if not pairs:
+        raise InvalidInput(
+            "pairs of inputs to draw", value="none", expected="at least one pair", remedy="Name two inputs."
+        )
+    columns = min(3, len(pairs))
+    rows = -(-len(pairs) // columns)
+    with styled():
+        figure = figure_or_new(figure, (SINGLE if columns == 1 else DOUBLE, 2.2 * rows))
+        panels: Any = figure.subplots(rows, columns, squeeze=False).ravel()
+        for ax, (across, up) in zip(panels, pairs, strict=False):
+            plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=2500, ax=ax)
+            if truth is not None and across in truth and up in truth:
+                mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="o", size=11.0)
+        for ax in panels[len(pairs) :]:
+            ax.remove()
+    return figure
+
+
+def _pair_panel(
+    ax: Axes, posterior: Posterior, across: str, up: str, bins: int, truth: Mapping[str, float] | None
+) -> None:
+    row, column = posterior.space.names.index(up), posterior.space.names.index(across)
+    parameter = posterior.space[across]
+    if row == column:
+        shown = shown_interval(posterior, across)
+        draw_marginal(ax, parameter, posterior.draws[:, row], posterior.weights, shown=shown, bins=bins)
+        ax.set(yticks=[], xlabel=parameter.figure_label(), xlim=shown)
+    elif row < column:
+        ax.set_axis_off()
+    else:
+        plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=1500, ax=ax)
+        if truth is not None and across in truth and up in truth:
+            mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="o", size=11.0)
+
+
+def _layout(figure: Figure | SubFigure) -> tuple[Axes, Axes, Axes]:
+    """Return the axes in the middle, above and to the right."""
+    grid = figure.add_gridspec(2, 2, width_ratios=(4, 1.1), height_ratios=(1.1, 4))
+    main = figure.add_subplot(grid[1, 0])
+    top, right = figure.add_subplot(grid[0, 0], sharex=main), figure.add_subplot(grid[1, 1], sharey=main)
+    top.tick_params(labelbottom=False, labelleft=False, left=False)
+    right.tick_params(labelleft=False, labelbottom=False, bottom=False)
+    top.set_ylabel("density")
+    right.set_xlabel("density")
+    return main, top, right
+
+
+def _thinned(
+    values: Float[np.ndarray, "particle 2"], weights: Float[np.ndarray, " particle"], number: int
+) -> tuple[Float[np.ndarray, "draw 2"], Float[np.ndarray, " draw"]]:
+    """Return at most `number` draws and their weights; the same ones at every call."""
+    if len(values) <= number:
+        return values, weights
+    chosen = systematic_indices(weights, number, np.random.default_rng(0))
+    return values[chosen], np.full(number, 1.0 / number)
+
+
+def _draw_kde(
+    ax: Axes,
+    values: Float[np.ndarray, "particle 2"],
+    weights: Float[np.ndarray, " particle"],
+    *,
+    bounds: tuple[tuple[float, float], tuple[float, float]],
+    shown: tuple[tuple[float, float], tuple[float, float]],
+    percentiles: Sequence[float],
+    loo_points: int,
+) -> None:
+    try:
+        estimate = KernelDensity.fit(values, weights, bounds=bounds, loo_points=loo_points)
+    except NumericsError:
+        return  # draws on a line have no density in the plane: the hexagons say all
+    axes = [np.linspace(*limits, _GRID) for limits in shown]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    levels = np.unique(estimate.percentile_levels(percentiles))
+    ax.contour(*axes, estimate.density(points).reshape(_GRID, _GRID).T, levels=levels, colors=BLACK, linewidths=1.2)
+
+
+def _draw_gaussian(ax: Axes, posterior: Posterior, names: tuple[str, str], percentiles: Sequence[float]) -> None:
+    indices = _indices(posterior, names)
+    approximation = GaussianApproximation(posterior.mean, posterior.covariance).marginal(indices)
+    _ellipses(ax, approximation, percentiles, ORANGE, "Gaussian")
+    mark(ax, approximation.mean, ORANGE, "mean")
+
+
+def _draw_laplace(
+    ax: Axes,
+    posterior: Posterior,
+    names: tuple[str, str],
+    laplace: LaplaceApproximation | None,
+    percentiles: Sequence[float],
+) -> str:
+    """Draw the Laplace approximation; return what to note where that is impossible."""
+    if laplace is None:
+        return ""
+    if not laplace.definite:
+        return "Laplace: none, Hessian indefinite"
+    _ellipses(ax, laplace.gaussian.marginal(_indices(posterior, names)), percentiles, GREEN, "Laplace")
+    return ""
+
+
+def _ellipses(
+    ax: Axes, approximation: GaussianApproximation, percentiles: Sequence[float], colour: str, label: str
+) -> None:
+    for p in percentiles:
+        curve = approximation.ellipse(p)
+        ax.plot(*curve.T, color=colour, linewidth=1.2, label=label, scalex=False, scaley=False)
+
+
+def _draw_points(
+    ax: Axes,
+    posterior: Posterior,
+    names: tuple[str, str],
+    mode: Float[np.ndarray, "2"] | None,
+    truth: Mapping[str, float] | None,
+) -> None:
+    if mode is None and posterior.space.dim == 2:
+        mode = posterior.map_estimate[_indices(posterior, names)]
+    label = "MAP"
+    if mode is None:
+        label = "MAP (fullest bin)"
+        bounds = [posterior.space[name].interval for name in names]
+        mode = histogram_mode(posterior.columns(names), posterior.weights, bounds=bounds)
+    mark(ax, mode, GREEN, label)
+    if truth is not None and all(name in truth for name in names):
+        mark(ax, [truth[name] for name in names], BLUE, "ground truth", marker="o", size=11.0)
+
+
+def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
+    return [posterior.space.names.index(name) for name in names]
+
+
+def _legend(figure: Figure | SubFigure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
+    """Put one entry for each kind of artist below the figure."""
+    entries: dict[str, Any] = {f"KDE {percent(percentiles)}": Line2D([], [], color=BLACK)}
+    for handle, label in zip(*main.get_legend_handles_labels(), strict=True):
+        lines = label in ("Gaussian", "Laplace")
+        entries[f"{label} {percent(percentiles)}" if lines else label] = handle
+    above = dict(zip(*reversed(top.get_legend_handles_labels()), strict=True))
+    entries["prior"] = above["prior"]
+    if note:
+        entries[note] = Line2D([], [], color="none")
+    legend_under(figure, entries)

@@ -1,0 +1,198 @@
+"""What all figures share: colours that colour-blind readers can distinguish, type sizes, new axes.
+
+Figures are made without pyplot, so none is kept alive by a global register and none needs closing.
+"""
+
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.legend import Legend
+
+from strandline.errors import InvalidInput
+
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "CYCLE",
+    "DASHES",
+    "DOTS_PER_INCH",
+    "DOUBLE",
+    "GREEN",
+    "GREY",
+    "ORANGE",
+    "PURPLE",
+    "RED",
+    "SINGLE",
+    "SKY",
+    "axes_or_new",
+    "below",
+    "figure_or_new",
+    "mark",
+    "mark_doubt",
+    "styled",
+]
+
+BLACK, GREY = "#000000", "#8c8c8c"
+ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+CYCLE = (BLUE, RED, PURPLE, SKY, ORANGE)
+"""Okabe and Ito's palette; green is kept for what was observed."""
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+"""Line styles that go with CYCLE, for print without colour."""
+
+SINGLE, DOUBLE = 88 / 25.4, 180 / 25.4
+"""Widths of figures in inches: one column of a journal, and two."""
+DOTS_PER_INCH = 300
+MARK_SIZE = 7.5
+
+_STYLE: Any = {
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "legend.fontsize": 7.0,
+    "legend.frameon": False,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "lines.linewidth": 1.2,
+    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
+    "ps.fonttype": 42,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+def styled() -> AbstractContextManager[None]:
+    """Return the context in which figures are drawn."""
+    return mpl.rc_context(_STYLE)
+
+
+def axes_or_new(ax: Axes | None, size: tuple[float, float] = (SINGLE, 2.7)) -> Axes:
+    """Return `ax`, or the axes of a new figure of `size` inches."""
+    return new_figure(size).add_subplot() if ax is None else ax
+
+
+def figure_or_new(figure: Figure | SubFigure | None, size: tuple[float, float]) -> Figure | SubFigure:
+    """Return `figure`, or a new one of `size` inches."""
+    return new_figure(size) if figure is None else figure
+
+
+def new_figure(size: tuple[float, float]) -> Figure:
+    """Return an empty figure whose parts are laid out so that nothing overlaps."""
+    return Figure(figsize=size, layout="constrained")
+
+
+def figure_of(ax: Axes) -> Figure | SubFigure:
+    """Return the figure or sub-figure that holds `ax`."""
+    figure = ax.get_figure()
+    if figure is None:
+        raise InvalidInput(
+            "axes to draw in",
+            value="axes that were removed from their figure",
+            expected="axes of a figure",
+            remedy="Leave `ax` out and a figure is made.",
+        )
+    return figure
+
+
+def mark(
+    ax: Axes,
+    point: Sequence[float] | Float[np.ndarray, "2"],
+    colour: str,
+    label: str,
+    *,
+    marker: str = "x",
+    size: float = 8.0,
+) -> None:
+    """Draw one cross (or another marker) with a white rim, above everything else."""
+    rim = [patheffects.withStroke(linewidth=3.6, foreground="white")]
+    ax.plot(
+        *np.asarray(point, float)[:, None],
+        marker=marker,
+        color=colour,
+        markersize=size,
+        markeredgewidth=2.0,
+        linestyle="none",
+        fillstyle="none",
+        label=label,
+        zorder=10,
+        path_effects=rim,
+    )
+
+
+def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
+    """Put the legend of `ax`, where it has entries, under its x axis, in at most `columns` columns that fit."""
+    if not ax.get_legend_handles_labels()[0]:
+        return
+    place = ax.get_subplotspec()
+    beside = 1 if place is None else place.get_gridspec().ncols
+    width = figure_of(ax).bbox.width / beside
+
+    def legend(ncols: int) -> Legend:
+        return ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=ncols, **options)
+
+    _fitting(legend, columns, width)
+
+
+def legend_under(figure: Figure | SubFigure, entries: Mapping[str, Any], *, columns: int = 4) -> None:
+    """Put a legend of handles by their labels under all panels, in at most `columns` columns that fit the width."""
+
+    def legend(ncols: int) -> Legend:
+        return figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=ncols)
+
+    if entries:
+        _fitting(legend, min(columns, len(entries)), figure.bbox.width)
+
+
+def _fitting(legend: Callable[[int], Legend], columns: int, width: float) -> None:
+    """Make a legend with as many columns as fit `width`, in pixels."""
+    for ncols in range(columns, 0, -1):
+        made = legend(ncols)
+        if ncols == 1 or made.get_window_extent().width <= width:
+            return
+        made.remove()
+
+
+def mark_doubt(figure: Figure, why: str) -> None:
+    """Write across the top of a figure that what it shows is unreliable, and why."""
+    wide = max(30, int(13 * figure.get_figwidth()))
+    text = "\n".join(textwrap.wrap(f"DO NOT TRUST THIS POSTERIOR: {why}", wide))
+    frame = {"boxstyle": "square,pad=0.35", "facecolor": "#fff1e8", "edgecolor": RED}
+    with styled():
+        figure.suptitle(text, color="#a03c00", fontsize=MARK_SIZE, fontweight="bold", bbox=frame)
+
+
+def root_scale(top: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """Return a scale for log densities and its inverse: signed square roots of the distance from `top`.
+
+    Under a normal density it is linear in the number of standard deviations from the mode, so that the neighbourhood
+    of the mode is seen even if the log density falls by thousands elsewhere.
+    """
+
+    def forward(value: Any) -> Any:
+        return np.sign(value - top) * np.sqrt(np.abs(value - top))
+
+    def inverse(root: Any) -> Any:
+        return top + root * np.abs(root)
+
+    return forward, inverse
+
+
+def root_ticks(low: float, top: float, *, number: int = 4) -> tuple[list[float], list[str]]:
+    """Return places and labels of ticks about equally spaced on the `root_scale`: `top` itself and round values."""
+    drops = (top - low) * (np.arange(1, number + 1) / number) ** 2
+    decades = 10.0 ** np.floor(np.log10(drops))
+    steps = np.where(drops < 2.5 * decades, 0.2, 1.0) * decades
+    places = [top, *(np.ceil((top - drops) / steps) * steps).tolist()]
+    return places, [f"{round(top, 2) + 0.0:g}", *(f"{place:g}" for place in places[1:])]
+
+
+def percent(fractions: Sequence[float]) -> str:
+    """Return fractions as text: ``10, 50, 90 %``."""
+    return ", ".join(f"{100 * p:g}" for p in fractions) + " %"

@@ -1,0 +1,300 @@
+"""The forward runs that a study needs, and what its ledgers hold of them."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration import Settings
+from strandline.design import sobol
+from strandline.errors import InvalidStudy
+from strandline.models.protocol import ForwardModel, fingerprint
+from strandline.parameters import ParameterSpace
+from strandline.runs import Ledger, RunRecord, run_key
+from strandline.runs.plans import Plan
+from strandline.runs.tables import ATTEMPTS, EXCLUDED
+from strandline.studies.build import failure_words
+from strandline.studies.folder import REFINEMENT, write_json
+
+__all__ = ["Asks", "StudyRuns", "report_backup", "settled"]
+
+
+@runtime_checkable
+class Asks(Protocol):
+    """What a study asks for, as far as its runs are concerned."""
+
+    @property
+    def folder(self) -> Path: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def text_digest(self) -> str: ...
+    @property
+    def model(self) -> ForwardModel: ...
+    @property
+    def space(self) -> ParameterSpace: ...
+    @property
+    def fixed(self) -> Mapping[str, float]: ...
+    @property
+    def truth(self) -> Mapping[str, float] | None: ...
+    @property
+    def settings(self) -> Settings: ...
+    @property
+    def sensitivities(self) -> bool: ...
+    @property
+    def ledger_path(self) -> Path: ...
+    @property
+    def reuse(self) -> tuple[Path, ...]: ...
+
+
+@dataclass(frozen=True)
+class StudyRuns:
+    """The runs of a study: which ones it needs, where they are kept, and how far they are.
+
+    Where later batches and rounds make their runs follows from the runs before them: refinement.json holds those that
+    have begun, as long as study.yaml does not change.
+
+    Args:
+        study: The study, as loaded or with parts of it replaced.
+    """
+
+    study: Asks
+
+    @cached_property
+    def identity(self) -> str:
+        """Fingerprint of the model; ledgers of another model are refused."""
+        return fingerprint(self.study.model)
+
+    def key(self, inputs: Mapping[str, float]) -> str:
+        """Return the ledger key of a run."""
+        return run_key(self.identity, inputs)
+
+    @property
+    def design(self) -> list[dict[str, float]]:
+        """Inputs of the first design in their order: the Sobol design, or given runs to begin with."""
+        study, given = self.study, self.given
+        if given is not None:
+            return given
+        points = sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble)
+        return [{**study.fixed, **study.space.as_mapping(x)} for x in study.space.to_physical(points)]
+
+    @property
+    def design_keys(self) -> list[str]:
+        """Ledger keys of the first design, in its order."""
+        return [self.key(inputs) for inputs in self.design]
+
+    @property
+    def rounds(self) -> list[list[str]]:
+        """Ledger keys of each round of refinement, or batch, that has begun."""
+        rounds = self._noted.get("rounds")
+        return [list(keys) for keys in rounds] if isinstance(rounds, list) else []
+
+    @property
+    def given(self) -> list[dict[str, float]] | None:
+        """Inputs of the runs that an active design was given to begin with; None where there are none."""
+        given = self._noted.get("given")
+        return [dict(entry) for entry in given] if isinstance(given, list) and given else None
+
+    @property
+    def needed_keys(self) -> list[str]:
+        """Ledger keys of all runs needed, as far as they are known: the synthetic one, the design, the rounds."""
+        synthetic = [] if self.study.truth is None else [self.key(self.study.truth)]
+        rounds = [key for keys in self.rounds for key in keys]
+        return list(dict.fromkeys([*synthetic, *self.design_keys, *rounds]))
+
+    @property
+    def planned(self) -> int:
+        """Number of runs of the design and of all rounds of refinement.
+
+        For an active design, all that it may make until it has ended; then those that it made.
+        """
+        settings, begun = self.study.settings, self.rounds
+        first, made = len(self.design), sum(len(keys) for keys in begun)
+        if settings.active is not None:
+            most = settings.active.runs + (first if self.given is not None else 0)
+            return first + made if self._noted.get("finished") else max(most, first + made)
+        left = settings.refine.rounds - len(begun)
+        return first + made + left * settings.refine.runs
+
+    @property
+    def plan(self) -> Plan:
+        """What the study asks of its ledger, as far as it is known."""
+        study = self.study
+        return Plan(
+            study_sha256=study.text_digest,
+            name=study.name,
+            model=self.identity,
+            inputs=tuple(study.space.names),
+            sensitivities=study.sensitivities,
+            planned=self.planned,
+            parts=(tuple(self.design_keys), *(tuple(keys) for keys in self.rounds)),
+        )
+
+    @property
+    def known(self) -> int:
+        """Number of planned runs in the study's ledger, or in one that it may take runs from."""
+        keys = [*self.design_keys, *(key for some in self.rounds for key in some)]
+        known: set[str] = set()
+        for ledger in self._own_and_reused():
+            known.update(record.key for record in settled(ledger, keys, sensitivities=self.study.sensitivities))
+        return len(known)
+
+    @property
+    def failure_kinds(self) -> set[str]:
+        """Kinds and states of the runs that did not end ok."""
+        if not self.study.ledger_path.is_file():
+            return set()
+        with self._reading(self.study.ledger_path) as ledger:
+            latest = ledger.latest(self.needed_keys).values()
+        failed = [record for record in latest if not record.ok and record.state != EXCLUDED]
+        return {word for record in failed for word in (record.failure_kind, record.state) if word}
+
+    @property
+    def unheard_kinds(self) -> list[str]:
+        """Words under ``failures.kinds`` with which no run has ended, where the model does not name its own."""
+        named = self.study.settings.failures.actions
+        known = {*failure_words(self.study.model), *(self.failure_kinds if named else ())}
+        return [kind for kind in named if kind not in known]
+
+    @property
+    def open_attempts(self) -> int:
+        """Number of runs in the ledger that were started and have not ended."""
+        if not self.study.ledger_path.is_file():
+            return 0
+        with Ledger.open(self.study.ledger_path, model=None, read_only=True) as ledger:
+            return ledger.counts().open
+
+    def ledger(self) -> Ledger:
+        """Open the study's ledger to write to it; it is made if there is none."""
+        return Ledger.open(self.study.ledger_path, model=self.identity, description=self.study.name)
+
+    def require_sound_ledgers(self) -> None:
+        """Refuse a ledger of another model, a damaged one, or one of a newer strandline; own and reused.
+
+        Raises:
+            LedgerError: The ledger that cannot be used.
+        """
+        for _ in self._own_and_reused():
+            pass
+
+    def require_finished(self) -> None:
+        """Refuse a study that needs runs which are not made yet.
+
+        Raises:
+            InvalidStudy: The number of runs done is too small.
+        """
+        study, keys, done = self.study, self.needed_keys, 0
+        needed = len(keys) + self.planned - sum(len(some) for some in (self.design_keys, *self.rounds))
+        if study.ledger_path.is_file():
+            with self._reading(study.ledger_path) as ledger:
+                done = len(settled(ledger, keys, sensitivities=study.sensitivities))
+        if done < needed:
+            raise InvalidStudy(
+                "the study is not finished",
+                value=f"{done} of {needed} forward runs done{', the synthetic one included' if study.truth else ''}",
+                expected="all runs done, for results to be made of them",
+                remedy=f"Run it first: strandline run {study.folder}",
+            )
+
+    def take_over(self, ledger: Ledger) -> None:
+        """Copy runs of other studies that this one needs and has not made itself."""
+        keys = self.needed_keys
+        for other in self.study.reuse:
+            known = ledger.latest(keys)
+            missing = [key for key in keys if key not in known or self._lacks_sensitivities(known[key])]
+            if missing and other.is_file():
+                ledger.copy_from(other, missing, sensitivities=self.study.sensitivities)
+
+    def begin_round(self, number: int, inputs: Sequence[Mapping[str, float]]) -> None:
+        """Note the runs of round `number`, counted from 0; later rounds are forgotten."""
+        self._note(rounds=[*self.rounds[:number], [self.key(entry) for entry in inputs]], finished=False)
+
+    def begin_active(self, ledger: Ledger) -> Float[np.ndarray, "run dim"] | None:
+        """Return the inputs of the runs that an active design begins with; None for its Sobol design.
+
+        They are those that the ledgers, its own and the reused ones, hold of another study.yaml, at least as many as
+        the design would begin with. What is found the first time is noted, so that the study goes on with the same.
+        """
+        settings = self.study.settings
+        if settings.active is None:
+            return None
+        if "given" not in self._noted:
+            found = self._at_hand(ledger)
+            self._note(given=found if len(found) >= settings.runs else [], rounds=[], finished=False)
+        names, given = self.study.space.names, self.given
+        return None if given is None else np.array([[entry[name] for name in names] for entry in given])
+
+    def note_batch(self, line: str) -> None:
+        """Note the result of the last batch of an active design, for `strandline status`."""
+        self._note(last_batch=line)
+
+    def end_active(self) -> None:
+        """Note that an active design has ended, so that its runs are all that the study needs."""
+        if self.study.settings.active is not None:
+            self._note(finished=True)
+
+    def _reading(self, path: Path) -> Ledger:
+        return Ledger.open(path, model=self.identity, read_only=True)
+
+    def _own_and_reused(self) -> Iterator[Ledger]:
+        for path in (self.study.ledger_path, *self.study.reuse):
+            if path.is_file():
+                with self._reading(path) as ledger:
+                    yield ledger
+
+    def _at_hand(self, ledger: Ledger) -> list[dict[str, float]]:
+        """Return the inputs of settled runs in the box and with the study's known inputs, in a fixed order."""
+        truth = None if self.study.truth is None else run_key(ledger.model, self.study.truth)
+        found: dict[str, dict[str, float]] = {}
+        for path in (None, *(path for path in self.study.reuse if path.is_file())):
+            with nullcontext(ledger) if path is None else self._reading(path) as source:
+                for record in source:
+                    if record.final and record.state != EXCLUDED and record.key != truth and self._belongs(record):
+                        found[record.key] = dict(record.inputs)
+        return [found[key] for key in sorted(found)]
+
+    def _belongs(self, record: RunRecord) -> bool:
+        study = self.study
+        if set(record.inputs) != {*study.fixed, *study.space.names}:
+            return False
+        known = all(record.inputs[name] == value for name, value in study.fixed.items())
+        box = zip(study.space.names, study.space.low, study.space.high, strict=True)
+        useful = not study.sensitivities or not record.ok or bool(record.sensitivities)
+        return known and useful and all(low <= record.inputs[name] <= high for name, low, high in box)
+
+    def _lacks_sensitivities(self, record: RunRecord) -> bool:
+        return record.final and not record.settles(sensitivities=self.study.sensitivities)
+
+    @property
+    def _noted(self) -> dict[str, Any]:
+        """What refinement.json holds of study.yaml as it is; nothing where it belongs to another."""
+        try:
+            found = json.loads((self.study.folder / REFINEMENT).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) and found.get("study_sha256") == self.study.text_digest else {}
+
+    def _note(self, **content: Any) -> None:
+        digest = {"study_sha256": self.study.text_digest}
+        write_json(self.study.folder / REFINEMENT, digest | self._noted | content)
+
+
+def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False) -> list[RunRecord]:
+    """Return the records of the runs `keys` that will not be tried again, given whether `sensitivities` are wanted."""
+    return [
+        record
+        for record in ledger.latest(keys).values()
+        if record.settles(sensitivities=sensitivities) or ledger.open_attempts(record.key) >= ATTEMPTS
+    ]
+
+
+def report_backup(ledger: Ledger, note: Callable[[str], None]) -> None:
+    """Report where the copy of a ledger is that was upgraded when it was opened."""
+    if ledger.backup is not None:
+        note(f"{ledger.path.name} was of an earlier version; a copy of it is {ledger.backup}")

@@ -1,0 +1,87 @@
+"""Conformance suite for discrepancies: what any `strandline.discrepancy.Discrepancy` must do.
+
+Each check takes a measure of polylines and raises `AssertionError` with a sentence on what is wrong.
+"""
+
+import itertools
+import math
+import pickle
+from collections.abc import Callable
+
+import numpy as np
+
+from strandline.discrepancy import Discrepancy, independent_terms, squared_discrepancies, unit_of
+from strandline.interface import Interface
+
+__all__ = ["CHECKS"]
+
+
+def arch(height: float, nodes: int = 41) -> Interface:
+    """Return an arch of 1 mm span and a height in mm."""
+    x = np.linspace(0.0, 1.0, nodes)
+    return Interface.polyline(np.stack([x, height * np.sin(np.pi * x)], axis=1))
+
+
+def check_it_is_a_squared_distance(measure: Discrepancy) -> None:
+    """It is a finite number, not negative."""
+    value = measure(arch(0.3), arch(0.2))
+    assert isinstance(value, float), f"d² is a {type(value).__name__}, not a float"
+    assert math.isfinite(value), f"d² is {value}"
+    assert value >= 0, f"d² is {value}"
+
+
+def check_an_interface_is_no_distance_from_itself(measure: Discrepancy) -> None:
+    """d² of an interface and itself is zero but for rounding."""
+    far = measure(arch(0.4), arch(0.2))
+    assert measure(arch(0.2), arch(0.2)) <= 1e-10 * far, "an interface differs from itself"
+
+
+def check_it_grows_with_the_distance(measure: Discrepancy) -> None:
+    """A larger difference of the interfaces has a larger d²."""
+    values = [measure(arch(height), arch(0.2)) for height in (0.21, 0.22, 0.24, 0.28)]
+    assert all(less < more for less, more in itertools.pairwise(values)), "d² does not grow"
+
+
+def check_it_changes_nothing(measure: Discrepancy) -> None:
+    """The interfaces stay as they are, and a second call gives the same number."""
+    simulated, observed = arch(0.3), arch(0.2)
+    before = simulated.points.copy(), observed.points.copy()
+    assert measure(simulated, observed) == measure(simulated, observed), "a second call gives another number"
+    assert np.array_equal(simulated.points, before[0]), "it changes the simulated interface"
+    assert np.array_equal(observed.points, before[1]), "it changes the observed interface"
+
+
+def check_many_are_as_one_by_one(measure: Discrepancy) -> None:
+    """A batch gives what its members give, to a hundredth."""
+    heights, template, observed = np.linspace(0.15, 0.3, 40), arch(0.2), arch(0.2)
+    points = np.stack([arch(height).points for height in heights])
+    together = squared_discrepancies(measure, points, template, observed)
+    alone = np.array([measure(arch(height), observed) for height in heights])
+    assert np.allclose(together, alone, rtol=1e-2, atol=1e-4 * alone.max()), "a batch gives other numbers"
+
+
+def check_it_can_be_sent(measure: Discrepancy) -> None:
+    """Worker processes get a copy that gives the same number."""
+    copy = pickle.loads(pickle.dumps(measure))
+    assert copy(arch(0.3), arch(0.2)) == measure(arch(0.3), arch(0.2)), "a pickled copy gives another number"
+
+
+def check_unit_and_terms(measure: Discrepancy) -> None:
+    """The unit is a text; the number of independent residuals is unknown or above 0."""
+    assert isinstance(unit_of(measure), str), "the unit is no text"
+    terms = independent_terms(measure, arch(0.2))
+    assert terms is None or terms > 0, "the number of independent residuals is not above 0"
+
+
+CHECKS: dict[str, Callable[[Discrepancy], None]] = {
+    check.__name__.removeprefix("check_"): check
+    for check in (
+        check_it_is_a_squared_distance,
+        check_an_interface_is_no_distance_from_itself,
+        check_it_grows_with_the_distance,
+        check_it_changes_nothing,
+        check_many_are_as_one_by_one,
+        check_it_can_be_sent,
+        check_unit_and_terms,
+    )
+}

@@ -1,0 +1,67 @@
+"""Conformance suite for noise models: what any `strandline.interface.Noise` must do.
+
+Each check takes a noise model and raises `AssertionError` with a sentence on what is wrong.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from strandline.interface import Noise
+
+__all__ = ["CHECKS"]
+
+
+def check_it_has_all_parts(noise: Noise) -> None:
+    """It satisfies the protocol."""
+    assert isinstance(noise, Noise), "a part of the protocol is missing"
+    assert all(isinstance(value, float) for value in noise.facts.values()), "facts are numbers by name"
+
+
+def check_no_discrepancy_costs_nothing(noise: Noise) -> None:
+    """An interface that agrees has a log-likelihood of 0, without the constant."""
+    assert float(noise.log_density(np.zeros(1))[0]) == 0.0, "the log-likelihood at d² = 0 is not 0"
+
+
+def check_it_falls(noise: Noise) -> None:
+    """A larger discrepancy is less likely."""
+    values = noise.log_density(noise.scale * np.linspace(0.0, 100.0, 201))
+    assert np.isfinite(values).all(), "the log-likelihood is not finite"
+    assert (np.diff(values) < 0).all(), "the log-likelihood does not fall with d²"
+
+
+def check_the_scale_costs_half_a_unit(noise: Noise) -> None:
+    """`scale` is the d² that costs half a unit of log-likelihood."""
+    assert math.isfinite(noise.scale), "the scale is not finite"
+    assert noise.scale > 0, "the scale is not above 0"
+    cost = -float(noise.log_density(np.full(1, noise.scale))[0])
+    assert math.isclose(cost, 0.5, rel_tol=1e-9), f"d² = scale costs {cost:g} units of log-likelihood, not 0.5"
+
+
+def check_each_number_is_on_its_own(noise: Noise) -> None:
+    """Any shape is taken, and each number is evaluated on its own."""
+    squares = noise.scale * np.linspace(0.0, 5.0, 6)
+    together = noise.log_density(squares.reshape(2, 3))
+    assert together.shape == (2, 3), "the shape is not kept"
+    alone = [float(noise.log_density(squares[k : k + 1])[0]) for k in range(6)]
+    assert np.array_equal(together.ravel(), alone), "a number depends on those beside it"
+
+
+def check_the_constant_grows_with_the_terms(noise: Noise) -> None:
+    """The constant of n independent residuals is n times that of one."""
+    one, many = noise.constant(1), noise.constant(7)
+    assert math.isclose(many, 7 * one, rel_tol=1e-9), "the constant is not proportional to the number of residuals"
+
+
+CHECKS: dict[str, Callable[[Noise], None]] = {
+    check.__name__.removeprefix("check_"): check
+    for check in (
+        check_it_has_all_parts,
+        check_no_discrepancy_costs_nothing,
+        check_it_falls,
+        check_the_scale_costs_half_a_unit,
+        check_each_number_is_on_its_own,
+        check_the_constant_grows_with_the_terms,
+    )
+}

@@ -1,0 +1,344 @@
+"""When an active design goes on, checks and stops."""
+
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.design.active.fakes import SPACE, FakeLearner, interface, known, record, state_of
+
+from strandline.design import sobol
+from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch
+from strandline.design.active import campaign as campaign_module
+from strandline.design.active.state import Remembered, State
+from strandline.discrepancy import TrackedPoints
+from strandline.errors import InvalidInput, TooFewRuns
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.likelihood.set_aside import Judge
+from strandline.posterior import reweight
+from strandline.runs import FailurePolicy, RunRecord
+
+FIRST = SPACE.to_physical(sobol(12, 2))
+MEAN = np.array([0.2, 0.1])
+
+
+def honest(one: RunRecord) -> float:
+    """Return the log-likelihood by which `FakeLearner` weighs its particles, of mean 0.2."""
+    x = np.array([one.inputs["a"], one.inputs["b"]])
+    return float(-0.5 * np.sum(((x - MEAN) / 0.2) ** 2))
+
+
+def wrong(one: RunRecord) -> float:
+    """The planted bug: another noise variance, a third."""
+    return 3 * honest(one)
+
+
+def design(active: Active, learn: Any = None, log_likelihood: Callable[[RunRecord], float] = honest) -> ActiveDesign:
+    return ActiveDesign(active, SPACE, batch=4, learn=learn or FakeLearner(), log_likelihood=log_likelihood, seed=1)
+
+
+def played(
+    one: ActiveDesign,
+    *,
+    first: np.ndarray = FIRST,
+    given: bool = False,
+    fails: Callable[[np.ndarray], bool] | None = None,
+) -> list[Batch]:
+    """Run what is asked for until it stops; return the batches."""
+    one.start(first, given=given)
+    x = first
+    while True:
+        records = [record(row, ok=fails is None or not fails(row)) for row in x]
+        batch = one.next(x, records)
+        if batch is None:
+            return one.batches
+        assert len(x) < 1000
+        x = np.concatenate([x, batch.points])
+
+
+def kinds(batches: Sequence[Batch]) -> list[tuple[str, int]]:
+    return [(batch.kind, len(batch.points)) for batch in batches]
+
+
+def test_a_posterior_that_stays_is_checked_and_that_is_all() -> None:
+    one = design(Active(100))
+    assert kinds(played(one)) == [("initial", 12), ("posterior", 4), ("posterior", 4), ("check", 25)]
+    assert one.converged
+    assert one.reasons == ()
+    check = one.steps[-1].check
+    assert check is not None
+    assert (check.draws, check.failed, check.passed, check.reasons) == (25, 0, True, ())
+    assert [step.runs for step in one.steps] == [12, 16, 20, 45]
+    assert [step.kind for step in one.steps] == ["initial", "posterior", "posterior", "check"]
+    assert [step.since for step in one.steps] == [None, 12, 16, 20]
+    assert one.steps[0].moved is None
+
+
+def test_a_posterior_that_moves_is_not_checked_yet() -> None:
+    one = design(Active(200), FakeLearner([0.2, 0.3, 0.4, 0.2]))
+    assert [kind for kind, _ in kinds(played(one))] == ["initial", *["posterior"] * 5, "check"]
+    assert one.steps[1].moved is not None
+    assert one.steps[1].moved.shift == pytest.approx(0.5, rel=0.15)
+
+
+def test_a_check_that_fails_goes_on_until_the_runs_are_used_up() -> None:
+    one = design(Active(100), log_likelihood=wrong)
+    batches = kinds(played(one))
+    assert not one.converged
+    assert sum(number for _, number in batches) <= 100
+    assert [kind for kind, _ in batches][:6] == ["initial", "posterior", "posterior", "check", "posterior", "posterior"]
+    assert one.reasons[0] == "all 100 runs that were allowed are made"
+    assert any(
+        "effective sample size" in reason or "Pareto" in reason or "move a mean" in reason for reason in one.reasons
+    )
+
+
+def test_the_batch_that_moved_the_posterior_is_told() -> None:
+    """The one before the check did, by two standard deviations; the check did not."""
+    one = design(Active(12 + 4 + 25), FakeLearner([0.2, 0.6]))
+    assert kinds(played(one)) == [("initial", 12), ("posterior", 4), ("check", 25)]
+    (moved,) = [reason for reason in one.reasons if reason.startswith("one of the last two batches")]
+    assert "by 0." not in moved.split(" standard")[0]
+
+
+def test_a_posterior_that_never_rests_says_so() -> None:
+    one = design(Active(60), FakeLearner([0.2, -0.2] * 40))
+    batches = kinds(played(one))
+    assert sum(number for _, number in batches) == 60
+    assert not one.converged
+    assert "one of the last two batches still moved the posterior (by 2." in one.reasons[1]
+
+
+def test_the_last_runs_are_kept_for_a_check() -> None:
+    one = design(Active(12 + 25 + 2), FakeLearner([0.2, 0.5, 0.2, 0.5]))
+    assert kinds(played(one)) == [("initial", 12), ("posterior", 2), ("check", 25)]
+
+
+def test_without_room_for_a_check_none_is_made() -> None:
+    """First runs that were added for want of successes have used up what was left."""
+    one = design(Active(37))
+    one.start(FIRST)
+    for _ in range(3):
+        batch = one.more_of_the_first()
+        assert batch is not None
+        assert batch.kind == "initial"
+    x = np.concatenate([batch.points for batch in one.batches])
+    np.testing.assert_array_equal(x, SPACE.to_physical(sobol(24, 2)))
+    assert one.next(x, [record(row) for row in x]) is None
+    assert one.reasons == (
+        "13 of the 37 runs that were allowed are left, too few to go on to a check",
+        "the posterior has not stood still for two batches yet",
+        "no check on the true model was made",
+    )
+    assert len(one.more_of_the_first().points) == 4  # type: ignore[union-attr]
+
+
+def test_no_more_than_allowed_of_the_first() -> None:
+    one = design(Active(37))
+    one.start(SPACE.to_physical(sobol(35, 2)))
+    assert len(one.more_of_the_first().points) == 2  # type: ignore[union-attr]
+    assert one.more_of_the_first() is None
+
+
+def test_runs_of_the_check_that_fail_are_left_out() -> None:
+    one = design(Active(100))
+    played(one, fails=lambda x: x[1] > 0.3)
+    check = one.steps[3].check
+    assert check is not None
+    assert 0 < check.failed < 13
+    assert check.reweighting is not None
+    assert len(check.reweighting.smoothed.log_weights) == 25 - check.failed
+
+
+def test_a_check_whose_runs_fail_is_none() -> None:
+    made: list[np.ndarray] = []
+
+    def fails(x: np.ndarray) -> bool:
+        made.append(x)
+        return bool(np.linalg.norm(x - MEAN) < 10.0 and not any(np.array_equal(x, row) for row in FIRST))
+
+    one = design(Active(60))
+    played(one, fails=fails)
+    checks = [step.check for step in one.steps if step.check is not None]
+    assert checks[0].reasons == ("only 0 of 25 runs of the check succeeded",)
+    assert checks[0].failed == 25
+    assert not one.converged
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "reason"),
+    [
+        ({"effective": 0.999}, "the effective sample size of the weights"),
+        ({"shift": 1e-9, "effective": 0.01}, "importance weights move a mean by"),
+        ({"k_hat": 1e-9, "effective": 0.01, "shift": 100.0}, "Pareto k̂ is"),
+    ],
+)
+def test_each_tolerance_counts(tolerances: dict[str, float], reason: str) -> None:
+    """The weights are those of a surrogate that is off by half a standard deviation."""
+    x = np.random.default_rng(1).standard_normal((200, 1))
+    found = reweight(x, 0.5 * x[:, 0])
+    loose = {"effective": 0.01, "shift": 100.0, "k_hat": 100.0}
+    assert design(Active(100, **loose))._objections(found) == ()
+    (objection,) = design(Active(100, **{**loose, **tolerances}))._objections(found)
+    assert reason in objection
+
+
+def sure(seed: int, factor: float) -> bool:
+    """Tell whether a check passes that is made of draws of exp(-r²/2) and a truth of `factor` times that exponent."""
+    state = state_of(known(FIRST), seed=seed)
+    one = ActiveDesign(
+        Active(100),
+        SPACE,
+        batch=4,
+        learn=lambda x, records: replace(state, knowledge=replace(state.knowledge, x=x, ok=np.ones(len(x), bool))),
+        log_likelihood=lambda r: factor * honest(r),
+        seed=seed,
+    )
+    played(one)
+    return one.converged and sum(batch.kind == "check" for batch in one.batches) == 1
+
+
+def test_a_right_surrogate_passes_and_a_wrong_one_does_not() -> None:
+    """A noise variance three times what it is makes the posterior √3 times too wide."""
+    assert all(sure(seed, 1.0) for seed in range(2))
+    assert not any(sure(seed, 3.0) for seed in range(2))
+    assert not any(sure(seed, 1 / 3) for seed in range(2))
+
+
+def given_design(factor: float, number: int = 60) -> ActiveDesign:
+    """Return a design given many runs, with the surrogate's own likelihood, times a factor, as the truth."""
+
+    def learn(x: np.ndarray, records: Sequence[RunRecord]) -> State:
+        knowledge = known(x)
+        rng = np.random.default_rng(2)
+        z = np.array([0.2, 0.1]) + 0.5 * rng.standard_normal((1500, 2))
+        z = z[np.all(np.abs(z) < 1, axis=1)]
+        proposal = -0.5 * np.sum(((z - [0.2, 0.1]) / 0.5) ** 2, axis=1)
+        log_expected = knowledge.expected(z)
+        weights = log_expected - proposal
+        weights -= np.log(np.exp(weights - weights.max()).sum()) + weights.max()
+        return State(knowledge, z, weights, weights, weights, log_expected, knowledge.plug_in(z))
+
+    truth = InterfaceLikelihood((Observation(interface(MEAN), 0.1**2),), TrackedPoints())
+    return ActiveDesign(
+        Active(100),
+        SPACE,
+        batch=4,
+        learn=learn,
+        log_likelihood=lambda r: factor * truth(r.interfaces),
+        seed=1,
+    )
+
+
+def test_given_runs_are_checked_by_leaving_them_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.design.active.fakes.NOISE", 0.1)
+    given = SPACE.to_physical(sobol(60, 2, scramble=5))
+    one = given_design(1.0)
+    assert kinds(played(one, first=given, given=True)) == [("given", 60)]
+    assert one.converged
+    check = one.steps[0].check
+    assert check is not None
+    assert check.passed
+    assert 20 <= check.draws < 60
+
+
+def test_given_runs_that_object_are_gone_on_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The budget is that of new runs."""
+    monkeypatch.setattr("tests.design.active.fakes.NOISE", 0.1)
+    given = SPACE.to_physical(sobol(60, 2, scramble=5))
+    one = given_design(4.0)
+    batches = kinds(played(one, first=given, given=True))
+    assert len(batches) > 2
+    assert batches[0] == ("given", 60)
+    assert 80 <= sum(number for _, number in batches[1:]) <= 100
+    assert not one.converged
+
+
+def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
+    learner = FakeLearner(fewest=6)
+    monkeypatch.setattr(campaign_module, "learn", lambda x, records, *others: (x, records))
+    monkeypatch.setattr(campaign_module, "posterior_state", lambda given, *others, **options: learner(*given))
+    seen, measure = (Observation(interface(MEAN), 0.01),), TrackedPoints()
+    judge = Judge(seen, {"tracked_points": measure}, FailurePolicy())
+    runs = ActiveRuns(Active(60), SPACE, measure, 4, 1, None, judge, aside=nullcontext)
+    first = SPACE.to_physical(sobol(5, 2))
+    runs.design.start(first)
+    found = runs([record(row) for row in first])
+    np.testing.assert_array_equal(found, SPACE.to_physical(sobol(9, 2))[5:])
+    x = np.concatenate([first, found])
+    assert len(runs([record(row) for row in x])) == 4
+    assert [batch.kind for batch in runs.certificate.batches] == ["initial", "initial", "posterior"]
+    learner.fewest = 1000
+    for _ in range(20):
+        x = np.concatenate([first, *(batch.points for batch in runs.certificate.batches[1:])])
+        if len(x) == 60:
+            break
+        runs([record(row) for row in x])
+    assert len(x) == 60
+    with pytest.raises(TooFewRuns):
+        runs([record(row) for row in x])
+
+
+@pytest.mark.parametrize(
+    "wrong_options",
+    [
+        {"check": 19},
+        {"initial": 2},
+        {"batch": 0},
+        {"explore": 0.6},
+        {"criterion": "entropy"},
+        {"effective": 1.0},
+        {"change": 0.0},
+        {"patience": 0.5},
+        {"runs": 27},
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong_options: dict[str, Any]) -> None:
+    (name,) = wrong_options
+    with pytest.raises(InvalidInput, match=f"active design: {name}"):
+        Active(**{"runs": 100, **wrong_options})
+
+
+def played_by(means: Sequence[float], batch: int, active: Active | None = None) -> ActiveDesign:
+    one = ActiveDesign(
+        active or Active(200), SPACE, batch=batch, learn=FakeLearner(means), log_likelihood=honest, seed=1
+    )
+    played(one)
+    return one
+
+
+def test_batches_of_fewer_runs_than_inputs_count_together() -> None:
+    """Of one run each, in two dimensions: what moves the posterior by 0.075 standard deviations a run moves it on."""
+    drifting = [0.0, 0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105]
+    alone, together = played_by([*drifting, *[0.105] * 99], 2), played_by([*drifting, *[0.105] * 99], 1)
+    assert [step.since for step in together.steps[:5]] == [None, None, 12, 13, 14]
+    assert [step.since for step in alone.steps[:4]] == [None, 12, 14, 16]
+    checked = [next(k for k, batch in enumerate(one.batches) if batch.kind == "check") for one in (alone, together)]
+    assert checked[0] == 3
+    assert checked[1] > len(drifting)
+
+
+def test_weights_between_posteriors_count() -> None:
+    """Widths that change by 8 % in both inputs leave means alone, and not all draws effective."""
+    state = state_of(known(FIRST))
+    narrower = state_of(known(FIRST), sd=0.2 * 0.92)
+    moved = Remembered.of(state).moved(narrower.knowledge)
+    assert moved.shift < 0.05
+    assert moved.width == pytest.approx(-np.log(0.92), rel=0.2)
+    assert moved.effective < 0.995
+    strict = Active(60, effective=0.999, change=10.0)
+    assert all(step.kind == "posterior" for step in played_by([0.2, 0.22] * 50, 4, strict).steps[1:4])
+
+
+def test_the_noise_of_particles_does_not_move_a_posterior() -> None:
+    """Two samples of few particles differ by more than the tolerance; weights of one of them do not."""
+    one, other = (state_of(known(FIRST), seed=seed, number=60) for seed in (1, 2))
+    assert np.abs((one.mean - other.mean) / one.sd).max() > 0.1
+    moved = Remembered.of(one).moved(other.knowledge)
+    assert (moved.shift, moved.width, moved.effective) == pytest.approx((0.0, 0.0, 1.0), abs=1e-12)
+    shifted = Remembered.of(one).moved(state_of(known(FIRST), mean=(0.3, 0.1)).knowledge)
+    assert shifted.shift > 0.3
+    assert shifted.effective < 0.9

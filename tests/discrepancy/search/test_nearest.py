@@ -1,0 +1,264 @@
+"""Oracles: every cell by another algorithm (a triangle's regions), closed forms, and the same bits as brute force."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.discrepancy.surfaces import sheet, sphere, turned
+
+from strandline.discrepancy.search import nearest
+from strandline.discrepancy.search.nearest import brute_force, closest_points, squared_distances
+from strandline.errors import InvalidInterface
+from strandline.interface import Interface
+
+
+def by_regions(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Return the closest point of a triangle by the Voronoi region that p lies in: a corner, a side or the inside."""
+    ab, ac, ap, bp, cp = b - a, c - a, p - a, p - b, p - c
+    d1, d2, d3, d4, d5, d6 = ab @ ap, ac @ ap, ab @ bp, ac @ bp, ab @ cp, ac @ cp
+    if d1 <= 0 and d2 <= 0:
+        return a
+    if d3 >= 0 and d4 <= d3:
+        return b
+    if d6 >= 0 and d5 <= d6:
+        return c
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        return a + d1 / (d1 - d3) * ab
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        return a + d2 / (d2 - d6) * ac
+    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+        return b + (d4 - d3) / (d4 - d3 + d5 - d6) * (c - b)
+    return a + (ab * vb + ac * vc) / (va + vb + vc)
+
+
+def soup(number: int, seed: int, *, spread: float) -> Interface:
+    """Return unconnected triangles whose sizes differ by the factor exp(±spread), some of them slivers."""
+    rng = np.random.default_rng(seed)
+    size = np.exp(rng.uniform(-spread, spread, (number, 1, 1)))
+    corners = rng.normal(size=(number, 1, 3)) + 0.1 * size * rng.normal(size=(number, 3, 3))
+    thin = rng.random(number) < 0.2
+    corners[thin, 2] = corners[thin, :2].mean(axis=1) + 1e-7 * (corners[thin, 2] - corners[thin, 0])
+    return Interface(corners.reshape(-1, 3), np.arange(3 * number).reshape(-1, 3))
+
+
+def wave(number: int, seed: int) -> Interface:
+    """Return a polyline of very short and very long segments."""
+    steps = np.exp(np.random.default_rng(seed).uniform(-6.0, 0.0, number))
+    x = np.cumsum(steps) / steps.sum()
+    return Interface.polyline(np.stack([x, 0.3 * np.sin(9 * x)], axis=1))
+
+
+def around(target: Interface, number: int, seed: int) -> np.ndarray:
+    """Return points near and far, on corners, on the middles of sides, in centres, and close to all of those."""
+    rng = np.random.default_rng(seed)
+    cells = target.cells[rng.integers(0, len(target.cells), number)]
+    corners = target.points[cells]
+    on = np.concatenate([corners[:, 0], corners[:, :2].mean(axis=1), corners.mean(axis=1)])
+    scale = np.exp(rng.uniform(-25.0, 5.0, (len(on), 1)))
+    return np.concatenate([on, on + scale * rng.normal(size=on.shape)])
+
+
+TARGETS = {
+    "sheet": sheet(25, bend=0.3, seed=2),
+    "ball": sphere(0.6, 4),
+    "like triangles": soup(700, 3, spread=0.1),
+    "huge and tiny triangles": soup(700, 4, spread=5.0),
+    "turned": turned(soup(500, 5, spread=2.0), 1, shift=30.0),
+    "polyline": wave(800, 6),
+    "ring": Interface.polyline(wave(500, 7).points, closed=True),
+}
+
+
+@pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
+def test_the_tree_gives_what_trying_every_cell_gives_to_the_last_bit(target):
+    points = around(target, 60, 0)
+    assert len(points) * len(target.cells) > nearest.SMALL
+    found, expected = closest_points(points, target), brute_force(points, target)
+    assert np.array_equal(found.squares, expected.squares)
+    assert np.array_equal(found.cells, expected.cells)
+    assert np.array_equal(found.points, expected.points)
+
+
+def test_from_the_middle_of_a_ball_where_every_cell_is_as_far():
+    ball = sphere(1.0, 4)
+    points = 1e-3 * np.random.default_rng(1).normal(size=(40, 3))
+    assert np.array_equal(closest_points(points, ball).squares, brute_force(points, ball).squares)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), spread=st.floats(0.0, 6.0), number=st.integers(1, 300))
+def test_the_tree_gives_what_trying_every_cell_gives_on_any_triangles(seed, spread, number):
+    target = soup(number, seed, spread=spread)
+    points = around(target, 5, seed)
+    small, nearest.SMALL = nearest.SMALL, 0
+    try:
+        found = closest_points(points, target)
+    finally:
+        nearest.SMALL = small
+    expected = brute_force(points, target)
+    assert np.array_equal(found.squares, expected.squares)
+    assert np.array_equal(found.cells, expected.cells)
+
+
+def test_against_the_regions_of_a_triangle():
+    target = soup(60, 8, spread=1.0)
+    points = around(target, 20, 3)
+    corners = target.points[target.cells]
+    for p, closest, square in zip(points, *_points_and_squares(points, target), strict=True):
+        candidates = np.array([by_regions(p, *triangle) for triangle in corners])
+        distance = np.linalg.norm(p - candidates, axis=1).min()
+        assert np.sqrt(square) == pytest.approx(distance, rel=1e-9, abs=1e-9)
+        assert np.linalg.norm(p - closest) == pytest.approx(np.sqrt(square), rel=1e-12, abs=1e-12)
+
+
+def _points_and_squares(points: np.ndarray, target: Interface) -> tuple[np.ndarray, np.ndarray]:
+    found = closest_points(points, target)
+    return found.points, found.squares
+
+
+@pytest.mark.parametrize("altitude", [1e-3, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("corner", [-3.0, 0.2, 0.5, 1.0])
+def test_slivers_are_as_exact_as_other_triangles(altitude, corner):
+    """Points above a known place of the sliver, turned in space; the closest point is that place."""
+    flat = Interface(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [corner, altitude, 0.0]]), np.array([[0, 1, 2]]))
+    shares = np.random.default_rng(2).dirichlet(np.ones(3), 30)
+    places = shares @ flat.points
+    heights = np.linspace(0.0, 0.5, 30)
+    above = Interface(np.concatenate([flat.points, places + heights[:, None] * [0.0, 0.0, 1.0]]), _fan(33))
+    moved = turned(above, 4, shift=0.0).points
+    found = squared_distances(moved[3:], Interface(moved[:3], np.array([[0, 1, 2]])))
+    assert np.sqrt(found) == pytest.approx(heights, abs=3e-15)
+
+
+def _fan(number: int) -> np.ndarray:
+    last = np.arange(2, number)
+    return np.stack([np.zeros_like(last), last - 1, last], axis=1)
+
+
+def test_distance_to_a_plane_and_beyond_its_edge():
+    plane = sheet(9)
+    points = np.array([[0.3, 0.7, 0.2], [0.31, 0.5, -0.4], [1.3, 0.5, 0.4], [-0.3, -0.4, 0.0]])
+    assert np.sqrt(squared_distances(points, plane)) == pytest.approx([0.2, 0.4, 0.5, 0.5])
+
+
+def test_distance_from_outside_a_ball_converges_to_that_of_the_sphere():
+    directions = np.random.default_rng(5).normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    errors = [np.sqrt(squared_distances(1.5 * directions, sphere(1.0, k))) - 0.5 for k in (3, 4, 5)]
+    means = np.array([error.mean() for error in errors])
+    assert (np.array(errors) > -1e-15).all()
+    assert np.log2(means[:-1] / means[1:]) == pytest.approx([2.0, 2.0], abs=0.3)
+
+
+def test_the_nearest_vertex_is_not_the_closest_point():
+    """What a search for vertices would answer, and one for the triangle with the nearest centre."""
+    long = Interface(np.array([[-10.0, -1.0, 0.0], [10.0, -1.0, 0.0], [0.0, 2.0, 0.0]]), np.array([[0, 1, 2]]))
+    small = np.array([[7.0, 0.1, 0.3], [7.1, 0.1, 0.3], [7.0, 0.2, 0.3]])
+    both = Interface(np.concatenate([long.points, small]), np.array([[0, 1, 2], [3, 4, 5]]))
+    p = np.array([[6.0, -0.5, 0.2]])
+    found = closest_points(p, both)
+    vertices = np.linalg.norm(both.points - p, axis=1).min()
+    centres = np.argmin(np.linalg.norm(both.centres - p, axis=1))
+    assert found.squares == pytest.approx([0.04])
+    assert found.points == pytest.approx(np.array([[6.0, -0.5, 0.0]]))
+    assert found.cells.tolist() == [0]
+    assert centres == 1
+    assert vertices > 1.0
+
+
+def loops(number: int) -> Interface:
+    """Return a closed polyline that runs twice through the same points: each segment has a twin."""
+    angle = 4 * np.pi * np.arange(2 * number) / (2 * number)
+    return Interface.polyline(np.stack([np.cos(angle), 0.5 * np.sin(angle)], axis=1), closed=True)
+
+
+POLYLINES = {
+    "huge and tiny segments": wave(2000, 8),
+    "ring": Interface.polyline(wave(1001, 9).points, closed=True),
+    "twins": loops(700),
+    "far from the origin": Interface.polyline(wave(900, 10).points + np.array([3e5, -2e10])),
+    "tiny": Interface.polyline(1e-9 * wave(900, 11).points),
+    "too short": Interface.polyline(np.array([[1.0, 0.0], [0.0, 1e-150], [0.0, 2e-150], [-1.0, 0.5]])),
+    "one segment": Interface.polyline(np.array([[0.0, 0.0], [1e-3, 2.0]])),
+}
+
+
+@pytest.fixture
+def sieved(monkeypatch):
+    """Let the sieve do all, and count the points that it leaves to the tree."""
+    left = []
+    monkeypatch.setattr(nearest, "MANY", 0)
+    monkeypatch.setattr(nearest, "SMALL", 0)
+    go_down = nearest._go_down
+    monkeypatch.setattr(nearest, "_go_down", lambda *found: left.append(len(found[2])) or go_down(*found))
+    return left
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "3"])
+@pytest.mark.parametrize("target", POLYLINES.values(), ids=POLYLINES)
+def test_the_sieve_gives_what_trying_every_segment_gives_to_the_last_bit(monkeypatch, sieved, target, threads):
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    extent = np.ptp(target.points, axis=0).max()
+    offsets = extent * np.random.default_rng(1).normal(size=(400, 2)) * np.geomspace(1e-12, 1e5, 400)[:, None]
+    points = np.concatenate([around(target, 300, 0), target.points[:1] + offsets])
+    found, expected = closest_points(points, target), brute_force(points, target)
+    assert np.array_equal(found.squares, expected.squares)
+    assert np.array_equal(found.cells, expected.cells)
+    assert np.array_equal(found.points, expected.points)
+    assert 0 < sieved[0] < len(points)
+
+
+def test_the_sieve_lets_all_segments_through_that_are_as_far(sieved):
+    """From the middle of a circle every segment may be the closest one, and rounding decides."""
+    angle = 2 * np.pi * np.arange(5000) / 5000
+    target = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+    points = 1e-9 * np.random.default_rng(2).normal(size=(30, 2))
+    found, expected = closest_points(points, target), brute_force(points, target)
+    assert np.array_equal(found.squares, expected.squares)
+    assert np.array_equal(found.cells, expected.cells)
+    assert sieved == [0]
+
+
+def test_the_sieve_keeps_most_segments_back(sieved):
+    target = wave(4000, 8)
+    points = np.random.default_rng(2).uniform([0.0, -0.5], [1.0, 0.5], (500, 2))
+    groups = list(nearest.near_groups(points, nearest.Snapshot.of(target)))
+    assert sum(len(rows) for rows, _ in groups) < 3 * len(points)
+
+
+def test_large_tasks_in_the_plane_go_through_the_sieve(monkeypatch):
+    calls = []
+    sift = nearest._sift
+    monkeypatch.setattr(nearest, "_sift", lambda *found: calls.append(1) or sift(*found))
+    points = np.random.default_rng(3).random((1100, 2))
+    assert np.array_equal(squared_distances(points, wave(1000, 1)), brute_force(points, wave(1000, 1)).squares)
+    assert calls == [1]
+    squared_distances(points[:100], wave(1000, 1))
+    squared_distances(np.random.default_rng(3).random((1100, 3)), sheet(25))
+    assert calls == [1]
+
+
+@pytest.mark.parametrize("block", [50, 1000])
+def test_blocks_do_not_change_the_result(monkeypatch, block):
+    target = TARGETS["sheet"]
+    points = around(target, 50, 9)
+    whole = closest_points(points, target).squares
+    monkeypatch.setattr(nearest, "BLOCK", block)
+    assert np.array_equal(closest_points(points, target).squares, whole)
+    assert np.array_equal(brute_force(points, target).squares, whole)
+
+
+def test_what_is_kept_of_a_target_follows_its_content():
+    target = Interface(TARGETS["sheet"].points.copy(), TARGETS["sheet"].cells)
+    points = around(target, 50, 9)
+    before = squared_distances(points, target)
+    target.points[:] += 0.5
+    after = squared_distances(points, target)
+    assert np.array_equal(after, brute_force(points, target).squares)
+    assert not np.array_equal(after, before)
+
+
+def test_points_of_another_dimension_are_refused():
+    with pytest.raises(InvalidInterface, match="project"):
+        squared_distances(np.zeros((4, 2)), sheet(3))

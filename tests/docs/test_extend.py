@@ -1,0 +1,62 @@
+"""The page "Extend strandline": its examples are one file, pass the conformance suites, and make a study."""
+
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import strandline as sl
+from strandline.readers import READERS, Reading, read_interface
+from strandline.studies import load_study, run_study
+from strandline.testing import discrepancies, executors, noise, priors
+
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "extend.md").read_text("utf-8")
+
+
+@pytest.fixture
+def doors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    source = "\n\n".join(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL))
+    (tmp_path / "my_doors.py").write_text(source, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    yield importlib.import_module("my_doors")
+    sys.modules.pop("my_doors")
+    READERS.pop(".pts", None)
+
+
+def test_its_entries_pass_the_suites(doors: ModuleType) -> None:
+    for check in discrepancies.CHECKS.values():
+        check(doors.Hausdorff())
+    for check in priors.CHECKS.values():
+        check(doors.Exponential(0.3))
+    for check in noise.CHECKS.values():
+        check(doors.StudentNoise(1e-4))
+    for check in executors.CHECKS.values():
+        check(doors.Patient(), workers=1)
+
+
+def test_its_study_runs(doors: ModuleType, tmp_path: Path, without_report: None) -> None:
+    (study,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "study.yaml").write_text(study, encoding="utf-8")
+    posterior = run_study(load_study(tmp_path)).calibration.posterior
+    assert abs(posterior.mean[0] - 0.25) < 3 * posterior.sd[0]
+    assert (tmp_path / "runs.txt").read_text() == "24 runs\n"
+
+
+def test_its_noise_model_is_used(doors: ModuleType) -> None:
+    arch = doors.Arch()
+    seen = sl.Observation(arch({"height": 0.25}, Path()), doors.StudentNoise(1e-4))
+    likelihood = sl.InterfaceLikelihood((seen,), doors.Hausdorff())
+    assert likelihood(arch({"height": 0.26}, Path())) == pytest.approx(-0.5, abs=0.01)
+
+
+def test_its_format_is_read(doors: ModuleType, tmp_path: Path) -> None:
+    points = doors.Arch()({"height": 0.2}, Path()).points
+    np.savetxt(tmp_path / "seen.pts", points, header="x y", comments="")
+    found = read_interface(tmp_path / "seen.pts", Reading("seen.pts", "mm"))
+    np.testing.assert_allclose(found.points, points, atol=1e-12)

@@ -1,0 +1,163 @@
+"""The likelihood through a surrogate of the field, against brute force and closed forms."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, TrackedPoints
+from strandline.interface import Interface, Observation
+from strandline.likelihood import FieldLikelihood, OnHost, noise_length
+from strandline.smc import SMCSettings, sample
+from strandline.surrogate.field import FieldTraining, fit_field
+from strandline.testing.densities import gaussian
+from strandline.testing.models import TwoLoads
+
+MODEL = TwoLoads()
+LOW, HIGH = np.array([300.0]), np.array([560.0])
+
+
+def likelihood(
+    *, runs: int = 5, widening: float = 1.0, tail: float = 0.0, measure: Discrepancy | None = None
+) -> FieldLikelihood:
+    """Return log L of E from two outlines of a beam, learnt from few runs, all variances times `widening`.
+
+    The displacement is proportional to 1/E: one mode. Two others of standard deviation `tail` stand for what it leaves.
+    """
+    x = np.linspace(320.0, 540.0, runs)[:, None]
+    interfaces = [MODEL({"E": float(E), "load": 1e-5}, Path()).interfaces for E in x[:, 0]]
+    surrogate = fit_field(FieldTraining(x, interfaces, None, LOW, HIGH))
+    surrogate = replace(surrogate, processes=tuple(replace(p, widening=widening) for p in surrogate.processes))
+    if tail:
+        rows = np.random.default_rng(3).standard_normal((3, surrogate.modes.basis.shape[1]))
+        rows[0] = surrogate.modes.basis[0]
+        rest = np.linalg.qr(rows.T)[0].T[1:]
+        surrogate = replace(surrogate, modes=replace(surrogate.modes, tail=tail * rest))
+    seen = MODEL({"E": 400.0, "load": 1e-5}, Path()).interfaces
+    observations = tuple(Observation(one, NOISE**2, name) for name, one in seen.items())
+    return FieldLikelihood(surrogate, observations, measure or TrackedPoints())
+
+
+NOISE = 0.1
+AT = np.array([[330.0], [401.0], [470.0], [550.0]])
+
+
+def test_plug_in_is_the_measure_on_the_predicted_interface() -> None:
+    found = likelihood(measure=ClosestPoint())
+    for x, value in zip(AT, found.plug_in(AT), strict=True):
+        predicted = found.surrogate.interfaces(x)
+        squares = [found.discrepancy(predicted[o.condition], o.interface) for o in found.observations]
+        assert value == pytest.approx(-0.5 * sum(squares) / NOISE**2, rel=1e-9)
+
+
+def brute_force(found: FieldLikelihood, *, seed: int = 1, number: int = 40000) -> tuple[np.ndarray, np.ndarray]:
+    """Return log E[L] by independent draws of all modes and of what they leave, and its standard errors."""
+    rng, surrogate = np.random.default_rng(seed), found.surrogate
+    values, errors = [], []
+    for x in AT:
+        predicted = surrogate.predict(x[None])
+        drawn = predicted.mean + np.sqrt(predicted.variance) * rng.standard_normal((number, predicted.mean.shape[1]))
+        tail = rng.standard_normal((number, len(surrogate.modes.tail))) @ surrogate.modes.tail
+        fields = surrogate.modes.mean + (drawn @ surrogate.modes.basis + tail) / surrogate.modes.roots
+        seen = np.concatenate([o.interface.points.ravel() for o in found.observations])
+        L = np.exp(-0.5 * np.sum((fields - seen) ** 2, axis=1) / found.observations[0].noise.scale)
+        values.append(np.log(L.mean()))
+        errors.append(L.std() / L.mean() / np.sqrt(number))
+    return np.array(values), np.array(errors)
+
+
+WIDE = 3e5
+"""Makes the variance of the field count for as much as the noise."""
+
+
+@pytest.mark.parametrize("tail", [0.0, 0.005])
+def test_expected_is_the_mean_over_all_fields(tail: float) -> None:
+    """Sixteen fields for forty thousand."""
+    found = likelihood(widening=WIDE, tail=tail)
+    exact, errors = brute_force(found)
+    assert errors.max() < 0.03
+    plug_in, expected = found.plug_in(AT), found.expected(AT)
+    assert np.abs(exact - plug_in).max() > 0.3
+    assert np.abs(exact - expected).max() < 0.1 + 0.1 * np.abs(exact - plug_in).max()
+
+
+def test_variances_of_a_quarter_show() -> None:
+    """The planted bug."""
+    exact, _ = brute_force(likelihood(widening=WIDE))
+    assert np.abs(exact - likelihood(widening=WIDE / 4).expected(AT)).max() > 0.3
+
+
+def test_without_variance_both_are_the_same() -> None:
+    found = likelihood(widening=0.0)
+    np.testing.assert_allclose(found.expected(AT), found.plug_in(AT), rtol=1e-9, atol=1e-7)
+
+
+def test_points_do_not_depend_on_what_they_are_asked_with() -> None:
+    found = likelihood(widening=3.0)
+    together = found.expected(AT)
+    np.testing.assert_allclose([found.expected(x[None])[0] for x in AT], together, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose([found.plug_in(x[None])[0] for x in AT], found.plug_in(AT), rtol=1e-8, atol=1e-10)
+
+
+def test_left_out_is_predicted_from_the_others() -> None:
+    """At the runs themselves the field is known; a run that is left out is a worse place."""
+    found = likelihood(runs=6)
+    x = np.linspace(320.0, 540.0, 6)[:, None]
+    true = []
+    for E in x[:, 0]:
+        interfaces = MODEL({"E": float(E), "load": 1e-5}, Path()).interfaces
+        true.append(
+            -0.5 * sum(found.discrepancy(interfaces[o.condition], o.interface) for o in found.observations) / 0.01
+        )
+    at_runs, left_out = found.expected(x), found.left_out(np.arange(6))
+    assert np.abs(at_runs - true).max() < 0.02 * np.abs(left_out - true).max()
+    np.testing.assert_array_equal(found.left_out(np.array([4, 1])), left_out[[4, 1]])
+
+
+EXACT = gaussian(np.array([0.3, -0.2]), np.array([[1.0, 0.5], [0.5, 0.8]]))
+SETTINGS = SMCSettings(rejuvenation_steps=6, zeta=0.5)
+
+
+def sampled(host: OnHost, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    found = sample(jax.random.key(seed), host, EXACT.log_prior, EXACT.draw_prior(rng, 800), settings=SETTINGS)
+    weights = np.exp(np.asarray(found.log_weights))
+    return np.asarray(weights @ np.asarray(found.positions))
+
+
+def scores(factor: float, seeds: int = 8) -> np.ndarray:
+    """Return the z-score of each mean over seeds; `factor` plants a bug in the log-likelihood's centre."""
+    host = OnHost(lambda x: np.asarray(EXACT.log_likelihood(x + factor)))
+    means = np.array([sampled(host, seed) for seed in range(seeds)])
+    return np.asarray((means.mean(axis=0) - EXACT.mean) / (means.std(axis=0, ddof=1) / np.sqrt(len(means))))
+
+
+def test_a_function_on_the_host_is_sampled() -> None:
+    assert np.abs(scores(0.0)).max() < 3.5
+
+
+def test_a_shifted_function_on_the_host_shows() -> None:
+    assert np.abs(scores(0.1, seeds=5)).max() > 4
+
+
+LINE = Interface.polyline(np.stack([np.linspace(0, 2, 21), np.zeros(21)], axis=1))
+
+
+def test_the_noise_length_of_tracked_points() -> None:
+    """A shift δ of n nodes has d² = n δ², so that d² = σ_N² at δ = σ_N/√n along any axis."""
+    assert noise_length(Observation(LINE, 0.01**2), TrackedPoints()) == pytest.approx(0.01 / np.sqrt(21), rel=1e-5)
+
+
+def test_the_noise_length_of_currents() -> None:
+    """Across, d² = 2·width·√(2π)·length·(1 - exp(-δ²/2 width²)) but for the ends; along, it is larger: ends only."""
+    width, noise = 0.05, 0.0002
+    along = Interface.polyline(np.stack([np.zeros(21), np.linspace(0, 2, 21)], axis=1))
+    found = noise_length(Observation(along, noise), Currents(width))
+    across = width * np.sqrt(-2 * np.log(1 - noise / (2 * width * np.sqrt(2 * np.pi) * 2)))
+    assert across < found < 10 * across
+
+
+def test_a_shift_that_the_noise_always_hides_is_half_the_extent() -> None:
+    assert noise_length(Observation(LINE, 1e6), TrackedPoints()) == pytest.approx(1.0)

@@ -1,0 +1,112 @@
+"""One odd run among many is named and left out; where all are odd, the measure is to blame."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from strandline.discrepancy import ClosestPoint, TrackedPoints
+from strandline.errors import CampaignStopped, InvalidInterface, NoCommonPoints
+from strandline.interface import Interface, Observation
+from strandline.likelihood.set_aside import Judge, says_whether_runs_succeed
+from strandline.runs import FailurePolicy, RunRecord
+
+ERROR = NoCommonPoints("interfaces", value="different", expected="alike", remedy="none")
+
+
+def curve(height: float, number: int = 9) -> np.ndarray:
+    s = np.linspace(0.0, 1.0, number)
+    return np.stack([s, height * np.sin(np.pi * s)], axis=1)
+
+
+def record(number: int, interface: Interface) -> RunRecord:
+    return RunRecord(f"key{number:03d}", {"E": 300.0 + number}, "ok", {"": interface})
+
+
+def regular(number: int = 20) -> list[RunRecord]:
+    return [record(i, Interface.polyline(curve(0.2 + 0.01 * i))) for i in range(number)]
+
+
+def judge(measures: Mapping[str, Any] | None = None, **policy: Any) -> Judge:
+    seen = Observation(Interface.polyline(curve(0.3)), 0.01)
+    return Judge((seen,), measures or {"tracked_points": TrackedPoints()}, FailurePolicy(**policy))
+
+
+ODD = {
+    "not_comparable": [Interface.polyline(curve(0.3, 11)), Interface.polyline(curve(0.3) * 1e160)],
+    "flipped": [Interface.polyline(curve(0.31)[::-1])],
+}
+
+
+@pytest.mark.parametrize(("kind", "odd"), [(kind, one) for kind, some in ODD.items() for one in some])
+def test_one_odd_run_is_named_and_left_out(kind: str, odd: Interface) -> None:
+    records, found = [*regular(), record(99, odd)], judge()
+    used = found.usable(records)
+    assert [one.ok for one in used] == [True] * 20 + [False]
+    assert used[:20] == tuple(records[:20])
+    assert (used[-1].state, used[-1].failure_kind, used[-1].interfaces) == ("invalid", kind, {})
+    (aside,) = found.set_aside(records)
+    assert (aside.key, aside.inputs, aside.kind) == ("key099", {"E": 399.0}, kind)
+    assert aside.why
+    assert not says_whether_runs_succeed(used[-1])
+    assert found.set_aside(found.usable(used)) == (aside,)
+
+
+def test_good_runs_are_what_they_were() -> None:
+    records, found = regular(), judge()
+    assert found.usable(records) == tuple(records)
+    assert found.set_aside(records) == ()
+    likelihood = found.likelihoods["tracked_points"]
+    assert [found.value("tracked_points", one) for one in records] == [likelihood(one.interfaces) for one in records]
+
+
+def test_where_no_run_can_be_compared_the_measure_says_why() -> None:
+    with pytest.raises(InvalidInterface, match="do not correspond"):
+        judge().usable([record(i, Interface.polyline(curve(0.3, 11))) for i in range(5)])
+
+
+def test_most_runs_flipped_is_how_the_model_runs() -> None:
+    records = [record(i, Interface.polyline(curve(0.3 + 0.001 * i)[::-1])) for i in range(8)]
+    assert all(one.ok for one in judge().usable(records))
+
+
+def test_another_measure_leaves_out_its_runs_alone() -> None:
+    records = [*regular(), record(99, Interface.polyline(curve(0.3, 11)))]
+    found = judge({"closest_point": ClosestPoint(), "tracked_points": TrackedPoints()})
+    assert all(one.ok for one in found.usable(records))
+    assert np.isfinite(found.value("closest_point", records[-1]))
+    assert np.isnan(found.value("tracked_points", records[-1]))
+    (aside,) = found.set_aside(records)
+    assert (aside.key, aside.measure) == ("key099", "tracked_points")
+
+
+def test_the_policy_counts_what_is_set_aside() -> None:
+    records = [*regular(2), *(record(50 + i, Interface.polyline(curve(0.3, 11))) for i in range(8))]
+    with pytest.raises(CampaignStopped, match="8 of 10"):
+        judge(stop_after=5, stop_share=0.8).usable(records)
+    with pytest.raises(CampaignStopped, match=r"key050.*not_comparable"):
+        judge(actions={"not_comparable": "abort"}).usable(records)
+    assert sum(one.ok for one in judge().usable(records)) == 2
+
+
+def test_one_closed_interface_among_open_ones_is_an_exception() -> None:
+    records, found = regular(), judge({"closest_point": ClosestPoint()})
+    records.append(record(99, Interface.polyline(curve(0.9), closed=True)))
+    assert all(one.ok for one in found.usable(records))
+    found.without_exceptions(records, ERROR)
+    assert [one.ok for one in found.usable(records)] == [True] * 20 + [False]
+    assert found.set_aside(records)[0].why == "its interface is a closed polyline, most others are an open polyline"
+    found.forget_exceptions()
+    assert all(one.ok for one in found.usable(records))
+
+
+@pytest.mark.parametrize(("closed", "height"), [(3, 0.9), (1, 0.3)])
+def test_many_of_them_or_the_best_one_are_no_exceptions(closed: int, height: float) -> None:
+    """With three of 20 another topology is common; a closed run nearest to the observation matters."""
+    records = [one for one in regular() if one.inputs["E"] != 310.0]
+    records += [record(90 + i, Interface.polyline(curve(height + 0.01 * i), closed=True)) for i in range(closed)]
+    found = judge({"closest_point": ClosestPoint()})
+    found.usable(records)
+    with pytest.raises(NoCommonPoints):
+        found.without_exceptions(records, ERROR)

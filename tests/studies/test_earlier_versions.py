@@ -1,0 +1,26 @@
+"""Studies that earlier versions ran: their files are read, no run is made again, and the posterior is the same."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from strandline.runs import InProcess
+from strandline.studies import load_study, run_study
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+@pytest.mark.parametrize("version", ["0.1", "0.2"])
+@pytest.mark.parametrize("kind", ["sobol", "active"])
+def test_the_posterior_is_the_same(version: str, kind: str, tmp_path: Path, without_report: None) -> None:
+    folder = Path(shutil.copytree(DATA / f"studies-{version}" / kind, tmp_path / kind))
+    expected = json.loads((folder / "expected.json").read_text("utf-8"))
+    assert expected["version"] == f"{version}.0"
+    found = run_study(load_study(folder), executor=InProcess()).summary
+    assert found["runs"]["new"] == 0
+    assert found["log_evidence"] == pytest.approx(expected["log_evidence"], rel=1e-7)
+    for name, moments in expected["inputs"].items():
+        for moment, value in moments.items():
+            assert found["inputs"][name][moment] == pytest.approx(value, rel=1e-7, abs=1e-9)

@@ -1,0 +1,78 @@
+"""Rules of style that a program can check: arguments described by themselves, everyday words, short functions."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted(path for place in ("src", "verification") for path in (ROOT / place).rglob("*.py"))
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])
+PREPOSITIONS = frozenset({
+    "about", "above", "across", "after", "against", "along", "among", "around", "as", "at", "before", "behind", "below",
+    "between", "beyond", "by", "down", "during", "except", "for", "from", "in", "inside", "into", "like", "near", "of",
+    "off", "on", "onto", "out", "outside", "over", "past", "per", "since", "through", "to", "toward", "towards",
+    "under", "until", "up", "upon", "via", "with", "within", "without",
+})  # fmt: skip
+UNUSUAL = {
+    r"wanted is\b": "the goal is",
+    r"may (it|they|this|the \w+) be (believed|trusted)": "can you trust it",
+    r"\bis told\b|\bare told\b|\btold anew\b": "reported, printed, shown",
+    r"\bstands rightly\b": "is correct",
+    r"\bwere it (by|for|only)\b": "even if",
+    r"\banew\b": "again",
+    r"\bheeded\b|\bheeds\b": "follow",
+    r"\bfigures that a program might want\b": "all results",
+}
+"""What no native engineer would write, and what one would."""
+
+
+def entries(docstring: str) -> Iterator[tuple[str, str]]:
+    """Yield names and descriptions of the entries under ``Args:``."""
+    block = re.search(r"^ *Args:\n(.*?)(?=\n\s*\n|\Z)", docstring, re.MULTILINE | re.DOTALL)
+    if block is None:
+        return
+    lines = block[1].splitlines()
+    indent = len(lines[0]) - len(lines[0].lstrip())
+    for line in lines:
+        entry = re.match(rf" {{{indent}}}(\S[^:]*): *(.*)", line)
+        if entry:
+            yield entry[1], entry[2]
+
+
+def described(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield place and description of every argument in a file."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
+            for name, text in entries(ast.get_docstring(node) or ""):
+                yield f"{path.relative_to(ROOT)}:{node.lineno} {node.name}({name})", text
+
+
+def leaning(text: str) -> bool:
+    """Tell whether a description needs the argument's name before it."""
+    words = re.findall(r"[A-Za-z]+", text)
+    return bool(words) and words[0].lower() in PREPOSITIONS
+
+
+def test_every_argument_is_described_by_itself() -> None:
+    found = [f"{place}: {text}" for path in SOURCES for place, text in described(path) if leaning(text)]
+    assert not found, f"{len(found)}:\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"), [("of them", True), ("Number of them", False), ("``of``", True), ("", False)]
+)
+def test_a_leaning_description_is_noticed(text: str, wrong: bool) -> None:
+    assert leaning(text) is wrong
+    ((name, found),) = entries(f"Does it.\n\nArgs:\n    runs: {text}\n        and more: of it\n\nRaises:\n    X: of y.")
+    assert (name, leaning(found)) == ("runs", wrong)
+
+
+@pytest.mark.parametrize("path", [*SOURCES, *PAGES], ids=lambda path: str(path.relative_to(ROOT)))
+def test_words_are_those_of_every_day(path: Path) -> None:
+    for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
+        for pattern, better in UNUSUAL.items():
+            found = re.search(pattern, line, re.IGNORECASE)
+            assert not found, f"{path.relative_to(ROOT)}:{number}: {found[0]!r}; better: {better}"

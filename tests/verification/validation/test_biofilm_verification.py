@@ -1,0 +1,56 @@
+"""Sensitivities and extreme inputs of the biofilm at a few points; the tables are made by `validation`."""
+
+import numpy as np
+import pytest
+from verification.validation.biofilm_mesh import box_points, flow_cell
+from verification.validation.sensitivities import POINTS, Inputs, partition_of, relative_differences
+
+from strandline.models.biofilm.geometry import MeshSize
+from verification.validation import extremes
+
+ROUGH = MeshSize(far=0.3, interface=0.09, foot=0.06, grading=0.6)
+
+
+def test_points_cover_the_box():
+    points = box_points(64)
+    np.testing.assert_allclose(points.mean(axis=0), [450.0, -0.15], rtol=0.05)
+    assert (np.ptp(points, axis=0) > [650.0, 1.2]).all()
+
+
+@pytest.mark.parametrize(
+    "at",
+    [
+        pytest.param(POINTS[1], id="nearly incompressible"),
+        pytest.param(POINTS[-1], id="three parts", marks=pytest.mark.long),
+    ],
+)
+def test_sensitivities_agree_with_differences(at):
+    cell = flow_cell(ROUGH, partition=partition_of(len(at.young)), nodes=18)
+    assert max(relative_differences(cell, at)) < 1e-6
+
+
+def test_sensitivities_with_a_jacobian_from_elsewhere_do_not(monkeypatch):
+    """The planted error: the Jacobian of a solution at E half a percent larger."""
+    cell = flow_cell(ROUGH, nodes=18)
+    elsewhere = cell.system.factorise(cell.solve([402.0], [0.3], 100.0).unknowns)
+    exact = cell.sensitivities
+
+    def stale(solution):
+        with monkeypatch.context() as patch:
+            patch.setattr(cell.system, "factorise", lambda x: elsewhere)
+            return exact(solution)
+
+    monkeypatch.setattr(cell, "sensitivities", stale)
+    assert max(relative_differences(cell, Inputs((400.0,), (0.3,), 100.0))) > 1e-5
+
+
+def test_extreme_inputs_are_solved():
+    (table,) = extremes.tables(mesh="coarse")
+    assert set(table.column("outcome")) == {"solved"}
+    moved = dict(zip(((r[0], *r[1:4]) for r in table.rows), table.column("largest displacement, µm"), strict=True))
+    for law in ("saint_venant_kirchhoff", "neo_hookean"):
+        assert moved[law, 400.0, 0.3, 0.0] == 0.0
+        np.testing.assert_allclose(moved[law, 400.0, 0.5, 100.0], moved[law, 400.0, 0.4999999, 100.0], rtol=1e-5)
+        assert moved[law, 1e7, 0.3, 100.0] < 0.01
+        assert moved[law, 400.0, -0.99, 100.0] < moved[law, 400.0, -0.9, 100.0] < moved[law, 400.0, 0.5, 100.0]
+    assert moved["saint_venant_kirchhoff", 400.0, 0.5, 100.0] != moved["neo_hookean", 400.0, 0.5, 100.0]

@@ -1,0 +1,80 @@
+"""The page on the forward model quotes verification.json and failure-map.json, and these are what was aimed at."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from verification.validation.tables import Table, from_json, observed_orders, put_into_page
+
+EXPLANATION = Path(__file__).parents[3] / "docs" / "explanation"
+PAGE = (EXPLANATION / "forward-model.md").read_text("utf-8")
+TABLES = {
+    name: from_json(data)
+    for source in ("verification.json", "failure-map.json")
+    for name, data in json.loads((EXPLANATION / source).read_text("utf-8")).items()
+}
+SAMPLE = Table("sample", "Sample", ("what", "x"), ("s", ".2f"), (("one", 1.234), ("none", None)))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_page_has_each_table_as_it_was_computed(name):
+    assert f"<!-- table: {name} -->\n{TABLES[name].markdown()}\n<!-- end -->" in PAGE
+
+
+def test_page_has_no_other_tables_of_results():
+    assert PAGE.count("<!-- table: ") == len(TABLES)
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "percent"),
+    [
+        ("CFD1", "lift", 0.5),
+        ("CSM1", "ux", 0.3),
+        ("CSM1", "uy", 0.3),
+        ("CSM2", "ux", 0.3),
+        ("CSM2", "uy", 0.3),
+        ("FSI1", "ux", 0.5),
+        ("FSI1", "uy", 1.0),
+        ("FSI1", "drag", 0.05),
+        ("FSI1", "lift", 0.5),
+    ],
+)
+def test_finest_meshes_meet_the_aims(name, quantity, percent):
+    table = TABLES[name]
+    for order in (2, 3):
+        rows = [r for r in table.rows if (r[0], r[table.columns.index("P")]) == (quantity, order)]
+        finest = dict(zip(table.columns, max(rows, key=lambda r: r[table.columns.index("unknowns")]), strict=True))
+        assert abs(finest["error, %"]) < percent
+        np.testing.assert_allclose(finest["error, %"], 100 * (finest["value"] / finest["published"] - 1), atol=1e-9)
+
+
+def test_biofilm_aims():
+    mesh = TABLES["biofilm_mesh"]
+    (default,) = [dict(zip(mesh.columns, row, strict=True)) for row in mesh.rows if row[0] == "default"]
+    assert default["largest, µm"] < 1
+    assert default["largest, %"] < 1
+    assert max(TABLES["sensitivities"].column("relative difference")) < 1e-6
+    assert set(TABLES["extremes"].column("outcome")) == {"solved"}
+
+
+def test_table_as_text_and_back():
+    assert SAMPLE.markdown() == "| what | x |\n| --- | --- |\n| one | 1.23 |\n| none |  |"
+    assert from_json(json.loads(json.dumps(SAMPLE.as_json()))) == SAMPLE
+
+
+def test_table_goes_to_its_place_again_and_again():
+    page = "a\n<!-- table: sample -->\n<!-- end -->\nb\n<!-- table: other -->\nkept\n<!-- end -->\n"
+    once = put_into_page(page, [SAMPLE])
+    assert SAMPLE.markdown() in once
+    assert "kept" in once
+    assert put_into_page(once, [SAMPLE]) == once
+    with pytest.raises(ValueError, match="0 places"):
+        put_into_page("nothing", [SAMPLE])
+
+
+def test_observed_order_of_a_cubic():
+    sizes = (0.4, 0.2, 0.05)
+    orders = observed_orders(sizes, [7 * h**3 for h in sizes])
+    assert orders[0] is None
+    np.testing.assert_allclose(orders[1:], 3.0, rtol=1e-12)

@@ -1,0 +1,90 @@
+"""What the figures of the benchmark should be, and which figure each aim is of.
+
+An aim is of every figure of its part in whose text (task, then case) its pattern is found, ignoring case. Aims of a
+ratio, of the clock's seconds or of all cores', are of figures with a peer in whose name the last pattern is found; aims
+of a value are of the others, in its unit. Of several the first one counts.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+RATIO, PER_CORE, MOST, LEAST = "ratio ≥", "ratio per core ≥", "value ≤", "value ≥"
+FIGURES = {RATIO: "ratio", PER_CORE: "ratio_per_core", MOST: "ours", LEAST: "ours"}
+
+
+@dataclass(frozen=True)
+class Aim:
+    """One line of the table below.
+
+    Args:
+        name: Name in words, for a figure that is missing.
+        part: Module that measures it.
+        task: Pattern in the figure's text.
+        kind: RATIO, PER_CORE, MOST or LEAST.
+        bound: Bound of the aim.
+        of: Pattern in the peer's name, or unit of the value.
+    """
+
+    name: str
+    part: str
+    task: str
+    kind: str
+    bound: float
+    of: str
+
+    def applies(self, record: Mapping[str, Any]) -> bool:
+        """Return whether the aim is of this figure."""
+        text = f"{record['what']}, {record.get('case', '')}"
+        if record["part"] != self.part or not re.search(self.task, text, re.IGNORECASE):
+            return False
+        if self.kind in (RATIO, PER_CORE):
+            peer = record.get("peer_name")
+            return bool(peer) and re.search(self.of, str(peer), re.IGNORECASE) is not None
+        return not record.get("peer_name") and record.get("unit") == self.of
+
+    def met(self, record: Mapping[str, Any]) -> bool | None:
+        """Return whether the figure is as it should be; None where it was not measured."""
+        figure = record.get(FIGURES[self.kind])
+        if figure is None:
+            return None
+        return bool(figure <= self.bound if self.kind == MOST else figure >= self.bound)
+
+
+PRODUCT = r"evidence and gradient, matern32_product, n = 2000\b"
+STUDY = r"SMC, .*ζ 0\.995"
+AIMS = (
+    # name, part, task, kind, bound, peer or unit
+    Aim("evidence and gradient, 7-D, n = 2000, against JAX", "surrogate", PRODUCT, RATIO, 5, r"jax"),
+    Aim("evidence and gradient, 7-D, n = 2000, against scikit-learn", "surrogate", PRODUCT, RATIO, 10, "scikit"),
+    Aim(
+        "evidence and gradient, 7-D, n = 5000, at most 1.4 of LAPACK's own time",
+        "surrogate",
+        r"evidence and gradient, matern32_product, n = 5000\b",
+        RATIO,
+        round(1 / 1.4, 4),
+        "dpotrf",
+    ),
+    Aim("GP mean, n = 1000, 2-D, per core", "sampler", r"GP mean.*n = 1000\b", PER_CORE, 12, "scikit"),
+    Aim("GP mean, n = 2000, 7-D, per core", "sampler", r"GP mean.*n = 2000\b", PER_CORE, 9, "scikit"),
+    Aim("SMC, the study's setting, BlackJAX that factorises", "sampler", STUDY, RATIO, 10, r"blackjax.*factori"),
+    Aim("SMC, the study's setting, BlackJAX with a plain mean", "sampler", STUDY, RATIO, 3, "blackjax"),
+    Aim("SMC, the study's setting, scikit-learn", "sampler", STUDY, RATIO, 15, "scikit"),
+    Aim("SMC, cores kept busy", "sampler", r"cores kept busy", RATIO, 1.7, "one core"),
+    Aim("SMC, economical setting against the study's", "sampler", r"SMC", RATIO, 20, "ours too"),
+    Aim("currents, 10⁴ × 10⁴ triangles", "norms", r"currents.*\b1\d{4}²", RATIO, 5, "NumPy"),
+    Aim("currents, 10⁵ × 10⁵ triangles, memory", "norms", r"currents.*\b1\d{5}²", MOST, 1000, "MiB"),
+    Aim("closest points, 6600 to 2000 segments", "norms", r"closest.*6600.*2000", RATIO, 15, ""),
+    Aim("overhead of a run, local processes", "executors", r"overhead.*worker processes", MOST, 5, "ms"),
+    Aim("overhead of a run, Dask", "executors", r"overhead.*Dask", MOST, 20, "ms"),
+    Aim("strandline --help", "startup", r"--help", MOST, 0.15, "s"),
+    Aim("strandline status", "startup", r"status.*plan in the ledger", MOST, 0.6, "s"),
+    Aim("runs of the coarse mesh", "forward", r"solves.*coarse", LEAST, 1100, "per minute"),
+    Aim("runs of the default mesh", "forward", r"solves.*default", LEAST, 400, "per minute"),
+)
+
+
+def aim_of(record: Mapping[str, Any], aims: Sequence[Aim] = AIMS) -> Aim | None:
+    """Return the first aim that is of this figure."""
+    return next((aim for aim in aims if aim.applies(record)), None)

@@ -1,0 +1,345 @@
+"""What a run of the built-in model costs, and where the time goes.
+
+Times depend on the machine and on what else it does. The points are the first of Sobol's sequence in the box of the
+study, failures included, at V_in = 100.
+"""
+
+import os
+import resource
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from functools import wraps
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.models.biofilm.cell import FlowCell
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.linear import SOLVERS, VARIABLE, Factorisation, linear_solver
+from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.model import Biofilm
+from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.system import CoupledSystem
+from strandline.models.protocol import ModelInput, Simulation
+from strandline.runs import LocalProcesses, RunRecord, RunRequest
+
+E_BOX, NU_BOX, INFLOW = (100.0, 800.0), (-0.8, 0.5), 100.0
+POINTS, PROFILED, WORKERS = 256, 64, 2
+AIMS = {"coarse": 1100.0, "default": 400.0}
+"""Solves per minute."""
+PLACES = ((400.0, 0.3), (700.0, 0.0), (300.0, -0.5), (500.0, 0.499), (800.0, -0.8))
+PARTS = {
+    "assembly": (CoupledSystem, "factorise"),
+    "factorisation": (Factorisation, "__init__"),
+    "residuals": (CoupledSystem, "residual"),
+    "back-substitution": (Factorisation, "solve"),
+}
+"""Method whose own time, without that of others among these, is that of the part."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the table; `value` is None where it could not be measured."""
+
+    what: str
+    case: str
+    value: float | None
+    unit: str
+    remark: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """Records of a design in order of their end, and when they came, in seconds after the call."""
+
+    records: list[RunRecord]
+    times: list[float]
+
+    @property
+    def per_minute(self) -> float:
+        """Solves per minute from the first record to the last."""
+        return 60.0 * (len(self.times) - 1) / (self.times[-1] - self.times[0])
+
+    @property
+    def start_up(self) -> float:
+        """Seconds until the first record: workers, mesh, first run."""
+        return self.times[0]
+
+
+@dataclass
+class Clock:
+    """Own seconds of parts that call each other, and how often each was called."""
+
+    seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    calls: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    _inner: list[float] = field(default_factory=list)
+
+    def measured(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return `function` with its time counted for `part`."""
+
+        @wraps(function)
+        def wrapped(*args: Any, **kwargs: Any) -> Any:
+            self.calls[part] += 1
+            self._inner.append(0.0)
+            begun = time.perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                spent = time.perf_counter() - begun
+                self.seconds[part] += spent - self._inner.pop()
+                if self._inner:
+                    self._inner[-1] += spent
+
+        return wrapped
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Seconds of all runs, of the failed ones, and of each part of `PARTS`; Jacobians of the runs that ended well."""
+
+    total: float
+    failed: float
+    seconds: Mapping[str, float]
+    calls: Mapping[str, int]
+    jacobians: int
+    failures: int
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Shares of the parts and of the rest."""
+        shares = {part: self.seconds[part] / self.total for part in PARTS}
+        return shares | {"rest": 1.0 - sum(shares.values())}
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Cost of one solve on one mesh."""
+
+    elements: int
+    unknowns: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class PeakMemory:
+    """A biofilm whose runs report the peak memory of their process, in MiB."""
+
+    model: Biofilm
+
+    @property
+    def inputs(self) -> tuple[ModelInput, ...]:
+        """Inputs of the biofilm."""
+        return self.model.inputs
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
+        """Return the biofilm's run."""
+        simulation = self.model(inputs, workdir)
+        return replace(simulation, diagnostics={**simulation.diagnostics, "peak_MiB": peak_memory()})
+
+
+def main() -> list[dict[str, Any]]:
+    """Print each figure as it is measured; return them all."""
+    found = []
+    for figure in figures():
+        found.append(asdict(figure))
+        value = "-" if figure.value is None else f"{figure.value:.4g}"
+        print(f"{figure.what:<42} {figure.case:<22} {value:>9} {figure.unit:<12} {figure.remark}", flush=True)
+    return found
+
+
+def figures() -> Iterator[Figure]:
+    """Measure everything."""
+    for mesh in AIMS:
+        for solver in SOLVERS:
+            with using(solver) as installed:
+                yield from pace_figures(mesh, solver, installed=installed)
+    for solver in SOLVERS:
+        with using(solver) as installed:
+            if installed:
+                yield from profile_figures("default", solver, design(PROFILED))
+    yield from cost_figures()
+    yield from sensitivity_figures()
+    yield from memory_figures()
+
+
+def pace_figures(mesh: str, solver: str, *, installed: bool) -> Iterator[Figure]:
+    """Yield solves per minute of the product's own executor, and what a failure costs."""
+    case = f"{mesh}, {solver}"
+    if not installed:
+        yield Figure(f"solves, {WORKERS} workers", case, None, "per minute", "not installed")
+        return
+    measured = pace(Biofilm(mesh=mesh), design(POINTS))
+    verdict = "met" if measured.per_minute >= AIMS[mesh] else "not met"
+    yield Figure(
+        f"solves, {WORKERS} workers", case, measured.per_minute, "per minute", f"aim {AIMS[mesh]:g}: {verdict}"
+    )
+    yield Figure("until the first record", case, measured.start_up, "s")
+    costs = failure_costs(measured.records)
+    if costs:
+        remark = f"{len(costs)} failures, of the runs after each worker's first"
+        yield Figure("a failure, median", case, statistics.median(costs), "solves", remark)
+        yield Figure("a failure, dearest", case, max(costs), "solves")
+
+
+def profile_figures(mesh: str, solver: str, points: Sequence[tuple[float, float]]) -> Iterator[Figure]:
+    """Yield the shares of the time, in this process."""
+    case, measured = f"{mesh}, {solver}", profile(flow_cell(MESHES[mesh]), points)
+    for part, share in measured.shares.items():
+        number = f"{measured.calls[part] / len(points):.1f} calls a run" if part in measured.calls else ""
+        yield Figure(f"share of {part}", case, 100 * share, "%", number)
+    remark = f"{measured.failures} of {len(points)} runs"
+    yield Figure("share of failed runs", case, 100 * measured.failed / measured.total, "%", remark)
+
+
+def cost_figures() -> Iterator[Figure]:
+    """Yield the cost of a solve on four meshes, and its exponent."""
+    costs = []
+    for name, size in {**MESHES, "finer": scaled(MESHES["fine"], 0.7)}.items():
+        cost = solve_cost(size, repeats=3)
+        costs.append(cost)
+        remark = f"{cost.elements} elements, {cost.unknowns} unknowns"
+        yield Figure("a solve at (400 Pa, 0.3)", f"{name}, {linear_solver()}", cost.seconds, "s", remark)
+    yield Figure("exponent of seconds in unknowns", linear_solver(), exponent(costs), "1")
+
+
+def sensitivity_figures() -> Iterator[Figure]:
+    """Yield what three sensitivities add to a run."""
+    ratios = sensitivity_ratios("default", PLACES)
+    remark = f"median of {len(ratios)} places, up to {max(ratios):.2f}"
+    yield Figure("a run with sensitivities", f"default, {linear_solver()}", statistics.median(ratios), "runs", remark)
+
+
+def memory_figures() -> Iterator[Figure]:
+    """Yield the peak memory of a worker that has made its first run."""
+    for mesh in MESHES:
+        (record,) = pace(PeakMemory(Biofilm(mesh=mesh)), [(400.0, 0.3)]).records
+        yield Figure("peak memory of a worker", f"{mesh}, {linear_solver()}", record.diagnostics["peak_MiB"], "MiB")
+
+
+@contextmanager
+def using(solver: str) -> Iterator[bool]:
+    """Have this process and its workers use a linear solver; False where it is not installed."""
+    with patch.dict(os.environ, {VARIABLE: solver}):
+        linear_solver.cache_clear()
+        try:
+            yield _installed()
+        finally:
+            linear_solver.cache_clear()
+
+
+def _installed() -> bool:
+    try:
+        linear_solver()
+    except InvalidInput:
+        return False
+    return True
+
+
+def design(number: int) -> list[tuple[float, float]]:
+    """Return the first points (E, nu) of Sobol's sequence in the box."""
+    from scipy.stats import qmc  # not in the workers, whose memory is measured
+
+    unit = qmc.Sobol(2, scramble=False).random(number)
+    lows, highs = zip(E_BOX, NU_BOX, strict=True)
+    return [(float(E), float(nu)) for E, nu in qmc.scale(unit, lows, highs)]
+
+
+def pace(model: Any, points: Sequence[tuple[float, float]]) -> Pace:
+    """Run `model` at `points` in worker processes."""
+    requests = [RunRequest(str(k), {"E": E, "nu": nu, "V_in": INFLOW}) for k, (E, nu) in enumerate(points)]
+    records, times, begun = [], [], time.perf_counter()
+    for record in LocalProcesses(workers=WORKERS)(model, requests):
+        records.append(record)
+        times.append(time.perf_counter() - begun)
+    return Pace(records, times)
+
+
+def failure_costs(records: Sequence[RunRecord]) -> list[float]:
+    """Return the seconds of each failed run in median successful ones; a worker's first run also builds its mesh."""
+    warm = [record for record in records if int(record.key) >= WORKERS]
+    typical = statistics.median(record.seconds for record in warm if record.ok)
+    return [record.seconds / typical for record in warm if not record.ok]
+
+
+def profile(cell: FlowCell, points: Sequence[tuple[float, float]]) -> Profile:
+    """Solve at `points` with the methods of `PARTS` timed."""
+    clock = Clock()
+    seconds, failed, jacobians = [], [], 0
+    with ExitStack() as stack:
+        for part, (owner, name) in PARTS.items():
+            stack.enter_context(patch.object(owner, name, clock.measured(part, getattr(owner, name))))
+        for E, nu in points:
+            begun = time.perf_counter()
+            try:
+                jacobians += cell.solve([E], [nu], INFLOW).jacobians
+            except ForwardModelError:
+                failed.append(time.perf_counter() - begun)
+            seconds.append(time.perf_counter() - begun)
+    return Profile(sum(seconds), sum(failed), dict(clock.seconds), dict(clock.calls), jacobians, len(failed))
+
+
+def solve_cost(size: MeshSize, *, repeats: int) -> Cost:
+    """Return size and median seconds of a solve at (400, 0.3), after one that is not measured."""
+    cell = flow_cell(size)
+    cell.solve([400.0], [0.3], INFLOW)
+    seconds = [timed(cell.solve, [400.0], [0.3], INFLOW) for _ in range(repeats)]
+    return Cost(cell.mesh.ne, len(cell.system.free), statistics.median(seconds))
+
+
+def exponent(costs: Sequence[Cost]) -> float:
+    """Return the slope of log seconds over log unknowns."""
+    unknowns, seconds = ([np.log(getattr(cost, name)) for cost in costs] for name in ("unknowns", "seconds"))
+    return float(np.polyfit(unknowns, seconds, 1)[0])
+
+
+def sensitivity_ratios(mesh: str, places: Sequence[tuple[float, float]], *, repeats: int = 3) -> list[float]:
+    """Return seconds of a run with sensitivities over those of one without, both in turns, at each place."""
+    plain, asked = Biofilm(mesh=mesh), Biofilm(mesh=mesh, sensitivities=True)
+    plain({"E": 400.0, "nu": 0.3, "V_in": INFLOW})
+    asked({"E": 400.0, "nu": 0.3, "V_in": INFLOW})
+    ratios = []
+    for E, nu in places:
+        inputs = {"E": E, "nu": nu, "V_in": INFLOW}
+        pairs = [(timed(asked, inputs), timed(plain, inputs)) for _ in range(repeats)]
+        more, less = (statistics.median(column) for column in zip(*pairs, strict=True))
+        ratios.append(more / less)
+    return ratios
+
+
+def flow_cell(size: MeshSize) -> FlowCell:
+    """Return the study's flow cell on a mesh of that size."""
+    law = LAWS["saint_venant_kirchhoff"]
+    return FlowCell(Outline().interface(), size, channel=Channel(), partition=Partition(), law=law)
+
+
+def scaled(size: MeshSize, factor: float) -> MeshSize:
+    """Return `size` with all elements `factor` times as large."""
+    return MeshSize(size.far * factor, size.interface * factor, size.foot * factor, size.grading)
+
+
+def peak_memory() -> float:
+    """Return the peak memory of this process, MiB.
+
+    Linux reports it since the start of the program; `getrusage` would begin with that of the process that started it.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        line = next(line for line in status.read_text("ascii").splitlines() if line.startswith("VmHWM:"))
+        return float(line.split()[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def timed(task: Callable[..., object], *arguments: object) -> float:
+    """Return the seconds of a call."""
+    begun = time.perf_counter()
+    task(*arguments)
+    return time.perf_counter() - begun

@@ -1,0 +1,185 @@
+"""Distances between large interfaces: against NumPy on the same task, and how long the largest take.
+
+The surfaces are bent sheets of a square millimetre, the points lie around them. A wide kernel couples all facets, a
+narrow one those within some edges of each other. NumPy does each task twice: over all pairs at once, as one writes it
+first, and in blocks that fit the cache. Times depend on the machine and on what else it does, ours of large tasks also
+on ``OMP_NUM_THREADS``.
+"""
+
+import statistics
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from functools import partial
+from multiprocessing import get_context
+from typing import Any
+
+import jax
+import numpy as np
+from verification.benchmarks.comparison import Comparison, compare_all, compared, timed
+from verification.benchmarks.forward import Figure, peak_memory
+from verification.reproduction.batch import batch_currents
+
+from strandline import Currents, Interface
+from strandline.discrepancy.search.nearest import squared_distances
+
+WIDE, NARROW = 0.3, 0.01
+NODES, MANY_NODES, TARGET_NODES = 72, 225, 201
+"""Nodes along an edge of a sheet: 10 082, 100 352 and 80 000 triangles."""
+POINTS_2D, SEGMENTS, POINTS_3D = 6600, 2000, 10_000
+BLOCK = 1 << 16
+REPEATS, ALL_AT_ONCE_REPEATS = 5, 3
+INTERFACES, NODES_2D = 1000, 67
+"""Simulated polylines of 66 segments against one observed, as in a campaign."""
+
+
+def main() -> list[dict[str, Any]]:
+    """Print each comparison and figure as it is made; return them all."""
+    jax.config.update("jax_enable_x64", True)
+    wide, narrow = partial(currents, WIDE), partial(currents, NARROW)
+    naive = partial(inner_product, at_once=True), partial(closest_on_polyline, at_once=True)
+    many = (partial(many_polylines, width, batched=batched) for width in (0.005, 0.05) for batched in (False, True))
+    found = compare_all(inner_product, wide, narrow, closest_on_polyline, *naive, *many)
+    print(f"\n{'task':<42} {'case':<22} {'value':>9}")
+    for figure in [closest_on_surface(0.01), closest_on_surface(0.3), *large(NARROW), *large(WIDE, repeats=1)]:
+        found.append(asdict(figure))
+        print(f"{figure.what:<42} {figure.case:<22} {figure.value:>9.4g} {figure.unit:<4} {figure.remark}", flush=True)
+    return found
+
+
+def inner_product(*, at_once: bool = False) -> Comparison:
+    """Return one inner product of two surfaces, every facet with every other."""
+    one, other = sheet(NODES, bend=0.20), sheet(NODES, bend=0.21)
+    measure = Currents(WIDE, quadrature="centre")
+    measure.inner(other, other)
+
+    what = f"currents: inner product, {len(one.cells)}² triangles"
+    name, repeats = _peer(at_once)
+    theirs = partial(all_pairs_at_once if at_once else all_pairs, one, other, WIDE)
+    return compared(what, name, partial(measure.inner, one, other), theirs, rtol=1e-9, repeats=repeats)
+
+
+def _peer(at_once: bool) -> tuple[str, int]:
+    """Return what NumPy does, and how often to let it."""
+    return ("all pairs in NumPy, at once", ALL_AT_ONCE_REPEATS) if at_once else ("all pairs in NumPy, blocks", 7)
+
+
+def currents(width: float) -> Comparison:
+    """Return d² of a simulated surface; both know the norm of the observed one."""
+    simulated, observed = sheet(NODES, bend=0.20), sheet(NODES, bend=0.21)
+    measure = Currents(width, quadrature="centre")
+    known = all_pairs(observed, observed, width)
+
+    def theirs() -> float:
+        return all_pairs(simulated, simulated, width) - 2 * all_pairs(simulated, observed, width) + known
+
+    what = f"currents: d², {len(observed.cells)}² triangles, width {width}"
+    return compared(what, "all pairs in NumPy, blocks", partial(measure, simulated, observed), theirs, rtol=1e-6)
+
+
+def closest_on_polyline(*, at_once: bool = False) -> Comparison:
+    """Return the distances of points to a polyline."""
+    rng = np.random.default_rng(3)
+    x = np.linspace(0.0, 2.0, SEGMENTS + 1)
+    target = Interface.polyline(np.stack([x, 0.3 * np.sin(3 * x) + 0.01 * rng.normal(size=x.size)], axis=1))
+    points = np.stack([rng.uniform(0.0, 2.0, POINTS_2D), rng.uniform(-0.5, 0.5, POINTS_2D)], axis=1)
+    what = f"closest points: {POINTS_2D} to {SEGMENTS} segments"
+    name, repeats = _peer(at_once)
+    block = len(points) * len(target.cells) if at_once else 4 * BLOCK
+    ours, theirs = partial(squared_distances, points, target), partial(every_segment, points, target, block)
+    return compared(what, name, ours, theirs, rtol=1e-9, atol=1e-15, repeats=repeats)
+
+
+def many_polylines(width: float, *, batched: bool) -> Comparison:
+    """Return d² of a campaign's polylines by the centre rule: one by one, and as a batch."""
+    t = np.linspace(0.0, np.pi, NODES_2D)
+    bends = 0.05 * np.random.default_rng(2).random((INTERFACES, 1)) * np.sin(t)
+    arch = np.stack([1.0 - 0.43 * np.cos(t), 0.47 * np.sin(t)], axis=1)
+    observed, shapes = Interface.polyline(arch), arch + np.stack([bends, 0 * bends], axis=2)
+    simulated = [Interface.polyline(points) for points in shapes]
+    measure = Currents(width, quadrature="centre")
+    known = all_pairs_at_once(observed, observed, width)
+
+    def ours() -> np.ndarray:
+        if batched:
+            return batch_currents(measure, shapes, observed)
+        return np.array([measure(one, observed) for one in simulated])
+
+    def theirs() -> np.ndarray:
+        pairs = ((all_pairs_at_once(one, one, width), all_pairs_at_once(one, observed, width)) for one in simulated)
+        return np.array([own - 2 * cross + known for own, cross in pairs])
+
+    what = f"currents: d², {INTERFACES} × {NODES_2D - 1} segments, width {width}{', batch' if batched else ''}"
+    return compared(what, "each at once in NumPy", ours, theirs, rtol=1e-6)
+
+
+def closest_on_surface(spread: float) -> Figure:
+    """Return the time for points that lie some mm from a large surface, whose tree is known."""
+    target = sheet(TARGET_NODES, bend=0.2)
+    rng = np.random.default_rng(4)
+    places = target.points[rng.integers(0, len(target.points), POINTS_3D)]
+    points = places + spread * rng.normal(size=places.shape)
+    seconds, first = repeated(partial(squared_distances, points, target))
+    what = f"closest points: {POINTS_3D} to {len(target.cells)} triangles"
+    return Figure(what, f"about {spread} mm away", seconds, "s", f"the first time {first:.3g} s")
+
+
+def large(width: float, *, repeats: int = REPEATS) -> tuple[Figure, Figure]:
+    """Return time and memory of d² between two large surfaces, in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        seconds, first, memory, triangles = pool.submit(_large, width, repeats).result()
+    what, case = f"currents: d², {triangles}² triangles", f"width {width}"
+    return Figure(what, case, seconds, "s", f"the first time {first:.3g} s"), Figure(what, case, memory, "MiB", "peak")
+
+
+def _large(width: float, repeats: int) -> tuple[float, float, float, int]:
+    jax.config.update("jax_enable_x64", True)
+    simulated, observed = sheet(MANY_NODES, bend=0.20), sheet(MANY_NODES, bend=0.21)
+    seconds, first = repeated(partial(Currents(width, quadrature="centre"), simulated, observed), repeats)
+    return seconds, first, peak_memory(), len(observed.cells)
+
+
+def repeated(task: Callable[[], object], repeats: int = REPEATS) -> tuple[float, float]:
+    """Return the median time of some calls, and that of the one before them."""
+    first = timed(task)
+    return statistics.median(timed(task) for _ in range(repeats)), first
+
+
+def sheet(nodes: int, *, bend: float) -> Interface:
+    """Return a square of nodes² points, bent in waves."""
+    u, v = np.meshgrid(*2 * [np.linspace(0.0, 1.0, nodes)], indexing="ij")
+    points = np.stack([u, v, bend * np.sin(5 * u) * np.cos(4 * v)], axis=-1).reshape(-1, 3)
+    first = (np.arange(nodes - 1)[:, None] * nodes + np.arange(nodes - 1)).ravel()
+    one = np.stack([first, first + nodes, first + nodes + 1], axis=1)
+    two = np.stack([first, first + nodes + 1, first + 1], axis=1)
+    return Interface(points, np.concatenate([one, two]))
+
+
+def all_pairs(a: Interface, b: Interface, width: float) -> float:
+    """Return ⟨a,b⟩ by the centre rule over all pairs of facets, in blocks that fit the cache."""
+    c, d, n, m = a.centres, b.centres, a.normals, b.normals
+    total = 0.0
+    for k in range(0, len(c), size := max(1, BLOCK // len(d))):
+        r2 = sum((c[k : k + size, i, None] - d[:, i]) ** 2 for i in range(3))
+        total += float(np.sum(n[k : k + size] * (np.exp(r2 * (-0.5 / width**2)) @ m)))
+    return total
+
+
+def all_pairs_at_once(a: Interface, b: Interface, width: float) -> float:
+    """Return the same by one expression."""
+    r2 = sum((a.centres[:, i, None] - b.centres[:, i]) ** 2 for i in range(a.dim))
+    return float(np.sum(np.exp(-r2 / (2 * width**2)) * (a.normals @ b.normals.T)))
+
+
+def every_segment(points: np.ndarray, target: Interface, block: int = 4 * BLOCK) -> np.ndarray:
+    """Return squared distances by projecting each point onto each segment, as many pairs at once as `block` says."""
+    tangent = target.ends - target.starts
+    square = np.sum(tangent**2, axis=1)
+    found = []
+    for k in range(0, len(points), size := max(1, block // len(tangent))):
+        x, y = (points[k : k + size, i, None] - target.starts[:, i] for i in range(2))
+        foot = np.clip((x * tangent[:, 0] + y * tangent[:, 1]) / square, 0.0, 1.0)
+        x -= foot * tangent[:, 0]
+        y -= foot * tangent[:, 1]
+        found.append(np.min(x * x + y * y, axis=1))
+    return np.concatenate(found)

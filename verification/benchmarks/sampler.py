@@ -1,0 +1,502 @@
+"""The mean of the Gaussian process and the sampler compared with other programs: seconds of the clock and of the cores.
+
+All get the same surrogate. Means must agree to 1e-9, whole posteriors within the tolerances of `require_right`, or the
+benchmark stops. Another schedule of temperatures needs other numbers of evaluations, so samplers are compared by the
+seconds of one evaluation of the log-likelihood. A program of which only a part is timed says so in the remark.
+
+JAX settles its devices when it starts, so all is done in a process that starts as the command line does.
+"""
+
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial, reduce
+from operator import mul
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+RUNS, LENGTH, VARIANCE, NUGGET, PARTICLES, MOVES, ZETA = 1000, 1.3, 500.0, 5e-4, 5000, 20, 0.995
+PARTS_RUNS, PARTS_PARTICLES, PARTS_MOVES, PARTS_ZETA = 2000, 10_000, 30, 0.998
+TOLERANCE_MOMENTS, TOLERANCE_EVIDENCE = 0.05, 0.1
+COLD = """
+import json, sys, time
+from verification.benchmarks import sampler
+print(json.dumps(sampler.first_and_second_call()))
+"""
+Log = Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a task took: seconds of the clock, seconds of all cores, evaluations of the log-likelihood."""
+
+    wall: float
+    cpu: float
+    evaluations: int
+
+    def each(self) -> "Cost":
+        """Return the cost of one evaluation."""
+        return Cost(self.wall / self.evaluations, self.cpu / self.evaluations, 1)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Medians of strandline and of another program; ratios are of the seconds of one evaluation."""
+
+    what: str
+    peer_name: str
+    ours: Cost
+    peer: Cost
+    ratio: float
+    cpu_ratio: float
+    repeats: int
+    remark: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A surrogate of a log-likelihood under the uniform prior of the unit cube, and where the particles begin."""
+
+    process: Any
+    mean: Log
+    initial: np.ndarray
+
+    @property
+    def dim(self) -> int:
+        return int(self.initial.shape[1])
+
+
+def main() -> list[dict[str, Any]]:
+    """Print each figure as it is made; return them all."""
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / "figures.json"
+        subprocess.run(
+            [sys.executable, "-m", "verification.benchmarks.sampler", str(output)], check=True, env=environment()
+        )
+        found: list[dict[str, Any]] = json.loads(output.read_text("utf-8"))
+    return found
+
+
+def environment(**changed: str) -> dict[str, str]:
+    """Return the environment of the command line."""
+    from strandline.cli.main import environment as command_line_environment
+
+    return {**command_line_environment(), **os.environ, **changed}
+
+
+def measure() -> list[dict[str, Any]]:
+    """Return all figures, in a process whose JAX has its devices."""
+    titles = "ours [s]", "peer [s]", "ours/eval [µs]", "peer/eval [µs]", "ratio", "per core"
+    print(f"{'task':<44} {'peer':<34} " + " ".join(f"{title:>14}" for title in titles))
+    found = []
+    for figure in figures():
+        found.append(asdict(figure))
+        numbers = figure.ours.wall, figure.peer.wall, *(1e6 * c.each().wall for c in (figure.ours, figure.peer))
+        shown = (*numbers, figure.ratio, figure.cpu_ratio)
+        print(f"{figure.what:<44} {figure.peer_name:<34} " + " ".join(f"{n:>14.4g}" for n in shown), flush=True)
+        if figure.remark:
+            print(f"    {figure.remark}", flush=True)
+    return found
+
+
+def figures() -> Iterator[Figure]:
+    yield mean_of_two()
+    yield mean_of_seven()
+    task = two_inputs(RUNS)
+    yield from whole_runs(task)
+    yield seven_inputs()
+    yield from compilation()
+
+
+def mean_of_two(runs: int = RUNS, points: int = PARTICLES, repeats: int = 9) -> Figure:
+    """Return the mean at the sampler's particles, isotropic kernel."""
+    return mean_beside(two_inputs(runs, points), scikit_learn_of_two(runs), "GP mean, 2 inputs", repeats)
+
+
+def mean_of_seven(runs: int = PARTS_RUNS, points: int = PARTS_PARTICLES, repeats: int = 5) -> Figure:
+    """Return the mean at the sampler's particles, product kernel."""
+    return mean_beside(parts(runs, points), scikit_learn_of_seven(runs), "GP mean, 7 inputs, product", repeats)
+
+
+def mean_beside(task: Task, peer: Log, what: str, repeats: int) -> Figure:
+    import jax
+
+    from strandline.smc.devices import COMPILER_OPTIONS, spread
+
+    compiled, points = jax.jit(task.mean, compiler_options=COMPILER_OPTIONS), spread(jax.numpy.asarray(task.initial))
+
+    def ours() -> Any:
+        return np.asarray(compiled(points))
+
+    np.testing.assert_allclose(ours(), peer(task.initial), rtol=1e-9, atol=1e-8)
+    number = len(points)
+    costs = [(metered(ours, number), metered(lambda: peer(task.initial), number)) for _ in range(repeats)]
+    whole = f"{what}, n = {len(task.process.alpha)}, {number} points"
+    return figure(whole, "scikit-learn predict", costs, remark="clock: on all cores; scikit-learn computes on one")
+
+
+def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int = 3) -> Iterator[Figure]:
+    """Yield the sampler in the study's settings compared with others, each run whole or for its first steps."""
+    from strandline.posterior.quadrature import integrate
+    from strandline.smc import SMCSettings
+
+    settings = SMCSettings(rejuvenation_steps=moves, zeta=zeta)
+    exact = integrate(task.process.mean, np.zeros(2), np.ones(2))
+    spread = 0.5 * exact.sd
+    what = f"SMC, {len(task.initial)} particles, {moves} moves, ζ {zeta}"
+    ours = partial(strandline_run, task, settings)
+    naive = blackjax_run(task, naive_mean(task.process), spread, moves, zeta)
+    refactored = blackjax_run(task, refactoring_mean(task.process), spread, moves, zeta)
+    peer = scikit_learn_of_two(len(task.process.alpha))
+    for found in (ours()[0], naive()[0]):
+        require_right(found, exact)
+    busy: list[Cost] = []
+
+    def beside(name: str, other: Callable[[], Any], remark: str) -> Figure:
+        costs = []
+        for _ in range(repeats):
+            costs.append((ours()[1], other()[1]))
+            busy.append(costs[-1][0])
+        return figure(what, name, costs, remark=remark)
+
+    criterion = "its own criterion; evaluations: particles × (moves + 3) × steps"
+    yield beside("BlackJAX, (B, n) @ α", naive, criterion)
+    part = 2
+    refactored(part)
+    yield beside(
+        "BlackJAX, K factorised at each call",
+        partial(refactored, part),
+        f"the first {part} tempering steps are timed; JAX factorises once for all particles of a move",
+    )
+    yield beside(
+        "scikit-learn predict, NumPy loop",
+        partial(numpy_run, task, peer, spread, moves, zeta, part),
+        f"the first {part} tempering steps are timed",
+    )
+    middle = median(busy)
+    load = os.getloadavg()[0]
+    yield Figure(
+        "cores kept busy while sampling",
+        "one core",
+        middle,
+        replace(middle, wall=middle.cpu),
+        middle.cpu / middle.wall,
+        1.0,
+        len(busy),
+        f"ratio: core-seconds per second; {os.cpu_count()} cores, load of the machine {load:.1f}",
+    )
+
+
+def seven_inputs(
+    runs: int = PARTS_RUNS, particles: int = PARTS_PARTICLES, moves: int = PARTS_MOVES, zeta: float = PARTS_ZETA
+) -> Figure:
+    """Return the default settings compared with the study's on the same surrogate; the moments must be the same."""
+    from strandline.smc import SMCSettings
+
+    task = parts(runs, particles)
+    default = SMCSettings()
+    strandline_run(task, default)
+    (study, theirs), *ours = [
+        strandline_run(task, SMCSettings(rejuvenation_steps=moves, zeta=zeta)),
+        *(strandline_run(task, default, seed) for seed in (1, 2, 3)),
+    ]
+    mean, sd = moments(study)
+    apart = [np.concatenate([(m - mean) / sd, s / sd - 1]) for m, s in (moments(one) for one, _ in ours)]
+    worst = max(float(np.abs(one).max()) for one in apart)
+    root = float(np.sqrt(np.mean(np.square(apart))))
+    middle = median([cost for _, cost in ours])
+    return Figure(
+        f"SMC, 7 inputs, n = {runs}, {particles} particles",
+        f"{moves} moves, ζ {zeta}, ours too",
+        middle,
+        theirs,
+        theirs.wall / middle.wall,
+        theirs.cpu / middle.cpu,
+        1,
+        f"ratios of whole runs, {theirs.evaluations / middle.evaluations:.0f} times the evaluations; study run once, "
+        f"the defaults with 3 seeds; means and sd apart by {root:.3f} sd (rms), {worst:.3f} (worst)",
+    )
+
+
+def compilation(repeats: int = 3) -> Iterator[Figure]:
+    """Yield the seconds that the first sampling of a process takes longer than the second."""
+    costs: list[list[Cost]] = [[], []]
+    for _ in range(repeats):
+        with tempfile.TemporaryDirectory() as folder:
+            for kind in costs:
+                chosen = environment(JAX_COMPILATION_CACHE_DIR=folder)
+                ended = subprocess.run([sys.executable, "-c", COLD], check=True, env=chosen, capture_output=True)
+                first, second = json.loads(ended.stdout)
+                kind.append(Cost(first - second, first - second, 1))
+    cold, cached = (median(kind) for kind in costs)
+    yield Figure(
+        "compiling the sampler, 2 inputs",
+        "the same without kept programs",
+        cached,
+        cold,
+        cold.wall / cached.wall,
+        1.0,
+        repeats,
+        "seconds that the first sampling takes longer than the second; ours: from the cache of a former process",
+    )
+
+
+def first_and_second_call() -> tuple[float, float]:
+    """Return the seconds of two samplings of one tempering step and one move."""
+    from strandline.smc import SMCSettings
+
+    task, settings = two_inputs(RUNS), SMCSettings(rejuvenation_steps=1, zeta=1e-9)
+    seconds = [strandline_run(task, settings)[1].wall for _ in "ab"]
+    return seconds[0], seconds[1]
+
+
+def two_inputs(runs: int, particles: int = PARTICLES) -> Task:
+    from verification.benchmarks.inference import training
+
+    from strandline.surrogate import KERNELS, batched_mean, condition
+
+    x, y = (part[:runs] for part in training())
+    process = condition(x, y, kernel=KERNELS["matern32"], length_scale=LENGTH, signal_variance=VARIANCE, nugget=NUGGET)
+    return Task(process, batched_mean(process), np.random.default_rng(1).random((particles, 2)))
+
+
+def parts(runs: int, particles: int = PARTS_PARTICLES) -> Task:
+    """Return the surrogate of a ridge, a product and five inputs of little influence."""
+    from verification.benchmarks import surrogate
+
+    from strandline.design import sobol
+    from strandline.surrogate import KERNELS, batched_mean, condition
+
+    process = condition(
+        sobol(runs, 7),
+        surrogate.training(runs)[1],
+        kernel=KERNELS["matern32_product"],
+        length_scale=surrogate.LENGTHS,
+        signal_variance=surrogate.VARIANCE,
+        nugget=surrogate.NUGGET,
+    )
+    return Task(process, batched_mean(process), np.random.default_rng(1).random((particles, 7)))
+
+
+def scikit_learn_of_two(runs: int) -> Log:
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
+    process = two_inputs(runs, 2).process
+    return scikit_learn(process, ConstantKernel(VARIANCE) * Matern(LENGTH, nu=1.5), NUGGET)
+
+
+def scikit_learn_of_seven(runs: int) -> Log:
+    from sklearn.gaussian_process.kernels import ConstantKernel
+    from verification.benchmarks.surrogate import LENGTHS, Column
+    from verification.benchmarks.surrogate import NUGGET as FLAT
+    from verification.benchmarks.surrogate import VARIANCE as HIGH
+
+    factors = [Column(length, nu=1.5, column=d) for d, length in enumerate(LENGTHS)]
+    return scikit_learn(parts(runs, 2).process, ConstantKernel(HIGH) * reduce(mul, factors), FLAT)
+
+
+def scikit_learn(process: Any, kernel: Any, nugget: float) -> Log:
+    """Return the mean by scikit-learn's own solution of the same equations."""
+    from sklearn.gaussian_process import GaussianProcessRegressor
+
+    centred = process.signal_variance * correlations(process) @ process.alpha + process.nugget * process.alpha
+    peer = GaussianProcessRegressor(kernel, alpha=nugget, optimizer=None).fit(process.x_train, centred)
+    return lambda x: peer.predict((x - process.shift) / process.scale) + process.target_mean
+
+
+def correlations(process: Any) -> np.ndarray:
+    """Return the correlations of the runs; their product with α gives back the targets."""
+    train = process.x_train / process.length_scale
+    return np.stack([process.kernel.value(point - train) for point in train])
+
+
+def naive_mean(process: Any) -> Log:
+    """Return the mean at one point as one writes it."""
+    import jax.numpy as jnp
+
+    train, weight = jnp.asarray(process.x_train), jnp.asarray(process.signal_variance * process.alpha)
+
+    def mean(x: Any) -> Any:
+        t = jnp.sqrt(3.0) * jnp.linalg.norm((x - process.shift) / process.scale - train, axis=1) / process.length_scale
+        return ((1 + t) * jnp.exp(-t)) @ weight + process.target_mean
+
+    return mean
+
+
+def refactoring_mean(process: Any) -> Log:
+    """Return the mean at one point by a function that is given the training data, as libraries' `predict` is."""
+    import jax.numpy as jnp
+    from jax.scipy.linalg import cho_solve
+
+    train = jnp.asarray(process.x_train)
+    targets = jnp.asarray(process.signal_variance * correlations(process) @ process.alpha)
+    targets = targets + process.nugget * process.alpha
+
+    def covariance(a: Any, b: Any) -> Any:
+        square = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
+        t = jnp.sqrt(3.0) * jnp.sqrt(square) / process.length_scale
+        return process.signal_variance * (1 + t) * jnp.exp(-t)
+
+    def mean(x: Any) -> Any:
+        K = covariance(train, train) + process.nugget * jnp.eye(len(train))
+        alpha = cho_solve((jnp.linalg.cholesky(K), True), targets)
+        return (covariance(((x - process.shift) / process.scale)[None], train) @ alpha)[0] + process.target_mean
+
+    return mean
+
+
+def strandline_run(task: Task, settings: Any, seed: int = 1) -> tuple[Any, Cost]:
+    """Return (log evidence, positions, weights) and the cost."""
+    import jax
+
+    from strandline.smc import sample
+
+    found: list[Any] = []
+    begun = clocks()
+    found.append(sample(jax.random.key(seed), task.mean, unit_prior, task.initial, settings=settings))
+    result = found[0]
+    cost = since(begun, result.likelihood_evaluations)
+    return (result.log_evidence, result.positions, np.exp(result.log_weights)), cost
+
+
+def blackjax_run(task: Task, mean: Log, spread: np.ndarray, moves: int, zeta: float) -> Callable[..., tuple[Any, Cost]]:
+    """Return BlackJAX's sampler of the same posterior; it can be limited to some steps."""
+    import warnings
+
+    import jax
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import blackjax
+        from blackjax.smc import resampling
+    walk = blackjax.additive_step_random_walk
+    kernel = walk.build_kernel()
+
+    def move(key: Any, state: Any, log_density: Log) -> Any:
+        return kernel(key, state, log_density, lambda k, x: spread * jax.random.normal(k, x.shape))
+
+    algorithm = blackjax.adaptive_tempered_smc(
+        lambda x: unit_prior(x[None])[0],
+        mean,
+        move,
+        walk.init,
+        {},
+        resampling.systematic,
+        zeta,
+        num_mcmc_steps=moves,
+    )
+    step = jax.jit(algorithm.step)
+
+    def run(steps: int | None = None) -> tuple[Any, Cost]:
+        key, state, done, log_evidence = jax.random.key(2), algorithm.init(jax.numpy.asarray(task.initial)), 0, 0.0
+        begun = clocks()
+        while float(state.tempering_param) < 1 and done != steps:
+            key, now = jax.random.split(key)
+            state, info = step(now, state)
+            log_evidence += float(info.log_likelihood_increment)
+            done += 1
+        jax.block_until_ready(state)
+        cost = since(begun, len(task.initial) * (moves + 3) * done)
+        return (log_evidence, np.asarray(state.particles), np.asarray(state.weights)), cost
+
+    return run
+
+
+def numpy_run(
+    task: Task, log_likelihood: Log, spread: np.ndarray, moves: int, zeta: float, steps: int | None = None
+) -> tuple[Any, Cost]:
+    """Return the posterior by a plain loop over temperatures, ESS' = ζ ESS, resampled where the half is lost."""
+    rng = np.random.default_rng(3)
+    begun = clocks()
+    x, number, gamma, log_evidence, done = task.initial, len(task.initial), 0.0, 0.0, 0
+    w, values = np.full(number, 1 / number), log_likelihood(x)
+
+    def reweighted(step: float) -> np.ndarray:
+        scaled: np.ndarray = w * np.exp(step * (values - values.max()))
+        return scaled
+
+    def size(v: np.ndarray) -> float:
+        return float(v.sum() ** 2 / (v**2).sum())
+
+    while gamma < 1 and done != steps:
+        low, high = 0.0, 1 - gamma
+        if size(reweighted(high)) >= zeta * size(w):
+            low = high
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if size(reweighted(middle)) >= zeta * size(w) else (low, middle)
+        w = reweighted(low)
+        log_evidence += float(np.log(w.sum())) + low * float(values.max())
+        gamma, w = gamma + low, w / w.sum()
+        if size(w) < 0.5 * number:
+            chosen = rng.choice(number, number, p=w)
+            x, values, w = x[chosen], values[chosen], np.full(number, 1 / number)
+        for _ in range(moves):
+            proposal = x + spread * rng.normal(size=x.shape)
+            inside = ((proposal >= 0) & (proposal <= 1)).all(axis=1)
+            there = log_likelihood(proposal)
+            accept = inside & (np.log(rng.random(number)) < gamma * (there - values))
+            x, values = np.where(accept[:, None], proposal, x), np.where(accept, there, values)
+        done += 1
+    return (log_evidence, x, w), since(begun, number * (1 + moves * done))
+
+
+def unit_prior(x: Any) -> Any:
+    """Return the log density of the uniform prior on the unit cube."""
+    import jax.numpy as jnp
+
+    return jnp.where(jnp.all((x >= 0) & (x <= 1), axis=1), 0.0, -jnp.inf)
+
+
+def moments(found: tuple[float, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    _, x, w = found
+    mean = w @ x
+    return mean, np.sqrt(w @ (x - mean) ** 2)
+
+
+def require_right(found: tuple[float, np.ndarray, np.ndarray], exact: Any) -> None:
+    """Stop where moments (in sd) or log evidence are off by more than the tolerances."""
+    mean, sd = moments(found)
+    np.testing.assert_allclose((mean - exact.mean) / exact.sd, 0.0, atol=TOLERANCE_MOMENTS)
+    np.testing.assert_allclose(sd / exact.sd, 1.0, atol=TOLERANCE_MOMENTS)
+    np.testing.assert_allclose(found[0], exact.log_evidence, atol=TOLERANCE_EVIDENCE)
+
+
+def figure(what: str, peer_name: str, costs: list[tuple[Cost, Cost]], remark: str) -> Figure:
+    ours, peer = (median(list(column)) for column in zip(*costs, strict=True))
+    mine, its = ours.each(), peer.each()
+    return Figure(what, peer_name, ours, peer, its.wall / mine.wall, its.cpu / mine.cpu, len(costs), remark)
+
+
+def median(costs: list[Cost]) -> Cost:
+    wall, cpu = (statistics.median(getattr(cost, name) for cost in costs) for name in ("wall", "cpu"))
+    return Cost(wall, cpu, costs[0].evaluations)
+
+
+def metered(task: Callable[[], Any], evaluations: int) -> Cost:
+    begun = clocks()
+    task()
+    return since(begun, evaluations)
+
+
+def clocks() -> tuple[float, float]:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return time.perf_counter(), used.ru_utime + used.ru_stime
+
+
+def since(begun: tuple[float, float], evaluations: int) -> Cost:
+    wall, cpu = (now - then for now, then in zip(clocks(), begun, strict=True))
+    return Cost(wall, cpu, evaluations)
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(json.dumps(measure()), encoding="utf-8")

@@ -1,0 +1,236 @@
+"""How times grow, and which share of what one core can do at best is reached: verification/benchmarks/scaling.json.
+
+All on one core, in core-seconds, which other work on the machine changes less than those of the clock. What a core can
+do at best is measured here: multiplying matrices (the fit: n³ operations for Cholesky factor and inverse), exponentials
+of numbers that stay in the cache by JAX (mean, sampler, currents: one for each pair, and pairs that symmetry saves are
+not counted; the narrow currents leave out most pairs and have no share). So a share leaves out what the rest of a pair
+costs.
+"""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from verification.benchmarks import results, surrogate
+from verification.benchmarks.forward import Figure
+from verification.benchmarks.norms import NARROW, WIDE, sheet
+
+from strandline import Currents
+from strandline.design import sobol
+from strandline.smc import SMCSettings, sample
+from strandline.surrogate import KERNELS, batched_mean, condition
+from strandline.surrogate.hyperparameters import Objective
+
+RUNS = (250, 500, 1000, 2000, 4000)
+PARTICLES = (1000, 2000, 4000, 8000, 16_000)
+DIMENSIONS = (2, 3, 4, 5, 6, 7, 8)
+NODES = (23, 40, 72, 123, 225)
+"""Nodes along an edge of a sheet: about 10³ … 10⁵ triangles."""
+FIXED_RUNS, FIXED_PARTICLES, NUGGET = 1000, 4000, 5e-3
+GEMM, EXPONENTIALS = "GEMM", "exponentials"
+Task = Callable[[], float]
+LONG = 3.0
+"""Core-seconds above which a task is timed once."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Core-seconds of a task of size `x`, and the operations counted for its share."""
+
+    x: int
+    seconds: float
+    operations: float
+
+
+@dataclass(frozen=True)
+class Series:
+    """A task at several sizes; `limit` names the peak that its operations are a share of, if any."""
+
+    name: str
+    axis: str
+    limit: str | None
+    points: tuple[Point, ...]
+
+
+def main() -> list[dict[str, Any]]:
+    """Print each series as it is measured; write all of them; return the shares at the largest sizes."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
+    jax.config.update("jax_enable_x64", True)
+    peaks, found, figures = {GEMM: gemm_peak(), EXPONENTIALS: exponential_peak()}, list[Series](), list[Figure]()
+    for name, rate in peaks.items():
+        figures.append(Figure("peak of one core", name, rate, "per core-second"))
+        print(f"peak of one core, {name}: {rate:.3g} a second", flush=True)
+    for series in all_series():
+        found.append(series)
+        shares = [share(series, point, peaks) for point in series.points]
+        for point, reached in zip(series.points, shares, strict=True):
+            shown = "" if reached is None else f"{reached:.1f} %"
+            print(f"{series.name:<32} {series.axis} {point.x:>7} {point.seconds:>10.4g} s {shown:>8}", flush=True)
+        if shares[-1] is not None:
+            case = f"{series.axis} = {series.points[-1].x}"
+            figures.append(Figure(f"share of the peak: {series.name}", case, shares[-1], "%", f"of {series.limit}"))
+    results.write(results.SCALING, {"peaks": peaks, "series": [asdict(series) for series in found]})
+    return [asdict(figure) for figure in figures]
+
+
+def share(series: Series, point: Point, peaks: Mapping[str, float]) -> float | None:
+    """Return which share of its peak a task reaches, per cent."""
+    return None if series.limit is None else 100 * point.operations / point.seconds / peaks[series.limit]
+
+
+def triangles(nodes: int) -> int:
+    """Return those of a sheet with `nodes` along its edges."""
+    return 2 * (nodes - 1) ** 2
+
+
+def all_series() -> Iterator[Series]:
+    yield measured("fit, 7 inputs", "runs", GEMM, RUNS, partial(fit, inputs=7))
+    yield measured("sampler, 2 inputs, 1000 runs", "particles", EXPONENTIALS, PARTICLES, sampling)
+    yield measured("fit, 1000 runs", "inputs", GEMM, DIMENSIONS, partial(fit, FIXED_RUNS))
+    yield measured("mean, 1000 runs, 4000 points", "inputs", EXPONENTIALS, DIMENSIONS, mean)
+    for width, limit in ((NARROW, None), (WIDE, EXPONENTIALS)):
+        name = f"currents, width {width}"
+        yield measured(name, "triangles", limit, NODES, partial(currents, width), shown=triangles)
+
+
+def measured(
+    name: str,
+    axis: str,
+    limit: str | None,
+    sizes: Sequence[int],
+    prepare: Callable[[int], Task],
+    *,
+    shown: Callable[[int], int] = int,
+) -> Series:
+    """Time each size after a first, unmeasured call; a task returns the number of its operations."""
+    points = []
+    for size in sizes:
+        task = prepare(size)
+        task()
+        points.append(Point(shown(size), *least(task)))
+    return Series(name, axis, limit, tuple(points))
+
+
+def least(task: Callable[[], float], repeats: int = 3) -> tuple[float, float]:
+    """Return the fewest core-seconds of some calls, or those of one long one, and its operations."""
+    best = float("inf")
+    for _ in range(repeats):
+        begun = time.process_time()
+        operations = task()
+        best = min(best, time.process_time() - begun)
+        if best > LONG:
+            break
+    return best, operations
+
+
+def gemm_peak(size: int = 1500) -> float:
+    """Return the operations a core-second of a product of matrices."""
+    a = np.random.default_rng(0).random((size, size))
+    out = np.empty_like(a)
+
+    def task() -> float:
+        np.matmul(a, a, out=out)
+        return 2.0 * size**3
+
+    task()
+    seconds, operations = least(task)
+    return operations / seconds
+
+
+def exponential_peak(size: int = 2**13, rounds: int = 4000) -> float:
+    """Return the exponentials a core-second of an array that stays in the cache, by JAX."""
+
+    @jax.jit
+    def repeated(x: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, rounds, lambda _, total: jnp.exp(-total), x)
+
+    x = jnp.linspace(0.1, 1.0, size)
+
+    def task() -> float:
+        repeated(x).block_until_ready()
+        return float(size * rounds)
+
+    task()
+    seconds, operations = least(task)
+    return operations / seconds
+
+
+def fit(runs: int, inputs: int) -> Task:
+    """Return the evidence of a product kernel with its gradient."""
+    x, y = training(runs, inputs)
+    objective = Objective(x, y, KERNELS["matern32_product"], NUGGET)
+    log_lengths = [0.5] * inputs
+
+    def task() -> float:
+        objective.evidence(float(np.log(surrogate.VARIANCE)) - 1.5, log_lengths)
+        return float(runs) ** 3
+
+    return task
+
+
+def mean(inputs: int) -> Task:
+    """Return the mean of a product kernel at the particles."""
+    x, y = training(FIXED_RUNS, inputs)
+    process = condition(
+        x,
+        y,
+        kernel=KERNELS["matern32_product"],
+        length_scale=np.full(inputs, 2.0),
+        signal_variance=surrogate.VARIANCE,
+        nugget=NUGGET,
+    )
+    compiled = jax.jit(batched_mean(process))
+    points = jnp.asarray(np.random.default_rng(1).normal(size=(FIXED_PARTICLES, inputs)))
+
+    def task() -> float:
+        compiled(points).block_until_ready()
+        return float(FIXED_PARTICLES * FIXED_RUNS)
+
+    return task
+
+
+def sampling(particles: int) -> Task:
+    """Return the sampler with five moves on a ridge."""
+    x, y = training(FIXED_RUNS, 2)
+    process = condition(
+        x, y, kernel=KERNELS["matern32"], length_scale=1.3, signal_variance=surrogate.VARIANCE, nugget=NUGGET
+    )
+    log_likelihood = batched_mean(process)
+    initial = np.random.default_rng(1).uniform(x.min(), x.max(), (particles, 2))
+
+    def task() -> float:
+        settings = SMCSettings(rejuvenation_steps=5)
+        found = sample(jax.random.key(1), log_likelihood, flat, initial, settings=settings)
+        return float(found.likelihood_evaluations * FIXED_RUNS)
+
+    return task
+
+
+def flat(x: jax.Array) -> jax.Array:
+    return jnp.zeros(len(x))
+
+
+def currents(width: float, nodes: int) -> Task:
+    """Return d² of a simulated surface; the norm of the observed one is known after the first call."""
+    simulated, observed = sheet(nodes, bend=0.20), sheet(nodes, bend=0.21)
+    measure, number = Currents(width, quadrature="centre"), len(simulated.cells)
+
+    def task() -> float:
+        measure(simulated, observed)
+        return number**2 + 0.5 * number * (number + 1)
+
+    return task
+
+
+def training(runs: int, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return standardised inputs and a centred ridge."""
+    u = sobol(runs, inputs)
+    y = -30.0 * (u[:, 0] * (1 + u[:, -1] ** 2) - 0.6) ** 2
+    return (u - u.mean(0)) / u.std(0), y - y.mean()

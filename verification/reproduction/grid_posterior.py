@@ -1,0 +1,252 @@
+"""Posteriors of E and ν on a product grid of Gauss points in (log E, ν, V), and how far one is from another."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+from verification.reproduction.field_table import LoadCoordinates
+
+from strandline.errors import InvalidInput, NumericsError
+from strandline.parameters import ParameterSpace
+
+__all__ = [
+    "Difference",
+    "GridPosterior",
+    "LogLikelihood",
+    "ProductGrid",
+    "Reading",
+    "compare",
+    "posterior_on_grid",
+    "product_grid",
+    "total_variation",
+]
+
+Reading = Literal["joint", "cut"]
+LogLikelihood = Callable[[Float[np.ndarray, "point 3"]], Float[np.ndarray, " point"]]
+"""log L at (E, ν, V), -inf where there is no state."""
+
+_PANEL_NODES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ProductGrid:
+    """Gauss points and weights in E, ν and V; a fixed V is one point of weight 1."""
+
+    young: Float[np.ndarray, " e"]
+    young_weight: Float[np.ndarray, " e"]
+    nu: Float[np.ndarray, " nu"]
+    nu_weight: Float[np.ndarray, " nu"]
+    rate: Float[np.ndarray, " rate"]
+    rate_weight: Float[np.ndarray, " rate"]
+
+    @property
+    def area(self) -> Float[np.ndarray, "e nu"]:
+        """Weights of the (E, ν) plane."""
+        return np.asarray(self.young_weight[:, None] * self.nu_weight)
+
+    def plane(self, rate: float) -> Float[np.ndarray, "point 3"]:
+        """Return the (E, ν, V) of all points of the plane at one V, ν running fastest."""
+        e, nu = (c.ravel() for c in np.meshgrid(self.young, self.nu, indexing="ij"))
+        return np.stack([e, nu, np.full(e.shape, rate)], axis=1)
+
+
+def product_grid(
+    space: ParameterSpace, *, panels: tuple[int, int, int] = (64, 32, 24), rate: float | None = None
+) -> ProductGrid:
+    """Return Gauss points on equal panels of log E, ν and V over the box of `space`.
+
+    Args:
+        space: Space of E and nu, and of V_in unless `rate` is given.
+        panels: Number of panels in log E, ν and V, of four points each.
+        rate: Fixed inflow rate, mm²/s.
+
+    Raises:
+        InvalidInput: inputs other than these.
+    """
+    wanted = {"E", "nu"} if rate is not None else {"E", "nu", "V_in"}
+    if set(space.names) != wanted:
+        raise InvalidInput(
+            "inputs of the posterior by quadrature",
+            value=list(space.names),
+            expected=f"{', '.join(sorted(wanted))}",
+            remedy="Give the inflow rate where it is fixed, and only there.",
+        )
+    softest, stiffest = space["E"].interval
+    log_e, log_weight = _gauss(math.log(softest), math.log(stiffest), panels[0])
+    nu, nu_weight = _gauss(*space["nu"].interval, panels[1])
+    rates, rate_weight = (
+        (np.array([rate]), np.ones(1)) if rate is not None else _gauss(*space["V_in"].interval, panels[2])
+    )
+    e = np.exp(log_e)
+    return ProductGrid(e, log_weight * e, nu, nu_weight, rates, rate_weight)
+
+
+def _gauss(low: float, high: float, panels: int) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, " node"]]:
+    nodes, weights = np.polynomial.legendre.leggauss(_PANEL_NODES)
+    width = (high - low) / panels
+    starts = low + width * np.arange(panels)
+    return (starts[:, None] + 0.5 * width * (nodes + 1)).ravel(), np.tile(0.5 * width * weights, panels)
+
+
+@dataclass(frozen=True, eq=False)
+class GridPosterior:
+    """The posterior of (E, ν) on a product grid.
+
+    Args:
+        grid: Points of the grid.
+        density: Normalised density at the points of the (E, ν) plane, 1/Pa.
+        mean: Mean of E and ν (2,).
+        covariance: Covariance of E and ν (2, 2).
+        log_evidence: log ∫ L p; of the cut reading too, where the posterior does not use it.
+        log_evidence_at_rate: log Z(V) at the points in V.
+        edge_mass: Mass that would lie beyond the soft end of the table if the likelihood stayed as it is at that end,
+            as a share of the mass inside. It is taken as zero everywhere else.
+    """
+
+    grid: ProductGrid
+    density: Float[np.ndarray, "e nu"]
+    mean: Float[np.ndarray, "2"]
+    covariance: Float[np.ndarray, "2 2"]
+    log_evidence: float
+    log_evidence_at_rate: Float[np.ndarray, " rate"]
+    edge_mass: float
+
+    @property
+    def sd(self) -> Float[np.ndarray, "2"]:
+        """Standard deviations of E and ν."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+def posterior_on_grid(
+    log_likelihood: LogLikelihood,
+    space: ParameterSpace,
+    grid: ProductGrid,
+    *,
+    reading: Reading = "joint",
+    coordinates: LoadCoordinates | None = None,
+) -> GridPosterior:
+    """Integrate prior times likelihood.
+
+    Args:
+        log_likelihood: Log-likelihood of the true model, or a surrogate's.
+        space: The inputs with their priors.
+        grid: Grid from `product_grid`, with V fixed or not.
+        reading: ``joint`` integrates V out of the posterior of all inputs; ``cut`` averages the posteriors at each V,
+            each normalised by its own evidence, over the prior of V: the data do not update V. Alike where V is fixed.
+        coordinates: Coordinates of the table behind the likelihood, for the mass at its soft end.
+
+    Raises:
+        NumericsError: no state inside the box at a V that the prior admits.
+    """
+    log_area = np.log(grid.area)
+    slices, edges = [], []
+    for rate in grid.rate.tolist():
+        x = grid.plane(rate)
+        prior = _log_prior(space, x, without_rate=True).reshape(log_area.shape)
+        slices.append(log_likelihood(x).reshape(log_area.shape) + prior)
+        edges.append(-np.inf if coordinates is None else _log_edge(log_likelihood, space, grid, coordinates, rate))
+    log_values = np.array(slices)
+    log_z = logsumexp(log_values + log_area, axis=(1, 2))
+    if not np.isfinite(log_z).all():
+        where = float(grid.rate[np.argmin(np.isfinite(log_z))])
+        raise NumericsError(f"the likelihood is zero all over the box at V_in = {where:g}; widen the box of E")
+    log_rate = np.log(grid.rate_weight) + _log_rate_prior(space, grid.rate)
+    evidence = float(logsumexp(log_rate + log_z))
+    log_weight = log_rate - log_z if reading == "cut" else log_rate - evidence
+    density = np.exp(logsumexp(log_values + log_weight[:, None, None], axis=0))
+    edge = float(np.exp(logsumexp(np.array(edges) + log_weight)))
+    return _moments(grid, density, evidence, log_z, edge)
+
+
+def _moments(
+    grid: ProductGrid,
+    density: Float[np.ndarray, "e nu"],
+    evidence: float,
+    log_z: Float[np.ndarray, " rate"],
+    edge: float,
+) -> GridPosterior:
+    mass = density * grid.area
+    total = float(mass.sum())
+    mass = mass / total
+    x = np.stack(np.meshgrid(grid.young, grid.nu, indexing="ij"), axis=-1)
+    mean = np.einsum("ij,ijk->k", mass, x)
+    covariance = np.einsum("ij,ijk,ijl->kl", mass, x - mean, x - mean)
+    return GridPosterior(grid, density / total, mean, covariance, evidence, log_z, edge / total)
+
+
+def _log_prior(
+    space: ParameterSpace, x: Float[np.ndarray, "point 3"], *, without_rate: bool
+) -> Float[np.ndarray, " point"]:
+    names = [name for name in space.names if not (without_rate and name == "V_in")]
+    columns = {name: x[:, k] for k, name in enumerate(LoadCoordinates.names)}
+    return np.asarray(sum(space[name].truncated_prior.log_density(columns[name]) for name in names))
+
+
+def _log_rate_prior(space: ParameterSpace, rate: Float[np.ndarray, " rate"]) -> Float[np.ndarray, " rate"]:
+    """Return the log prior of V; a fixed V has the prior 1."""
+    if "V_in" not in space.names:
+        return np.zeros(len(rate))
+    return np.asarray(space["V_in"].truncated_prior.log_density(rate))
+
+
+def _log_edge(
+    log_likelihood: LogLikelihood, space: ParameterSpace, grid: ProductGrid, coordinates: LoadCoordinates, rate: float
+) -> float:
+    """Return the log of ∫ prior · (likelihood at the soft end) over the part of the box beyond that end."""
+    low = space["E"].interval[0]
+    softest = np.minimum(coordinates.softest(grid.nu, rate), space["E"].interval[1])
+    beyond = np.maximum(softest - low, 0.0)
+    if not (beyond > 0).any():
+        return -np.inf
+    x = np.stack([np.maximum(softest, low), grid.nu, np.full(len(grid.nu), rate)], axis=1)
+    values = log_likelihood(x) + _log_prior(space, x, without_rate=True)
+    return float(logsumexp(values, b=beyond * grid.nu_weight))
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """How far a posterior is from another one, in the other's standard deviations.
+
+    Args:
+        mean: difference of the means, in standard deviations.
+        sd_ratio: ratio of the standard deviations, less 1.
+        correlation: difference of the correlations of E and ν.
+        log_evidence: difference of the log evidences.
+        total_variation: ½ ∫ |p - q|; None on different grids.
+    """
+
+    mean: Float[np.ndarray, "2"]
+    sd_ratio: Float[np.ndarray, "2"]
+    correlation: float
+    log_evidence: float
+    total_variation: float | None
+
+
+def compare(one: GridPosterior, other: GridPosterior) -> Difference:
+    """Return how far `one` is from `other`."""
+    a, b = (p.covariance[0, 1] / p.sd.prod() for p in (one, other))
+    return Difference(
+        mean=(one.mean - other.mean) / other.sd,
+        sd_ratio=one.sd / other.sd - 1,
+        correlation=float(a - b),
+        log_evidence=one.log_evidence - other.log_evidence,
+        total_variation=total_variation(one, other) if one.density.shape == other.density.shape else None,
+    )
+
+
+def total_variation(one: GridPosterior, other: GridPosterior) -> float:
+    """Return ½ ∫ |p - q| over the (E, ν) plane: 0 for the same density, 1 for densities that do not meet.
+
+    Raises:
+        InvalidInput: different grids.
+    """
+    same = np.array_equal(one.grid.young, other.grid.young) and np.array_equal(one.grid.nu, other.grid.nu)
+    if not same:
+        raise InvalidInput(
+            "grids of two posteriors", value="different points", expected="the same", remedy="Use one grid for both."
+        )
+    return float(0.5 * np.sum(np.abs(one.density - other.density) * one.grid.area))

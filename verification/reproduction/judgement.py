@@ -1,0 +1,181 @@
+"""What a judged claim is, and the figures of a density or a likelihood that claims are judged by."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import find_peaks
+
+from strandline.parameters import Parameter
+from strandline.posterior import GaussianApproximation, KernelDensity, Posterior, histogram
+from strandline.posterior.weighted import Weighted
+
+__all__ = [
+    "Claim",
+    "LikelihoodField",
+    "Verdict",
+    "angle_between_axes",
+    "correlation_ratio",
+    "density_over_prior",
+    "distance_to_prior",
+    "mass_within",
+    "modes",
+    "plateau",
+]
+
+Verdict = Literal["confirmed", "refuted", "differs"]
+_GRID = 401
+PROMINENCE = 0.05
+"""A local maximum of a marginal counts if it rises by this share of the highest above its surroundings."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the study and what our numbers say of it.
+
+    Args:
+        key: C1 to C10.
+        statement: The claim.
+        figures: Numbers of the study's figures that carry it.
+        verdict: ``confirmed``, ``refuted``, or ``differs`` where the study's setting cannot be compared with ours.
+        because: The reason in a sentence, with figures.
+        numbers: Our numbers.
+        study: The study's numbers, where printed.
+    """
+
+    key: str
+    statement: str
+    figures: tuple[int, ...]
+    verdict: Verdict
+    because: str
+    numbers: Mapping[str, Any]
+    study: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what claims.json holds of it; None stands for a number that is not finite, such as k̂ = inf."""
+        return {name: _finite(value) for name, value in asdict(self).items() if name != "key"}
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodField:
+    """A log-likelihood on a grid of two inputs.
+
+    Args:
+        x: grid of the first (x,).
+        y: grid of the second (y,).
+        values: log-likelihood (x, y).
+    """
+
+    x: Float[np.ndarray, " x"]
+    y: Float[np.ndarray, " y"]
+    values: Float[np.ndarray, "x y"]
+
+    @property
+    def peak(self) -> tuple[float, float]:
+        """The grid point of highest likelihood."""
+        i, j = np.unravel_index(int(np.argmax(self.values)), self.values.shape)
+        return float(self.x[i]), float(self.y[j])
+
+    def share_above(self, fraction: float) -> float:
+        """Return the share of the box where the likelihood exceeds that fraction of its maximum."""
+        return float(np.mean(self.values > self.values.max() + np.log(fraction)))
+
+    @property
+    def ridge(self) -> Float[np.ndarray, " y"]:
+        """The first input of highest likelihood at each value of the second (y,)."""
+        return np.asarray(self.x[np.argmax(self.values, axis=0)])
+
+
+def modes(posterior: Posterior, name: str) -> list[float]:
+    """Return the local maxima of the kernel density estimate of a marginal, the highest first."""
+    parameter = posterior.space[name]
+    grid, density = _marginal(posterior, parameter)
+    padded = np.concatenate([[0.0], density, [0.0]])
+    found, _ = find_peaks(padded, prominence=PROMINENCE * density.max())
+    ordered = sorted(found - 1, key=lambda i: -density[i])
+    return [float(grid[i]) for i in ordered]
+
+
+def plateau(posterior: Posterior, name: str, *, level: float = 0.8) -> float:
+    """Return the length over which a marginal exceeds `level` times its maximum, in its standard deviations.
+
+    At 0.8 a Gaussian has 1.34, a uniform density √12 = 3.46.
+    """
+    grid, density = _marginal(posterior, posterior.space[name])
+    step = grid[1] - grid[0]
+    (sd,) = Weighted(posterior.columns([name]), posterior.weights).sd
+    return float(step * np.count_nonzero(density >= level * density.max()) / sd)
+
+
+def distance_to_prior(posterior: Posterior, name: str, *, bins: int = 30) -> float:
+    """Return the total variation between a marginal and its prior, both as histograms over the box."""
+    _, mass, prior = _beside_prior(posterior, name, bins)
+    return float(0.5 * np.abs(mass - prior).sum())
+
+
+def density_over_prior(posterior: Posterior, name: str, value: float, *, bins: int = 30) -> float:
+    """Return how many times as dense as its prior a marginal is about `value`, both as histograms over the box."""
+    edges, mass, prior = _beside_prior(posterior, name, bins)
+    at = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, bins - 1))
+    return float(mass[at] / prior[at])
+
+
+def correlation_ratio(posterior: Posterior, name: str, given: str, *, bins: int = 20) -> float:
+    """Return the root of the share of an input's variance that its mean given another input explains.
+
+    |ρ| for a normal distribution; unlike ρ it is not blind to a bend. The other input is cut into `bins` parts of
+    equal weight, so that of n independent draws it is about √(bins/n), not 0.
+    """
+    value, by = posterior.columns([name, given]).T
+    order = np.argsort(by, kind="stable")
+    weights, value = posterior.weights[order], value[order]
+    part = np.minimum((bins * (np.cumsum(weights) - 0.5 * weights)).astype(int), bins - 1)
+    mass, first = (np.bincount(part, w, bins) for w in (weights, weights * value))
+    mean, held = weights @ value, mass > 0
+    between = mass[held] @ (first[held] / mass[held] - mean) ** 2
+    return float(np.sqrt(between / (weights @ (value - mean) ** 2)))
+
+
+def angle_between_axes(
+    one: Float[np.ndarray, "2 2"], other: Float[np.ndarray, "2 2"], scale: Float[np.ndarray, "2"]
+) -> float:
+    """Return the angle between the main axes of two covariances, degrees, inputs divided by `scale` first."""
+    axes = [np.linalg.eigh(c / np.outer(scale, scale))[1][:, -1] for c in (one, other)]
+    return float(np.degrees(np.arccos(min(1.0, abs(axes[0] @ axes[1])))))
+
+
+def mass_within(posterior: Posterior, approximation: GaussianApproximation, level: float) -> float:
+    """Return the posterior mass inside the ellipse that holds `level` of a Gaussian approximation's mass."""
+    inside = approximation.radius(posterior.draws) <= approximation.percentile_radius(level)
+    return float(posterior.weights[inside].sum())
+
+
+def _finite(value: Any) -> Any:
+    """Return `value` with None for each number that JSON does not know."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _beside_prior(
+    posterior: Posterior, name: str, bins: int
+) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
+    """Return the edges of bins over the box, the mass of a marginal in each and that of its prior."""
+    parameter = posterior.space[name]
+    bars = histogram(posterior.columns([name])[:, 0], posterior.weights, bounds=parameter.interval, bins=bins)
+    below = np.asarray(parameter.truncated_prior.cdf(bars.edges))
+    return bars.edges, bars.mass, np.diff(below)
+
+
+def _marginal(
+    posterior: Posterior, parameter: Parameter
+) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+    """Return a grid over the box and the kernel density estimate there."""
+    grid = np.linspace(*parameter.interval, _GRID)
+    estimate = KernelDensity.fit(posterior.columns([parameter.name]), posterior.weights, bounds=[parameter.interval])
+    return grid, np.asarray(estimate.density(grid[:, None]))

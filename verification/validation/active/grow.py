@@ -1,0 +1,104 @@
+"""A design grown batch by batch, and after each batch how far its posterior is from the truth."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax
+from verification.validation.active.cases import Case
+
+from strandline.design import sobol
+from strandline.design.active import Knowledge, State, learn, posterior_state
+from strandline.design.active.choice import choose
+from strandline.errors import TooFewRuns
+from strandline.likelihood import OnHost
+from strandline.numerics.one_thread import one_thread
+from strandline.posterior.weighted import Weighted
+from strandline.runs import RunRecord
+from strandline.smc import SMCSettings, sample
+
+__all__ = ["Grown", "Moments", "delivered", "grow", "initial_runs"]
+
+EXPLORE = 0.1
+PARTICLES = 6000
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """A design after a batch: its runs, its posterior, and the seconds that learning, sampling and choosing took."""
+
+    state: State
+    runs: int
+    failed: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Means and standard deviations (dim,)."""
+
+    mean: Float[np.ndarray, " dim"]
+    sd: Float[np.ndarray, " dim"]
+
+
+def initial_runs(dim: int, *, sensitivities: bool) -> int:
+    """Return the size of the first design, as a study has it."""
+    return max((4 + 2 * dim) // 2, 3) if sensitivities else 4 + 2 * dim
+
+
+def grow(
+    one: Case,
+    *,
+    seed: int,
+    batch: int,
+    most: int,
+    sensitivities: bool,
+    criterion: str = "expected_variance",
+    spoil: Callable[[RunRecord], RunRecord] = lambda record: record,
+) -> Iterator[Grown]:
+    """Yield the design after each batch, up to `most` runs.
+
+    Args:
+        one: The study.
+        seed: Seed of the Sobol sequence's scrambling and of everything else.
+        batch: Number of runs chosen together.
+        most: Number of runs at the end.
+        sensitivities: Whether runs yield sensitivities.
+        criterion: Name of the criterion that chooses the runs.
+        spoil: Function of a record that makes runs fail.
+    """
+    space = one.space
+    x = space.to_physical(sobol(initial_runs(space.dim, sensitivities=sensitivities), space.dim, scramble=seed))
+    records = [spoil(one.run(row, sensitivities)) for row in x]
+    while True:
+        begun = time.perf_counter()
+        try:
+            with one_thread():
+                knowledge = learn(x, records, space, one.observations, one.measure)
+                state = posterior_state(knowledge, space, (seed, len(x)))
+                more = choose(
+                    state, space, batch, explore=EXPLORE, first=len(x), criterion=criterion, seed=seed + 7919 * len(x)
+                )
+            yield Grown(state, len(x), sum(not r.ok for r in records), time.perf_counter() - begun)
+        except TooFewRuns:
+            more = space.to_physical(sobol(len(x) + batch, space.dim, scramble=seed)[len(x) :])
+        if len(x) + batch > most:
+            return
+        x = np.concatenate([x, more])
+        records += [spoil(one.run(row, sensitivities)) for row in more]
+
+
+def delivered(one: Case, knowledge: Knowledge, seed: int) -> Moments:
+    """Return the moments of the posterior as a study computes it at the end, with enough particles to judge it."""
+    host = OnHost(knowledge.plug_in)
+    initial = one.space.prior_quantiles(np.random.default_rng([seed, 9]).random((PARTICLES, one.space.dim)))
+    settings = SMCSettings(rejuvenation_steps=15, zeta=0.5)
+    with one_thread():
+        found = sample(jax.random.key(seed), host, one.space.log_prior, initial, settings=settings)
+        expected = knowledge.expected(found.positions)
+    weights = np.exp(log_softmax(found.log_weights + expected - found.log_likelihood))
+    moments = Weighted(found.positions, weights)
+    return Moments(moments.mean, moments.sd)

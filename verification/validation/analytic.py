@@ -1,0 +1,318 @@
+"""Closed forms: homogeneous deformations, a manufactured solution, Poiseuille flow, balances of force and mass.
+
+The stresses here are derived again from the energies, in plain NumPy; the laws under test are those of the model.
+
+Run it with:  python -m verification.validation.analytic
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import ngsolve as ng
+import numpy as np
+from jaxtyping import Float
+from netgen.geom2d import SplineGeometry
+from scipy.optimize import brentq
+from verification.validation.tables import Table, observed_orders
+
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.cell import STRESS_SCALE, VISCOSITY, FlowCell
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
+
+__all__ = ["block_error", "force_imbalance", "manufactured_errors", "mass_imbalance", "poiseuille_error", "tables"]
+
+Tensor = Float[np.ndarray, "2 2"]
+YOUNG = 3.0
+RATIOS = (-0.9, -0.3, 0.0, 0.3, 0.49, 0.5)
+STRETCH, SHEAR = 1.3, 0.4
+SETTINGS = newton.NewtonSettings(tolerance=1e-13, maximum_jacobians=40, smallest_damping=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Homogeneous:
+    """A homogeneous deformation in equilibrium: gradient F, pressure-like stress pₛ, first Piola–Kirchhoff stress P."""
+
+    F: Tensor
+    pressure: float
+    P: Tensor
+
+
+def first_piola(law: str, F: Tensor, pressure: float, poisson: float) -> Tensor:
+    """Return P of a law; `pressure` is λ tr E (Saint-Venant–Kirchhoff) or λ ln J (neo-Hookean)."""
+    mu = 0.5 * YOUNG / (1 + poisson)
+    if law == "saint_venant_kirchhoff":
+        return F @ (mu * (F.T @ F - np.eye(2)) + pressure * np.eye(2))
+    return mu * F + (pressure - mu) * np.linalg.inv(F).T
+
+
+def homogeneous(kind: str, law: str, poisson: float, amount: float = 1.0) -> Homogeneous:
+    """Return ``uniaxial`` stretch with free sides, or simple ``shear``, of which `amount` in [0, 1] is applied.
+
+    At ν = ½ the pressure is whatever balances; where the law's constraint excludes simple shear (tr E = 0 of
+    Saint-Venant–Kirchhoff), the height shrinks as the constraint demands.
+    """
+    free = poisson == 0.5
+    F = np.eye(2)
+    if kind == "shear":
+        F[0, 1] = amount * SHEAR
+        if free and law == "saint_venant_kirchhoff":
+            F[1, 1] = np.sqrt(1 - F[0, 1] ** 2)
+        pressure = 0.2 * YOUNG * amount if free else _lame(poisson) * _volume_change(law, F)
+    else:
+        F[0, 0] = 1 + amount * (STRETCH - 1)
+        F[1, 1] = _free_side(law, F[0, 0], poisson)
+        mu = 0.5 * YOUNG / (1 + poisson)
+        pressure = -mu * (F[1, 1] ** 2 - 1)  # P₂₂ = 0 in both laws
+    return Homogeneous(F, float(pressure), first_piola(law, F, float(pressure), poisson))
+
+
+def _free_side(law: str, stretch: float, poisson: float) -> float:
+    """Return the other stretch at P₂₂ = 0: (1-ν) E₂₂ = -ν E₁₁, or the root of μ(s² - 1) + λ ln(stretch·s) = 0."""
+    if law == "saint_venant_kirchhoff":
+        return float(np.sqrt(1 - poisson / (1 - poisson) * (stretch**2 - 1)))
+    weight = (1 - 2 * poisson) / 2
+    lowest = max(1e-3, np.sqrt(-min(0.0, poisson) / (1 - 2 * min(0.0, poisson))))  # the left side grows from there on
+    return float(brentq(lambda s: weight * (s**2 - 1) + poisson * np.log(stretch * s), lowest, 5.0, xtol=1e-15))
+
+
+def _volume_change(law: str, F: Tensor) -> float:
+    return float(0.5 * np.trace(F.T @ F - np.eye(2)) if law == "saint_venant_kirchhoff" else np.log(np.linalg.det(F)))
+
+
+def _lame(poisson: float) -> float:
+    return YOUNG * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+
+class LoadedSolid:
+    """A block without fluid under dead loads: the coupled system, from whose residual a load vector is taken."""
+
+    def __init__(self, mesh: Any, law: str, poisson: float, fixed: str) -> None:
+        names = BoundaryNames(no_slip="", inlet="", fixed=fixed)
+        self.coupled = CoupledSystem(mesh, names, viscosity=1.0, density=1.0, law=LAWS[law])
+        self.coupled.set_material([YOUNG], [poisson])
+        self.load: Float[np.ndarray, " unknown"] = np.zeros(len(self.coupled.free))
+
+    def set_load(self, integrand: Callable[[Any], Any]) -> None:
+        """Set the load from the virtual work as an integral over the test displacement."""
+        form = ng.LinearForm(self.coupled.space)
+        form += integrand(self.coupled.space.TestFunction()[2])
+        form.Assemble()
+        self.load = np.array(form.vec.FV().NumPy())[self.coupled.free]
+
+    def residual(self, x: Float[np.ndarray, " unknown"]) -> Float[np.ndarray, " unknown"]:
+        return self.coupled.residual(x) - self.load
+
+    def factorise(self, x: Float[np.ndarray, " unknown"]) -> Any:
+        return self.coupled.factorise(x)
+
+    def prescribe(self, displacement: Any, boundary: str) -> None:
+        """Write a displacement on a boundary, leaving the unknowns as they are."""
+        kept = np.array(self.coupled.values[self.coupled.free])
+        part = self.coupled.state.components[2]
+        part.Set(displacement, definedon=self.coupled.mesh.Boundaries(boundary))
+        self.coupled.set_unknowns(kept)
+
+    def solve(self) -> None:
+        """Move the state to equilibrium, from where it is."""
+        x = np.array(self.coupled.values[self.coupled.free])
+        self.coupled.set_unknowns(newton.solve(self, x, weights=np.ones(len(x)), settings=SETTINGS).x)
+
+
+def square(size: float) -> Any:
+    """Return the unit square, material ``solid``, boundaries bottom, right, top, left."""
+    geometry = SplineGeometry()
+    geometry.AddRectangle((0, 0), (1, 1), bcs=("bottom", "right", "top", "left"))
+    geometry.SetMaterial(1, "solid")
+    return ng.Mesh(geometry.GenerateMesh(maxh=size))
+
+
+def block_error(kind: str, law: str, poisson: float) -> tuple[float, float]:
+    """Return the largest errors of displacement and, relative to E, of stress in a block held at its bottom.
+
+    The other sides carry the closed form's traction, in ten steps.
+    """
+    block = LoadedSolid(square(0.3), law, poisson, "bottom")
+    for amount in np.linspace(0.1, 1.0, 10):
+        exact = homogeneous(kind, law, poisson, amount)
+        moved = _affine(exact.F)
+        traction = ng.CF(tuple(exact.P.ravel()), dims=(2, 2)) * ng.specialcf.normal(2)
+        block.set_load(lambda test, t=traction: t * test * ng.ds("right|top|left"))
+        block.prescribe(moved, "bottom")
+        block.solve()
+    d, pressure = block.coupled.state.components[2:]
+    off = _largest(d - moved, block.coupled.mesh)
+    mixed = LAWS[law](d, pressure, YOUNG, poisson)
+    stress = (ng.Id(2) + ng.Grad(d)) * mixed.second_piola - ng.CF(tuple(exact.P.ravel()), dims=(2, 2))
+    return off, _largest(stress, block.coupled.mesh) / YOUNG
+
+
+def _affine(F: Tensor) -> Any:
+    G = F - np.eye(2)
+    return ng.CF(tuple(G[i, 0] * ng.x + G[i, 1] * ng.y for i in range(2)))
+
+
+def _largest(function: Any, mesh: Any) -> float:
+    rule = ng.IntegrationRule(ng.TRIG, 4)
+    return float(np.abs(np.asarray(function(mesh.MapToAllElements(rule, ng.VOL)))).max())
+
+
+def manufactured_errors(law: str, poisson: float, sizes: tuple[float, ...]) -> list[tuple[float, float]]:
+    """Return L² errors of displacement and pₛ on meshes of the unit square for a chosen smooth displacement.
+
+    The load is the divergence of the chosen state's stress, differentiated symbolically.
+    """
+    stream = 0.006 * (ng.sin(np.pi * ng.x) * ng.sin(np.pi * ng.y)) ** 2 * (1 + ng.x)
+    exact = ng.CF((stream.Diff(ng.y), -stream.Diff(ng.x)))  # a swirl: its volume changes in second order only
+    gradient = ng.CF(tuple(exact[i].Diff(s) for i in range(2) for s in (ng.x, ng.y)), dims=(2, 2))
+    F = ng.Id(2) + gradient
+    mu = 0.5 * YOUNG / (1 + poisson)
+    if law == "saint_venant_kirchhoff":
+        strain = 0.5 * (F.trans * F - ng.Id(2))
+        pressure = _lame(poisson) * ng.Trace(strain)
+        P = F * (2 * mu * strain + pressure * ng.Id(2))
+    else:
+        pressure = _lame(poisson) * ng.log(ng.Det(F))
+        P = mu * F + (pressure - mu) * ng.Inv(F).trans
+    force = -ng.CF(tuple(P[i, 0].Diff(ng.x) + P[i, 1].Diff(ng.y) for i in range(2)))
+    errors = []
+    for size in sizes:
+        block = LoadedSolid(square(size), law, poisson, "bottom|right|top|left")
+        block.set_load(lambda test: ng.InnerProduct(force, test) * ng.dx(bonus_intorder=6))
+        block.coupled.state.components[2].Set(exact)  # near the root: Newton's method still has to find it
+        block.solve()
+        d, p = block.coupled.state.components[2:]
+        errors.append(tuple(_l2(a - b, block.coupled.mesh) for a, b in ((d, exact), (p, pressure))))
+    return errors
+
+
+def _l2(difference: Any, mesh: Any) -> float:
+    return float(np.sqrt(ng.Integrate(ng.InnerProduct(difference, difference), mesh, order=10)))
+
+
+def poiseuille_error() -> tuple[float, float]:
+    """Return the largest errors of velocity (share of the mean) and pressure (share of its drop) without a body."""
+    geometry = SplineGeometry()
+    geometry.AddRectangle((0, 0), (2, 1), bcs=("floor", "outlet", "top", "inlet"))
+    geometry.SetMaterial(1, "fluid")
+    mesh = ng.Mesh(geometry.GenerateMesh(maxh=0.25))
+    names = BoundaryNames("floor|top", "inlet", "floor|top|inlet|outlet", "outlet")
+    system = CoupledSystem(mesh, names, viscosity=VISCOSITY, density=1.0, solids=())
+    exact = 6 * ng.y * (1 - ng.y)
+    velocity, pressure = system.state.components[:2]
+    velocity.Set(ng.CF((exact, 0)), definedon=mesh.Boundaries("inlet"))
+    start = np.array(system.values[system.free])
+    system.set_unknowns(newton.solve(system, start, weights=np.ones(len(start)), settings=SETTINGS).x)
+    drop = 12 * VISCOSITY * 2
+    off = velocity - ng.CF((exact, 0)), (pressure - 12 * VISCOSITY * (2 - ng.x)) / drop
+    return _largest(off[0], mesh), _largest(off[1], mesh)
+
+
+def layer_error() -> float:
+    """Return the largest error of velocity (share of the mean) above a flat layer too stiff to move."""
+    top = 0.2
+    outline = Outline(((0.0, top), (1.0, top), (2.0, top)), spline=False, nodes=21).interface()
+    size = MeshSize(far=0.2, interface=0.1, foot=0.1, grading=0.5)
+    law = LAWS["neo_hookean"]
+    cell = FlowCell(outline, size, channel=Channel(), partition=Partition(), law=law)
+    cell.solve([1e9 * STRESS_SCALE], [0.3], 100.0)
+    s = (ng.y - top) / (1 - top)
+    exact = ng.IfPos(ng.y - top, 6 * s * (1 - s) / (1 - top), 0.0)
+    return _largest(cell.system.state.components[0] - ng.CF((exact, 0)), cell.mesh)
+
+
+def force_imbalance(cell: FlowCell) -> tuple[float, float]:
+    """Return |traction of fluid on interface - reaction at base|, x and y, relative to the force; after a solve.
+
+    Both are consistent residuals: rows tested with a field that is 1 on the boundary.
+    """
+    system = cell.system
+    residual = system.full_residual()
+    sums = []
+    for component, name in ((0, "interface"), (2, "base")):
+        part = system.space.Range(component)
+        on = sorted({v.nr for e in system.mesh.Elements(ng.BND) if e.mat == name for v in e.vertices})
+        rows = residual[part.start : part.stop].reshape(2, -1)[:, on]
+        sums.append(rows.sum(axis=1))
+    off = np.abs(sums[0] - sums[1]) / np.linalg.norm(sums[0])
+    return float(off[0]), float(off[1])
+
+
+def mass_imbalance(cell: FlowCell) -> float:
+    """Return |outflow - inflow| / inflow after a solve."""
+    velocity = cell.system.state.components[0]
+    rates = [ng.Integrate(velocity[0], cell.mesh, definedon=cell.mesh.Boundaries(n)) for n in ("inlet", "outlet")]
+    return float(abs(rates[1] / rates[0] - 1))
+
+
+def tables() -> list[Table]:
+    """Return the tables of homogeneous states, manufactured solutions and balances."""
+    blocks = [
+        (kind, law, nu, *block_error(kind, law, nu)) for kind in ("uniaxial", "shear") for law in LAWS for nu in RATIOS
+    ]
+    return [
+        Table(
+            "homogeneous",
+            "Homogeneous deformations",
+            ("deformation", "law", "ν", "error of displacement", "error of stress / E"),
+            ("s", "s", "g", ".0e", ".0e"),
+            tuple(blocks),
+        ),
+        _manufactured_table(),
+        _balance_table(),
+    ]
+
+
+def _manufactured_table() -> Table:
+    sizes = (0.2, 0.1, 0.05)
+    rows = []
+    for law in LAWS:
+        for poisson in (-0.5, 0.3, 0.49):
+            errors = np.array(manufactured_errors(law, poisson, sizes))
+            orders = [observed_orders(sizes, errors[:, k]) for k in range(2)]
+            rows += [
+                (law, poisson, h, float(e[0]), orders[0][i], float(e[1]), orders[1][i])
+                for i, (h, e) in enumerate(zip(sizes, errors, strict=True))
+            ]
+    columns = ("law", "ν", "h", "L² error of d", "order", "L² error of pₛ", "order of pₛ")
+    formats = ("s", "g", "g", ".2e", ".2f", ".2e", ".2f")
+    return Table("manufactured", "Manufactured solution", columns, formats, tuple(rows))
+
+
+def _balance_table() -> Table:
+    velocity, pressure = poiseuille_error()
+    rows = [
+        ("Poiseuille flow: velocity / mean", velocity),
+        ("Poiseuille flow: pressure / drop", pressure),
+        ("Poiseuille flow above a flat, stiff layer: velocity / mean", layer_error()),
+    ]
+    cell = default_cell()
+    cell.solve([400.0], [0.3], 100.0)
+    x, y = force_imbalance(cell)
+    rows += [
+        ("force of the fluid on the biofilm against reaction at its base, x", x),
+        ("force of the fluid on the biofilm against reaction at its base, y", y),
+        ("outflow against inflow past the deformed biofilm", mass_imbalance(cell)),
+    ]
+    return Table("balances", "Poiseuille flow and balances", ("what", "relative error"), ("s", ".0e"), tuple(rows))
+
+
+def default_cell(mesh: str = "coarse") -> FlowCell:
+    """Return the study's flow cell."""
+    outline, law = Outline().interface(), LAWS["saint_venant_kirchhoff"]
+    return FlowCell(outline, MESHES[mesh], channel=Channel(), partition=Partition(), law=law)
+
+
+def main() -> None:
+    """Print the tables."""
+    for table in tables():
+        print(f"\n{table.title}\n\n{table.markdown()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""The biofilm's interface on the coarse, default and fine mesh against a reference mesh, over the study's (E, ν) box.
+
+Run it with:  python -m verification.validation.biofilm_mesh
+"""
+
+import sys
+import time
+
+import numpy as np
+from jaxtyping import Float
+from verification.validation.tables import Table
+
+from strandline.design import sobol
+from strandline.errors import ForwardModelError
+from strandline.models.biofilm.cell import FlowCell
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.outline import NODES, Outline
+from strandline.models.biofilm.subdivision import Partition
+
+__all__ = ["REFERENCE", "box_points", "flow_cell", "tables"]
+
+REFERENCE = MeshSize(far=0.035, interface=0.0075, foot=0.0033, grading=0.22)
+BOX = ((100.0, 800.0), (-0.8, 0.5))
+RATE = 100.0
+POINTS = 24
+
+Points = Float[np.ndarray, "node 2"]
+
+
+def flow_cell(
+    size: MeshSize, *, law: str = "saint_venant_kirchhoff", partition: Partition = Partition(), nodes: int = NODES
+) -> FlowCell:
+    """Return the study's specimen on a mesh of the given sizes."""
+    outline = Outline(nodes=nodes).interface()
+    return FlowCell(outline, size, channel=Channel(), partition=partition, law=LAWS[law])
+
+
+def box_points(count: int) -> Float[np.ndarray, "run 2"]:
+    """Return (E in Pa, ν) at the first points of a scrambled Sobol sequence over the box."""
+    unit = np.asarray(sobol(count, 2, scramble=5))
+    low, high = np.array(BOX).T
+    return low + (high - low) * unit
+
+
+def displacements(cell: FlowCell, points: Float[np.ndarray, "run 2"]) -> tuple[list[Points | None], list[float]]:
+    """Return the interface's displacement at each point, None where the run failed, and the seconds of successes."""
+    found: list[Points | None] = []
+    seconds = []
+    for young, poisson in points:
+        start = time.perf_counter()
+        try:
+            found.append(cell.solve([young], [poisson], RATE).displacement)
+            seconds.append(time.perf_counter() - start)
+        except ForwardModelError:
+            found.append(None)
+    return found, seconds
+
+
+def tables(count: int = POINTS) -> list[Table]:
+    """Return the table of errors over those points at which the reference mesh and the mesh in question succeed."""
+    points = box_points(count)
+    reference, _ = displacements(flow_cell(REFERENCE), points)
+    rows = []
+    for name, size in MESHES.items():
+        cell = flow_cell(size)
+        found, seconds = displacements(cell, points)
+        pairs = [(a, b) for a, b in zip(found, reference, strict=True) if a is not None and b is not None]
+        errors = np.array([np.linalg.norm(a - b, axis=1).max() for a, b in pairs])
+        shares = errors / np.array([np.linalg.norm(b, axis=1).max() for _, b in pairs])
+        only = sum((a is None) != (b is None) for a, b in zip(found, reference, strict=True))
+        sizes = (cell.mesh.ne, len(cell.system.free), len(pairs), only)
+        figures = (1e3 * np.median(errors), 1e3 * errors.max(), 100 * np.median(shares), 100 * shares.max())
+        rows.append((name, *sizes, *map(float, figures), 1e3 * float(np.median(seconds))))
+    columns = (
+        "mesh", "elements", "unknowns", "points", "failed on one mesh only",
+        "median, µm", "largest, µm", "median, %", "largest, %", "ms a solve",
+    )  # fmt: skip
+    formats = ("s", "d", "d", "d", "d", ".3f", ".3f", ".3f", ".3f", ".0f")
+    return [Table("biofilm_mesh", "The biofilm's interface against a reference mesh", columns, formats, tuple(rows))]
+
+
+def main(count: int) -> None:
+    """Print the table."""
+    for table in tables(count):
+        print(f"{table.title}\n\n{table.markdown()}")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else POINTS)

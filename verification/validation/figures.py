@@ -1,0 +1,71 @@
+"""Figures of the page on the forward model: convergence of the verifications, and the mesh with its three parts."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import ngsolve as ng
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from verification.validation.tables import Table
+
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
+from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.subdivision import Partition
+
+__all__ = ["draw"]
+
+COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b")
+
+
+def draw(tables: Sequence[Table], folder: Path) -> None:
+    """Write forward-convergence.png and forward-mesh.png into `folder`."""
+    named = {table.name: table for table in tables}
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    convergence_of_benchmark(axes[0], named["FSI1"])
+    convergence_of_solid(axes[1], named["manufactured"])
+    figure.savefig(folder / "forward-convergence.png", dpi=130)
+    plt.close(figure)
+    figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
+    mesh_of_three_parts(axes)
+    figure.savefig(folder / "forward-mesh.png", dpi=130)
+    plt.close(figure)
+
+
+def convergence_of_benchmark(ax: Axes, table: Table) -> None:
+    """Draw the errors of FSI1 against the number of unknowns."""
+    for k, key in enumerate(dict.fromkeys(table.column("quantity"))):
+        for order, style in ((2, "o-"), (3, "s--")):
+            rows = [row for row in table.rows if (row[0], row[2]) == (key, order)]
+            errors = [abs(float(row[7] or 0.0)) for row in rows]
+            ax.loglog([row[4] for row in rows], errors, style, color=f"C{k}", label=f"{key}, P{order}")
+    ax.set(xlabel="unknowns", ylabel="error against the published value, %", title="FSI1")
+    ax.legend(fontsize="x-small", ncols=2)
+
+
+def convergence_of_solid(ax: Axes, table: Table) -> None:
+    """Draw the errors of the manufactured solution against the element size."""
+    for k, law in enumerate(dict.fromkeys(table.column("law"))):
+        for poisson, style in ((-0.5, "o-"), (0.49, "s--")):
+            rows = [row for row in table.rows if row[:2] == (law, poisson)]
+            ax.loglog([r[2] for r in rows], [r[3] for r in rows], style, color=f"C{k}", label=f"{law}, ν = {poisson}")
+    h = np.array([0.05, 0.2])
+    ax.loglog(h, 3e-6 * (h / 0.05) ** 3, "k:", label="order 3")
+    ax.set(xlabel="element size", ylabel="L² error of the displacement", title="Manufactured solution")
+    ax.legend(fontsize="x-small")
+
+
+def mesh_of_three_parts(ax: Axes) -> None:
+    """Draw the default mesh of the specimen with three parts."""
+    mesh: Any = mesh_flow_cell(Outline().interface(), MESHES["default"], Channel(), Partition.PRESETS["three_parts"])
+    points = np.array([v.point for v in mesh.vertices])
+    names = ("fluid", *(f"solid{k}" for k in (1, 2, 3)))
+    for name, colour in zip(names, COLOURS, strict=True):
+        cells = [[v.nr for v in e.vertices] for e in mesh.Elements(ng.VOL) if e.mat == name]
+        ax.tripcolor(
+            *points.T, cells, facecolors=np.zeros(len(cells)), cmap=ListedColormap([colour]), edgecolors="0.4", lw=0.3
+        )
+    ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")

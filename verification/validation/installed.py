@@ -1,0 +1,225 @@
+"""What a user installs works: the wheel, alone, in empty environments outside the checkout.
+
+Builds the source distribution and the wheel, compares their files with those under version control, builds the wheel
+from the source distribution too, and installs it without extras for the Python that runs this and for the newest one
+of the machine. In each it makes a study, a few runs and a report, and reads the posterior with ArviZ as documented.
+
+Run it with:  python -m verification.validation.installed
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+
+from verification.validation.interpreters import Interpreter, find_interpreters
+
+ROOT = Path(__file__).parents[2]
+STUDY = "studies/biofilm-uniform"
+"""As the documented programs have it."""
+SMALL = {
+    "design": "{sobol: {runs: 16}}",
+    "surrogate": "{log_likelihood: {kernel: matern32}}",
+    "sampler": "{smc: {particles: 200, rejuvenation_steps: 2, zeta: 0.5}}",
+}
+RESULTS = ("posterior.nc", "summary.json", "report.html", "figures/posterior.png", "figures/posterior.pdf")
+LEFT_OUT = (".ci/",)
+"""Folders under version control that the source distribution leaves out."""
+ARVIZ = {0: "arviz>=0.21,<1", 1: "arviz>=1"}
+ARVIZ_1_NEEDS = (3, 12)
+LINK = re.compile(r"\]\((?!https?://)[^)]*\)")
+
+
+class Failed(Exception):
+    """A step did not do what it must."""
+
+
+def require(condition: object, message: str) -> None:
+    """Raise `Failed` unless the condition holds."""
+    if not condition:
+        raise Failed(message)
+
+
+def command(*words: str | Path, folder: Path, **variables: str) -> str:
+    """Run a command in `folder`, apart from this checkout's Python; return what it printed."""
+    kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
+    done = subprocess.run(
+        words,
+        cwd=folder,
+        env=kept | variables,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    shown = " ".join(map(str, words))
+    require(done.returncode == 0, f"exit code {done.returncode} of {shown}\n{done.stdout[-4000:]}")
+    require("Traceback" not in done.stdout, f"traceback of {shown}\n{done.stdout[-4000:]}")
+    return done.stdout
+
+
+def tracked() -> set[str]:
+    """Return the files under version control that are not deleted."""
+    listed = command("git", "ls-files", folder=ROOT).splitlines()
+    return {name for name in listed if (ROOT / name).is_file()}
+
+
+def wheel_files(wheel: Path) -> Mapping[str, bytes]:
+    """Return the content of each file of a wheel but its list of checksums."""
+    with zipfile.ZipFile(wheel) as archive:
+        return {name: archive.read(name) for name in archive.namelist() if not name.endswith("/RECORD")}
+
+
+def compare_wheel(files: Mapping[str, bytes], known: set[str]) -> None:
+    """Refuse a wheel that has not exactly the package, its licence and its metadata, or links that lead nowhere."""
+    package = {name.removeprefix("src/") for name in known if name.startswith("src/")}
+    (folder,) = {name.partition("/")[0] for name in files if ".dist-info/" in name}
+    information = {"METADATA", "WHEEL", "entry_points.txt", "licenses/LICENSE", "licenses/NOTICE.md"}
+    wanted = package | {f"{folder}/{name}" for name in information}
+    require(set(files) == wanted, f"files that differ in the wheel: {sorted(set(files) ^ wanted)}")
+    _, _, description = files[f"{folder}/METADATA"].decode().partition("\n\n")
+    require(not LINK.findall(description), f"links of the long description: {LINK.findall(description)}")
+
+
+def compare_sdist(sdist: Path, known: set[str]) -> None:
+    """Refuse a source distribution that has not exactly the files under version control."""
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    wanted = {name for name in known if not name.startswith(LEFT_OUT)} | {"PKG-INFO"}
+    require(names == wanted, f"files that differ in the source distribution: {sorted(names ^ wanted)}")
+
+
+def build(folder: Path) -> Path:
+    """Build both distributions, compare them with the checkout, and return the wheel."""
+    command(sys.executable, "-m", "hatchling", "build", "-d", folder / "dist", folder=ROOT)
+    (sdist,), (wheel,) = (folder / "dist").glob("*.tar.gz"), (folder / "dist").glob("*.whl")
+    compare_sdist(sdist, tracked())
+    compare_wheel(wheel_files(wheel), tracked())
+    command(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", "from-sdist", sdist, folder=folder)
+    require(
+        wheel_files(folder / "from-sdist" / wheel.name) == wheel_files(wheel),
+        "the wheel built from the source distribution differs from the one built from the checkout",
+    )
+    return wheel
+
+
+def environment(python: Interpreter, wheel: Path, folder: Path) -> Path:
+    """Return the folder of programs of a new environment that has the wheel and what it depends on."""
+    command(python.path, "-m", "venv", folder / "venv", folder=folder)
+    programs = folder / "venv" / "bin"
+    install(programs, str(wheel), folder)
+    command(programs / "python", "-m", "pip", "check", folder=folder)
+    where = command(programs / "python", "-c", "import strandline; print(strandline.__file__)", folder=folder)
+    require(Path(where.strip()).is_relative_to(folder), f"not the installed package: {where}")
+    return programs
+
+
+def install(programs: Path, what: str, folder: Path) -> None:
+    """Install wheels alone: a package that must be compiled is one that strangers cannot install."""
+    pip = (programs / "python", "-m", "pip", "install", "--quiet", "--only-binary", ":all:", "--no-compile")
+    command(*pip, what, folder=folder)
+
+
+def small(text: str) -> str:
+    """Return the study that `init` wrote with few runs and few particles."""
+    for key, value in SMALL.items():
+        text, number = re.subn(rf"^{key}: .*$", f"{key}: {value}", text, flags=re.MULTILINE)
+        require(number == 1, f"no {key} in the study that init writes")
+    return text
+
+
+def study(programs: Path, folder: Path) -> None:
+    """Make a study, its runs, and its report once more."""
+    home = {"XDG_CACHE_HOME": str(folder / "cache")}
+    command(programs / "strandline", "init", STUDY, folder=folder)
+    file = folder / STUDY / "study.yaml"
+    file.write_text(small(file.read_text("utf-8")), "utf-8")
+    for words in (("run", "--quiet", STUDY), ("report", "--quiet", STUDY)):
+        printed = command(programs / "strandline", *words, folder=folder, **home)
+        require("report.html" in printed, f"no report named: {printed}")
+        missing = [name for name in RESULTS if not (folder / STUDY / name).is_file()]
+        require(not missing, f"missing after {words[0]}: {missing}")
+        shutil.rmtree(folder / STUDY / "figures")
+
+
+def documented(importing: str) -> str:
+    """Return the program of the page on results that imports a package."""
+    page = (ROOT / "docs" / "how-to" / "read-results.md").read_text("utf-8")
+    (program,) = [text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if f"import {importing}" in text]
+    return str(program)
+
+
+def arviz(python: Interpreter, programs: Path, folder: Path) -> str:
+    """Read the posterior as the documentation says; return the version of ArviZ."""
+    major = 1 if python.version >= ARVIZ_1_NEEDS else 0
+    install(programs, ARVIZ[major], folder)
+    program = f"{documented('arviz')}print('version', az.__version__)\n"
+    printed = command(programs / "python", "-W", "ignore", "-c", program, folder=folder)
+    require(re.search(r"^E +\d", printed, re.MULTILINE), f"no summary of E: {printed}")
+    version = printed.rpartition("version ")[2].strip()
+    require(version.startswith(f"{major}."), f"ArviZ {version} instead of {ARVIZ[major]}")
+    return version
+
+
+def job(python: Interpreter, wheel: Path, folder: Path) -> str:
+    """Install and use the wheel with one Python; return a line about it."""
+    marks = [time.monotonic()]
+    programs = environment(python, wheel, folder)
+    marks.append(time.monotonic())
+    study(programs, folder)
+    marks.append(time.monotonic())
+    version = arviz(python, programs, folder)
+    marks.append(time.monotonic())
+    seconds = [f"{end - begin:.0f} s" for begin, end in pairwise(marks)]
+    return f"Python {python.name}: installed in {seconds[0]}, study in {seconds[1]}, ArviZ {version} in {seconds[2]}"
+
+
+def newest_with_wheels(pythons: Sequence[Interpreter], wheel: Path, folder: Path) -> Iterator[str | Interpreter]:
+    """Yield a line for each Python that a dependency has no wheel for, and then the first that all have one for."""
+    for python in pythons:
+        try:
+            command(python.path, "-m", "venv", folder / python.name, folder=folder)
+            pip = (folder / python.name / "bin" / "python", "-m", "pip", "install", "--quiet", "--dry-run")
+            command(*pip, "--only-binary", ":all:", wheel, folder=folder)
+        except Failed as failure:
+            require("No matching distribution" in str(failure), str(failure))
+            yield f"Python {python.name}: {str(failure).strip().splitlines()[-1]}"
+        else:
+            yield python
+            return
+
+
+def main() -> None:
+    """Build, compare, and do the jobs of both Pythons side by side."""
+    own = Interpreter((sys.version_info[0], sys.version_info[1], sys.version_info[2]), Path(sys.executable))
+    newer = [p for p in find_interpreters(os.environ, Path.home()) if p.version[:2] > own.version[:2]]
+    with tempfile.TemporaryDirectory(prefix="strandline-installed-") as name:
+        folder = Path(name)
+        wheel = build(folder)
+        print(f"{wheel.name} has the files under version control, and is the same from the source distribution")
+        chosen = [own]
+        for found in newest_with_wheels(newer, wheel, folder):
+            chosen += [found] if isinstance(found, Interpreter) else []
+            print(found if isinstance(found, str) else f"Python {found.name}: every dependency has a wheel")
+        folders = [folder / f"job-{python.name}" for python in chosen]
+        for each in folders:
+            each.mkdir()
+        with ThreadPoolExecutor(len(chosen)) as pool:
+            for line in pool.map(job, chosen, [wheel] * len(chosen), folders):
+                print(line, flush=True)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except Failed as failure:
+        sys.exit(f"validation.installed: {failure}")

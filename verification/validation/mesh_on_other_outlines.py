@@ -1,0 +1,103 @@
+"""What `strandline check` says of the meshes' error on outlines that are not the study's, against the true error.
+
+The estimate is the difference to the next finer mesh, the true error that to a much finer one; both are the largest
+distance of corresponding nodes of the interface.
+
+Run it with:  python -m verification.validation.mesh_on_other_outlines [OUTLINE ...]
+"""
+
+import dataclasses
+import sys
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from verification.validation.tables import Table
+
+from strandline.models.biofilm.cell import FlowCell
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.model import Biofilm
+from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.sizes import MESHES, MeshSize
+
+__all__ = ["CASES", "REFERENCE", "table"]
+
+REFERENCE = MeshSize(far=0.03, interface=0.006, foot=0.0028, grading=0.2)
+"""Finer than the mesh that ``fine`` is compared with."""
+
+CASES: Mapping[str, tuple[Biofilm, Mapping[str, float]]] = {
+    "layer, gap 0.4 mm, neo-Hookean": (
+        Biofilm(
+            material="neo_hookean",
+            channel=Channel(length=3.0),
+            outline=Outline(((0.0, 0.3), (0.8, 0.35), (1.5, 0.6), (2.2, 0.35), (3.0, 0.3))),
+        ),
+        {"E": 150.0, "nu": 0.3, "V_in": 60.0},
+    ),
+    "flat wide hump": (
+        Biofilm(
+            channel=Channel(length=4.0),
+            outline=Outline(((0.5, 0.0), (0.8, 0.12), (1.3, 0.22), (2.0, 0.25), (2.7, 0.22), (3.2, 0.12), (3.5, 0.0))),
+        ),
+        {"E": 60.0, "nu": 0.3, "V_in": 100.0},
+    ),
+    "steep bump with corners": (
+        Biofilm(
+            material="neo_hookean",
+            outline=Outline(((0.75, 0.0), (0.8, 0.4), (0.92, 0.7), (1.08, 0.7), (1.2, 0.4), (1.25, 0.0)), spline=False),
+        ),
+        {"E": 1500.0, "nu": 0.3, "V_in": 40.0},
+    ),
+}
+"""Model on any mesh and inputs, by the outline's name."""
+
+
+def rows(name: str) -> list[tuple[object, ...]]:
+    """Return a row for each mesh: elements, the estimate and the truth in µm, shares, seconds of CPU a run."""
+    model, inputs = CASES[name]
+    truth = _interface_on(model, REFERENCE, inputs)
+    moved = 1e3 * float(np.linalg.norm(truth - model.undeformed().points, axis=1).max())
+    found: list[tuple[object, ...]] = []
+    for mesh, size in MESHES.items():
+        chosen = dataclasses.replace(model, mesh=mesh)
+        begun = time.process_time()
+        points = chosen(inputs).interface.points
+        seconds = time.process_time() - begun
+        finer = chosen.on_finer_mesh(inputs)[""].points
+        estimate, error = (1e3 * float(np.linalg.norm(points - o, axis=1).max()) for o in (finer, truth))
+        found.append((name, mesh, _cell(model, size).mesh.ne, estimate, error, 100 * error / moved, moved, seconds))
+    return found
+
+
+def table(names: Sequence[str] = tuple(CASES)) -> Table:
+    """Return estimate and truth of each mesh on each outline."""
+    columns = (
+        "outline", "mesh", "elements", "estimate by check, µm", "true error, µm", "true error, %",
+        "largest displacement, µm", "CPU seconds, mesh and run",
+    )  # fmt: skip
+    formats = ("s", "s", "d", ".3f", ".3f", ".3f", ".1f", ".2f")
+    content = tuple(row for name in names for row in rows(name))
+    return Table("mesh_on_other_outlines", "The meshes on other outlines", columns, formats, content)
+
+
+def _interface_on(model: Biofilm, size: MeshSize, inputs: Mapping[str, float]) -> np.ndarray:
+    cell = _cell(model, size)
+    return cell.outline.points + cell.solve([inputs["E"]], [inputs["nu"]], inputs["V_in"]).displacement
+
+
+def _cell(model: Biofilm, size: MeshSize) -> FlowCell:
+    return FlowCell(
+        model.outline.interface(), size, channel=model.channel, partition=model.partition, law=LAWS[model.material]
+    )
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print a table for each outline, or for those whose names contain one of the arguments."""
+    for name in CASES:
+        if not arguments or any(word in name for word in arguments):
+            print(table([name]).markdown(), flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,296 @@
+"""The two problems on which active designs and PyVBMC meet: the built-in biofilm, and an outline with seven inputs."""
+
+import pickle
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+from verification.reproduction.field_table import FieldTable, LoadCoordinates, tabulate
+from verification.reproduction.grid_posterior import (
+    GridPosterior,
+    ProductGrid,
+    posterior_on_grid,
+    product_grid,
+    total_variation,
+)
+from verification.reproduction.truth import TruePosterior, true_posterior
+
+from strandline.design.active import Knowledge
+from strandline.discrepancy import Currents, Discrepancy, TrackedPoints
+from strandline.interface import Interface, Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import Normal, Uniform
+from strandline.runs import InProcess, Ledger, RunRecord, RunRequest, attempt
+from strandline.studies import Study, load_study
+
+STUDY = Path(__file__).parents[2] / "studies" / "biofilm-uniform"
+NOISE = 0.0005
+"""σ_N² in mm², as in the study."""
+RATE = 100.0
+INTERVALS = (16, 8, 0)
+"""Intervals of the table in s and ν, with V fixed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Biofilm:
+    """(E, ν) of the built-in biofilm, observed without noise; its posterior by quadrature.
+
+    Within its range, a table of the model replaces its runs; beyond it the model itself is run.
+
+    Args:
+        folder: Folder that keeps the table between calls.
+    """
+
+    folder: Path
+    key: ClassVar[str] = "biofilm"
+    title: ClassVar[str] = "biofilm, E and ν"
+    measure: ClassVar[str] = "total variation"
+    levels: ClassVar[tuple[float, ...]] = (0.2, 0.1, 0.05)
+    batch: ClassVar[int] = 2
+    most: ClassVar[tuple[int, int]] = (60, 120)
+    boost: ClassVar[int] = 1
+    seeds: ClassVar[int] = 5
+    beyond: dict[bytes, RunRecord] = field(default_factory=dict)
+
+    @cached_property
+    def study(self) -> Study:
+        """The study with the model, the priors and the fixed inflow rate."""
+        return load_study(STUDY)
+
+    @property
+    def space(self) -> ParameterSpace:
+        """E and ν."""
+        return self.study.space
+
+    @cached_property
+    def known(self) -> tuple[FieldTable, TruePosterior]:
+        """The table and the true posterior; made where they are not at hand."""
+        kept = self.folder / "biofilm.pkl"
+        if not kept.exists():
+            model: Any = self.study.model
+            box = LoadCoordinates(rate=(1.0, RATE))
+            with Ledger.open(self.folder / "table.sqlite", model=model) as ledger:
+                start, runs = model.undeformed(), InProcess()
+                table = tabulate(model, start, intervals=INTERVALS, ledger=ledger, executor=runs, coordinates=box)
+            likelihood = InterfaceLikelihood(self._observed(table), self.discrepancy)
+            kept.write_bytes(pickle.dumps((table, true_posterior(table, likelihood, self.space, rate=RATE))))
+        found: tuple[FieldTable, TruePosterior] = pickle.loads(kept.read_bytes())
+        return found
+
+    @staticmethod
+    def _observed(table: FieldTable) -> tuple[Observation, ...]:
+        return (Observation(Interface.polyline(table.at(np.array([[400.0, 0.3, RATE]]))[0]), NOISE),)
+
+    @property
+    def discrepancy(self) -> Discrepancy:
+        """Currents, refined."""
+        return Currents(0.005, quadrature="refined")
+
+    @cached_property
+    def observations(self) -> tuple[Observation, ...]:
+        """The table at the truth."""
+        return self._observed(self.known[0])
+
+    def run(self, x: Float[np.ndarray, " dim"]) -> RunRecord:
+        """Return the outcome of the model at `x`."""
+        table, inputs = self.known[0], {**self.space.as_mapping(x), "V_in": RATE}
+        at = np.array([[x[0], x[1], RATE]])
+        if table.coordinates.inside(at)[0]:
+            return RunRecord("", inputs, "ok", {"": Interface.polyline(table.at(at)[0])})
+        if x.tobytes() not in self.beyond:
+            with tempfile.TemporaryDirectory() as folder:
+                self.beyond[x.tobytes()] = attempt(self.study.model, RunRequest("", inputs), Path(folder))
+        return self.beyond[x.tobytes()]
+
+    def ours(self, known: Knowledge) -> float:
+        """Return the total variation between what `known` leads to and the truth."""
+        found = posterior_on_grid(lambda x: known.expected(np.ascontiguousarray(x[:, :2])), self.space, self._grid)
+        return total_variation(found, self._truth)
+
+    def asked(self) -> Mapping[str, object]:
+        """Return what the peer is to report on its posteriors: their densities at the points of a file."""
+        path = self.folder / "grid.npz"
+        np.savez(path, points=self._grid.plane(RATE)[:, :2])
+        return {"at": str(path)}
+
+    def theirs(self, answer: Float[np.ndarray, " point"]) -> float:
+        """Return the total variation between densities at the points of the grid and the truth."""
+        area, density = self._grid.area.ravel(), answer
+        return float(0.5 * np.sum(np.abs(density / (density @ area) - self._truth.density.ravel()) * area))
+
+    def accuracy(self) -> dict[str, float]:
+        """Return how accurate the truth is: how far the posteriors of halved discretisations are from it."""
+        true = self.known[1]
+        return {
+            "runs of the table": float(self.known[0].runs),
+            "total variation, half the table's intervals": float(true.from_half_table.total_variation or 0.0),
+            "total variation, half the nodes of log L": float(true.from_half_field.total_variation or 0.0),
+            "mass beyond the table": true.posterior.edge_mass,
+        }
+
+    @cached_property
+    def _grid(self) -> ProductGrid:
+        return product_grid(self.space, panels=(24, 12, 1), rate=RATE)
+
+    @cached_property
+    def _truth(self) -> GridPosterior:
+        table, true = self.known
+        return posterior_on_grid(true.field, self.space, self._grid, coordinates=table.coordinates)
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A half circle of radius ½ mm, pushed outwards by c V Σ φᵢ(s) (1 + νᵢ/2)/Eᵢ: seven inputs, three of them seen.
+
+    The data know aᵢ = V (1 + νᵢ/2)/Eᵢ alone: four directions in the space of inputs are ridges, held by the priors.
+    With tracked points log L is a quadratic form of a, so that 10⁷ draws of the prior are weighted in seconds.
+
+    Args:
+        folder: Folder that keeps the truth between calls.
+        draws: Number of draws of the prior, for the truth.
+    """
+
+    folder: Path
+    draws: int = 60_000_000
+    key: ClassVar[str] = "outline"
+    title: ClassVar[str] = "outline, 7 inputs"
+    measure: ClassVar[str] = "mean of marginal total variations"
+    levels: ClassVar[tuple[float, ...]] = (0.2, 0.1, 0.05)
+    batch: ClassVar[int] = 8
+    most: ClassVar[tuple[int, int]] = (122, 300)
+    boost: ClassVar[int] = 4
+    seeds: ClassVar[int] = 3
+    discrepancy: ClassVar[Discrepancy] = TrackedPoints()
+    space: ClassVar[ParameterSpace] = ParameterSpace(
+        (
+            *(Parameter(f"E{k}", Uniform(100.0, 800.0), unit="Pa") for k in (1, 2, 3)),
+            *(Parameter(f"nu{k}", Uniform(-0.8, 0.5)) for k in (1, 2, 3)),
+            Parameter("V", Normal(100.0, 10.0), unit="mm^2/s", box=(60.0, 140.0)),
+        )
+    )
+    truth: ClassVar[tuple[float, ...]] = (300.0, 400.0, 500.0, 0.3, 0.0, -0.3, 100.0)
+    points: ClassVar[int] = 41
+    scale: ClassVar[float] = 0.4
+    bins: ClassVar[int] = 25
+    kept_draws: ClassVar[int] = 20_000
+    block: ClassVar[int] = 1_000_000
+
+    def amplitudes(self, x: Float[np.ndarray, "point 7"]) -> Float[np.ndarray, "point 3"]:
+        """Return aᵢ."""
+        return np.asarray(x[:, 6:] * (1 + 0.5 * x[:, 3:6]) / x[:, :3])
+
+    @cached_property
+    def shapes(self) -> Float[np.ndarray, "3 point"]:
+        """φᵢ at the points."""
+        s = np.linspace(0, 1, self.points)
+        return np.asarray(np.exp(-0.5 * ((s - np.array([[0.2], [0.5], [0.8]])) / 0.15) ** 2))
+
+    def interface(self, x: Float[np.ndarray, "7"]) -> Interface:
+        """Return the outline, mm."""
+        angle = np.pi * (1 - np.linspace(0, 1, self.points))
+        normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        push = self.scale * self.amplitudes(x[None])[0] @ self.shapes
+        return Interface.polyline((0.5 + push)[:, None] * normal)
+
+    def run(self, x: Float[np.ndarray, " dim"]) -> RunRecord:
+        """Return the run at `x`; none fails."""
+        return RunRecord("", self.space.as_mapping(x), "ok", {"": self.interface(x)})
+
+    @cached_property
+    def observations(self) -> tuple[Observation, ...]:
+        """The outline at the truth."""
+        return (Observation(self.interface(np.array(self.truth)), NOISE),)
+
+    def log_likelihood(self, x: Float[np.ndarray, "point 7"]) -> Float[np.ndarray, " point"]:
+        """Return log L in closed form."""
+        apart = self.amplitudes(x) - self.amplitudes(np.array([self.truth]))
+        gram = self.scale**2 * self.shapes @ self.shapes.T
+        return np.asarray(-0.5 / NOISE * np.einsum("pi,ij,pj->p", apart, gram, apart))
+
+    @cached_property
+    def known(self) -> Mapping[str, np.ndarray]:
+        """Edges of bins, marginals of the truth in them, of its two halves, and draws of L^¼ p at which to compare."""
+        kept = self.folder / "outline.npz"
+        if not kept.exists():
+            self._agree()
+            made: dict[str, Any] = self._weighted()
+            np.savez(kept, **made)
+        with np.load(kept) as content:
+            return dict(content)
+
+    def _agree(self) -> None:
+        """Compare the closed form with the measure on outlines."""
+        x = self.space.prior_quantiles(np.random.default_rng(3).random((20, self.space.dim)))
+        likelihood = InterfaceLikelihood(self.observations, self.discrepancy)
+        np.testing.assert_allclose(self.log_likelihood(x), [likelihood(self.interface(row)) for row in x], rtol=1e-9)
+
+    def _weighted(self) -> dict[str, np.ndarray]:
+        rng = np.random.default_rng(7)
+        edges = np.linspace(self.space.low, self.space.high, self.bins + 1, axis=1)
+        halves, squares, some = np.zeros((2, self.space.dim, self.bins)), 0.0, []
+        blocks = self.draws // self.block
+        for k in range(blocks):
+            x = self.space.prior_quantiles(rng.random((self.block, self.space.dim)))
+            log = self.log_likelihood(x)
+            near = log > -40
+            x, log = x[near], log[near]
+            weight = np.exp(log)
+            halves[k % 2] += marginals(x, weight, edges)
+            squares += float(weight @ weight)
+            picked = rng.random(len(x)) < np.exp(0.25 * log)  # draws of L^¼ p, one by one
+            some.append((x[picked], log[picked]))
+        total = halves[:, 0].sum()
+        x, log = (np.concatenate(parts) for parts in zip(*some, strict=True))
+        chosen = rng.permutation(len(x))[: self.kept_draws]
+        return {
+            "edges": edges,
+            "marginals": halves.sum(axis=0) / total,
+            "halves": halves / halves.sum(axis=2, keepdims=True),
+            "effective": np.array(total**2 / squares),
+            "x": x[chosen],
+            "log": log[chosen],
+        }
+
+    def ours(self, known: Knowledge) -> float:
+        """Return the mean marginal variation, both posteriors as weights of the same draws."""
+        truth = self.known
+        weights = [np.exp(value - 0.25 * truth["log"]) for value in (truth["log"], known.expected(truth["x"]))]
+        a, b = (marginals(truth["x"], w / w.sum(), truth["edges"]) for w in weights)
+        return mean_variation(a, b)
+
+    def asked(self) -> Mapping[str, object]:
+        """Return what the peer is to report on its posteriors: draws."""
+        return {"draws": 100_000}
+
+    def theirs(self, answer: Float[np.ndarray, "draw 7"]) -> float:
+        """Return the mean marginal variation between draws and the truth."""
+        found = marginals(answer, np.full(len(answer), 1 / len(answer)), self.known["edges"])
+        return mean_variation(found, self.known["marginals"])
+
+    def accuracy(self) -> dict[str, float]:
+        """Return how accurate the truth is."""
+        halves = self.known["halves"]
+        return {
+            "draws of the prior": float(self.draws),
+            "effective draws": float(self.known["effective"]),
+            "mean marginal variation between its halves": mean_variation(halves[0], halves[1]),
+            "draws at which active designs are compared": float(len(self.known["x"])),
+        }
+
+
+def marginals(
+    x: Float[np.ndarray, "draw dim"], weight: Float[np.ndarray, " draw"], edges: Float[np.ndarray, "dim edge"]
+) -> Float[np.ndarray, "dim bin"]:
+    """Return the weight in each bin of each input."""
+    return np.stack([np.histogram(x[:, k], edges[k], weights=weight)[0] for k in range(x.shape[1])])
+
+
+def mean_variation(a: Float[np.ndarray, "dim bin"], b: Float[np.ndarray, "dim bin"]) -> float:
+    """Return the mean over the inputs of ½ Σ |a - b|."""
+    return float(0.5 * np.abs(a - b).sum(axis=1).mean())

@@ -1,0 +1,120 @@
+"""Exact sensitivities of the interface against central differences with Richardson extrapolation, and their cost.
+
+Run it with:  python -m verification.validation.sensitivities
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from verification.validation.biofilm_mesh import flow_cell
+from verification.validation.tables import Table
+
+from strandline.models.biofilm.cell import FlowCell
+from strandline.models.biofilm.geometry import MESHES
+from strandline.models.biofilm.subdivision import Partition
+
+__all__ = ["POINTS", "Inputs", "relative_differences", "tables"]
+
+Points = Float[np.ndarray, "node 2"]
+STEPS = (2e-3, 1e-3, 5e-4)
+"""Relative steps of E and V_in; those of ν are as large in absolute terms, or smaller where ½ is near."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Young's moduli (Pa), Poisson's ratios, inflow (mm²/s)."""
+
+    young: tuple[float, ...]
+    poisson: tuple[float, ...]
+    rate: float
+
+    def label(self) -> str:
+        """Return the values for a table."""
+        return "; ".join((", ".join(f"{x:g}" for x in self.young), ", ".join(f"{x:g}" for x in self.poisson)))
+
+    def names(self) -> list[str]:
+        """Return the names of the inputs, in the order of `FlowCell.sensitivities`."""
+        numbers = [str(k) for k in range(1, len(self.young) + 1)] if len(self.young) > 1 else [""]
+        return [f"{kind}{n}" for kind in ("E", "ν") for n in numbers] + ["V_in"]
+
+    def flat(self) -> list[float]:
+        return [*self.young, *self.poisson, self.rate]
+
+
+POINTS = (
+    Inputs((400.0,), (0.3,), 100.0),
+    Inputs((600.0,), (0.499,), 100.0),
+    Inputs((300.0,), (-0.5,), 80.0),
+    Inputs((2000.0,), (0.0,), 150.0),
+    Inputs((300.0, 500.0, 800.0), (0.2, 0.35, -0.3), 100.0),
+)
+
+
+def relative_differences(cell: FlowCell, at: Inputs) -> list[float]:
+    """Return max |exact - difference| / max |exact| over the interface, for each input."""
+    exact = cell.sensitivities(cell.solve(at.young, at.poisson, at.rate))
+    return [
+        float(np.abs(derivative - _extrapolated(cell, at, k)).max() / np.abs(derivative).max())
+        for k, derivative in enumerate(exact)
+    ]
+
+
+def _extrapolated(cell: FlowCell, at: Inputs, k: int) -> Points:
+    """Return the derivative by input k to sixth order from three central differences."""
+    flat, parts = at.flat(), len(at.young)
+    scale = flat[k] if not parts <= k < 2 * parts else min(1.0, 200 * (0.5 - flat[k]))
+    steps = [scale * h for h in STEPS]
+
+    def moved(step: float) -> Points:
+        x = list(flat)
+        x[k] += step
+        return cell.solve(x[:parts], x[parts : 2 * parts], x[-1]).displacement
+
+    d = [(moved(h) - moved(-h)) / (2 * h) for h in steps]
+    once = [(4 * d[i + 1] - d[i]) / 3 for i in range(2)]
+    return (16 * once[1] - once[0]) / 15
+
+
+def cost(cell: FlowCell, at: Inputs, *, repeats: int = 5) -> float:
+    """Return the time of all sensitivities as a share of that of the solve before them; medians."""
+    solves, derivatives = [], []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        solution = cell.solve(at.young, at.poisson, at.rate)
+        middle = time.perf_counter()
+        cell.sensitivities(solution)
+        solves.append(middle - start)
+        derivatives.append(time.perf_counter() - middle)
+    return float(np.median(derivatives) / np.median(solves))
+
+
+def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[Table]:
+    """Return the table of relative differences and of the cost."""
+    rows = []
+    cells = {n: flow_cell(MESHES[mesh], partition=partition_of(n)) for n in {len(at.young) for at in points}}
+    for at in points:
+        cell = cells[len(at.young)]
+        share = cost(cell, at)
+        for name, difference in zip(at.names(), relative_differences(cell, at), strict=True):
+            rows.append((at.label(), at.rate, name, difference, 100 * share if name == "V_in" else None))
+    columns = ("E, Pa; ν", "V_in, mm²/s", "derivative by", "relative difference", "cost of all, % of a solve")
+    title = "Exact sensitivities against central differences"
+    return [Table("sensitivities", title, columns, ("s", "g", "s", ".1e", ".0f"), tuple(rows))]
+
+
+def partition_of(parts: int) -> Partition:
+    """Return the study's specimen of one or of three parts."""
+    return Partition.PRESETS["three_parts"] if parts == 3 else Partition()
+
+
+def main() -> None:
+    """Print the table."""
+    for table in tables():
+        print(f"{table.title}\n\n{table.markdown()}")
+
+
+if __name__ == "__main__":
+    main()

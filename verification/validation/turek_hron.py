@@ -1,0 +1,172 @@
+"""Turek and Hron's benchmarks CFD1, CSM1, CSM2 and FSI1 with the system and solver of the biofilm model.
+
+Reference: Turek and Hron, Proposal for numerical benchmarking of fluid–structure interaction between an elastic object
+and laminar incompressible flow, in: Fluid–Structure Interaction, LNCSE 53 (2006), tables for the four. SI units.
+
+Run it with:  python -m verification.validation.turek_hron
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import ngsolve as ng
+import numpy as np
+from verification.validation.tables import Cell, Table, observed_orders
+from verification.validation.turek_mesh import HEIGHT, TIP, Size, mesh_turek_hron
+
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
+
+__all__ = ["BENCHMARKS", "Benchmark", "Outcome", "solve", "tables"]
+
+BOUNDARIES = BoundaryNames(no_slip="wall|cylinder", inlet="inlet", fixed="inlet|outlet|wall|cylinder|clamped")
+RIGID = BoundaryNames(no_slip="wall|cylinder", inlet="inlet", fixed="inlet|outlet|wall|cylinder|interface")
+MEAN_VELOCITY, POISSON, SOLID_DENSITY = 0.2, 0.4, 1e3
+NORM_WEIGHTS = (1.0, 1e-2, 1e3, 1e-4)
+SETTINGS = newton.NewtonSettings(tolerance=1e-8, maximum_jacobians=30, smallest_damping=1e-3)
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One of the four: what it consists of, and the published values.
+
+    Args:
+        name: Name as published.
+        reference: Displacement ux, uy of the beam's tip (m), drag and lift of cylinder and beam (N/m).
+        fluid: Whether there is a fluid.
+        young: Young's modulus of the beam, Pa; None for a rigid one.
+        gravity: Gravity, m/s², downwards.
+    """
+
+    name: str
+    reference: dict[str, float]
+    fluid: bool
+    young: float | None
+    gravity: float = 0.0
+
+
+BENCHMARKS = {
+    item.name: item
+    for item in (
+        Benchmark("CFD1", {"drag": 14.29, "lift": 1.119}, fluid=True, young=None),
+        Benchmark("CSM1", {"ux": -7.187e-3, "uy": -66.10e-3}, fluid=False, young=1.4e6, gravity=2.0),
+        Benchmark("CSM2", {"ux": -0.469e-3, "uy": -16.97e-3}, fluid=False, young=5.6e6, gravity=2.0),
+        Benchmark("FSI1", {"ux": 2.27e-5, "uy": 8.209e-4, "drag": 14.295, "lift": 0.7638}, fluid=True, young=1.4e6),
+    )
+}
+COARSEST = Size(far=0.2, near=0.02, corner=0.004)
+RUNS = (
+    ("CFD1", 2, 3), ("CFD1", 3, 2), ("CSM1", 2, 3), ("CSM1", 3, 3),
+    ("CSM2", 2, 3), ("CSM2", 3, 3), ("FSI1", 2, 3), ("FSI1", 3, 2),
+)  # fmt: skip
+"""Those whose finest mesh takes less than half a minute."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was computed, by the names of the reference, and what it took."""
+
+    values: dict[str, float]
+    elements: int
+    unknowns: int
+    seconds: float
+
+
+def solve(benchmark: Benchmark, level: int, *, order: int) -> Outcome:
+    """Return the steady state of a benchmark, mesh generation included in the seconds."""
+    start = time.perf_counter()
+    mesh = mesh_turek_hron(COARSEST, level, order=order, fluid=benchmark.fluid, solid=benchmark.young is not None)
+    system = CoupledSystem(
+        mesh,
+        BOUNDARIES if benchmark.young else RIGID,
+        viscosity=1.0,
+        density=1e3,
+        order=order,
+        solids=("solid",) if benchmark.young else (),
+        body_force=(0.0, -SOLID_DENSITY * benchmark.gravity),
+    )
+    system.set_unknowns(_steady_state(system, benchmark))
+    values: dict[str, float] = {}
+    if benchmark.young:
+        values |= dict(zip(("ux", "uy"), system.state.components[2](mesh(*TIP)), strict=True))
+    if benchmark.fluid:
+        values |= dict(zip(("drag", "lift"), _force(system), strict=True))
+    return Outcome(values, mesh.ne, len(system.free), time.perf_counter() - start)
+
+
+def _steady_state(system: CoupledSystem, benchmark: Benchmark) -> np.ndarray:
+    """Return the unknowns; from the state of a stiffer body, a million times in a flow."""
+    if benchmark.fluid:
+        profile = 1.5 * MEAN_VELOCITY * 4 * ng.y * (HEIGHT - ng.y) / HEIGHT**2
+        system.state.components[0].Set(ng.CF((profile, 0)), definedon=system.mesh.Boundaries("inlet"))
+    weights = np.empty(len(system.free))
+    for component in range(3 + len(system.solids)):
+        weights[system.block(component)] = NORM_WEIGHTS[component]
+
+    x = np.array(system.values[system.free])
+    for factor in (1e6, 1.0) if benchmark.fluid else (8.0, 4.0, 2.0, 1.0):
+        if benchmark.young:
+            system.set_material([factor * benchmark.young], [POISSON])
+        x = newton.solve(system, x, weights=weights, settings=SETTINGS).x
+    return x
+
+
+def _force(system: CoupledSystem) -> tuple[float, float]:
+    """Force on cylinder and beam: the residual tested with a field that is 1 there, i.e. the sum over vertices."""
+    part = system.space.Range(0)
+    residual = system.full_residual()[part.start : part.stop]
+    boundary = [e for e in system.mesh.Elements(ng.BND) if e.mat in ("cylinder", "interface")]
+    touched = sorted({v.nr for e in boundary for v in e.vertices})
+    half = len(residual) // 2
+    return -float(residual[:half][touched].sum()), -float(residual[half:][touched].sum())
+
+
+def family(benchmark: Benchmark, *, order: int, levels: int) -> list[Outcome]:
+    """Return the outcomes on meshes of which each has the elements of the one before, quartered."""
+    return [solve(benchmark, level, order=order) for level in range(levels)]
+
+
+def tables(runs: Sequence[tuple[str, int, int]] = RUNS) -> list[Table]:
+    """Return a table for each benchmark; `runs`: name, order of velocity and displacement, number of meshes."""
+    rows: dict[str, list[tuple[Cell, ...]]] = {}
+    for name, order, levels in runs:
+        outcomes = family(BENCHMARKS[name], order=order, levels=levels)
+        rows.setdefault(name, []).extend(_rows(BENCHMARKS[name].reference, order, outcomes))
+    columns = ("quantity", "published", "P", "elements", "unknowns", "s", "value", "error, %", "order", "own order")
+    formats = ("s", ".5g", "d", "d", "d", ".1f", ".6g", ".3f", ".1f", ".1f")
+    return [
+        Table(name, f"{name} of Turek and Hron", columns, formats, tuple(sorted(found, key=lambda row: str(row[0]))))
+        for name, found in rows.items()
+    ]
+
+
+def _rows(references: Mapping[str, float], order: int, outcomes: Sequence[Outcome]) -> list[tuple[Cell, ...]]:
+    """Return values, errors against the published ones, orders of these errors, and of the values' differences."""
+    rows: list[tuple[Cell, ...]] = []
+    for key, reference in references.items():
+        values = [o.values[key] for o in outcomes]
+        errors = [100 * (value / reference - 1) for value in values]
+        orders = zip(observed_orders([0.5**k for k in range(len(values))], errors), _own_orders(values), strict=True)
+        rows += [
+            (key, reference, order, o.elements, o.unknowns, o.seconds, value, error, *pair)
+            for o, value, error, pair in zip(outcomes, values, errors, orders, strict=True)
+        ]
+    return rows
+
+
+def _own_orders(values: Sequence[float]) -> list[float | None]:
+    """Return log₂ of the ratio of successive differences (Richardson): it needs no reference, but three meshes."""
+    steps = np.abs(np.diff(values))
+    return [None, None, *(float(np.log2(a / b)) for a, b in pairwise(steps))][: len(values)]
+
+
+def main() -> None:
+    """Print the tables."""
+    for table in tables():
+        print(f"\n{table.title}\n\n{table.markdown()}")
+
+
+if __name__ == "__main__":
+    main()
