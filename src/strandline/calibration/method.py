@@ -6,7 +6,7 @@ chosen on the posterior so far) → discrepancy of the predicted interface → t
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -98,10 +98,11 @@ def calibrate(
 @contextmanager
 def _opened(path: Path | str | None, problem: Problem) -> Iterator[Ledger]:
     """Give the ledger at `path`, or one in a folder that is removed afterwards."""
-    with TemporaryDirectory() as folder:
-        place = Path(folder) / "ledger.sqlite" if path is None else path
-        with Ledger.open(place, model=problem.model) as ledger:
-            yield ledger
+    with (
+        TemporaryDirectory() if path is None else nullcontext() as folder,
+        Ledger.open(path or Path(str(folder)) / "ledger.sqlite", model=problem.model) as ledger,
+    ):
+        yield ledger
 
 
 def _sample(target: Target, space: ParameterSpace, settings: Settings, tell: Observer) -> SMCResult:

@@ -77,7 +77,7 @@ class Problem:
 def _require(what: str, value: object, right: bool, expected: str) -> None:
     if not right:
         raise InvalidInput(
-            what, value=f"{type(value).__name__}: {value!r}", expected=expected, remedy="See strandline.Problem."
+            what, value=f"{type(value).__name__}: {value!r}", expected=expected, remedy=f"Give {expected}."
         )
 
 

@@ -1,6 +1,7 @@
 """Double precision of JAX."""
 
 from strandline.errors import InvalidInput
+from strandline.numerics.threads import double
 
 __all__ = ["use_double"]
 
@@ -12,12 +13,11 @@ def use_double() -> None:
         InvalidInput: It stays in single precision, as inside ``with jax.enable_x64(False)``.
     """
     import jax
-    import jax.numpy as jnp
 
-    if jnp.zeros(()).dtype == jnp.float64:
+    if double():
         return
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
-    if jnp.zeros(()).dtype != jnp.float64:
+    if not double():
         raise InvalidInput(
             "precision of JAX",
             value="float32",
