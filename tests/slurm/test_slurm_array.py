@@ -213,16 +213,18 @@ def test_runs_on_a_node_that_fails_are_made_again(slurm, tmp_path):
 
 
 def test_a_controller_that_is_killed_and_started_again_costs_nothing(slurm, tmp_path):
-    model = Counted(str(tmp_path), Slow(seconds=1.0))
+    model = Counted(str(tmp_path), Slow(seconds=2.0))
 
     def restart():
-        slurm.kill_controller()
+        (submitted,) = (tmp_path / "slurm").glob("*/job")
+        slurm.kill_controller(told=submitted.stat().st_mtime)
         time.sleep(2.0)
         slurm.start_controller()
+        assert sum(calls(tmp_path).values()) < 15, "it was away while runs waited"
 
-    done, ends = disturbed(tmp_path, slurm, model, 10, restart)
+    done, ends = disturbed(tmp_path, slurm, model, 15, restart)
     assert all(record.ok for record in done)
-    assert ends == {("ok", None): 10}
+    assert ends == {("ok", None): 15}
     assert set(calls(tmp_path).values()) == {1}
 
 

@@ -70,7 +70,7 @@ def main() -> None:
 
 def array(folder: Path, target: str = "slow_beam", **options: Any) -> tuple[PythonModel, SlurmArray]:
     """Return a model of this file and the executor whose jobs find it by its name."""
-    name = f"validation.slurm_faults:{target}"
+    name = f"verification.validation.slurm_faults:{target}"
     command = (sys.executable, "-m", "strandline.runs.array_task", name)
     return PythonModel(name), SlurmArray(folder / "slurm", command, poll=POLL, **options)
 
@@ -137,7 +137,8 @@ def controller(slurm: TemporarySlurm, folder: Path) -> Seen:
     """Kill SLURM's controller, as a crash of its machine would, and start it again."""
 
     def disturb() -> None:
-        slurm.kill_controller()
+        (submitted,) = (folder / "slurm").glob("*/job")
+        slurm.kill_controller(told=submitted.stat().st_mtime)
         time.sleep(3.0)
         slurm.start_controller()
 
