@@ -70,9 +70,17 @@ def test_a_leaning_description_is_noticed(text: str, wrong: bool) -> None:
     assert (name, leaning(found)) == ("runs", wrong)
 
 
-@pytest.mark.parametrize("path", [*SOURCES, *PAGES], ids=lambda path: str(path.relative_to(ROOT)))
-def test_words_are_those_of_every_day(path: Path) -> None:
-    for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
-        for pattern, better in UNUSUAL.items():
-            found = re.search(pattern, line, re.IGNORECASE)
-            assert not found, f"{path.relative_to(ROOT)}:{number}: {found[0]!r}; better: {better}"
+def unusual(text: str) -> Iterator[str]:
+    """Yield each unusual phrase with its line and a better one."""
+    for pattern, better in UNUSUAL.items():
+        for found in re.finditer(pattern, text, re.IGNORECASE):
+            yield f"{text.count(chr(10), 0, found.start()) + 1}: {found[0]!r}; better: {better}"
+
+
+def test_words_are_those_of_every_day() -> None:
+    found = [f"{path.relative_to(ROOT)}:{said}" for path in (*SOURCES, *PAGES) for said in unusual(path.read_text())]
+    assert not found, f"{len(found)}:\n" + "\n".join(found)
+
+
+def test_an_unusual_word_is_noticed() -> None:
+    assert list(unusual("First.\nWanted is the mean.")) == ["2: 'Wanted is'; better: the goal is"]
