@@ -30,7 +30,7 @@ reproduce: env
 
 # Without the statistical tests marked long.
 test: env
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not long" --ignore=tests/slurm
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not long" --ignore=tests/slurm
 
 test-all: env
 	$(BIN)/python -m pytest -n auto --dist loadgroup --ignore=tests/slurm

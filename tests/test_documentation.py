@@ -352,6 +352,7 @@ def test_the_programs_that_read_results_run(finished: Path) -> None:
     assert done.stdout.count(" ok ") == summary["runs"]["ok"] + 1  # and the observation
 
 
+@pytest.mark.long
 def test_the_program_that_checks_a_posterior_runs(finished: Path) -> None:
     (program,) = blocks("how-to/check-the-posterior.md", "python")
     paths = [str(ROOT / "examples"), *filter(None, [os.environ.get("PYTHONPATH")])]

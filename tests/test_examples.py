@@ -65,6 +65,7 @@ def agrees(found: tuple[float, float], exact: tuple[float, float]) -> bool:
     return abs(found[0] - exact[0]) < 0.12 * exact[1] and abs(found[1] / exact[1] - 1.0) < 0.12
 
 
+@pytest.mark.long
 def test_own_model_finds_the_exact_posterior(tmp_path: Path) -> None:
     script = ROOT / "examples" / "own_model.py"
     example = module_of(script)

@@ -71,6 +71,7 @@ def test_another_device_is_refused(tmp_path: Path) -> None:
     assert "'abacus' is not one of 'cpu', 'gpu'" in ended.stderr
 
 
+@pytest.mark.long
 def test_the_option_comes_before_the_environment(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "study", **SMALL)
     program = [sys.executable, "-c", WITHOUT_PICTURES]

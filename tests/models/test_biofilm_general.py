@@ -114,7 +114,7 @@ def test_several_inflow_rates_are_the_single_runs():
     [
         ({}, ONE),
         ({"material": "neo_hookean"}, ONE | {"nu": 0.499}),
-        ({"partition": "three_parts"}, THREE),
+        pytest.param({"partition": "three_parts"}, THREE, marks=pytest.mark.long),
         ({"channel": {"inlet": "right"}}, ONE | {"nu": -0.4}),
     ],
 )

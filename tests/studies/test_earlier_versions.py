@@ -12,8 +12,15 @@ from strandline.studies import load_study, run_study
 DATA = Path(__file__).parents[1] / "data"
 
 
-@pytest.mark.parametrize("version", ["0.1", "0.2"])
-@pytest.mark.parametrize("kind", ["sobol", "active"])
+@pytest.mark.parametrize(
+    ("version", "kind"),
+    [
+        ("0.1", "sobol"),
+        ("0.2", "active"),
+        pytest.param("0.1", "active", marks=pytest.mark.long),
+        pytest.param("0.2", "sobol", marks=pytest.mark.long),
+    ],
+)
 def test_the_posterior_is_the_same(version: str, kind: str, tmp_path: Path, without_report: None) -> None:
     folder = Path(shutil.copytree(DATA / f"studies-{version}" / kind, tmp_path / kind))
     expected = json.loads((folder / "expected.json").read_text("utf-8"))

@@ -17,13 +17,8 @@ def test_points_cover_the_box():
     assert (np.ptp(points, axis=0) > [650.0, 1.2]).all()
 
 
-@pytest.mark.parametrize(
-    "at",
-    [
-        pytest.param(POINTS[1], id="nearly incompressible"),
-        pytest.param(POINTS[-1], id="three parts", marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("at", [POINTS[1], POINTS[-1]], ids=["nearly incompressible", "three parts"])
 def test_sensitivities_agree_with_differences(at):
     cell = flow_cell(ROUGH, partition=partition_of(len(at.young)), nodes=18)
     assert max(relative_differences(cell, at)) < 1e-6
