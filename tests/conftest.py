@@ -26,6 +26,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+import hypothesis
 import jax
 import pytest
 from _pytest.runner import runtestprotocol
@@ -58,6 +59,13 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 def pytest_xdist_auto_num_workers() -> int:
     """Return the number of processes for ``-n auto``: one above the cores, for many tests wait for simulators."""
     return 1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw the same examples each time in `make test`, others each time in `make test-all`."""
+    hypothesis.settings.register_profile("same", derandomize=True)
+    if config.getoption("markexpr") == "not long":
+        hypothesis.settings.load_profile("same")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
