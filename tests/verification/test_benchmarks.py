@@ -3,10 +3,13 @@
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from verification.benchmarks import __main__ as bench
 from verification.benchmarks import forward, page, plots, results, workers
 from verification.benchmarks.__main__ import PARTS
 from verification.benchmarks.aims import AIMS, LEAST, MOST, PER_CORE, RATIO, Aim, aim_of
@@ -29,6 +32,22 @@ block = bytearray(b"1") * (int(before + 64) * 2**20)
 del block
 print(before, peak_memory())
 """
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_every_part_is_found_by_its_name(part, monkeypatch):
+    """In the process that measures it: by the names that the program gives to Python."""
+    commands, saved = [], []
+    monkeypatch.setattr(subprocess, "run", lambda words: commands.append(words) or SimpleNamespace(returncode=0))
+    monkeypatch.setattr(results, "note_run", lambda *args, **kinds: None)
+    assert bench.run(part)
+    ((_, option, package, *arguments),) = commands
+    assert option == "-m"
+    assert Path(str(find_spec(f"{package}.__main__").origin)).samefile(bench.__file__)
+    monkeypatch.setattr(f"{package}.{part}.main", lambda: [part])
+    monkeypatch.setattr(results, "save", lambda name, records, parts: saved.append((name, records)))
+    assert bench.main(arguments) == 0
+    assert saved == [(part, [part])]
 
 
 @pytest.fixture(scope="module")

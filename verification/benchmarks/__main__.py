@@ -14,12 +14,13 @@ from verification.benchmarks import results
 
 PARTS = ("inference", "surrogate", "sampler", "norms", "executors", "startup", "forward", "scaling")
 ALONE = "--here"
+HERE = "verification.benchmarks"
 
 
 def main(arguments: list[str]) -> int:
     if arguments[:1] == [ALONE]:
         (part,) = arguments[1:]
-        results.save(part, importlib.import_module(f"benchmarks.{part}").main(), parts=PARTS)
+        results.save(part, importlib.import_module(f"{HERE}.{part}").main(), parts=PARTS)
         return 0
     if not set(arguments) <= set(PARTS):
         sys.exit(f"usage: python -m verification.benchmarks [{'|'.join(PARTS)}]")
@@ -40,7 +41,7 @@ def run(part: str) -> bool:
     """Run a part in a process of its own; False, and a line in the results, where it failed."""
     print(f"\n{part}", flush=True)
     load, begun = results.load_average(), time.perf_counter()
-    status = subprocess.run([sys.executable, "-m", "benchmarks", ALONE, part]).returncode
+    status = subprocess.run([sys.executable, "-m", HERE, ALONE, part]).returncode
     seconds = time.perf_counter() - begun
     if status:
         why = f"the part ended with status {status}"
