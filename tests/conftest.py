@@ -1,4 +1,4 @@
-"""Shared by all tests: double precision, a picture backend without a screen, one thread a process, Ctrl-C as usual.
+"""Shared by all tests: double precision, a picture backend without a screen, one thread a process, signals as usual.
 
 JAX keeps what it compiles, so that the same program of another test is not compiled again. All processes of a run share
 one folder, which goes with the first of them. A cache of bounded size is written under a lock; without the bound,
@@ -22,9 +22,11 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# A background job of a shell ignores Ctrl-C and hands that down to the programs that the tests interrupt.
+# A job in the background of a shell ignores Ctrl-C, one of nohup SIGHUP, and both hand that down to their programs.
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 import hypothesis
 import jax
