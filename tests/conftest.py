@@ -22,7 +22,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# A job in the background of a shell ignores Ctrl-C, one of nohup SIGHUP, and both hand that down to their programs.
+# A background job ignores Ctrl-C, and a job under nohup ignores SIGHUP; the programs that they start inherit this.
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(signal, "SIGHUP"):
@@ -35,7 +35,7 @@ from _pytest.runner import runtestprotocol
 from matplotlib.backends import _backend_pdf_ps
 
 SLOW_FIRST = ("studies", "calibration", "runs", "cli", "report", "docs", "design", "smc", "models")
-"""Folders in the order of their seconds a test; the others end quickly, so that all processes end together."""
+"""Folders with slow tests, slowest first: the quick ones come last, so that all processes finish together."""
 FRAME = 1 << 16
 """Values: half a megabyte, of a piece of one."""
 DEJAVU_ASCII = range(3, 98)

@@ -217,10 +217,10 @@ def test_a_controller_that_is_killed_and_started_again_costs_nothing(slurm, tmp_
 
     def restart():
         (submitted,) = (tmp_path / "slurm").glob("*/job")
-        slurm.kill_controller(told=submitted.stat().st_mtime)
+        slurm.kill_controller(saved_after=submitted.stat().st_mtime)
         time.sleep(2.0)
         slurm.start_controller()
-        assert sum(calls(tmp_path).values()) < 15, "it was away while runs waited"
+        assert sum(calls(tmp_path).values()) < 15, "all runs had started before the controller died"
 
     done, ends = disturbed(tmp_path, slurm, model, 15, restart)
     assert all(record.ok for record in done)

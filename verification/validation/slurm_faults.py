@@ -138,7 +138,7 @@ def controller(slurm: TemporarySlurm, folder: Path) -> Seen:
 
     def disturb() -> None:
         (submitted,) = (folder / "slurm").glob("*/job")
-        slurm.kill_controller(told=submitted.stat().st_mtime)
+        slurm.kill_controller(saved_after=submitted.stat().st_mtime)
         time.sleep(3.0)
         slurm.start_controller()
 

@@ -103,6 +103,7 @@ def _step(
     log_likelihood, log_prior = target
 
     def one(key: RandomKey, state: Particles, theta: Float[Array, " given"]) -> tuple[Particles, Info]:
+        """Advance one case; leave it as it is once γ = 1."""
         after, info = advance(
             jax.random.fold_in(key, number),
             state,

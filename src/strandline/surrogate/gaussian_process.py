@@ -217,6 +217,7 @@ def batched_mean(
         return [p - c for p, c in zip(points, centre, strict=True)]
 
     def mean(x: Float[jax.Array, "particle dim"]) -> Float[jax.Array, " particle"]:
+        """Return the mean at physical inputs."""
         standard = ((x - gp.shift) / unit).T
         points = standard.astype(of_sum) if of_sum == np.float32 else standard
         if in_one:

@@ -22,8 +22,8 @@ __all__ = ["PROGRAMS", "TemporarySlurm", "missing_programs", "temporary_slurm"]
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel", "scontrol")
 NODES = ("n1", "n2", "n3")
 CPUS = 2
-BETWEEN_COPY_AND_FILE = 0.5
-"""Seconds that a controller may take from a copy of its jobs to the file."""
+SAVING = 0.5
+"""Seconds, at most, that the controller takes to write its state once it has copied it."""
 SETTINGS = """
 ClusterName=strandline
 SlurmctldHost={host}(127.0.0.1)
@@ -76,21 +76,21 @@ class TemporarySlurm:
         """Start the controller; it knows the jobs of one that was killed."""
         self.command("slurmctld", "-f", str(self.conf))
 
-    def kill_controller(self, *, told: float) -> None:
-        """Kill the controller, as a crash of its machine would, once it has saved what it was told by then.
+    def kill_controller(self, *, saved_after: float) -> None:
+        """Kill the controller as a crash of its machine would, but only after it has saved its state.
 
-        It saves every five seconds. Jobs that it was told of since, it forgets; their numbers it gives to others, whose
-        jobs the nodes then refuse.
+        slurmctld saves every five seconds. If it dies before, it forgets the jobs submitted since, gives their numbers
+        to new jobs, and the nodes that still run the old ones refuse the new ones.
 
         Args:
-            told: When it was told, in seconds since the epoch.
+            saved_after: Time, in seconds since the epoch, of the last job that the saved state must include.
 
         Raises:
-            RuntimeError: it has not saved within 15 s.
+            RuntimeError: The controller does not save within 15 s.
         """
         saved = self.base / "ctld" / "job_state"
-        if not _wait_until(lambda: saved.exists() and saved.stat().st_mtime > told + BETWEEN_COPY_AND_FILE, 15.0):
-            raise RuntimeError(f"the controller has not saved its jobs, which it does every 5 s: {saved}")
+        if not _wait_until(lambda: saved.exists() and saved.stat().st_mtime > saved_after + SAVING, 15.0):
+            raise RuntimeError(f"slurmctld has not written {saved} within 15 s; see {self.base / 'log' / 'c.log'}")
         _end(self.base / "c.pid", signal.SIGKILL)
 
     def quiet(self) -> None:

@@ -83,6 +83,7 @@ def expected_variance(
     taken = np.zeros(b, bool)
 
     def run(point: int) -> None:
+        """Condition the covariances on a run at this point."""
         for C, tau in zip(covariances, noise, strict=True):
             C -= np.outer(C[:, point], C[point]) / (C[point, point] + tau + _tiny(C))
 
@@ -90,6 +91,7 @@ def expected_variance(
         run(point)
 
     def pick(exploring: bool) -> Float[np.ndarray, " dim"]:
+        """Return the inputs of the best run left, shape (dim,), and count it as made."""
         if exploring:
             gain = sum(np.diagonal(C)[:b] for C in covariances) * chance
         else:
@@ -118,6 +120,7 @@ def repulsion(
     pools = {False: candidates, True: unknown}
 
     def pick(exploring: bool) -> Float[np.ndarray, " dim"]:
+        """Return the point farthest from all runs, shape (dim,), and count it as a run."""
         pool = pools[exploring]
         z = standardise(pool) / spread
         distances = np.min(np.linalg.norm(z[:, None] - np.concatenate(known), axis=2), axis=1)

@@ -196,6 +196,7 @@ def _tile_sums() -> Callable[..., Any]:
     import jax.numpy as jnp
 
     def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array, whole: jax.Array, close: bool) -> Any:
+        """Add the sum over the pairs of one tile and its partners."""
         x, n, first, last, weight = row
         dim = len(x)
         squares, twice = (x**2).sum(axis=0), -2 * x

@@ -220,9 +220,11 @@ def _sums() -> Any:
         *,
         runs: int,
     ) -> Any:
+        """Return the weighted sum of the squared distances of each run, shape (run,), mm²."""
         frames = _frames(across, up, cells)
 
         def row(i: Any, state: Any) -> Any:
+            """Compare a point with one row of segments; add its least squared distance after its last row."""
             best, total = state
             p = owners[i]
             for k in range(ABREAST):

@@ -68,6 +68,7 @@ class Submissions:
 
         class NotedJob(job_type):  # type: ignore[misc]
             async def start(self) -> None:
+                """Submit the job; note why the queueing system refuses it."""
                 try:
                     await super().start()
                 except RuntimeError as error:
