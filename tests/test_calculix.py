@@ -74,5 +74,5 @@ def test_the_study_recovers_the_truth(study: Path, capsys: pytest.CaptureFixture
         item = summary["inputs"][name]
         assert abs(item["mean"] - true) < 2 * item["sd"], f"{name}: {item['mean']:.4g} ± {item['sd']:.2g}, true {true}"
     assert summary["inputs"]["mu"]["sd"] < 0.25 * (30 - 16) / np.sqrt(12)
-    assert not any("NOT TO BE BELIEVED" in warning for warning in summary["warnings"])
+    assert not any("DO NOT TRUST" in warning for warning in summary["warnings"])
     assert (study / "report.html").exists()

@@ -124,5 +124,5 @@ def test_what_is_not_there_is_refused(name: str, words: str, tmp_path: Path) -> 
 
 
 def test_what_is_no_dataclass_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidStudy, match="a discrepancy that is a dataclass"):
+    with pytest.raises(InvalidStudy, match="a dataclass that is a discrepancy"):
         load_study(write_study(tmp_path / "study", discrepancy={"math:sqrt": {}}))

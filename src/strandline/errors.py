@@ -2,7 +2,7 @@
 
 ```
 StrandlineError
-├── InvalidInput            the caller can mend it: exit code 2, one line, nothing written
+├── InvalidInput            the caller can fix it: exit code 2, one line, nothing written
 │   ├── InvalidStudy        study.yaml or the study folder
 │   ├── InvalidInterface    an observed or supplied polyline
 │   │   └── NoCommonPoints  interfaces of runs that make no field over the inputs
@@ -114,7 +114,7 @@ class ResultsNotWritten(StrandlineError):
         self.folder, self.missing, self.outcome = folder, dict(missing), outcome
         files = "; ".join(f"{name}: {why}" for name, why in missing.items())
         super().__init__(
-            f"some results could not be written: {_shown(files)}. The others are in {folder}. Mend that and run "
+            f"some results could not be written: {_shown(files)}. The others are in {folder}. Fix that and run "
             "`strandline report` again: finished forward runs are kept."
         )
 

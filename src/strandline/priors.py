@@ -1,8 +1,7 @@
 """Univariate prior distributions.
 
 A prior is a small frozen dataclass with a log density that works on NumPy *and* JAX arrays (and under `jax.jit`),
-and with a cumulative distribution and quantile on NumPy arrays. A new prior is one class here and one line in
-`PRIORS`.
+and with a cumulative distribution and quantile on NumPy arrays. A study names one of your own as ``module:name``.
 """
 
 import math

@@ -13,10 +13,10 @@ from strandline.cli.status import lines_of
 from strandline.runs import InProcess, Ledger, RunRecord, RunRequest
 from strandline.runs.overview import Driver
 from strandline.studies import load_study, run_study
-from strandline.studies.progress import Failures, RunTold, StudyProgress
+from strandline.studies.progress import Failures, RunReported, StudyProgress
 from strandline.testing.studies import write_study
 
-RUN = RunTold("k" * 64, {"E": 397.5, "tilt": 0.015}, 9.0, "no convergence", ("step 7", "stopped"))
+RUN = RunReported("k" * 64, {"E": 397.5, "tilt": 0.015}, 9.0, "no convergence", ("step 7", "stopped"))
 
 
 def driver(at_work: bool | None) -> Driver:
@@ -59,7 +59,7 @@ def test_a_study_under_way() -> None:
         ({"driver": driver(None), "open": 1}, "  ok 0, failed 0, under way (or lost) 1, to do 79"),
         (
             {"driver": driver(None)},
-            "  driver process 4711 on desk; from here it cannot be told whether it is at work",
+            "  driver process 4711 on desk; strandline cannot see from here whether it is running",
         ),
         (
             {"driver": driver(True), "rate": 60.0, "seconds_left": 80.0},

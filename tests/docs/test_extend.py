@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import strandline as sl
-from strandline.readers import READERS, Reading, read_interface
+from strandline.readers import Reading, read_interface
 from strandline.studies import load_study, run_study
-from strandline.testing import discrepancies, executors, noise, priors
+from strandline.testing import criteria, discrepancies, executors, kernels, noise, priors, readers, simulators
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "extend.md").read_text("utf-8")
 
@@ -26,7 +26,6 @@ def doors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleTyp
     monkeypatch.chdir(tmp_path)
     yield importlib.import_module("my_doors")
     sys.modules.pop("my_doors")
-    READERS.pop(".pts", None)
 
 
 def test_its_entries_pass_the_suites(doors: ModuleType) -> None:
@@ -35,9 +34,15 @@ def test_its_entries_pass_the_suites(doors: ModuleType) -> None:
     for check in priors.CHECKS.values():
         check(doors.Exponential(0.3))
     for check in noise.CHECKS.values():
-        check(doors.StudentNoise(1e-4))
+        check(doors.LaplaceNoise(0.01))
     for check in executors.CHECKS.values():
         check(doors.Patient(), workers=1)
+    for check in simulators.CHECKS.values():
+        check(doors.Arch(), {"height": 0.25})
+    for check in kernels.CHECKS.values():
+        check(doors.MATERN72)
+    for check in criteria.CHECKS.values():
+        check(doors.at_random)
 
 
 def test_its_study_runs(doors: ModuleType, tmp_path: Path, without_report: None) -> None:
@@ -50,7 +55,7 @@ def test_its_study_runs(doors: ModuleType, tmp_path: Path, without_report: None)
 
 def test_its_noise_model_is_used(doors: ModuleType) -> None:
     arch = doors.Arch()
-    seen = sl.Observation(arch({"height": 0.25}, Path()), doors.StudentNoise(1e-4))
+    seen = sl.Observation(arch({"height": 0.25}, Path()), doors.LaplaceNoise(0.02))
     likelihood = sl.InterfaceLikelihood((seen,), doors.Hausdorff())
     assert likelihood(arch({"height": 0.26}, Path())) == pytest.approx(-0.5, abs=0.01)
 
@@ -58,5 +63,7 @@ def test_its_noise_model_is_used(doors: ModuleType) -> None:
 def test_its_format_is_read(doors: ModuleType, tmp_path: Path) -> None:
     points = doors.Arch()({"height": 0.2}, Path()).points
     np.savetxt(tmp_path / "seen.pts", points, header="x y", comments="")
-    found = read_interface(tmp_path / "seen.pts", Reading("seen.pts", "mm"))
-    np.testing.assert_allclose(found.points, points, atol=1e-12)
+    how = Reading("seen.pts", "mm", reader="my_doors:read_points")
+    np.testing.assert_allclose(read_interface(tmp_path / "seen.pts", how).points, points, atol=1e-12)
+    for check in readers.CHECKS.values():
+        check(tmp_path / "seen.pts", how)

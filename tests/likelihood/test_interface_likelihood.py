@@ -117,3 +117,18 @@ def test_a_measure_that_returns_no_squared_distance_is_told(value):
     likelihood = InterfaceLikelihood((Observation(level(0.0), 1.0, "day 3"),), lambda simulated, observed: value)
     with pytest.raises(NumericsError, match="day 3"):
         likelihood(level(0.0))
+
+
+@pytest.mark.parametrize(
+    ("measure", "said"),
+    [
+        (lambda simulated, observed: None, "TypeError: float.*NoneType.*"),
+        (lambda simulated, observed: simulated.points, "got a ndarray"),
+        (lambda simulated, observed: {}["area"], "KeyError: 'area'"),
+    ],
+    ids=["nothing", "array", "mistake"],
+)
+def test_a_measure_that_returns_no_number_is_refused(measure, said):
+    likelihood = InterfaceLikelihood((Observation(level(0.0), 0.01),), measure)
+    with pytest.raises(InvalidInput, match=f"discrepancy <function .*(?:{said}); expected d², one number"):
+        likelihood(level(0.1))

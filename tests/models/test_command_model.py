@@ -290,8 +290,8 @@ def test_declared_inputs_are_checked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"templates": {"../in.j2": "x"}}, "model.command: templates"),
-        ({"result": {"file": "../x.csv", "unit": "mm"}}, "model.command: result.file"),
+        ({"templates": {"../in.j2": "x"}}, "model.command.templates"),
+        ({"result": {"file": "../x.csv", "unit": "mm"}}, "model.command.result.file"),
         ({"folder": "elsewhere"}, "unknown option: got folder"),
         ({"comand": ["x"]}, "Did you mean command?"),
     ],

@@ -119,7 +119,7 @@ class TestToken:
     def test_our_client_takes_it_from_the_environment(self, guarded: str, monkeypatch: pytest.MonkeyPatch) -> None:
         client = Client(guarded, "double")
         monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
-        with pytest.raises(ForwardModelError, match="wants its token") as caught:
+        with pytest.raises(ForwardModelError, match="needs its token") as caught:
             client.describe()
         assert caught.value.kind == "protocol"
         monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)

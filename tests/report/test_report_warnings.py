@@ -77,7 +77,7 @@ CASES: dict[str, tuple[Callable[[Calibration], Calibration], str]] = {
     "prior": (with_cut_prior, "prior of E was truncated to the design box [300, 560] Pa: 11"),
     "impossible": (
         lambda c: replace(c, posterior=replace(c.posterior, log_likelihood=c.posterior.log_likelihood + 50.0)),
-        "NOT TO BE BELIEVED",
+        "DO NOT TRUST",
     ),
     "surrogate": (lambda c: with_validation(c, loo_rms_near_mode=0.6), "leave-one-out error near the mode is 0.6"),
     "samples": (lambda c: replace(c, sampling=replace(c.sampling, ess=39.0)), "Only 39 effective samples among 400"),

@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -279,6 +280,31 @@ def test_no_attempt_is_refused(path):
 def test_an_executor_that_does_nothing_is_an_error_and_not_an_endless_loop(path):
     with pytest.raises(NumericsError, match="without starting"):
         campaign(path, Cantilever(), design(300), lambda model, requests: iter(()))
+
+
+def answering(answer):
+    """Return an executor that answers each request with what `answer` makes of its record."""
+
+    def execute(model, requests):
+        for record in InProcess()(model, requests):
+            yield from answer(record)
+
+    return execute
+
+
+@pytest.mark.parametrize(
+    ("executor", "said"),
+    [
+        (lambda model, requests: None, "got a NoneType; expected records"),
+        (answering(lambda record: [record.interface]), "got a Interface; expected a RunRecord"),
+        (answering(lambda record: [record, record]), "each of them once"),
+        (answering(lambda record: [replace(record, key="another")]), "a record of the run another"),
+    ],
+    ids=["nothing", "interface", "twice", "unknown"],
+)
+def test_an_executor_that_answers_wrongly_is_named(path, executor, said):
+    with pytest.raises(InvalidInput, match=f"what the executor function yields: .*{said}"):
+        campaign(path, Cantilever(), design(400.0, 500.0), executor)
 
 
 def test_an_executor_that_forgets_a_run_has_it_tried_again_and_given_up(path):

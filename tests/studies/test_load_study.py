@@ -241,3 +241,25 @@ def test_the_digest_is_of_the_text(tmp_path: Path) -> None:
     study = load_study(write_study(tmp_path))
     assert study.text_digest == load_study(tmp_path).text_digest
     assert replace(study, text=study.text + " ").text_digest != study.text_digest
+
+
+@pytest.mark.parametrize(
+    ("changes", "what", "value"),
+    [
+        ({"sampler": {"smc": {"zeta": 1}}}, "sampler.smc.zeta", 1.0),
+        ({"sampler": {"smc": {"rejuvenation_steps": 0}}}, "sampler.smc.rejuvenation_steps", 0),
+        ({"executor": {"local": {"workers": 0}}}, "executor.local.workers", 0),
+        ({"executor": {"slurm_array": {"cpus": -1}}}, "executor.slurm_array.cpus", -1),
+        (
+            {"design": {"sobol": {"runs": 9}, "refine": {"runs": 5, "temperature": 2}}},
+            "design.refine: temperature",
+            2.0,
+        ),
+    ],
+)
+def test_what_a_class_refuses_is_said_with_its_place(
+    tmp_path: Path, changes: dict[str, Any], what: str, value: Any
+) -> None:
+    error = refused(tmp_path, **changes)
+    assert error.what.startswith(what)
+    assert error.value == value

@@ -12,7 +12,7 @@ from strandline.runs.executors import EXECUTORS, with_workers
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.studies import load_study
-from strandline.studies.study_file import ExecutorChoice
+from strandline.studies.keys.executor import ExecutorChoice
 from strandline.testing.studies import write_study
 
 JOBS = {"cores": 4, "memory": "8GB", "walltime": "01:00:00"}

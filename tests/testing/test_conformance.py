@@ -2,17 +2,33 @@
 
 import math
 import re
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
+from tests.models.test_umbridge_client import JACOBIAN, running
+from tests.models.test_umbridge_client import model as served_model
+from tests.readers.test_meshes import TETRA, VTP_ASCII, grid, pvd
 
+from strandline.design.active import CRITERIA
 from strandline.discrepancy import DISCREPANCIES
 from strandline.interface import NOISES, GaussianNoise, Interface
+from strandline.models import MODELS
+from strandline.models.biofilm.model import Biofilm
+from strandline.models.command.model import CommandModel
+from strandline.models.protocol import ForwardModel, Simulation
+from strandline.models.python import PythonModel
+from strandline.models.umbridge.server import UMBridgeServer
 from strandline.priors import PRIORS, Normal, Uniform
-from strandline.testing import discrepancies, noise, priors
+from strandline.readers import READERS, Contents, Reading
+from strandline.surrogate.kernels import KERNELS, Isotropic, Kernel
+from strandline.testing import criteria, discrepancies, kernels, noise, priors, readers, simulators
+from strandline.testing.models import Cantilever
 
 NUMBERS = {"beta": (2.6, 1.4, 0.0, 110.0), "lognormal": (5.86, 0.4), "normal": (3.0, 2.0), "uniform": (100.0, 800.0)}
 OPTIONS = {"currents": {"width": 0.05}}
@@ -43,12 +59,96 @@ def test_every_discrepancy(name: str, check: Any) -> None:
     check(DISCREPANCIES[name](**(OPTIONS.get(name) or options_of(DISCREPANCIES[name]))))
 
 
-def complaints(checks: Mapping[str, Any], wrong: Any) -> str:
+@pytest.mark.parametrize("name", KERNELS)
+def test_every_kernel(name: str) -> None:
+    for check in kernels.CHECKS.values():
+        check(KERNELS[name])
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_every_criterion(name: str) -> None:
+    for check in criteria.CHECKS.values():
+        check(CRITERIA[name])
+
+
+PIECES = '<VTKFile type="PPolyData"><PPolyData><Piece Source="line.vtp"/></PPolyData></VTKFile>'
+
+
+def example_file(suffix: str, folder: Path) -> Path:
+    """Return the path of a whole file of that suffix."""
+    path, x = folder / f"seen{suffix}", np.linspace(0.0, 1.0, 21)
+    if suffix in (".csv", ".tsv", ".txt", ".dat"):
+        np.savetxt(path, np.stack([x, x * (1 - x)], axis=1))
+    elif suffix == ".npy":
+        np.save(path, np.stack([x, x * (1 - x)], axis=1))
+    elif suffix == ".pvd":
+        path = pvd(folder)
+    elif suffix == ".vtp":
+        path.write_text(VTP_ASCII)
+    elif suffix == ".pvtp":
+        (folder / "line.vtp").write_text(VTP_ASCII)
+        path.write_text(PIECES)
+    elif suffix == ".pvtu":
+        meshio.vtu.write(str(folder / "line.vtp"), grid())
+        path.write_text(PIECES.replace("PPolyData", "PUnstructuredGrid"))
+    elif suffix in (".xdmf", ".xmf"):
+        meshio.xdmf.write(str(path), grid(), data_format="XML")
+    elif suffix in (".stl", ".ply"):
+        meshio.write_points_cells(str(path), TETRA, [("triangle", [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])])
+    else:
+        meshio.write(str(path), grid())
+    return path
+
+
+WITH_LINES = (".vtu", ".pvtu", ".pvd", ".xdmf", ".xmf", ".vtk")
+
+
+@pytest.mark.parametrize("suffix", READERS)
+def test_every_reader(suffix: str, tmp_path: Path) -> None:
+    path = example_file(suffix, tmp_path)
+    how = Reading(path.name, "mm", block="line" if suffix in WITH_LINES else None)
+    for check in readers.CHECKS.values():
+        check(path, how)
+
+
+BEAM = {"E": 400.0, "load": 1e-5}
+ECHO = "import sys; e, f = map(float, sys.argv[1:]); print('0,0', f'1,{f * 1e5 / e:.17g}', '2,0', sep='\\n')"
+
+
+def cantilever(inputs: Mapping[str, float], workdir: Path) -> Interface:
+    """Return the outline of a bent beam."""
+    return Cantilever()(inputs, workdir).interface
+
+
+@pytest.fixture(params=MODELS)
+def simulator(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[ForwardModel, dict[str, float]]]:
+    """A model of each kind, and inputs of a run."""
+    if request.param == "biofilm":
+        yield Biofilm(mesh="coarse"), {"E": 400.0, "nu": 0.3, "V_in": 100.0}
+    elif request.param == "python":
+        yield PythonModel("tests.testing.test_conformance:cantilever"), BEAM
+    elif request.param == "umbridge":
+        with running(UMBridgeServer([JACOBIAN], port=0)) as url:
+            yield served_model(url), BEAM
+    else:
+        assert request.param == "command", f"no example of `{request.param}` here: add one"
+        (tmp_path / "echo.py").write_text(ECHO)
+        command = [sys.executable, "echo.py", "{{ E }}", "{{ load }}"]
+        result = {"file": "command.log", "unit": "mm"}
+        yield CommandModel(command=command, result=result, files=["echo.py"], folder=tmp_path), BEAM
+
+
+@pytest.mark.parametrize("check", simulators.CHECKS.values(), ids=simulators.CHECKS)
+def test_every_simulator(simulator: tuple[ForwardModel, dict[str, float]], check: Any) -> None:
+    check(*simulator)
+
+
+def complaints(checks: Mapping[str, Any], wrong: Any, *more: Any) -> str:
     """Return what the checks of a suite say of an entry."""
     said = []
     for check in checks.values():
         try:
-            check(wrong)
+            check(wrong, *more)
         except AssertionError as error:
             said.append(str(error))
     return "; ".join(said)
@@ -70,7 +170,9 @@ class Doubled(GaussianNoise):
         return np.asarray(-squared / self.variance)
 
 
-@pytest.mark.parametrize(("wrong", "words"), [(Forgetful(2.0), "constant"), (Doubled(2.0), "not 0.5")])
+@pytest.mark.parametrize(
+    ("wrong", "words"), [(Forgetful(2.0), "density of 2 residuals integrates to"), (Doubled(2.0), "not 0.5")]
+)
 def test_a_wrong_noise_model_is_noticed(wrong: GaussianNoise, words: str) -> None:
     assert re.search(words, complaints(noise.CHECKS, wrong))
 
@@ -115,3 +217,71 @@ class Meddling:
 @pytest.mark.parametrize(("wrong", "words"), [(Signed(), "d² is -"), (Meddling(), "second call|changes the simulated")])
 def test_a_wrong_discrepancy_is_noticed(wrong: Any, words: str) -> None:
     assert re.search(words, complaints(discrepancies.CHECKS, wrong))
+
+
+ROUGH = Isotropic(
+    "rough",
+    correlation=lambda s: 1 / (1 + s**2 / 2),
+    slope=lambda s: -1 / (1 + s**2) ** 2,
+    slope_rate=lambda s: 2 * s / (1 + s**2 / 2) ** 3,
+)
+"""Its slope belongs to another correlation."""
+
+
+def test_a_wrong_kernel_is_noticed() -> None:
+    kernel: Kernel = ROUGH
+    assert "gradient is not that of the value" in complaints(kernels.CHECKS, kernel)
+
+
+def forgetful(state: Any, candidates: np.ndarray, unknown: np.ndarray, targets: np.ndarray) -> Any:
+    """Pick the same candidate again and again, and none to explore."""
+    return lambda exploring: candidates[0]
+
+
+def test_a_wrong_criterion_is_noticed() -> None:
+    assert re.search("none of the points .*picked twice", complaints(criteria.CHECKS, forgetful))
+
+
+def half_read(path: Path, how: Reading, name: str) -> Contents:
+    """Read what is there, be it half a file."""
+    rows = [line.split() for line in path.read_text("utf-8", errors="ignore").splitlines()]
+    good = [row for row in rows if len(row) == 2]
+    count = how.count or len(good)
+    return Contents(np.resize(np.array(good, float), (count, 2)) + np.arange(count)[:, None])
+
+
+def test_a_wrong_reader_is_noticed(tmp_path: Path) -> None:
+    path = example_file(".txt", tmp_path)
+    how = Reading(path.name, "mm", reader="tests.testing.test_conformance:half_read")
+    assert "half a file, whose points are counted, is read" in complaints(readers.CHECKS, path, how)
+
+
+@dataclass
+class Restless:
+    """Another interface at each run, and a file left behind."""
+
+    runs: int = 0
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Interface:
+        self.runs += 1
+        Path("left.txt").write_text("")
+        return Interface.polyline(np.array([[0.0, 0.0], [1.0, 1e-3 * self.runs]]))
+
+
+@dataclass(frozen=True)
+class Steep:
+    """A line whose sensitivity is twice its derivative."""
+
+    sensitivities: bool = False
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+        line = Interface.polyline(np.array([[0.0, 0.0], [1.0, inputs["a"]]]))
+        return Simulation.of(line, sensitivities={"a": np.array([[0.0, 0.0], [0.0, 2.0]])})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"), [(Restless(), "another interface.*left.txt"), (Steep(), "to a is no derivative")]
+)
+def test_a_wrong_simulator_is_noticed(wrong: Any, words: str, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert re.search(words, complaints(simulators.CHECKS, wrong, {"a": 0.5}))

@@ -82,12 +82,13 @@ def _drawn(study: "Study", record: "RunRecord") -> Path:
     """Draw observed, undeformed and simulated interface into the study folder; return the picture's path."""
     from typing import Any
 
+    from strandline.models.offers import undeformed_interface
     from strandline.report.plots import plot_conditions, plot_interfaces
     from strandline.studies.first_run import observations_of
     from strandline.studies.folder import told_if_unwritable, whole_file
 
-    observed, state = observations_of(study), getattr(study.model, "undeformed", None)
-    reference, label = None if state is None else state(), "simulated, medians of the priors"
+    observed, label = observations_of(study), "simulated, medians of the priors"
+    reference = undeformed_interface(study.model)
     if len(record.interfaces) == 1:
         ((condition, run),) = record.interfaces.items()
         figure: Any = plot_interfaces(observed.get(condition), reference=reference, simulated={label: run}).figure

@@ -76,13 +76,14 @@ def _solvers(study: "Study", workers: int) -> list["Solver"]:
 
 def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
     from strandline.models.command.keep import RUNS
+    from strandline.models.offers import KeepsFolders
     from strandline.models.umbridge.door import is_loopback
 
     if not is_loopback(host) and server.door.token is None:
         click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)
     click.echo(f"{study.name}: serving {server.url}")
     click.echo(f"  inputs: [{', '.join(parameter.label() for parameter in study.space)}]")
-    kept = getattr(study.model, "keep", "none")
+    kept = study.model.keep if isinstance(study.model, KeepsFolders) else "none"
     if kept != "none":
         click.echo(f"  folders of {'all' if kept == 'all' else 'failed'} runs are kept in {study.folder / RUNS}")
     for model in server.models:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from strandline.studies.progress import RunTold, StudyProgress
+    from strandline.studies.progress import RunReported, StudyProgress
 
 __all__ = ["command", "lines_of"]
 
@@ -66,7 +66,7 @@ def _driver(state: "StudyProgress") -> str:
     who = f"process {driver.pid} on {driver.host}"
     pace = "" if state.rate is None else f"{_figure(state.rate)} runs a minute"
     if driver.at_work is None:
-        return f"driver {who}; from here it cannot be told whether it is at work" + (f"; {pace}" if pace else "")
+        return f"driver {who}; strandline cannot see from here whether it is running" + (f"; {pace}" if pace else "")
     if not driver.at_work:
         return "no driver at work" + (f"; the last made {pace}" if pace else "")
     left = (
@@ -75,7 +75,7 @@ def _driver(state: "StudyProgress") -> str:
     return f"driver at work, {who}" + (f": {pace}{left}" if pace else "")
 
 
-def _inputs(run: "RunTold") -> str:
+def _inputs(run: "RunReported") -> str:
     return ", ".join(f"{name} = {value:.6g}" for name, value in run.inputs.items())
 
 

@@ -35,10 +35,10 @@ class Refinement:
     """How a design is refined.
 
     Args:
-        rounds: Number of rounds; 0 leaves the design as it is.
-        runs: Number of further runs in each round.
-        temperature: Exponent γ of π_γ ∝ L^γ p, from which half of the runs of a round are drawn, to cover the flanks of
-            the posterior; the other half are draws of the posterior itself. With 1, all of them are.
+        rounds: Number of further rounds of runs where the posterior lies.
+        runs: Runs per round, at most as many as particles.
+        temperature: Exponent γ: half of a round's runs come from the posterior, half from likelihood^γ × prior, to
+            cover its flanks; with 1, all come from the posterior.
 
     Raises:
         InvalidInput: a number out of its range.

@@ -6,15 +6,25 @@ from strandline.discrepancy.direction import oriented_like_runs
 from strandline.discrepancy.extents import extent, extent_ratio, unit_mistake
 from strandline.discrepancy.many import squared_discrepancies
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
-from strandline.discrepancy.protocol import Discrepancy, independent_terms, unit_of
+from strandline.discrepancy.protocol import (
+    ComparesMany,
+    CountsDistances,
+    Discrepancy,
+    HasTerms,
+    independent_terms,
+    unit_of,
+)
 from strandline.discrepancy.residuals import apart, count_of_distances, noise_units
 from strandline.discrepancy.tracked_points import TrackedPoints
 
 __all__ = [
     "DISCREPANCIES",
     "ClosestPoint",
+    "ComparesMany",
+    "CountsDistances",
     "Currents",
     "Discrepancy",
+    "HasTerms",
     "LineReadings",
     "MeasurementLines",
     "TrackedPoints",

@@ -2,26 +2,64 @@
 
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+from jaxtyping import Float
+
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
-__all__ = ["Discrepancy", "independent_terms", "require_alike", "require_polylines", "unit_of"]
+__all__ = [
+    "ComparesMany",
+    "CountsDistances",
+    "Discrepancy",
+    "HasTerms",
+    "independent_terms",
+    "require_alike",
+    "require_polylines",
+    "unit_of",
+]
 
 
 @runtime_checkable
 class Discrepancy(Protocol):
     """A measure of how far a simulated interface is from the observed one: d² ≥ 0, finite.
 
-    A plain function of this signature works. A measure may also state
-
-    - `unit`: the unit of d², e.g. ``mm²``; the noise variance σ_N² has the same;
-    - `surface_unit`: that unit where the interfaces are surfaces, if it is another one;
-    - `terms(observed)`: of how many independent Gaussian residuals d² is the sum, None where it is no such sum;
-    - `distances(simulated, observed)`: how many distances d² sums, where that is another number.
+    A plain function of this signature works. A measure may also state its `unit`, e.g. ``mm²``, and its `surface_unit`
+    if d² of surfaces has another one; the noise variance σ_N² has the same. `HasTerms`, `CountsDistances` and
+    `ComparesMany` say what else it may offer.
     """
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d²."""
+        ...
+
+
+@runtime_checkable
+class HasTerms(Protocol):
+    """A measure that knows whether its d² is a sum of independent Gaussian residuals."""
+
+    def terms(self, observed: Interface) -> int | None:
+        """Return the number of residuals; None if d² is no such sum."""
+        ...
+
+
+@runtime_checkable
+class CountsDistances(Protocol):
+    """A measure that sums squared distances, of which there are other than independent residuals."""
+
+    def distances(self, simulated: Interface, observed: Interface) -> float:
+        """Return the number of distances."""
+        ...
+
+
+@runtime_checkable
+class ComparesMany(Protocol):
+    """A measure that compares a batch of interfaces faster than one by one."""
+
+    def many(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"] | None:
+        """Return d² of the interfaces with these points and the cells of `template`; None to be asked one by one."""
         ...
 
 
@@ -38,8 +76,7 @@ def unit_of(discrepancy: Discrepancy, observed: Interface | None = None) -> str:
 
 def independent_terms(discrepancy: Discrepancy, observed: Interface) -> int | None:
     """Return of how many independent residuals d² is the sum; None where it is no such sum or does not say."""
-    terms = getattr(discrepancy, "terms", None)
-    return None if terms is None else terms(observed)
+    return discrepancy.terms(observed) if isinstance(discrepancy, HasTerms) else None
 
 
 def require_polylines(*interfaces: Interface) -> None:

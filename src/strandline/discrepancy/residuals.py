@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from strandline.discrepancy.protocol import Discrepancy, independent_terms
+from strandline.discrepancy.protocol import CountsDistances, Discrepancy, independent_terms
 from strandline.discrepancy.search.nearest import squared_distances
 from strandline.interface import Interface
 
@@ -14,11 +14,12 @@ __all__ = ["apart", "count_of_distances", "noise_units"]
 def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Interface) -> float | None:
     """Return how many distances d² sums, so that √(d²/count) is their root mean square.
 
-    A measure says so by a method ``distances(simulated, observed)``; without one, its independent terms count. None
-    where d² is no sum of squared distances: then σ_N is no distance either.
+    Unless the measure counts its distances, its independent terms count. None where d² is no sum of squared distances:
+    then σ_N is no distance either.
     """
-    own = getattr(measure, "distances", None)
-    count = independent_terms(measure, observed) if own is None else own(simulated, observed)
+    if isinstance(measure, CountsDistances):
+        return float(measure.distances(simulated, observed))
+    count = independent_terms(measure, observed)
     return None if count is None else float(count)
 
 

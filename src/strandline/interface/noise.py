@@ -35,7 +35,11 @@ class Noise(Protocol):
         ...
 
     def constant(self, terms: int) -> float:
-        """Return what `log_density` leaves out where d² sums `terms` independent residuals."""
+        """Return what `log_density` leaves out as a density of `terms` residuals whose squares sum to d².
+
+        With it that density integrates to 1. It is used where the discrepancy is such a sum, to compare models by
+        their evidence.
+        """
         ...
 
 

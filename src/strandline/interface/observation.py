@@ -30,12 +30,12 @@ class Observation:
     def __init__(self, interface: Interface, noise: Noise | float, condition: str = "") -> None:
         if isinstance(noise, int | float) and not isinstance(noise, bool):
             noise = GaussianNoise(float(noise))
-        if not isinstance(noise, Noise):
+        if not isinstance(noise, Noise) or isinstance(noise, type):
             raise InvalidInput(
                 "noise of an observation",
                 value=noise,
                 expected="a noise model, or the variance σ_N² in the unit of d²",
-                remedy="Give e.g. GaussianNoise(variance=0.001), or 0.001.",
+                remedy="Give e.g. GaussianNoise(variance=0.001), or 0.001; strandline.interface.Noise lists its parts.",
             )
         object.__setattr__(self, "interface", interface)
         object.__setattr__(self, "noise", noise)

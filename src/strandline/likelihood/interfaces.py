@@ -4,12 +4,13 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import Discrepancy, independent_terms, unit_of
-from strandline.errors import InvalidInput, NumericsError
+from strandline.errors import InvalidInput, NumericsError, StrandlineError
 from strandline.interface import Interface, Observation
 
 __all__ = ["InterfaceLikelihood"]
@@ -110,11 +111,23 @@ class InterfaceLikelihood:
         return interfaces
 
     def _discrepancy(self, simulated: Interface, observation: Observation) -> float:
-        d2 = float(self.discrepancy(simulated, observation.interface))
+        found: Any = None
+        try:
+            found = self.discrepancy(simulated, observation.interface)
+            d2 = float(found)
+        except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
+            if isinstance(error, StrandlineError):
+                raise
+            raise InvalidInput(
+                f"discrepancy {self.discrepancy!r}",
+                value=f"a {type(found).__name__}" if found is not None else f"{type(error).__name__}: {error}",
+                expected="d², one number",
+                remedy="Correct the discrepancy; strandline.testing.discrepancies checks it.",
+            ) from error
         if not (math.isfinite(d2) and d2 >= 0):
             raise NumericsError(
                 f"discrepancy {self.discrepancy!r} of condition {observation.condition!r} is {d2:g}; "
-                "a squared distance is finite and not negative: mend the measure"
+                "a squared distance is finite and not negative: fix the measure"
             )
         return d2
 

@@ -193,7 +193,7 @@ class Judge:
                 raise CampaignStopped(
                     f"run {record.key[:12]} cannot be used ({record.failure_kind}), and study.yaml says to stop then\n"
                     f"at {_inputs(record.inputs)}: {record.message}\n"
-                    "All finished runs are kept. Mend the model and start a new ledger, or leave this run out: "
+                    "All finished runs are kept. Fix the model and start a new ledger, or leave this run out: "
                     f"strandline runs STUDY --exclude {record.key[:12]} --why REASON"
                 )
         self.policy.require_worth_going_on(records)

@@ -200,13 +200,13 @@ def _has_field(model: Any, name: str) -> bool:
 def fingerprint(model: ForwardModel) -> str:
     """Return what identifies `model` in a ledger.
 
-    Its own `fingerprint` if it has one; otherwise a hash of its class or function, of the file that defines it and the
-    files of the same package that this file imports, and of its fields except `sensitivities`, which change no
-    interface.
+    Its own `fingerprint` if it has one, with the options of the instance where the class states one text for all.
+    Otherwise a hash of its class or function, of the file that defines it and the files of the same package that this
+    file imports, and of its fields except `sensitivities`, which change no interface.
     """
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
-        return own
+        return own + _options_beside(model)
     subject, fields = _described(model)
     try:
         sources = sources_of(subject.__module__)
@@ -214,6 +214,23 @@ def fingerprint(model: ForwardModel) -> str:
         return earlier_fingerprint(model)
     text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=repr)
     return "python-files:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _options_beside(model: Any) -> str:
+    """Return the options that differ from their defaults where a dataclass has one fingerprint for all instances.
+
+    One that is declared a ``ClassVar`` says on purpose that no option changes results.
+    """
+    kind = type(model)
+    declared = "fingerprint" in inspect.get_annotations(kind)
+    if not dataclasses.is_dataclass(model) or declared or not isinstance(vars(kind).get("fingerprint"), str):
+        return ""
+    given = {
+        f.name: value
+        for f in dataclasses.fields(model)
+        if f.init and f.name != "sensitivities" and (value := getattr(model, f.name)) != f.default
+    }
+    return f"/{json.dumps(given, default=repr, sort_keys=True)}" if given else ""
 
 
 def earlier_fingerprint(model: ForwardModel) -> str:

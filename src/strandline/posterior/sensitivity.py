@@ -69,7 +69,7 @@ def sobol_indices(
     if not np.isfinite(values).all() or np.ptp(values[:2]) == 0.0:
         raise NumericsError(
             "the sensitivity indices of a function that is constant or not finite under the prior are undefined. "
-            "Mend the function there."
+            "Fix the function there."
         )
     first, total = _estimated(values)
     drawn = np.array([_estimated(values[:, rng.integers(number, size=number)]) for _ in range(resamples)])

@@ -9,6 +9,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from strandline.errors import InvalidInput
+from strandline.registry import imported
 
 __all__ = ["SERIES", "TABLES", "TO_MM", "Reading"]
 
@@ -17,7 +18,7 @@ TABLES = (".csv", ".tsv", ".txt", ".dat", ".npy")
 """Suffixes of files that hold points in their order."""
 SERIES = (".pvd", ".xdmf", ".xmf")
 """Suffixes of files that hold several times."""
-COMMON = {"file", "unit", "field", "select", "count"}
+COMMON = {"file", "unit", "field", "select", "count", "reader"}
 OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "sort"}
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
@@ -46,6 +47,7 @@ class Reading:
         start: Place; an open polyline begins at its end nearest to it, a closed one at its nearest node.
         plane: The two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
         count: Number of points that there must be.
+        reader: Function that reads the file, ``module:name``; by default the suffix determines it.
 
     Raises:
         InvalidInput: An invalid option, or one that the format of the file does not take.
@@ -68,6 +70,7 @@ class Reading:
     start: tuple[float, ...] | None = None
     plane: str = "xy"
     count: int | None = None
+    reader: str | None = None
 
     @classmethod
     def from_options(cls, options: object, place: str) -> "Reading":
@@ -114,6 +117,8 @@ class Reading:
             raise _unfit(f"{place}.unit", self.unit, f"one of {', '.join(TO_MM)}")
         if self.plane not in PLANES:
             raise _unfit(f"{place}.plane", self.plane, f"one of {', '.join(PLANES)}")
+        if self.reader is not None and not callable(imported(self.reader, f"{place}.reader")):
+            raise _unfit(f"{place}.reader", self.reader, "a function (path, reading, name) -> Contents")
         if self.decimal == "," == self.delimiter:
             raise _unfit(f"{place}.delimiter", ",", "another one than the decimal comma, e.g. ;")
         if self.near is not None and self.keep is not None:
@@ -121,12 +126,14 @@ class Reading:
         allowed = OF_TABLES if self.suffix in TABLES else OF_MESHES
         if self.suffix in SERIES:
             allowed = allowed | {"time"}
+        if self.reader is not None:
+            allowed = OF_TABLES | OF_MESHES | {"time"}
         for name in self.given:
             if name not in allowed:
                 raise _unfit(
                     f"{place}.{name}", self.given[name], f"no such option for a {self.suffix or 'nameless'} file"
                 )
-        if self.field is not None and isinstance(self.field, str) == (self.suffix in TABLES):
+        if self.field is not None and self.reader is None and isinstance(self.field, str) == (self.suffix in TABLES):
             raise _unfit(
                 f"{place}.field",
                 self.field,
@@ -136,7 +143,7 @@ class Reading:
 
 def _checked_types(values: dict[str, Any], place: str) -> Reading:
     """Return the reading after a check of the type of each option."""
-    for name in ("file", "unit", "delimiter", "plane"):
+    for name in ("file", "unit", "delimiter", "plane", "reader"):
         if not isinstance(values.get(name, ""), str):
             raise _unfit(f"{place}.{name}", values[name], "a text")
     for name, words in (("sort", ("x", "y")), ("keep", ("longest",)), ("decimal", (".", ","))):

@@ -3,7 +3,6 @@
 import stat
 import warnings
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,9 @@ from strandline.readers.pictures import require_no_picture
 from strandline.readers.problems import Unreadable, refused
 from strandline.readers.shape import interface_of
 from strandline.readers.tables import missing, require_end
+from strandline.registry import imported
 
-__all__ = ["READERS", "read_interface"]
+__all__ = ["READERS", "Reader", "read_interface"]
 
 _TABLE = "strandline.readers.tables:read_text"
 _MESH = "strandline.readers.by_meshio:read_by_meshio"
@@ -41,7 +41,9 @@ READERS: dict[str, str] = {
     ".ply": _MESH,
     ".vtk": _MESH,
 }
-"""Suffixes of files → ``module:function`` that reads them; others are read as text."""
+"""Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
+Reader = Callable[[Path, Reading, str], Contents]
+"""(path, how to read it, its name in messages) → what is in the file."""
 
 
 def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = False) -> Interface:
@@ -60,7 +62,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     name = name or path.name
     _require_file(path, name)
     require_no_picture(path, name)
-    if ended and how.count is None and READERS.get(how.suffix, _TABLE) == _TABLE:
+    if ended and how.count is None and _reader(how) == _TABLE:
         require_end(path, name)
     contents = _contents(path, how, name)
     try:
@@ -79,12 +81,12 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
 
 def _contents(path: Path, how: Reading, name: str) -> Contents:
     """Return what is in the file; whatever its reader raises on a damaged one becomes `Unreadable`."""
-    module, _, function = READERS.get(how.suffix, _TABLE).partition(":")
-    reader: Callable[[Path, Reading, str], Contents] = getattr(import_module(module), function)
+    reader: Reader = imported(_reader(how), f"reader of {name}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             contents = reader(path, how, name)
+        _require_contents(contents, how)
         _require_whole(contents)
     except InvalidInput:
         raise
@@ -94,6 +96,11 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
             f"{name} cannot be read", reason, f"a whole {how.suffix} file", "Look at the file, or at what writes it."
         ) from None
     return contents
+
+
+def _reader(how: Reading) -> str:
+    """Return ``module:name`` of the function that reads the file."""
+    return how.reader or READERS.get(how.suffix, _TABLE)
 
 
 def _require_file(path: Path, name: str) -> None:
@@ -106,6 +113,19 @@ def _require_file(path: Path, name: str) -> None:
         raise refused(f"{name} cannot be read", str(error), "a readable file") from None
     if not stat.S_ISREG(mode):
         raise refused(f"{name} cannot be read", f"{path} is no file", "a readable text file")
+
+
+def _require_contents(found: object, how: Reading) -> None:
+    """Refuse what a reader of somebody else's returns in place of contents."""
+    if isinstance(found, Contents) and isinstance(found.points, np.ndarray):
+        return
+    what = f"a {type(found).__name__}" if not isinstance(found, Contents) else "points that are no NumPy array"
+    raise InvalidInput(
+        f"what the reader {_reader(how)} returns",
+        value=what,
+        expected="strandline.readers.Contents, its points a NumPy array (point, xyz)",
+        remedy="Correct the reader.",
+    )
 
 
 def _require_whole(contents: Contents) -> None:

@@ -13,6 +13,7 @@ from strandline.calibration import Calibration
 from strandline.design.active import FieldOutcome
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
+from strandline.models.offers import DrawsFields, undeformed_interface
 from strandline.parameters import Parameter
 from strandline.posterior import Reading
 from strandline.posterior.quadrature import QuadratureResult, mixture
@@ -51,17 +52,16 @@ def figure_groups(calibration: Calibration, truth: Mapping[str, float] | None) -
 def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     problem, space = calibration.problem, calibration.problem.space
     at = truth if truth is not None else {**problem.fixed, **space.as_mapping(calibration.posterior.map_estimate)}
-    fields = getattr(problem.model, "fields", None)
     where = "the inputs of the synthetic observation" if truth is not None else "the MAP estimate"
-    if fields is not None:
+    if isinstance(problem.model, DrawsFields):
         try:
-            figure = plots.plot_flow(fields(at))
+            figure = plots.plot_flow(problem.model.fields(at))
         except ForwardModelError:
             figure = None
         if figure is not None:
             caption = f"Fluid velocity, fluid pressure and displacement of the solid on the deformed mesh at {where}."
             yield Captioned("flow", "data", caption, whole(figure))
-    undeformed = getattr(problem.model, "undeformed", lambda: None)()
+    undeformed = undeformed_interface(problem.model)
     observed = {o.condition: o.interface for o in problem.observations}
     examples = _examples(calibration, undeformed)
     among = "" if undeformed is None else ", the undeformed one,"

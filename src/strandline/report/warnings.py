@@ -87,7 +87,7 @@ def _impossible(calibration: Calibration) -> Iterator[str]:
     highest = float(calibration.posterior.log_likelihood.max())
     if highest > ABOVE_ZERO:
         yield (
-            f"THIS POSTERIOR IS NOT TO BE BELIEVED: the surrogate predicts log-likelihoods up to {highest:.3g}, and "
+            f"DO NOT TRUST THIS POSTERIOR: the surrogate predicts log-likelihoods up to {highest:.3g}, and "
             "none above 0 is possible. The noise is small for so few runs: make many more, or state a larger noise."
         )
 

@@ -158,10 +158,13 @@ class Campaign:
 
     def _consume(self, starts: "Starts") -> None:
         records = self.executor(self.model, starts)
+        if not isinstance(records, Iterable):
+            raise self._misused(f"a {type(records).__name__}", "records, one after the other, by `yield`")
         with contextlib.ExitStack() as stack:
             if hasattr(records, "close"):
                 stack.callback(records.close)
             for record in records:
+                self._require_answer(record, starts)
                 self.ledger.finished(record)
                 starts.running.pop(record.key, None)
                 self._settle(record)
@@ -170,6 +173,17 @@ class Campaign:
                 if self.on_record is not None:
                     self.on_record(record, self._progress())
                 self._heed(record)
+
+    def _require_answer(self, record: object, starts: "Starts") -> None:
+        """Refuse what is no record of a run that was started and has no record yet."""
+        if not isinstance(record, RunRecord):
+            raise self._misused(f"a {type(record).__name__}", "a RunRecord for each request")
+        if record.key not in starts.running:
+            raise self._misused(f"a record of the run {record.key}", "a run that was started, and each of them once")
+
+    def _misused(self, value: str, expected: str) -> InvalidInput:
+        what = f"what the executor {type(self.executor).__name__} yields"
+        return InvalidInput(what, value=value, expected=expected, remedy="Check it with strandline.testing.executors.")
 
     def _settle(self, record: RunRecord) -> None:
         if not self._deserves_another(record):

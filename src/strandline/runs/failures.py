@@ -139,7 +139,7 @@ def aborted(record: RunRecord) -> CampaignStopped:
     return CampaignStopped(
         f"a run ended with {kind}, upon which this study is to stop (failures.kinds.{kind}: abort)\n"
         f"{_told(record)}\n"
-        "All finished runs are kept. Mend the cause and start again: this run is tried again, and so are those that "
+        "All finished runs are kept. Fix the cause and start again: this run is tried again, and so are those that "
         "were under way beside it."
     )
 
@@ -151,7 +151,7 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
     shown = counted(dict(kinds.most_common(4)))
     return CampaignStopped(
         f"stopped, for {len(failed)} of {made} runs failed ({shown})\n{_told(example)}\n"
-        "All runs are kept. Mend the cause; `strandline retry` runs failed ones again, `strandline run` goes on with "
+        "All runs are kept. Fix the cause; `strandline retry` runs failed ones again, `strandline run` goes on with "
         "the others. `failures: {stop: never}` lets the study go on by itself."
     )
 

@@ -15,6 +15,7 @@ from typing import Literal
 
 from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface
+from strandline.models.offers import KeepsFolders
 from strandline.models.protocol import ForwardModel, Sensitivities, asks_sensitivities, declared_conditions
 from strandline.runs.result import InvalidResult, checked
 from strandline.runs.tables import EXCLUDED, LOG_TITLE
@@ -158,12 +159,11 @@ def with_log(record: RunRecord, log: str) -> RunRecord:
 
 
 def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecord:
-    """Let a model that has a method `retain` keep the folder of the run; where it does, the message says where."""
-    retain = getattr(model, "retain", None)
-    if retain is None:
+    """Let a model that keeps folders keep that of the run; where it does, the message says where."""
+    if not isinstance(model, KeepsFolders):
         return record
     try:
-        kept = retain(workdir, record.key, ok=record.ok)
+        kept: Path | str | None = model.retain(workdir, record.key, ok=record.ok)
     except Exception as error:
         kept = f"not kept: {error}"
     if record.ok or kept is None:

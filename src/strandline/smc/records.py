@@ -25,8 +25,9 @@ class SMCSettings:
     0.04 to 0.06 with the defaults and 5000 particles.
 
     Args:
-        rejuvenation_steps: Metropolis-Hastings moves per particle and tempering step.
-        zeta: Share of the effective sample size that one tempering step keeps, in (0, 1).
+        rejuvenation_steps: Metropolis–Hastings steps per particle and tempering step; published study: 20.
+        zeta: Share of the effective sample size that a tempering step keeps, between 0 and 1; published study: 0.995,
+            log-evidence to 0.02 or less instead of 0.05, for 20 to 30 times the evaluations.
         resample_below: Share of the particles; resample where the effective sample size falls to it; 0: never. With the
             defaults that is every step but the last.
         maximum_steps: Tempering steps after which the sampler gives up.

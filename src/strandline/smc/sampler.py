@@ -111,7 +111,7 @@ def checked_start(
         where = int(np.argmax(undefined))
         raise NumericsError(
             f"the log-likelihood is {values[where]} at {positions[where].tolist()}. "
-            "Mend the likelihood there, or return -inf where it is zero."
+            "Fix the likelihood there, or return -inf where it is zero."
         )
     if np.isneginf(values).all():
         raise NumericsError(

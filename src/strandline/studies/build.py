@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from strandline.design.active import Active
+from strandline.design.refinement import Refinement
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models import MODELS
+from strandline.models.offers import UsesNames
 from strandline.models.protocol import (
     ForwardModel,
     ModelInput,
@@ -24,11 +26,12 @@ from strandline.registry import suggestion
 from strandline.runs import FailurePolicy, Retry
 from strandline.runs.failures import COMMON_KINDS
 from strandline.runs.record import STATES
-from strandline.studies.chosen import construct, entry, open_entry
+from strandline.studies.chosen import construct, entry, open_entry, refused_at, require_parts
+from strandline.studies.keys.failures import Failures
+from strandline.studies.keys.study_file import Input, Quantity, StudyFile
 from strandline.studies.observed import TO_MM, read_points
-from strandline.studies.study_file import ActiveFile, Input, Quantity, Refine, StudyFile
-from strandline.studies.study_file_failures import Failures
-from strandline.surrogate import KERNELS
+from strandline.studies.own_prior import require_prior
+from strandline.surrogate.kernels import kernel_named
 
 __all__ = [
     "build_active",
@@ -36,10 +39,10 @@ __all__ = [
     "build_failures",
     "build_fixed",
     "build_model",
+    "build_refinement",
     "build_space",
     "check_complete",
     "check_kernel",
-    "check_refine",
     "check_runs",
     "check_values",
     "failure_words",
@@ -64,7 +67,7 @@ def build_model(
             expected="`sensitivities: true` as a key of the study",
             remedy="Move the key to the top level of study.yaml.",
         )
-    factory = open_entry(MODELS, name, "model", "forward model")
+    factory = open_entry(MODELS, name, "model", "a forward model")
     if wants_folder(factory):
         model: ForwardModel = construct(factory, options, f"model.{name}", folder=folder)
     else:
@@ -106,8 +109,10 @@ def build_discrepancies(
             raise InvalidStudy(
                 "discrepancy", value=name, expected="each measure once", remedy=f"Remove the second {name}."
             )
-        measure = open_entry(DISCREPANCIES, name, "discrepancy", "discrepancy")
-        result[name] = construct(measure, options, f"discrepancy.{name}")
+        kind = open_entry(DISCREPANCIES, name, "discrepancy", "a discrepancy")
+        measure = construct(kind, options, f"discrepancy.{name}")
+        require_parts(measure, ("__call__",), f"discrepancy.{name}")
+        result[name] = measure
     return result
 
 
@@ -137,12 +142,8 @@ def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSp
         _check_name(parameter.name, declared, f"inputs.{parameter.name}")
         for bound in parameter.interval:
             _check_range(bound, declared, parameter.name, f"inputs.{parameter.name}: end of the design box")
-    try:
+    with refused_at("inputs"):
         return ParameterSpace(parameters)
-    except InvalidInput as error:
-        raise InvalidStudy(
-            f"inputs: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
-        ) from None
 
 
 def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
@@ -171,14 +172,11 @@ def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
 
 
 def _require_names(study: StudyFile, model: ForwardModel) -> None:
-    """Let a model that has a method `require_names` refuse inputs and fixed quantities of other names than it uses."""
-    require = getattr(model, "require_names", None)
-    if require is None:
+    """Let a model that knows which names it uses refuse other inputs and fixed quantities."""
+    if not isinstance(model, UsesNames):
         return
-    try:
-        require(study.inputs, study.fixed)
-    except InvalidInput as error:
-        raise InvalidStudy(error.what, value=error.value, expected=error.expected, remedy=error.remedy) from None
+    with refused_at():
+        model.require_names(study.inputs, study.fixed)
 
 
 def check_values(values: Mapping[str, float], model: ForwardModel, place: str) -> None:
@@ -222,38 +220,37 @@ def check_runs(runs: int, dim: int) -> None:
         )
 
 
-def build_active(given: ActiveFile | None, dim: int, *, sensitivities: bool) -> Active | None:
+def build_active(given: Mapping[str, Any] | None, dim: int, *, sensitivities: bool) -> Active | None:
     """Return the settings of an active design, its first runs counted."""
     if given is None:
         return None
-    options = {name: value for name, value in given if value is not None and name != "scramble"}
+    options = {name: value for name, value in given.items() if name != "scramble"}
     usual = 4 + 2 * dim
     options.setdefault("initial", max(usual // 2, 3) if sensitivities else usual)
-    try:
+    with refused_at("design.active"):
         return Active(**options)
-    except InvalidInput as error:
-        raise InvalidStudy(
-            error.what.replace("active design: ", "design.active."),
-            value=error.value,
-            expected=error.expected,
-            remedy="Correct the option, or leave it out.",
-        ) from None
 
 
-def check_refine(refine: Refine | None, particles: int) -> None:
-    """Refuse rounds of more runs than there are particles to draw them from."""
-    if refine is not None and refine.runs > particles:
+def build_refinement(given: Mapping[str, Any] | None, particles: int) -> Refinement:
+    """Return the rounds of refinement, none by default; a round has no more runs than there are particles."""
+    if given is None:
+        return Refinement()
+    with refused_at("design.refine"):
+        refinement = Refinement(**given)
+    if refinement.runs > particles:
         raise InvalidStudy(
             "design.refine.runs",
-            value=refine.runs,
+            value=refinement.runs,
             expected=f"at most {particles}, the number of particles that they are drawn from",
             remedy="Make fewer runs in a round, and more rounds.",
         )
+    return refinement
 
 
 def check_kernel(name: str) -> str:
     """Return `name` if a kernel is called so."""
-    entry(KERNELS, name, "surrogate.log_likelihood.kernel")
+    with refused_at():
+        kernel_named(name, what="surrogate.log_likelihood.kernel")
     return name
 
 
@@ -277,20 +274,16 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
             remedy=f"Write `unit: {declared.unit}` at {name} and give its prior in that unit.",
         )
     prior = _prior(name, item)
-    try:
+    with refused_at(f"inputs.{name}"):
         declared_unit = declared.unit if declared else unit or "1"
         parameter = Parameter(name, prior, declared_unit, item.box, item.nuisance, symbol=item.label or "")
-    except InvalidInput as error:
-        raise InvalidStudy(
-            f"inputs.{name}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
-        ) from None
     _check_prior_in_box(parameter)
     return parameter
 
 
 def _prior(name: str, item: Input) -> Prior:
     (kind, numbers) = next(iter(item.prior.items()))
-    prior_class: Any = open_entry(PRIORS, kind, f"inputs.{name}.prior", "prior")
+    prior_class: Any = open_entry(PRIORS, kind, f"inputs.{name}.prior", "a prior")
     wanted = [field.name for field in dataclasses.fields(prior_class)]
     if len(numbers) != len(wanted):
         raise InvalidStudy(
@@ -299,15 +292,11 @@ def _prior(name: str, item: Input) -> Prior:
             expected=f"{len(wanted)} numbers {getattr(prior_class, 'fields', wanted)}",
             remedy="Correct the list.",
         )
-    try:
-        prior: Prior = prior_class(*numbers)
-    except InvalidInput as error:
-        raise InvalidStudy(
-            f"inputs.{name}.prior.{kind}: {error.what}",
-            value=error.value,
-            expected=error.expected,
-            remedy=error.remedy,
-        ) from None
+    place = f"inputs.{name}.prior.{kind}"
+    options = dict(zip(wanted, numbers, strict=True))
+    prior: Prior = construct(prior_class, options, place)
+    if ":" in kind:
+        require_prior(prior, place)
     return prior
 
 

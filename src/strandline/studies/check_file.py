@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from strandline import __version__
 from strandline.interface import Interface, Observation
+from strandline.models.offers import undeformed_interface
 from strandline.posterior import (
     Posterior,
     Reweighting,
@@ -198,7 +199,7 @@ def _reference(
     study: Study, median: Float[np.ndarray, "point xyz"]
 ) -> tuple[Literal["undeformed", "median"], Float[np.ndarray, "point xyz"]]:
     """Return from where displacements are counted: the undeformed nodes where the model gives them."""
-    undeformed = getattr(study.model, "undeformed", lambda: None)()
+    undeformed = undeformed_interface(study.model)
     if undeformed is not None and undeformed.points.shape == median.shape:
         return "undeformed", undeformed.points
     return "median", median

@@ -2,14 +2,27 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, get_args
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.registry import lookup, suggestion
 from strandline.text import decimal
 
-__all__ = ["construct", "entry", "open_entry"]
+__all__ = ["construct", "entry", "open_entry", "refused_at", "require_parts"]
+
+
+@contextlib.contextmanager
+def refused_at(place: str = "") -> Iterator[None]:
+    """Say of an `InvalidInput` where in the study file it comes from: before its subject."""
+    try:
+        yield
+    except InvalidInput as error:
+        within = "." if re.match(r"[a-z_.]+(:|$)", error.what) else ": "
+        what = f"{place}{within}{error.what}" if place else error.what
+        raise InvalidStudy(what, value=error.value, expected=error.expected, remedy=error.remedy) from None
+
 
 PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
@@ -33,20 +46,30 @@ def open_entry(registry: Mapping[str, Any], name: str, place: str, protocol: str
         registry: Entries by name.
         name: Name in the study file.
         place: Place in the study file.
-        protocol: What the class must be, for messages.
+        protocol: What the class must be, with its article, for messages.
     """
-    try:
+    with refused_at():
         found = lookup(registry, name, place)
-    except InvalidInput as error:
-        raise InvalidStudy(error.what, value=error.value, expected=error.expected, remedy=error.remedy) from None
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
         raise InvalidStudy(
             place,
             value=name,
-            expected=f"a {protocol} that is a dataclass: its fields are the options",
+            expected=f"a dataclass that is {protocol}: its fields are the options",
             remedy="Decorate the class with @dataclass(frozen=True).",
         )
     return found
+
+
+def require_parts(entry: object, parts: Iterable[str], place: str) -> None:
+    """Refuse an object that lacks some of these parts."""
+    missing = [name for name in parts if not hasattr(entry, name)]
+    if missing:
+        raise InvalidStudy(
+            place,
+            value=f"a class without {', '.join(missing)}",
+            expected=f"the parts {', '.join(parts)}",
+            remedy="Add what is missing; the conformance suite in strandline.testing says what it must do.",
+        )
 
 
 def construct(factory: Any, options: Mapping[str, Any] | None, place: str, **given: Any) -> Any:
@@ -72,11 +95,10 @@ def construct(factory: Any, options: Mapping[str, Any] | None, place: str, **giv
                 f"{place}.{name}", value=None, expected="this option", remedy=f"Add `{name}: …` to {place}."
             )
     try:
-        return getattr(factory, "from_options", factory)(**values, **given)
-    except InvalidInput as error:
-        raise InvalidStudy(
-            f"{place}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
-        ) from None
+        with refused_at(place):
+            return getattr(factory, "from_options", factory)(**values, **given)
+    except InvalidStudy:
+        raise
     except (TypeError, ValueError) as error:
         raise InvalidStudy(
             place, value=options, expected=" ".join(str(error).split()), remedy=f"Correct the options of {place}."

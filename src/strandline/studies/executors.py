@@ -4,11 +4,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import InvalidInput, InvalidStudy
 from strandline.registry import lookup
 from strandline.runs.executors import EXECUTORS, Executor
-from strandline.studies.chosen import construct, open_entry
-from strandline.studies.study_file import ExecutorChoice
+from strandline.studies.chosen import construct, open_entry, refused_at, require_parts
+from strandline.studies.keys.executor import ExecutorChoice
 
 __all__ = ["SLURM", "build_executor"]
 
@@ -24,9 +23,10 @@ def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
     """
     if choice.other is not None:
         ((name, options),) = choice.other.items()
-        own: Executor = construct(open_entry(EXECUTORS, name, "executor", "executor"), options, f"executor.{name}")
+        own: Executor = construct(open_entry(EXECUTORS, name, "executor", "an executor"), options, f"executor.{name}")
+        require_parts(own, ("__call__",), f"executor.{name}")
         return own
-    named: dict[str, dict[str, Any]] = choice.model_dump(exclude_none=True)
+    named: dict[str, dict[str, Any]] = {name: dict(options) for name, options in choice if options is not None}
     name, given = next(iter(named.items()), ("local", {}))
     if name == "slurm_array":
         given |= {
@@ -34,10 +34,6 @@ def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
             "command": (sys.executable, "-m", "strandline.studies.array_task", str(folder.resolve())),
             "extra": tuple(given["extra"]),
         }
-    try:
+    with refused_at(f"executor.{name}"):
         executor: Executor = lookup(EXECUTORS, name, "executor")(**given)
-    except InvalidInput as error:
-        raise InvalidStudy(
-            f"executor.{name}: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
-        ) from None
     return executor

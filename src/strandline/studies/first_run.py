@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from strandline.discrepancy import Discrepancy, apart, count_of_distances, orien
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood, noise_length
+from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.studies.observed import noisy, require_plausible
 from strandline.studies.study import Study
@@ -140,10 +140,9 @@ def _doubts(observed: Interface, run: Interface, of: str) -> Iterator[str]:
 
 def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield the largest displacement of the run in µm and in units of the noise; nothing without undeformed state."""
-    state = getattr(study.model, "undeformed", None)
-    if state is None:
+    undeformed, measure = undeformed_interface(study.model), _measure(study)
+    if undeformed is None:
         return
-    undeformed, measure = state(), _measure(study)
     for condition, run in record.interfaces.items():
         if run.dim != undeformed.dim:
             continue
@@ -204,14 +203,12 @@ def _value(likelihood: InterfaceLikelihood, record: RunRecord) -> float | None:
 def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield how far the run's interfaces move on the next finer mesh; nothing for a model that offers none.
 
-    A model offers it by a method ``on_finer_mesh(inputs)``, which returns the interfaces by condition. Too large a
-    difference is worth a warning, but not where the model itself makes the observation, on the same mesh.
+    Too large a difference is worth a warning, but not where the model itself makes the observation, on the same mesh.
     """
-    solve: Any = getattr(study.model, "on_finer_mesh", None)
-    if solve is None:
+    if not isinstance(study.model, SolvesOnFinerMesh):
         return
     try:
-        finer: Mapping[str, Interface] = solve(record.inputs)
+        finer = study.model.on_finer_mesh(record.inputs)
     except ForwardModelError as error:
         yield f"warning: on the next finer mesh this run fails ({error.kind}), so that its accuracy is not known"
         return

@@ -105,7 +105,7 @@ def told_if_unwritable(folder: Path) -> Iterator[None]:
             "the results cannot be written",
             value=f"{error.filename or folder}: {error.strerror or error}",
             expected="a folder with write permission and room on the disk",
-            remedy="Mend that and run again: finished forward runs are kept.",
+            remedy="Fix that and run again: finished forward runs are kept.",
         ) from error
 
 

@@ -8,7 +8,8 @@ from pydantic import BaseModel, ValidationError
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
-from strandline.studies.study_file import ONE, SCHEMA_VERSION, SEVERAL, ConditionFile, StudyFile
+from strandline.studies.keys import SCHEMA_VERSION, StudyFile, annotation_of, keys_within
+from strandline.studies.keys.observation import ONE, SEVERAL, ConditionFile
 from strandline.studies.yaml_text import load_yaml
 
 __all__ = ["parse_study"]
@@ -141,19 +142,8 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
             return []
         if part not in current.model_fields:
             continue
-        current = _model_within(current.model_fields[str(part)].annotation)
+        current = keys_within(annotation_of(current.model_fields[str(part)]))
     return [name for name, field in current.model_fields.items() if not field.exclude] if current is not None else []
-
-
-def _model_within(annotation: Any) -> Any:
-    """Return the pydantic model inside an annotation such as ``dict[str, Input]``, or None."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for argument in getattr(annotation, "__args__", ()):
-        found = _model_within(argument)
-        if found is not None:
-            return found
-    return None
 
 
 def _is_internal(part: int | str) -> bool:

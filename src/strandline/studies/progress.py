@@ -20,7 +20,7 @@ from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY
 if TYPE_CHECKING:
     from strandline.studies.study import Study
 
-__all__ = ["Failures", "RunTold", "StudyProgress", "progress_in", "progress_of", "recorded_plan", "results_of"]
+__all__ = ["Failures", "RunReported", "StudyProgress", "progress_in", "progress_of", "recorded_plan", "results_of"]
 
 Results = Literal["none", "current", "outdated"]
 RATE_RUNS = 50
@@ -29,7 +29,7 @@ LOG_LINES = 2
 
 
 @dataclass(frozen=True)
-class RunTold:
+class RunReported:
     """A run to be shown: its key, its unknown inputs, its seconds, the first line of its message, its log's last."""
 
     key: str
@@ -44,7 +44,7 @@ class Failures:
     """The failures of one kind: their number, and the first to be started."""
 
     count: int
-    example: RunTold
+    example: RunReported
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class StudyProgress:
     rate: float | None = None
     seconds_left: float | None = None
     median_seconds: float | None = None
-    slowest: RunTold | None = None
+    slowest: RunReported | None = None
     driver: Driver | None = None
     active: bool = False
     last_batch: str = ""
@@ -243,12 +243,12 @@ class _Counted:
         examples = {attempt.kind or attempt.state: attempt for attempt in reversed(failed)}
         return {kind: Failures(count, self._explained(examples[kind], ledger)) for kind, count in counts}
 
-    def _shown(self, attempt: Attempt, message: str = "", log: tuple[str, ...] = ()) -> RunTold:
+    def _shown(self, attempt: Attempt, message: str = "", log: tuple[str, ...] = ()) -> RunReported:
         known = json.loads(attempt.inputs)
         inputs = {name: known[name] for name in self.plan.inputs}
-        return RunTold(self.keys[attempt.number], inputs, _seconds(attempt), message, log)
+        return RunReported(self.keys[attempt.number], inputs, _seconds(attempt), message, log)
 
-    def _explained(self, attempt: Attempt, ledger: Overview) -> RunTold:
+    def _explained(self, attempt: Attempt, ledger: Overview) -> RunReported:
         details = ledger.details([attempt.number])[attempt.number]
         log = [line.rstrip() for line in details.log.splitlines() if line.strip()][-LOG_LINES:]
         return self._shown(attempt, next(iter(details.message.splitlines()), ""), tuple(log))
@@ -298,7 +298,7 @@ def _detached(folder: Path) -> bool:
     return any((folder / "slurm").glob("*/batch.json"))
 
 
-def _as_dict(run: RunTold) -> dict[str, Any]:
+def _as_dict(run: RunReported) -> dict[str, Any]:
     return {
         "key": run.key,
         "inputs": dict(run.inputs),

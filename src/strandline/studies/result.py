@@ -80,7 +80,7 @@ class Result:
             InvalidInput: No such measure, or an option that it does not have.
         """
         if isinstance(measure, str):
-            factory = open_entry(DISCREPANCIES, measure, "measure", "discrepancy")
+            factory = open_entry(DISCREPANCIES, measure, "measure", "a discrepancy")
             return self._calibrated(discrepancies={measure: construct(factory, options, f"measure {measure}")})
         if options:
             raise InvalidInput(

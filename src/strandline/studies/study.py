@@ -9,22 +9,24 @@ from functools import cached_property
 from pathlib import Path
 
 from strandline.calibration import Settings
-from strandline.design.refinement import Refinement
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
 from strandline.interface import GaussianNoise, Interface, Noise, Observation
+from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
 from strandline.posterior.shown import html_table
 from strandline.runs import Executor
 from strandline.smc import SMCSettings
 from strandline.studies import build
+from strandline.studies.chosen import refused_at
 from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
+from strandline.studies.keys import StudyFile
+from strandline.studies.keys.observation import ConditionFile, ObservationFile
 from strandline.studies.known_model import as_in_ledgers
 from strandline.studies.observed import SyntheticNoise, read_points, require_plausible
 from strandline.studies.parse import parse_study
-from strandline.studies.study_file import ConditionFile, ObservationFile, StudyFile
 from strandline.studies.study_runs import StudyRuns
 from strandline.typeset import html_text
 
@@ -167,24 +169,27 @@ def _noises(content: StudyFile, model: ForwardModel) -> dict[str, Noise]:
 
 
 def _settings(content: StudyFile, model: ForwardModel) -> Settings:
-    smc, sobol, refine = content.sampler.smc, content.design.sobol, content.design.refine
-    build.check_refine(refine, smc.particles)
+    smc, sobol = dict(content.sampler.smc), content.design.sobol
+    particles = smc.pop("particles")
+    refine = build.build_refinement(content.design.refine, particles)
+    with refused_at("sampler.smc"):
+        sampler = SMCSettings(**smc)
     dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
     active = build.build_active(content.design.active, dim, sensitivities=content.sensitivities)
     if sobol is not None and content.surrogate.field is None:
         build.check_runs(sobol.runs, dim)
     by_field = active is not None or content.surrogate.field is not None
     kernel = None if log_likelihood is None else log_likelihood.kernel
-    start = content.design.active if sobol is None else sobol
+    scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble
     return Settings(
         runs=sobol.runs if sobol is not None else (active.initial if active and active.initial else 0),
-        scramble=None if start is None else start.scramble,
-        refine=Refinement() if refine is None else Refinement(refine.rounds, refine.runs, refine.temperature),
+        scramble=scramble,
+        refine=refine,
         kernel=build.check_kernel(kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")),
         surrogate="field" if by_field else "log_likelihood",
         active=active,
-        particles=smc.particles,
-        smc=SMCSettings(rejuvenation_steps=smc.rejuvenation_steps, zeta=smc.zeta),
+        particles=particles,
+        smc=sampler,
         seed=content.seed,
         nuisance_values=content.sampler.cut.values,
         failures=build.build_failures(content.failures, model),
@@ -245,11 +250,11 @@ def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> tuple[I
     """Return an observed interface, run through as the model's is, and whether it was turned for that."""
     path = folder / str(source.file)
     interface = read_points(path, str(source.unit), options=source.reading)
-    undeformed = getattr(model, "undeformed", None)
+    undeformed = undeformed_interface(model)
     if undeformed is None:
         return interface, False
-    require_plausible(f"observation {path.name}", interface, undeformed(), unit=str(source.unit))
-    turned = interface.runs_against(undeformed())
+    require_plausible(f"observation {path.name}", interface, undeformed, unit=str(source.unit))
+    turned = interface.runs_against(undeformed)
     return (interface.reversed() if turned else interface), turned
 
 

@@ -33,7 +33,7 @@ def fit_log_likelihood(
     Args:
         x: physical inputs of the successful runs.
         log_likelihood: their log-likelihoods.
-        kernel: a name in `KERNELS`; the publication has ``matern32`` for its homogeneous specimen and
+        kernel: Name in `KERNELS`, or ``module:name``; the publication has ``matern32`` for its homogeneous specimen and
             ``matern32_product`` for that of three parts.
 
     Raises:

@@ -7,15 +7,17 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy import integrate
 
 from strandline.interface import Noise
+from strandline.testing.parts import require_parts
 
 __all__ = ["CHECKS"]
 
 
 def check_it_has_all_parts(noise: Noise) -> None:
     """It satisfies the protocol."""
-    assert isinstance(noise, Noise), "a part of the protocol is missing"
+    require_parts(noise, Noise)
     assert all(isinstance(value, float) for value in noise.facts.values()), "facts are numbers by name"
 
 
@@ -48,10 +50,20 @@ def check_each_number_is_on_its_own(noise: Noise) -> None:
     assert np.array_equal(together.ravel(), alone), "a number depends on those beside it"
 
 
-def check_the_constant_grows_with_the_terms(noise: Noise) -> None:
-    """The constant of n independent residuals is n times that of one."""
-    one, many = noise.constant(1), noise.constant(7)
-    assert math.isclose(many, 7 * one, rel_tol=1e-9), "the constant is not proportional to the number of residuals"
+def check_the_constant_normalises(noise: Noise) -> None:
+    """With the constant for n residuals, the density of n residuals whose squares sum to d² integrates to one."""
+    for terms in (1, 2, 5):
+        area = 2 * math.pi ** (terms / 2) / math.gamma(terms / 2)
+
+        def density(log_radius: float, terms: int = terms, area: float = area) -> float:
+            """Return the density at a distance from no residual, times the area of the sphere, by its logarithm."""
+            radius = math.exp(log_radius)
+            log_density = float(noise.log_density(np.full(1, radius**2))[0]) + noise.constant(terms)
+            return area * radius**terms * math.exp(log_density)
+
+        middle = 0.5 * math.log(noise.scale)
+        mass = integrate.quad(density, middle - 20.0, middle + 20.0, limit=400, points=[middle])[0]
+        assert abs(mass - 1.0) < 1e-4, f"the density of {terms} residuals integrates to {mass:.4g}, not 1"
 
 
 CHECKS: dict[str, Callable[[Noise], None]] = {
@@ -62,6 +74,6 @@ CHECKS: dict[str, Callable[[Noise], None]] = {
         check_it_falls,
         check_the_scale_costs_half_a_unit,
         check_each_number_is_on_its_own,
-        check_the_constant_grows_with_the_terms,
+        check_the_constant_normalises,
     )
 }

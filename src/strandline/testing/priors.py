@@ -11,6 +11,7 @@ import numpy as np
 
 from strandline.numerics.precision import use_double
 from strandline.priors import Prior
+from strandline.testing.parts import require_parts
 
 __all__ = ["CHECKS"]
 
@@ -19,7 +20,7 @@ LEVELS = np.linspace(0.001, 0.999, 999)
 
 def check_it_has_all_parts(prior: Prior) -> None:
     """It satisfies the protocol."""
-    assert isinstance(prior, Prior), "a part of the protocol is missing"
+    require_parts(prior, Prior)
     low, high = prior.support
     assert low < high, "the support is empty"
 

@@ -298,7 +298,7 @@ def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch: pytest.Monk
 )
 def test_settings_out_of_range_are_refused(wrong_options: dict[str, Any]) -> None:
     (name,) = wrong_options
-    with pytest.raises(InvalidInput, match=f"active design: {name}"):
+    with pytest.raises(InvalidInput, match=f"^{name}"):
         Active(**{"runs": 100, **wrong_options})
 
 

@@ -1,6 +1,7 @@
 """Which runs are chosen, against brute force."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from strandline.design import sobol
 from strandline.design.active import CRITERIA
 from strandline.design.active.choice import choose
 from strandline.design.active.state import State
+from strandline.errors import InvalidInput
 from strandline.surrogate.field.mode_process import ModeProcess
 from strandline.surrogate.field.restricted_evidence import Observed, condition_mode
 
@@ -99,3 +101,22 @@ def test_the_choice_follows_from_its_arguments(state: State, criterion: str) -> 
 
     np.testing.assert_array_equal(chosen(1), chosen(1))
     assert not np.array_equal(chosen(1), chosen(2))
+
+
+def first_again(candidates: np.ndarray) -> Any:
+    return candidates[0]
+
+
+def elsewhere(candidates: np.ndarray) -> Any:
+    return np.array([9.0, 9.0])
+
+
+def number(candidates: np.ndarray) -> Any:
+    return 3
+
+
+@pytest.mark.parametrize("wrong", [first_again, elsewhere, number])
+def test_a_criterion_that_picks_wrongly_is_refused(state: State, wrong: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(CRITERIA, "mine", lambda state, candidates, *others: lambda exploring: wrong(candidates))
+    with pytest.raises(InvalidInput, match="what the criterion mine picks"):
+        choose(state, SPACE, 3, explore=0.0, first=10, criterion="mine", seed=3)

@@ -19,7 +19,7 @@ from verification.validation.installed import (
 )
 from verification.validation.interpreters import Interpreter, find_interpreters
 
-from strandline.studies.study_file import StudyFile
+from strandline.studies.keys import StudyFile
 from strandline.studies.template import write_template
 
 PACKAGE = {f"src/strandline/{name}" for name in ("__init__.py", "py.typed", "report/style.css")}

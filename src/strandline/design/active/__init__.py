@@ -2,7 +2,7 @@
 
 from strandline.design.active.active_design import Active, ActiveDesign, Batch, BatchCheck, Step
 from strandline.design.active.campaign import ActiveRuns
-from strandline.design.active.choice import CRITERIA
+from strandline.design.active.choice import CRITERIA, Criterion
 from strandline.design.active.cost import SLOW_BATCH, seconds_of_a_batch
 from strandline.design.active.outcome import Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.reported import BatchReport
@@ -18,6 +18,7 @@ __all__ = [
     "BatchCheck",
     "BatchReport",
     "Certificate",
+    "Criterion",
     "FieldOutcome",
     "Knowledge",
     "State",

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.choice import CRITERIA, choose
+from strandline.design.active.choice import choose, criterion_named
 from strandline.design.active.left_out import left_out_ratios
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
@@ -32,19 +32,24 @@ class Active:
     """How an active design goes on and when it stops.
 
     Args:
-        runs: Largest number of runs in all, including those of the check.
-        initial: Number of runs of the Sobol sequence to begin with; None for 4 + 2·dim, half of it with sensitivities.
-        batch: Number of runs chosen together; None for the number of workers.
-        explore: Share of the runs that explore.
-        criterion: Name in `strandline.design.active.CRITERIA` of the rule by which runs are chosen.
-        check: Number of draws of the posterior at which the true model is run before stopping.
-        change: Largest move of the means over either of the last two batches, in standard deviations, and largest
-            relative change of the standard deviations. Batches of fewer runs than there are inputs count together.
-        shift: Largest shift of a mean by the importance weights, in standard deviations, beyond its standard error.
-        k_hat: Largest Pareto shape of the weights.
-        effective: Smallest effective sample size of the weights, as a share of the draws; also of the weights between
-            the posteriors before and after a batch.
-        patience: A batch does not wait for a run that takes longer than this many times the longest one before.
+        runs: Maximum number of runs, those of the checks included; at least `initial` + `check`. Runs from an earlier
+            ``study.yaml`` or a reused study do not count.
+        initial: First runs, from the Sobol sequence, at least 3; default: 4 + 2 × number of inputs; with sensitivities
+            half that, but at least 3.
+        batch: Runs chosen together; default: number of workers, within 2 to 16.
+        explore: Share of runs placed where least is known, whatever the posterior, 0 to 0.5.
+        criterion: How to choose the others: ``expected_variance`` most reduces the variance of the predicted interface
+            over the posterior; ``repulsion`` takes the farthest from all runs; or ``module:name`` of a criterion of
+            your own.
+        check: Posterior draws at which to run the true model before stopping, at least 20.
+        change: Largest change over each of the last two batches: of a mean in standard deviations, of a standard
+            deviation in natural logarithms; batches with fewer runs than inputs count together.
+        shift: Largest shift of a mean by the check's importance weights, in standard deviations beyond its standard
+            error.
+        k_hat: Upper limit for the Pareto shape of these weights, unless 98 % of draws are effective.
+        effective: Share of draws that must be effective, between 0 and 1.
+        patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest
+            before it; at least 1.
 
     Raises:
         InvalidInput: a number out of its range.
@@ -67,7 +72,7 @@ class Active:
         _require(self.initial is None or self.initial >= 3, "initial", self.initial, "at least 3 runs")
         _require(self.batch is None or self.batch >= 1, "batch", self.batch, "at least 1 run")
         _require(0 <= self.explore <= 0.5, "explore", self.explore, "a share from 0 to 0.5")
-        _require(self.criterion in CRITERIA, "criterion", self.criterion, f"one of {', '.join(CRITERIA)}")
+        criterion_named(self.criterion)
         _require(0 < self.effective < 1, "effective", self.effective, "a share between 0 and 1")
         for name in ("change", "shift", "k_hat"):
             _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
@@ -347,4 +352,4 @@ class ActiveDesign:
 
 def _require(right: bool, name: str, value: object, expected: str) -> None:
     if not right:
-        raise InvalidInput(f"active design: {name}", value=value, expected=expected, remedy="Change it.")
+        raise InvalidInput(name, value=value, expected=expected, remedy="Change it.")

@@ -1,16 +1,18 @@
 """Which inputs to run next: among particles of the tempered posterior, and a share to explore."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.state import State
 from strandline.design.space_filling import sobol
+from strandline.errors import InvalidInput
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
+from strandline.registry import lookup
 
-__all__ = ["CRITERIA", "Criterion", "choose"]
+__all__ = ["CRITERIA", "Criterion", "choose", "criterion_named"]
 
 CANDIDATES, TARGETS = 300, 200
 """Particles of π_γ among which runs are chosen; particles at which they are to help, half of them of the posterior."""
@@ -30,7 +32,7 @@ def choose(
         number: Number of runs to choose.
         explore: Share of all runs that explore: the point of the Sobol sequence of which least is known.
         first: Number of runs made so far; the share is kept over all batches.
-        criterion: Name in `CRITERIA`.
+        criterion: Name in `CRITERIA`, or ``module:name``.
         seed: Seed of the draws.
     """
     candidates = state.positions[subset(np.exp(state.log_weights_tempered), CANDIDATES, seed)]
@@ -38,8 +40,33 @@ def choose(
     unknown = space.to_physical(sobol(first + EXPLORATION, space.dim, scramble=None)[first:])
     half = [subset(np.exp(w), TARGETS // 2, seed + 1) for w in (state.log_weights, state.log_weights_tempered)]
     targets = np.unique(state.positions[np.concatenate(half)], axis=0)
-    picking = CRITERIA[criterion](state, _new(candidates, state), _new(unknown, state), targets)
-    return np.array([picking(_explores(first + k, explore)) for k in range(number)])
+    pools = {False: _new(candidates, state), True: _new(unknown, state)}
+    picking = criterion_named(criterion)(state, pools[False], pools[True], targets)
+    picked: list[Float[np.ndarray, " dim"]] = []
+    for k in range(number):
+        exploring = _explores(first + k, explore)
+        picked.append(_accepted(picking(exploring), pools, picked, criterion))
+    return np.array(picked)
+
+
+def _accepted(
+    found: object,
+    pools: Mapping[bool, Float[np.ndarray, "point dim"]],
+    before: Sequence[Float[np.ndarray, " dim"]],
+    criterion: str,
+) -> Float[np.ndarray, " dim"]:
+    """Return what a criterion picked: one of the points that it was given, and none `before` while there are others."""
+    point = np.asarray(found)
+    given = any(point.shape == pool.shape[1:] and (pool == point).all(axis=1).any() for pool in pools.values())
+    used_up = len(before) >= min(len(pool) for pool in pools.values())
+    if given and (used_up or not any(np.array_equal(point, one) for one in before)):
+        return point
+    raise InvalidInput(
+        f"what the criterion {criterion} picks",
+        value=point.tolist(),
+        expected="one of the points that it was given, each once",
+        remedy="Check it with strandline.testing.criteria.",
+    )
 
 
 def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarray, "new dim"]:
@@ -136,3 +163,20 @@ def _tiny(C: Float[np.ndarray, "all all"]) -> float:
 
 
 CRITERIA: dict[str, Criterion] = {"expected_variance": expected_variance, "repulsion": repulsion}
+
+
+def criterion_named(name: str) -> Criterion:
+    """Return the criterion of that name in `CRITERIA`, or the function ``module:name``.
+
+    Raises:
+        InvalidInput: There is no such criterion, or it is no function.
+    """
+    found: Criterion = lookup(CRITERIA, name, "criterion")
+    if not callable(found):
+        raise InvalidInput(
+            "criterion",
+            value=name,
+            expected="a function as strandline.design.active.Criterion describes it",
+            remedy="Check it with strandline.testing.criteria.",
+        )
+    return found

@@ -86,7 +86,7 @@ class Door:
         if method == "POST" and kind is not None and kind.partition(";")[0].strip().lower() != "application/json":
             raise Refused("InvalidInput", f"Content-Type: got {_shown(kind)}; expected application/json", 415)
         if self.token is not None and not _carries(headers.get("Authorization", ""), self.token):
-            raise Refused("Unauthorized", "this server wants its token: send `Authorization: Bearer TOKEN`", 401)
+            raise Refused("Unauthorized", "this server needs its token: send `Authorization: Bearer TOKEN`", 401)
 
     def _is_called(self, host: str) -> bool:
         """Return whether `host`, with or without a port, is a name or address of this server."""

@@ -35,13 +35,12 @@ class DaskCluster:
     """Runs on a Dask cluster, each in a worker process of its own, started by its Dask worker.
 
     Args:
-        cluster: ``local``, worker processes on this machine; ``slurm`` or ``pbs``, one worker per job.
-        address: Address of a scheduler that is running already, ``tcp://host:port`` or ``tls://host:port``; instead of
-            a cluster.
-        workers: Number of workers, or jobs; the same as `minimum` and `maximum`.
-        minimum: Number of jobs that are kept while there are fewer runs left than jobs.
-        maximum: Largest number of jobs. A job that vanishes is replaced.
-        timeout: Seconds after which a run is killed; None: never.
+        cluster: ``local`` (default), worker processes on this machine; ``slurm`` or ``pbs``, one worker per job.
+        address: Instead of a cluster: an existing scheduler, ``tcp://host:port`` or ``tls://host:port``.
+        workers: Workers or jobs; default: one per core for ``local``, else one job.
+        minimum: Jobs to keep when fewer runs are left; default: all.
+        maximum: Instead of `workers`: maximum number of jobs. A job that vanishes is replaced.
+        timeout: Seconds after which a run is killed; default: never.
         jobs: Options of jobs of ``slurm`` and ``pbs``: `cores` (runs at a time in a job), `memory`, `walltime`,
             `queue`, `account`, `interface`, and lists `extra` (directives of the job) and `prologue` (lines before the
             worker starts).
@@ -66,7 +65,7 @@ class DaskCluster:
     def __post_init__(self) -> None:
         require_timeout(self.timeout)
         for name, least in {"workers": 1, "minimum": 0, "maximum": 1}.items():
-            require_count(f"{name} of a Dask cluster", getattr(self, name), remedy="Correct the number.", least=least)
+            require_count(name, getattr(self, name), remedy="Correct the number.", least=least)
         _require_one_place(self)
         _require_plain_counts(self)
         _require_jobs(self)
@@ -114,14 +113,14 @@ class DaskCluster:
 def _require_one_place(options: DaskCluster) -> None:
     if options.cluster is not None and options.cluster not in KINDS:
         raise InvalidInput(
-            "cluster of the executor dask",
+            "cluster",
             value=options.cluster,
             expected=f"one of {', '.join(KINDS)}",
             remedy="Choose one, or give the address of a scheduler.",
         )
     if options.address is not None and options.cluster is not None:
         raise InvalidInput(
-            "executor dask: cluster and address",
+            "cluster and address",
             value=f"{options.cluster} and {options.address}",
             expected="one of the two",
             remedy="Leave the cluster out where there is a scheduler already.",
@@ -133,28 +132,28 @@ def _require_plain_counts(options: DaskCluster) -> None:
     bounds = [value for value in (options.minimum, options.maximum) if value is not None]
     if options.workers is not None and bounds:
         raise InvalidInput(
-            "executor dask: workers beside minimum or maximum",
+            "workers beside minimum or maximum",
             value=options.workers,
             expected="workers alone, or minimum and maximum",
             remedy="Leave workers out.",
         )
     if options.kind in ("local", "address") and bounds:
         raise InvalidInput(
-            "executor dask: minimum and maximum",
+            "minimum and maximum",
             value=bounds,
             expected="cluster: slurm or pbs, whose jobs come and go",
             remedy="Give workers instead.",
         )
     if options.kind == "address" and options.workers is not None:
         raise InvalidInput(
-            "executor dask: workers beside the address of a scheduler",
+            "workers beside the address of a scheduler",
             value=options.workers,
             expected="the workers that the scheduler has",
             remedy="Leave workers out.",
         )
     if options.minimum is not None and (options.maximum is None or options.minimum > options.maximum):
         raise InvalidInput(
-            "executor dask: minimum",
+            "minimum",
             value=options.minimum,
             expected="a maximum that is at least as large",
             remedy="Give one.",
@@ -165,7 +164,7 @@ def _require_jobs(options: DaskCluster) -> None:
     if options.kind not in ("slurm", "pbs"):
         if options.jobs:
             raise InvalidInput(
-                "executor dask: jobs",
+                "jobs",
                 value=dict(options.jobs),
                 expected="none, for this cluster has no jobs",
                 remedy="Choose cluster: slurm or pbs, or remove jobs.",
@@ -174,7 +173,7 @@ def _require_jobs(options: DaskCluster) -> None:
     for name in options.jobs:
         if name not in JOB_OPTIONS:
             raise InvalidInput(
-                "executor dask: jobs: unknown option",
+                "jobs: unknown option",
                 value=name,
                 expected=f"one of {', '.join(JOB_OPTIONS)}",
                 remedy=f"Remove {name}; directives of the queueing system go under extra.",
@@ -182,11 +181,11 @@ def _require_jobs(options: DaskCluster) -> None:
     for name in ("cores", "memory", "walltime"):
         if name not in options.jobs:
             raise InvalidInput(
-                f"executor dask: jobs.{name}",
+                f"jobs.{name}",
                 value=None,
                 expected="cores, memory and walltime of a job",
                 remedy=f"Add {name}.",
             )
-    require_count("executor dask: jobs.cores", options.jobs["cores"], remedy="Correct the number.")
+    require_count("jobs.cores", options.jobs["cores"], remedy="Correct the number.")
     walltime_seconds(options.jobs["walltime"])
     require_room_in_walltime(options.timeout, options.jobs["walltime"])

@@ -28,8 +28,8 @@ class LocalProcesses:
     """Runs in worker processes on this machine; a crash or a hang costs the one run that it hits.
 
     Args:
-        workers: Number of processes; None: one per core that this process may use. Each computes on one thread.
-        timeout: Seconds after which a run is killed; None: never.
+        workers: Worker processes; default: one per available core. Each computes on one thread.
+        timeout: Seconds after which a run is killed; default: never.
 
     Workers are fresh interpreters that load the model once. Each run has an empty folder of its own, removed after it.
     What the simulator prints is kept where the run did not end well. Workers without a run stay alive while there is
@@ -42,7 +42,7 @@ class LocalProcesses:
     asks_again: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        require_count("number of workers", self.workers, remedy="Leave it out to use all cores.")
+        require_count("workers", self.workers, remedy="Leave it out to use all cores.")
         require_timeout(self.timeout)
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:

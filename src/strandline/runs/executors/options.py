@@ -24,9 +24,9 @@ def require_timeout(timeout: float | None) -> None:
     """Refuse a timeout that is no time, or longer than a year."""
     if timeout is not None and not 0 < timeout <= LONGEST_TIMEOUT:
         raise InvalidInput(
-            "timeout of a run",
+            "timeout",
             value=timeout,
-            expected=f"seconds above 0, at most {LONGEST_TIMEOUT:.0f} (a year)",
+            expected=f"above 0, at most {LONGEST_TIMEOUT:.0f} seconds, a year",
             remedy="Leave it out for no limit.",
         )
 
@@ -38,7 +38,7 @@ def require_room_in_walltime(timeout: float | None, walltime: str | None) -> Non
     longest = walltime_seconds(walltime) - SPARE_SECONDS
     if timeout > longest:
         raise InvalidInput(
-            "timeout of a run beside the walltime of its job",
+            "timeout beside the walltime of a job",
             value=f"{timeout:g} s in a job of {walltime}",
             expected=f"at most {max(longest, 0.0):g} s, the walltime less {SPARE_SECONDS:g} s for start and end",
             remedy="Ask for a longer walltime, or shorten the timeout.",

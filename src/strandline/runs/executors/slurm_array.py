@@ -60,16 +60,17 @@ class SlurmArray:
         folder: Folder of the batches, on a file system that the nodes see.
         command: Command that a job runs, followed by the batch's folder and the run's number;
             `strandline.runs.array_task` shows what it must do.
-        timeout: Seconds after which a run is killed; None: never.
-        walltime: Walltime of a job; a run that reaches its end is a ``timeout``.
-        partition: Partition; by default the cluster's.
-        account: Account; by default the user's.
-        cpus: Number of CPUs of a job.
-        memory: Memory of a job, as SLURM writes it.
-        max_running: Largest number of jobs that run at the same time.
-        max_jobs: Largest number of jobs that SLURM has at the same time; by default all.
-        extra: Further options of ``sbatch``.
-        poll: Seconds between two looks.
+        timeout: Seconds after which a run is killed; default: never.
+        walltime: Walltime of a job, in quotes as for ``dask``; a run that reaches its end is a ``timeout``; default:
+            the partition's.
+        partition: Partition; default: the cluster's.
+        account: Account to charge; default: the user's.
+        cpus: CPUs per job.
+        memory: Memory per job, ``8G``.
+        max_running: Maximum number of running jobs.
+        max_jobs: Maximum number of jobs with SLURM; default: all.
+        extra: Further ``sbatch`` options.
+        poll: Seconds between polls.
         detach: Whether to submit and leave, by raising `Detached`.
 
     Raises:
@@ -93,14 +94,12 @@ class SlurmArray:
     def __post_init__(self) -> None:
         require_timeout(self.timeout)
         for name in ("cpus", "max_running", "max_jobs"):
-            require_count(f"executor slurm_array: {name}", getattr(self, name), remedy="Correct the number.")
+            require_count(name, getattr(self, name), remedy="Correct the number.")
         if self.walltime is not None:
             walltime_seconds(self.walltime)
         require_room_in_walltime(self.timeout, self.walltime)
         if not self.poll > 0:
-            raise InvalidInput(
-                "executor slurm_array: poll", value=self.poll, expected="seconds above 0", remedy="Correct the number."
-            )
+            raise InvalidInput("poll", value=self.poll, expected="seconds above 0", remedy="Correct the number.")
 
     def outstanding(self, model: ForwardModel, keys: Iterable[str]) -> frozenset[str]:
         """Return those of the runs `keys` that SLURM has, or has done and nobody has collected.
@@ -274,7 +273,7 @@ class _Driver:
                 "a job could not load the model",
                 value=(record.message or "").splitlines()[0],
                 expected="a model that the nodes can load as this machine does",
-                remedy="Mend that and run again; the jobs of this array are cancelled.",
+                remedy="Fix that and run again; the jobs of this array are cancelled.",
             )
         return record
 
@@ -304,7 +303,7 @@ def _without_result(batch: Batch, index: int, request: RunRequest, job_state: st
     """Return the record of a run whose job ended with this state and left no result."""
     word = (job_state or "").split("+")[0]
     state, kind = ENDINGS.get(word, ("killed", "worker_died"))
-    told = f"SLURM says {job_state}" if job_state else "SLURM knows it no more"
+    told = f"SLURM says {job_state}" if job_state else "SLURM no longer knows it"
     message = f"job {batch.job}_{index} of this run ended without a result; {told}"
     record = RunRecord(request.key, request.inputs, state, failure_kind=kind, message=message)
     return with_log(record, batch.log_tail(index))

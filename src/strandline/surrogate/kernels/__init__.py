@@ -1,17 +1,21 @@
 """Correlation functions of the Gaussian processes: one file each, and a line in `KERNELS`."""
 
+from typing import Any
+
 from strandline.errors import InvalidInput
+from strandline.registry import lookup
+from strandline.surrogate.kernels.isotropic import Isotropic
 from strandline.surrogate.kernels.matern32 import MATERN32
 from strandline.surrogate.kernels.matern32_ard import MATERN32_ARD
 from strandline.surrogate.kernels.matern32_product import MATERN32_PRODUCT
 from strandline.surrogate.kernels.matern52 import MATERN52
 from strandline.surrogate.kernels.matern52_ard import MATERN52_ARD
 from strandline.surrogate.kernels.matern52_product import MATERN52_PRODUCT
-from strandline.surrogate.kernels.protocol import Kernel, LengthScale, as_length_scale, as_lengths
+from strandline.surrogate.kernels.protocol import Kernel, LengthScale, as_length_scale, as_lengths, exp
 from strandline.surrogate.kernels.squared_exponential import SQUARED_EXPONENTIAL
 from strandline.surrogate.kernels.squared_exponential_ard import SQUARED_EXPONENTIAL_ARD
 
-__all__ = ["KERNELS", "Kernel", "LengthScale", "as_length_scale", "as_lengths", "kernel_named"]
+__all__ = ["KERNELS", "Isotropic", "Kernel", "LengthScale", "as_length_scale", "as_lengths", "exp", "kernel_named"]
 
 KERNELS: dict[str, Kernel] = {
     "matern32": MATERN32,
@@ -25,17 +29,18 @@ KERNELS: dict[str, Kernel] = {
 }
 
 
-def kernel_named(name: str) -> Kernel:
-    """Return the kernel of that name.
+def kernel_named(name: str, *, what: str = "name of the kernel") -> Kernel:
+    """Return the kernel of that name in `KERNELS`, or the object ``module:name``; `what` it is called in messages.
 
     Raises:
-        InvalidInput: no such kernel.
+        InvalidInput: There is no such kernel, or the object is none.
     """
-    if name not in KERNELS:
+    found: Any = lookup(KERNELS, name, what)
+    if not isinstance(found, Kernel):
         raise InvalidInput(
-            "name of the kernel",
+            what,
             value=name,
-            expected=f"one of {', '.join(KERNELS)}",
-            remedy="Choose one of these or add a line to strandline.surrogate.kernels.KERNELS.",
+            expected="an object with the methods of strandline.surrogate.kernels.Kernel",
+            remedy="Check it with strandline.testing.kernels.",
         )
-    return KERNELS[name]
+    return found

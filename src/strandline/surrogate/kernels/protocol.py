@@ -55,7 +55,7 @@ class Kernel(Protocol):
 
     @property
     def name(self) -> str:
-        """The key in `KERNELS`."""
+        """Its name, for messages and results."""
         ...
 
     @property

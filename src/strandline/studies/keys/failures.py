@@ -2,15 +2,12 @@
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
-from strandline.studies.scalars import MOST_RETRIES, Count, Number
+from strandline.studies.keys.scalars import MOST_RETRIES, Count, Number
+from strandline.studies.keys.section import Section
 
 __all__ = ["Failures", "Stop"]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def _action(value: Any) -> Any:
@@ -23,11 +20,13 @@ def _action(value: Any) -> Any:
     raise ValueError(f"continue, abort, or {{retry: N}} with N from 1 to {MOST_RETRIES}")
 
 
-class Stop(_Strict):
+class Stop(Section):
     """When a campaign nearly all of whose runs fail is stopped."""
 
     share: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    """share of failed runs that stops the study, above 0, at most 1; never: `failures: {stop: never}`"""
     after: Count = 20
+    """… once this many are done"""
 
 
 def _stop(value: Any) -> Any:
@@ -39,8 +38,9 @@ def _stop(value: Any) -> Any:
     return value
 
 
-class Failures(_Strict):
+class Failures(Section):
     """What is done about forward runs that fail, by kind or state."""
 
     kinds: dict[str, Annotated[str | int, BeforeValidator(_action)]] = {}
+    """by kind or state of a [failed run](../how-to/when-runs-fail.md): `continue`, `abort` or `{retry: N}`"""
     stop: Annotated[Stop | None, BeforeValidator(_stop)] = Stop()

@@ -17,6 +17,7 @@ __all__ = [
     "Number",
     "Seconds",
     "Seed",
+    "Size",
     "Text",
     "Unit",
     "Whole",
@@ -74,6 +75,8 @@ def _seconds(value: float) -> float:
 Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Count = Annotated[Whole, Field(ge=1, le=MOST)]
+Size = Annotated[Whole, Field(le=MOST)]
+"""A count whose least value somebody else knows."""
 Seed = Annotated[Whole, Field(ge=0, lt=2**32)]
 Name = Annotated[str, AfterValidator(_name)]
 Unit = Annotated[str, AfterValidator(_label)]

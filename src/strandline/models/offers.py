@@ -1,0 +1,108 @@
+"""What a forward model may offer beside its runs: a protocol for each, met by having the method.
+
+None is needed. Each adds something: the undeformed interface a check and a figure, `on_finer_mesh` an error in `check`.
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from strandline.errors import InvalidInput
+from strandline.interface import Interface
+from strandline.models.protocol import ForwardModel
+
+__all__ = [
+    "DrawsFields",
+    "KeepsFolders",
+    "KnowsUndeformed",
+    "SolvesOnFinerMesh",
+    "UsesNames",
+    "undeformed_interface",
+]
+
+
+@runtime_checkable
+class KnowsUndeformed(Protocol):
+    """A model that knows its interface before any load.
+
+    strandline then checks the unit and the direction of an observation before the first run, and draws the interface.
+    """
+
+    def undeformed(self) -> Interface:
+        """Return the undeformed interface, mm."""
+        ...
+
+
+@runtime_checkable
+class SolvesOnFinerMesh(Protocol):
+    """A model that can run on the next finer mesh: `strandline check` then reports the error of its own mesh."""
+
+    def on_finer_mesh(self, inputs: Mapping[str, float]) -> Mapping[str, Interface]:
+        """Return the interfaces by condition, mm.
+
+        Raises:
+            ForwardModelError: The run failed.
+        """
+        ...
+
+
+@runtime_checkable
+class DrawsFields(Protocol):
+    """A model that knows velocity, pressure and displacement in its domain: the report then draws them."""
+
+    def fields(self, inputs: Mapping[str, float]) -> Any:
+        """Return the fields of a run, as `strandline.models.biofilm.FlowFields` has them.
+
+        Raises:
+            ForwardModelError: The run failed.
+        """
+        ...
+
+
+@runtime_checkable
+class KeepsFolders(Protocol):
+    """A model that keeps the folders of its runs, which are removed otherwise.
+
+    `keep` says which: ``all``, ``failed`` or ``none``.
+    """
+
+    @property
+    def keep(self) -> str:
+        """Which folders are kept."""
+        ...
+
+    def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
+        """Move the folder of a run that has ended to where it is kept, and return its new place; None if it is not."""
+        ...
+
+
+@runtime_checkable
+class UsesNames(Protocol):
+    """A model that does not declare its inputs but knows which names it uses, from its templates for example."""
+
+    def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
+        """Refuse unknown inputs and fixed quantities that it does not use.
+
+        Raises:
+            InvalidInput: There is one, or one is missing.
+        """
+        ...
+
+
+def undeformed_interface(model: ForwardModel) -> Interface | None:
+    """Return the interface before any load, mm; None if `model` does not know it.
+
+    Raises:
+        InvalidInput: `undeformed` is no method, or returns no interface.
+    """
+    if not isinstance(model, KnowsUndeformed):
+        return None
+    found: Any = model.undeformed() if callable(model.undeformed) else None
+    if not isinstance(found, Interface):
+        raise InvalidInput(
+            f"undeformed interface of {type(model).__name__}",
+            value=f"a {type(found).__name__}" if callable(model.undeformed) else "an attribute",
+            expected="a method undeformed() that returns an Interface",
+            remedy="Correct the model; strandline.testing.simulators checks it.",
+        )
+    return found

@@ -1,0 +1,97 @@
+"""The whole of study.yaml, version 1. These objects never leave `studies`."""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from strandline.errors import InvalidStudy
+from strandline.studies.keys.design import Design, Sampler, Surrogate
+from strandline.studies.keys.executor import ExecutorChoice
+from strandline.studies.keys.failures import Failures
+from strandline.studies.keys.observation import Noise, Observed
+from strandline.studies.keys.scalars import Name, Number, Seed, Unit
+from strandline.studies.keys.section import Choice, Section, Switch
+
+__all__ = ["SCHEMA_VERSION", "Input", "Quantity", "StudyFile"]
+
+SCHEMA_VERSION = 1
+
+
+class Quantity(Section):
+    """A known input with its unit."""
+
+    value: Number
+    """or as `{value: …, unit: …}`: the number"""
+    unit: Unit
+    """its unit, which is checked"""
+
+
+def _symbol(value: str) -> str:
+    """Refuse a label that no line of a figure can hold."""
+    if not value.strip() or len(value) > 30 or not value.isprintable():
+        raise ValueError("a symbol of 1 to 30 characters on one line, e.g. ν")
+    return value.strip()
+
+
+class Input(Section):
+    """An unknown input."""
+
+    prior: Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]
+    """a [distribution](#priors) with its numbers"""
+    unit: Unit | None = None
+    """the model's unit; omit for a pure number"""
+    box: tuple[Number, Number] | None = None
+    """[low, high] of forward runs; default: prior's support"""
+    nuisance: Switch = False
+    """[uncertain, but not calibrated](../how-to/uncertain-experiment.md): the result is averaged over it"""
+    label: Annotated[str, AfterValidator(_symbol)] | None = None
+    """symbol in figures, report and tables, e.g. `V̇_in`: one line of up to 30 characters; an underscore starts a
+    subscript; default: the name"""
+
+
+class StudyFile(Section):
+    """The whole of study.yaml."""
+
+    version: Literal[1]
+    """1"""
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
+    """letters, digits, `_`, `.`, `-`; starts with a letter or digit"""
+    model: Choice
+    """a [simulator](#models) with its options"""
+    fixed: dict[Name, Number | Quantity] = {}
+    """a known input: a number in the model's unit"""
+    inputs: Annotated[dict[Name, Input], Field(min_length=1)]
+    observation: Observed
+    discrepancy: Choice | Annotated[list[Choice], Field(min_length=1)]
+    """a [measure](#measures) with its options, or a list of them"""
+    noise: Noise
+    design: Design
+    surrogate: Surrogate = Surrogate()
+    sampler: Sampler = Sampler()
+    executor: ExecutorChoice = ExecutorChoice()
+    failures: Failures = Failures()
+    sensitivities: Switch = False
+    """runs also return d(interface)/d(input), kept in the ledger"""
+    reuse: list[str] = []
+    """other studies' folders, relative to this one, to reuse fitting runs"""
+    seed: Seed = 1
+    """for every random number after the design"""
+
+    @model_validator(mode="after")
+    def _fitting_surrogate(self) -> "StudyFile":
+        if self.design.active is not None and self.surrogate.log_likelihood is not None:
+            raise _unfit(
+                "an active design with a surrogate of the log-likelihood",
+                "`surrogate: {field: {}}` for an active design, or `design: {sobol: {runs: …}}`",
+            )
+        if self.design.refine is not None and self.surrogate.field is not None:
+            raise _unfit(
+                "rounds of refinement with a surrogate of the field",
+                "`design: {active: …}` to refine a surrogate of the field",
+            )
+        return self
+
+
+def _unfit(value: str, expected: str) -> InvalidStudy:
+    what = "study.yaml: design and surrogate do not fit together"
+    return InvalidStudy(what, value=value, expected=expected, remedy="Change one of the two keys.")
