@@ -1,5 +1,7 @@
 """Many interfaces at once against one after the other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.discrepancy.surfaces import sheet, sphere
@@ -15,9 +17,12 @@ from strandline.discrepancy import (
 )
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
 from strandline.discrepancy.currents import QUADRATURES
-from strandline.discrepancy.products.many_currents import BLOCK
+from strandline.discrepancy.products import many_currents
+from strandline.discrepancy.products.many_currents import BLOCK, FEWEST
+from strandline.discrepancy.products.pieces import Pairs
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
+from strandline.models.biofilm.outline import Outline
 
 LINES = [[x, 0.0, 0.1, 1.0] for x in (0.2, 0.5, 0.8)]
 EXACT: list[Discrepancy] = [
@@ -28,9 +33,10 @@ EXACT: list[Discrepancy] = [
     TrackedPoints(),
     *(ClosestPoint(direction=d, weighting=w) for d in DIRECTIONS for w in WEIGHTINGS),
 ]
-CURRENTS = [Currents(width, quadrature=quadrature) for width in (0.02, 0.1, 0.6) for quadrature in QUADRATURES]
-CUT_OFF = 2e-5
-"""What pairs beyond the reach and single precision take from the currents, of <T,T>."""
+CURRENTS = [
+    *(Currents(width, quadrature=quadrature) for width in (0.02, 0.1, 0.6) for quadrature in QUADRATURES),
+    *(Currents(0.02, tolerance=tolerance) for tolerance in (1e-3, 1e-9)),
+]
 
 
 def runs(kind: str, number: int, *, seed: int = 1, noise: float = 0.02) -> tuple[np.ndarray, Interface, Interface]:
@@ -66,37 +72,96 @@ def test_distances_are_the_same(measure: Discrepancy, kind: str) -> None:
 
 
 def within(measure: Discrepancy, found: np.ndarray, expected: np.ndarray, seen: Interface) -> bool:
-    """Tell whether d² is right: currents to 2 % of d² and 2e-4 of <T,T> where segments are cut into pieces."""
+    """Tell whether d² is right, the refined currents to their tolerance of <T,T>."""
     bound = 1e-10
     if isinstance(measure, Currents):
         square = measure.inner(seen, seen)
-        bound = CUT_OFF * square if measure.quadrature == "centre" else 2e-4 * square + 0.02 * expected
-    return bool((found >= 0).all() and (np.abs(found - expected) < bound).all())
+        bound = (measure.tolerance if measure.quadrature == "refined" else 1e-12) * square
+    return bool((found >= 0).all() and (np.abs(found - expected) <= bound).all())
 
 
 @pytest.mark.parametrize("kind", ["open", "closed"])
+@pytest.mark.parametrize("noise", [1e-3, 0.02, 0.3])
 @pytest.mark.parametrize("measure", CURRENTS, ids=str)
-def test_currents_are_the_same_to_a_bound(measure: Currents, kind: str) -> None:
-    points, template, seen = runs(kind, 12)
-    found = squared_discrepancies(measure, points, template, seen)
-    expected = one_by_one(measure, points, template, seen)
-    assert within(measure, found, expected, seen)
-    assert not within(measure, 1.05 * found + 4e-4 * measure.inner(seen, seen), expected, seen)
+def test_currents_keep_their_tolerance(measure: Currents, noise: float, kind: str) -> None:
+    points, template, seen = runs(kind, 40, noise=noise)
+    found = measure.many(points, template, seen)
+    assert found is not None
+    finer = replace(measure, tolerance=1e-11)
+    assert within(measure, found, one_by_one(finer, points, template, seen), seen)
 
 
-@pytest.mark.parametrize("kind", ["open", "closed"])
-@pytest.mark.parametrize("width", [0.05, 0.1, 0.6])
-def test_short_pieces_leave_the_cut_off_only(width: float, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error of the midpoint rule, at kinks and open ends, goes with the square of a piece."""
-    points, template, seen = runs(kind, 4)
-    measure, errors = Currents(width), []
-    expected = one_by_one(measure, points, template, seen)
-    for longest in (0.4, 0.2, 0.1):
-        monkeypatch.setattr("strandline.discrepancy.products.many_currents.LONGEST_PIECE", longest)
-        found = squared_discrepancies(measure, points, template, seen)
-        errors.append(float(np.abs(found - expected).max()) / measure.inner(seen, seen))
-    assert errors[2] < 5e-5
-    assert errors[2] < 0.5 * errors[0] + CUT_OFF
+@pytest.mark.parametrize("quadrature", QUADRATURES)
+@pytest.mark.parametrize("width", [0.002, 0.005, 0.05])
+def test_currents_of_a_sheared_biofilm_keep_their_tolerance(width: float, quadrature: str) -> None:
+    """At 0.002 mm, segments are longer than a piece of the Gauss rule and are divided."""
+    template = Outline().interface()
+    x, y = template.points.T
+    move = np.stack([y / 0.47 + 0.1 * np.sin(9 * x), -0.3 * x * y], axis=1)
+    points = template.points + np.linspace(0.0, 0.09, 20)[:, None, None] * move
+    seen = Interface(template.points + 0.05 * move, template.cells)
+    measure = Currents(width, quadrature=quadrature)
+    found = measure.many(points, template, seen)
+    assert found is not None
+    finer = replace(measure, tolerance=1e-11)
+    assert within(measure, found, one_by_one(finer, points, template, seen), seen)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_currents_know_no_unit(unit: float) -> None:
+    points, template, seen = runs("open", 20)
+    found = Currents(0.1).many(points, template, seen)
+    other = Currents(0.1 * unit).many(
+        unit * points + 5 * unit, template, Interface(unit * seen.points + 5 * unit, seen.cells)
+    )
+    assert found is not None
+    assert other is not None
+    np.testing.assert_allclose(other, unit**2 * found, rtol=1e-9, atol=1e-12 * unit**2)
+
+
+def test_currents_of_unlike_runs_keep_their_tolerance() -> None:
+    """Runs that are far off, turned and stretched: some pairs are far beyond what the loop need count."""
+    points, template, seen = runs("open", 30)
+    angles = np.linspace(0.0, 6.0, 30)
+    turn = np.array([[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]])
+    points = np.einsum("ijr,rpj->rpi", turn, points) * np.geomspace(1, 30, 30)[:, None, None]
+    points[-3:] += 1e4
+    each = [Interface(row, template.cells) for row in points]
+    for width in (0.01, 0.1, 3.0):
+        measure = Currents(width)
+        found = measure.many(points, template, seen)
+        assert found is not None
+        square, own = measure.inner(seen, seen), np.array([measure.inner(one, one) for one in each])
+        expected = own - 2 * np.array([measure.inner(one, seen) for one in each]) + square
+        assert (np.abs(found - expected) <= 2e-6 * np.maximum(own, square)).all()
+
+
+@pytest.mark.parametrize("planted", ["a coarse rule", "a short reach", "nothing"])
+def test_rules_that_are_too_coarse_show(planted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    points, template, seen = runs("open", 20)
+    measure = Currents(0.02)
+    if planted == "a coarse rule":
+        monkeypatch.setattr(many_currents, "MARGIN", 1e4)
+    elif planted == "a short reach":
+        near = Pairs.near
+        monkeypatch.setattr(Pairs, "near", lambda a, b, reach: near(a, b, 0.5 * reach))
+    found = measure.many(points, template, seen)
+    assert found is not None
+    right = within(measure, found, one_by_one(replace(measure, tolerance=1e-10), points, template, seen), seen)
+    assert right == (planted == "nothing")
+
+
+def test_a_finer_tolerance_takes_higher_orders() -> None:
+    points, template, seen = runs("open", 20)
+    errors = []
+    for tolerance in (1e-2, 1e-4, 1e-6, 1e-8):
+        measure = Currents(0.05, tolerance=tolerance)
+        found = measure.many(points, template, seen)
+        assert found is not None
+        exact = one_by_one(replace(measure, tolerance=1e-12), points, template, seen)
+        errors.append(np.abs(found - exact).max() / measure.inner(seen, seen))
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] > 1e3 * errors[2]
 
 
 @pytest.mark.parametrize("kind", ["sheet", "sphere"])
@@ -140,7 +205,7 @@ def test_a_pair_out_of_reach_in_one_run_only_is_not_left_out() -> None:
 
 
 def test_interfaces_need_not_have_the_nodes_of_the_observed_one() -> None:
-    points, template, seen = runs("open", 10)
+    points, template, seen = runs("open", FEWEST)
     coarse = seen.resampled(9)
     for measure in (MeasurementLines(4), ClosestPoint(), Currents(0.1)):
         found = squared_discrepancies(measure, points, template, coarse)

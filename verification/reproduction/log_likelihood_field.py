@@ -5,12 +5,14 @@ The grid is in the coordinates of the table, along which the ridge of the likeli
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import NdBSpline, make_interp_spline
-from verification.reproduction.batch import batch_log_likelihood
 from verification.reproduction.field_table import FieldTable, LoadCoordinates
 
+from strandline.discrepancy import squared_discrepancies
+from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
 
 __all__ = ["LogLikelihoodField", "log_likelihood_field", "spline_field"]
@@ -66,11 +68,22 @@ def log_likelihood_field(
     fixed = None if rate is None else 2 * (rate - low) / (high - low) - 1
     rates = np.linspace(-1.0, 1.0, nodes[2]) if fixed is None else np.array([fixed])
     values = np.empty((len(s), len(nu), len(rates)))
+    jax.config.update("jax_enable_x64", True)
     for i in range(len(s)):
         for k in range(len(rates)):
             shapes = table.on_grid(s[i : i + 1], nu, rates[k : k + 1])[0, :, 0]
-            values[i, :, k] = batch_log_likelihood(likelihood, shapes)
+            values[i, :, k] = _log_likelihood(likelihood, shapes)
     return spline_field(table.coordinates, (s, nu, rates), values)
+
+
+def _log_likelihood(
+    likelihood: InterfaceLikelihood, shapes: Float[np.ndarray, "run point 2"]
+) -> Float[np.ndarray, " run"]:
+    """Return log L of each polyline, without the constant."""
+    (seen,) = likelihood.observations
+    template = Interface.polyline(shapes[0])
+    squares = squared_discrepancies(likelihood.discrepancy, shapes, template, seen.interface)
+    return seen.noise.log_density(squares)
 
 
 def spline_field(

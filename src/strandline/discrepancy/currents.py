@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.products.kernel_integrals import centre_product, natural_scale, refined_product
-from strandline.discrepancy.products.many_currents import currents_of_many
+from strandline.discrepancy.products.many_currents import Rule, currents_of_many
 from strandline.discrepancy.products.surface_integrals import refined_surface_product
 from strandline.discrepancy.protocol import require_alike
 from strandline.errors import InvalidInput, InvalidInterface
@@ -85,11 +85,14 @@ class Currents:
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
-        """Return d² of polylines of the same segments, mm², to some 1e-4 of ⟨T,T⟩ and 1e-2 of d²; None for surfaces."""
+        """Return d² of polylines of the same segments, mm², to `tolerance`; None for surfaces and for few runs."""
         if template.dim == 3:
             return None
-        refined, own, seen = self.quadrature == "refined", template.cells, observed.points
-        return currents_of_many(points, own, seen, observed.cells, width=self.width, refined=refined)
+        bound = _bound(self, Snapshot.of(observed))
+        refined = self.quadrature == "refined"
+        rule = Rule((self.tolerance if refined else _FINEST) * bound.square, bound.share if refined else None)
+        polylines = points, template.cells, observed.points, observed.cells
+        return currents_of_many(*polylines, width=self.width, square=bound.square, rule=rule)
 
     def terms(self, observed: Interface) -> None:
         """Return None: the norm is no sum of independent distances."""

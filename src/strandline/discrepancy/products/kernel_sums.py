@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.polynomial import Chebyshev, Polynomial
 from scipy.spatial import cKDTree
 
 from strandline.numerics.compiled import WIDEST
+from strandline.numerics.exp2 import WHOLE, exp2_of_minus
 from strandline.numerics.threads import double, side_by_side
 
 __all__ = ["Nodes", "kernel_sum"]
@@ -33,10 +33,6 @@ _UNROLLED = 8
 """Partners that one step of the loop takes."""
 _GATHERED = 1 << 19
 """Partners, of all tiles together, in one compiled call."""
-_POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
-"""Coefficients of 2**t on |t| ≤ 1/2, to 2e-14 of it."""
-_WHOLE = 1.5 * 2.0**52
-"""Added to a number, it leaves the nearest whole one in the last bits."""
 _CLOSE = 300.0
 """|x|² + |y|², times log₂e/2σ², up to which |x - y|² may be had from x·y: to 1e-13 of the kernel, which is no 0 yet."""
 
@@ -183,7 +179,7 @@ def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
 
     def sums(batch: _Batch) -> float:
         rows = (np.moveaxis(column[batch.tiles], 2, 1) for column in (x, a.normals))
-        found = _tile_sums()(*rows, others[batch.partners], batch.begin, batch.end, batch.weights, _WHOLE, close=close)
+        found = _tile_sums()(*rows, others[batch.partners], batch.begin, batch.end, batch.weights, WHOLE, close=close)
         return float(found)
 
     return sums
@@ -209,7 +205,9 @@ def _tile_sums() -> Callable[..., Any]:
         def step(k: jax.Array, sums: jax.Array) -> jax.Array:
             some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim + 1))
             for y in some:
-                sums = sums + _exp2(square(y), whole, bounded=close) * sum(n[i] * y[dim + i] for i in range(dim))
+                sums = sums + exp2_of_minus(square(y), whole, bounded=close) * sum(
+                    n[i] * y[dim + i] for i in range(dim)
+                )
             return sums
 
         sums = jax.lax.fori_loop(0, (last - first) // _UNROLLED, step, jnp.zeros(x.shape[1]))
@@ -221,21 +219,3 @@ def _tile_sums() -> Callable[..., Any]:
         return jax.lax.scan(task, 0.0, (x, n, begin, end, weights))[0]
 
     return tile_sums
-
-
-def _exp2(x: Any, whole: Any, *, bounded: bool) -> Any:
-    """Return 2**-x for x ≥ 0, to 2e-14 of it, and less than 1e-270 where it is less: half the time of `jnp.exp2`.
-
-    The nearest whole number goes into the exponent of the result, the rest through a polynomial. `whole` is `_WHOLE`,
-    handed in so that the compiler cannot cancel it. A `bounded` x is less than 1000.
-    """
-    from jax import lax
-
-    x = x if bounded else lax.min(x, 900.0)
-    shifted = whole - x
-    share = (whole - shifted) - x
-    power = _POWERS[-1]
-    for coefficient in _POWERS[-2::-1]:
-        power = power * share + coefficient
-    bits = lax.bitcast_convert_type(shifted, np.dtype(np.int64)) << 52
-    return lax.bitcast_convert_type(lax.bitcast_convert_type(power, np.dtype(np.int64)) + bits, np.dtype(np.float64))

@@ -1,51 +1,50 @@
-"""The currents measure on a batch of polylines: every segment in short pieces, one kernel value for two of them.
+"""The currents measure on a batch of polylines, exact to its tolerance: Gauss rules on the pieces of both sides.
 
-For pieces no longer than `LONGEST_PIECE` kernel widths the midpoint rule is exact to some 1e-3 of the noise that it is
-compared with, since the kernel is a Gaussian; only kinks count. Neighbours in a batch hardly differ, so that most pairs
-of pieces are too far apart in all of them and are left out together. Kernel values are single precision, their sums
-double: 1e-6 of ⟨T,T⟩.
+Neighbours in a batch hardly differ, so that most pairs of pieces are too far apart in all of them and are left out
+together. What is left is summed by a compiled loop, a pair a step, with the runs on the last axis. Lengths in it are in
+units of σ_W √(2 ln 2), in which the kernel is 2^-|x - y|².
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Int
 
-from strandline.numerics.threads import threads
+from strandline.discrepancy.products.kernel_integrals import PANEL, gauss_order
+from strandline.discrepancy.products.piece_sums import Orders, PieceSum, compiled_sum, plain_sum
+from strandline.discrepancy.products.pieces import Division, Pairs, Pieces, lengths
+from strandline.discrepancy.search.blocks import similar
+from strandline.numerics.compiled import ample
+from strandline.numerics.threads import double, side_by_side
 
-__all__ = ["currents_of_many"]
+__all__ = ["Rule", "currents_of_many"]
 
-LONGEST_PIECE = 1.5
-"""Length of a piece of a segment, in kernel widths, for the integral; with the centre rule a segment is one piece."""
-REACH = 4.5
-"""Kernel widths beyond which a pair counts for nothing, e^-10 of a pair at one place."""
+FEWEST = 16
+"""Runs from which it is worth compiling."""
 BLOCK = 256
-"""Interfaces worked on together."""
-CHUNK = 128
-"""Pairs of pieces worked on together: with their block they fit into a core's cache."""
+"""Runs worked on together."""
+PROBES = 8
+"""Runs of a batch on which the orders of the Gauss rules are tried."""
+MARGIN = 0.1
+"""Share of the tolerance that the probes may use up."""
+_UNIT = math.sqrt(2 * math.log(2))
+"""Unit of length, in kernel widths."""
 
 
-_Rows = Int[np.ndarray, " _"]
-_Values = Float[np.ndarray, " _"]
+@dataclass(frozen=True)
+class Rule:
+    """What a batch is integrated to.
 
+    Args:
+        tolerance: Largest error of d², mm².
+        share: Error of an inner product, relative to its natural scale, that is small enough by the error bound
+            (`gauss_order`); None for one point a segment.
+    """
 
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    """Midpoints and steps of the pieces of a block of polylines; runs on the last axis."""
-
-    middles: Float32[np.ndarray, "piece 2 run"]
-    steps: Float32[np.ndarray, "piece 2 run"]
-
-    @classmethod
-    def of(cls, points: Float32[np.ndarray, "point 2 run"], cells: Int[np.ndarray, "cell 2"], parts: int) -> "_Pieces":
-        start = points[cells[:, 0]]
-        step = (points[cells[:, 1]] - start) / parts
-        shares = np.arange(parts, dtype=np.float32)[:, None, None] + np.float32(0.5)
-        middles = start[:, None] + step[:, None] * shares
-        return cls(middles.reshape(-1, *points.shape[1:]), np.repeat(step, parts, axis=0))
+    tolerance: float
+    share: float | None
 
 
 def currents_of_many(
@@ -55,9 +54,13 @@ def currents_of_many(
     observed_cells: Int[np.ndarray, "other_cell 2"],
     *,
     width: float,
-    refined: bool,
-) -> Float[np.ndarray, " run"]:
-    """Return d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of each polyline S, mm²; never negative.
+    square: float,
+    rule: Rule,
+) -> Float[np.ndarray, " run"] | None:
+    """Return d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of each polyline S, mm²; None for few runs, or with JAX in single precision.
+
+    The orders of the Gauss rules are the lowest for which the error of some runs, as unlike as the batch has them, is
+    a tenth of the tolerance at most. Those of the error bound are the highest.
 
     Args:
         points: Points of the simulated polylines (run, point, 2), mm.
@@ -65,69 +68,89 @@ def currents_of_many(
         observed: Points of the observed polyline T, mm.
         observed_cells: Segments of the observed polyline.
         width: Kernel width σ_W, mm.
-        refined: Whether to integrate along the segments, or to take one point per segment.
+        square: ⟨T,T⟩, mm².
+        rule: Error allowed.
     """
-    parts = (_parts(points[:1], cells, width), _parts(observed[None], observed_cells, width)) if refined else (1, 1)
-    middle = observed.mean(axis=0)
-    target = _Pieces.of((observed - middle)[:, :, None].astype(np.float32), observed_cells, parts[1])
-    square = float(_product(target, target, width)[0])
-    order = np.argsort(points.mean(axis=1) @ np.ones(2), kind="stable")
-    points = (points - middle).astype(np.float32)
-
-    def block(rows: _Rows) -> _Values:
-        pieces = _Pieces.of(np.ascontiguousarray(np.moveaxis(points[rows], 0, 2)), cells, parts[0])
-        return np.asarray(_product(pieces, pieces, width) - 2 * _product(pieces, target, width) + square)
-
-    values = np.empty(len(points))
-    rows = [order[k : k + BLOCK] for k in range(0, len(order), BLOCK)]
-    for some, found in zip(rows, _side_by_side(block, rows), strict=True):
-        values[some] = found
-    return np.maximum(values, 0.0)
+    if len(points) < FEWEST or not double():
+        return None
+    unit, middle = _UNIT * width, observed.mean(axis=0)
+    (order,) = similar(points, len(points))
+    shapes, seen = np.moveaxis((points[order] - middle) / unit, 0, 2), (observed - middle) / unit
+    batch = _Batch.of(shapes, cells, seen, observed_cells, Rule(rule.tolerance / unit**2, rule.share))
+    orders = batch.orders()
+    blocks = np.array_split(np.arange(len(points)), -(-len(points) // BLOCK))
+    found = np.empty(len(points))
+    found[order] = np.concatenate([*side_by_side(partial(batch.compiled, orders=orders), blocks)])
+    return np.maximum(unit**2 * found + square, 0.0)
 
 
-def _side_by_side(task: Callable[[_Rows], _Values], parts: Sequence[_Rows]) -> Iterator[_Values]:
-    workers = min(threads(), len(parts))
-    if workers < 2:
-        yield from map(task, parts)
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        yield from pool.map(task, parts)
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Polylines S of many runs, the more alike the closer, and the one observed, T.
+
+    Args:
+        points: Points of the simulated polylines.
+        own: Division of their segments.
+        target: Pieces of the observed polyline.
+        longest: Longest piece of S and of T, in kernel widths.
+        reach: Distance beyond which all pairs together make no more than a tenth of the tolerance.
+        rule: Error allowed, in squares of the unit.
+    """
+
+    points: Float[np.ndarray, "point 2 run"]
+    own: Division
+    target: Pieces
+    longest: tuple[float, float]
+    reach: float
+    rule: Rule
+
+    @classmethod
+    def of(
+        cls,
+        points: Float[np.ndarray, "point 2 run"],
+        cells: Int[np.ndarray, "cell 2"],
+        observed: Float[np.ndarray, "other 2"],
+        observed_cells: Int[np.ndarray, "other_cell 2"],
+        rule: Rule,
+    ) -> "_Batch":
+        ours, theirs = lengths(points, cells), lengths(observed, observed_cells)
+        panel = PANEL / _UNIT if rule.share else math.inf
+        own, target = Division.of(cells, ours.max(axis=1), panel), Division.of(observed_cells, theirs, panel)
+        whole = max(float(ours.sum(axis=0).max()), float(theirs.sum()))
+        reach = math.sqrt(math.log2(max(whole**2 / (MARGIN * rule.tolerance), 1.0)))
+        longest = _UNIT * own.longest, _UNIT * target.longest
+        return cls(points, own, target.pieces(observed), longest, reach, rule)
+
+    def orders(self) -> Orders:
+        """Return the lowest orders with which no probe errs by more than a tenth of the tolerance."""
+        if self.rule.share is None:
+            return 1, 1
+        probes = np.unique(np.linspace(0, self.points.shape[2] - 1, PROBES).astype(int))
+        *coarser, finest = _ladder(self.longest, self.rule.share)
+        exact = self.in_numpy(probes, finest)
+        for orders in coarser:
+            if abs(self.in_numpy(probes, orders) - exact).max() <= MARGIN * self.rule.tolerance:
+                return orders
+        return finest
+
+    def compiled(self, rows: Int[np.ndarray, " some"], orders: Orders) -> Float[np.ndarray, " some"]:
+        """Return ⟨S,S⟩ - 2⟨S,T⟩ of the runs `rows`, by the compiled loop."""
+        padded = np.pad(rows, (0, ample(len(rows)) - len(rows)), mode="edge")
+        return self._summed(padded, orders, compiled_sum)[: len(rows)]
+
+    def in_numpy(self, rows: Int[np.ndarray, " some"], orders: Orders) -> Float[np.ndarray, " some"]:
+        """Return the same by NumPy: slow, with nothing to compile for new orders."""
+        return self._summed(rows, orders, plain_sum)
+
+    def _summed(self, rows: Int[np.ndarray, " some"], orders: Orders, summed: PieceSum) -> Float[np.ndarray, " some"]:
+        own = self.own.pieces(np.ascontiguousarray(self.points[..., rows]))
+        square = summed(own, own, Pairs.near(own, own, self.reach), (orders[0], orders[0]))
+        cross = summed(own, self.target, Pairs.near(own, self.target, self.reach), orders)
+        return np.asarray(square - 2 * cross)
 
 
-def _parts(points: Float[np.ndarray, "run point 2"], cells: Int[np.ndarray, "cell 2"], width: float) -> int:
-    steps = points[:, cells[:, 1]] - points[:, cells[:, 0]]
-    return max(1, math.ceil(float(np.hypot(steps[..., 0], steps[..., 1]).max()) / (LONGEST_PIECE * width)))
-
-
-def _product(a: _Pieces, b: _Pieces, width: float) -> Float[np.ndarray, " run"]:
-    """Return ⟨a,b⟩ of each polyline of `a` with its partner in `b`, or with the only one."""
-    row, column = _near(a.middles, b.middles, REACH * width)
-    times = np.ones(len(row), np.float32)
-    if a is b:
-        keep = row <= column
-        row, column = row[keep], column[keep]
-        times = np.where(row < column, np.float32(2), np.float32(1))
-    out, factor = np.zeros(a.middles.shape[2]), np.float32(-0.5 / width**2)
-    for k in range(0, len(row), CHUNK):
-        i, j = row[k : k + CHUNK], column[k : k + CHUNK]
-        x, y = a.middles[i, 0] - b.middles[j, 0], a.middles[i, 1] - b.middles[j, 1]
-        x *= x
-        y *= y
-        x += y
-        x *= factor
-        np.exp(x, out=x)
-        y = a.steps[i, 0] * b.steps[j, 0]
-        y += a.steps[i, 1] * b.steps[j, 1]
-        y *= x
-        out += times[k : k + CHUNK] @ y
-    return out
-
-
-def _near(
-    a: Float32[np.ndarray, "piece 2 run"], b: Float32[np.ndarray, "other 2 run2"], reach: float
-) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
-    """Return the pairs whose midpoints come within `reach` in some run, perhaps a few more."""
-    gap = np.maximum(a.min(axis=2)[:, None] - b.max(axis=2), b.min(axis=2) - a.max(axis=2)[:, None])
-    np.maximum(gap, 0.0, out=gap)
-    row, column = np.nonzero(np.einsum("abk,abk->ab", gap, gap) <= reach**2)
-    return row, column
+def _ladder(longest: tuple[float, float], share: float) -> list[Orders]:
+    """Return orders for pieces of these lengths, in kernel widths, up to those that the error bound asks for."""
+    shares = [10.0**-k for k in range(1, math.ceil(-math.log10(share)))] + [share]
+    ratios = [math.ceil(8 * one) / 8 for one in longest]
+    return [*dict.fromkeys((gauss_order(ratios[0], some), gauss_order(ratios[1], some)) for some in shares)]

@@ -32,6 +32,7 @@ _SLACK = 1e-9
 """How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
 
 Points = Float[np.ndarray, "#run point 2"]
+Corners = Float[np.ndarray, "#run corner 2"]
 Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the runs where all share it
 
 
@@ -70,7 +71,7 @@ def sums_of_squares(
 
 
 def _tasks(
-    points: Points, corners: Points, cells: Int[np.ndarray, "cell 2"], rows: Int[np.ndarray, " some"]
+    points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"], rows: Int[np.ndarray, " some"]
 ) -> Iterator[tuple["_Pairs", Int[np.ndarray, " some"]]]:
     """Yield blocks of runs with their pairs; runs that share few enough pairs share the search for them."""
     some = [array if len(array) == 1 else array[rows] for array in (points, corners)]
@@ -127,7 +128,7 @@ class _Pairs:
 def _of_block(
     pairs: _Pairs,
     points: Points,
-    corners: Points,
+    corners: Corners,
     weights: Float[np.ndarray, "#run point"],
     cells: Int[np.ndarray, "cell 2"],
 ) -> Float[np.ndarray, " run"]:
@@ -144,7 +145,7 @@ def _runs_last(values: Float[np.ndarray, "#run point"]) -> Values:
     return values[0] if len(values) == 1 else np.ascontiguousarray(values.T)
 
 
-def _near(points: Points, corners: Points, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:
+def _near(points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:
     """Return which segments may be the closest ones to which points in some run of the block.
 
     A segment moves at most as far as its corners do. It may be the closest one if it comes, at its best, as near as

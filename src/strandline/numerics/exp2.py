@@ -1,0 +1,47 @@
+"""Powers of two in compiled loops, in double precision: cheaper than JAX's own.
+
+The whole part of the exponent goes into the exponent of the result, the rest through a polynomial of degree 9.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+
+__all__ = ["WHOLE", "assembled", "exp2_of_minus"]
+
+WHOLE = 1.5 * 2.0**52
+"""Added to a number, it leaves the nearest whole one in the last bits."""
+_POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
+"""Coefficients of 2**t on |t| ≤ 1/2, to 2e-14 of it."""
+
+
+def exp2_of_minus(x: Any, whole: Any, *, bounded: bool) -> Any:
+    """Return 2**-x, to 2e-14 of it, in half the time of `jnp.exp2`.
+
+    Args:
+        x: Values above -1000.
+        whole: `WHOLE`, handed in so that the compiler cannot cancel it.
+        bounded: Whether all values are below 1000. If not, the result is below 1e-270 wherever it should be less.
+    """
+    from jax import lax
+
+    x = x if bounded else lax.min(x, 900.0)
+    shifted = whole - x
+    return assembled((whole - shifted) - x, shifted)
+
+
+def assembled(share: Any, shifted: Any) -> Any:
+    """Return 2**(share + n).
+
+    Args:
+        share: Values of [-1/2, 1/2].
+        shifted: `WHOLE` + n of whole numbers n.
+    """
+    from jax import lax
+
+    power = _POWERS[-1]
+    for coefficient in _POWERS[-2::-1]:
+        power = power * share + coefficient
+    bits = lax.bitcast_convert_type(shifted, np.dtype(np.int64)) << 52
+    return lax.bitcast_convert_type(lax.bitcast_convert_type(power, np.dtype(np.int64)) + bits, np.dtype(np.float64))
