@@ -6,6 +6,8 @@ The names below stand in the order of the pipeline; `calibrate` runs all of it.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from strandline.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate
     from strandline.design import sobol
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
     from strandline.surrogate import fit_log_likelihood
-
-__version__ = "0.2.0"
 
 __all__ = [  # noqa: RUF022
     "Uniform",

@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
-from strandline import __version__
 from strandline.cli.signals import Ended, end_as_ctrl_c
 from strandline.errors import InvalidInput, StrandlineError
+from strandline.version import __version__
 
 __all__ = ["environment", "main"]
 

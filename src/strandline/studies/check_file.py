@@ -11,7 +11,6 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline import __version__
 from strandline.interface import Interface, Observation
 from strandline.models.offers import undeformed_interface
 from strandline.posterior import (
@@ -28,6 +27,7 @@ from strandline.runs import RunRecord
 from strandline.studies.folder import CHECK
 from strandline.studies.study import Study
 from strandline.studies.summary import versions
+from strandline.version import __version__
 
 __all__ = ["Compared", "describe", "read_check"]
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from strandline import __version__
 from strandline.errors import StrandlineError
 from strandline.models.python import PythonModel
 from strandline.runs.overview import Overview
@@ -15,6 +14,7 @@ from strandline.studies.folder import CHECK, CHECK_LEDGER, LEDGER, POSTERIOR, SU
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.study import Study, load_study
 from strandline.studies.summary import versions
+from strandline.version import __version__
 
 __all__ = ["Finding", "examine"]
 

@@ -67,7 +67,7 @@ def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[
     import numpy as np
     import xarray as xr
 
-    from strandline import __version__
+    from strandline.version import __version__
 
     details = _details(runs, ledger)
     figures = [_figures(run, details) for run in runs]

@@ -10,7 +10,6 @@ from typing import Any
 
 from xarray import DataTree
 
-from strandline import __version__
 from strandline.calibration import Calibration, Observer, Problem, calibrate
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidStudy, NumericsError
@@ -28,6 +27,7 @@ from strandline.studies.results import Results, require_writers
 from strandline.studies.study import Study
 from strandline.studies.study_runs import report_backup
 from strandline.studies.summary import summarise
+from strandline.version import __version__
 
 __all__ = ["Outcome", "run_study", "submit_study"]
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from strandline import __version__
 from strandline.calibration import Calibration
 from strandline.design.refinement import shifts
 from strandline.likelihood import InterfaceLikelihood
@@ -23,6 +22,7 @@ from strandline.runs.tables import EXCLUDED
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate
 from strandline.surrogate import LogLikelihoodSurrogate
+from strandline.version import __version__
 
 __all__ = ["summarise", "versions"]
 

@@ -26,7 +26,7 @@ def require_timeout(timeout: float | None) -> None:
         raise InvalidInput(
             "timeout",
             value=timeout,
-            expected=f"above 0, at most {LONGEST_TIMEOUT:.0f} seconds, a year",
+            expected=f"seconds above 0, at most {LONGEST_TIMEOUT:.0f} (a year)",
             remedy="Leave it out for no limit.",
         )
 
