@@ -150,7 +150,14 @@ class _Batch:
 
 
 def _ladder(longest: tuple[float, float], share: float) -> list[Orders]:
-    """Return orders for pieces of these lengths, in kernel widths, up to those that the error bound asks for."""
+    """Return orders for pieces of these lengths, in kernel widths, up to those that the error bound asks for.
+
+    There are few different ones, because each is compiled for: above 4, only even ones.
+    """
     shares = [10.0**-k for k in range(1, math.ceil(-math.log10(share)))] + [share]
-    ratios = [math.ceil(8 * one) / 8 for one in longest]
-    return [*dict.fromkeys((gauss_order(ratios[0], some), gauss_order(ratios[1], some)) for some in shares)]
+    return [*dict.fromkeys((_few(longest[0], some), _few(longest[1], some)) for some in shares)]
+
+
+def _few(longest: float, share: float) -> int:
+    order = gauss_order(math.ceil(2 * longest) / 2, share)
+    return order if order <= 4 else order + order % 2

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy.products.pieces import Pairs, Pieces
-from strandline.numerics.compiled import WIDEST, ample
+from strandline.numerics.compiled import WIDEST
 from strandline.numerics.exp2 import WHOLE, exp2_of_minus
 
 __all__ = ["Orders", "PieceSum", "compiled_sum", "plain_sum"]
@@ -47,7 +47,8 @@ def plain_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np.nd
 def compiled_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np.ndarray, " run"]:
     """Return the same, with JAX in double precision."""
     number = len(pairs.row)
-    rows = (np.pad(some, (0, ample(number) - number)) for some in (pairs.row, pairs.column, pairs.times))
+    room = (1 << max(number - 1, 0).bit_length()) - number  # few lengths: each one is compiled for
+    rows = (np.pad(some, (0, room)) for some in (pairs.row, pairs.column, pairs.times))
     return np.asarray(_loop()(a.middles, a.halves, b.middles, b.halves, *rows, number, WHOLE, orders=orders))
 
 
