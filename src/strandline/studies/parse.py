@@ -83,7 +83,7 @@ def _read(folder: Path) -> str:
         ) from None
 
 
-def _load(path: Path, text: str) -> dict[str, Any]:
+def _load(path: Path, text: str) -> dict[Any, Any]:
     content = load_yaml(text)
     if not isinstance(content, dict):
         raise InvalidStudy(
