@@ -1,4 +1,4 @@
-"""Named entries of a registry, a dict one can read; and what third parties add by ``module:name``."""
+"""Look-up of objects by their name in a registry, which is a dict, or by ``module:name`` for third parties."""
 
 import importlib
 from collections.abc import Iterable, Mapping
@@ -19,7 +19,7 @@ def lookup(registry: Mapping[str, Any], name: str, what: str) -> Any:
         what: What the entries are, for messages.
 
     Raises:
-        InvalidInput: There is no such entry; the nearest one is named.
+        InvalidInput: There is no such entry; the message suggests the closest one.
     """
     if name in registry:
         found = registry[name]
@@ -38,7 +38,7 @@ def imported(target: str, what: str) -> Any:
     """Return the object ``module:name``.
 
     Raises:
-        InvalidInput: No such module, or no such name in it.
+        InvalidInput: The module does not exist, or does not define the name.
     """
     module, _, name = target.partition(":")
     if not (module and name):
@@ -50,12 +50,12 @@ def imported(target: str, what: str) -> Any:
     for part in name.split("."):
         found = getattr(found, part, None)
     if found is None:
-        raise _refused(what, target, f"a name that {module} has")
+        raise _refused(what, target, f"a name defined in {module}")
     return found
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return a question after the known name nearest to `name`; `otherwise` where none is near."""
+    """Return a question that suggests the known name closest to `name`; `otherwise` if none is close."""
     close = get_close_matches(name, list(known), n=1)
     return f"Did you mean {close[0]}?" if close else otherwise
 

@@ -1,6 +1,7 @@
 """Who gets at a Dask cluster of ours: nobody without its key, and nobody from another machine where it is local."""
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -27,6 +28,20 @@ def cluster():
     with opened("local", None, 1, {}) as cluster:
         cluster.client.wait_for_workers(1)
         yield cluster
+
+
+def test_only_keys_of_this_machine_are_cleared(tmp_path, monkeypatch):
+    """One whose name begins like ours shares the folder; its process 2-… is no process 2 of ours."""
+    monkeypatch.setattr(socket, "gethostname", lambda: "node")
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    theirs, ours, alive = (
+        tmp_path / f"dask-node-{rest}" for rest in (f"{gone.pid}-{gone.pid}-x1", f"{gone.pid}-x1", f"{os.getpid()}-x1")
+    )
+    for folder in (theirs, ours, alive):
+        folder.mkdir()
+    with keys_in_files(tmp_path):
+        assert [folder.exists() for folder in (theirs, ours, alive)] == [True, False, True]
 
 
 def run_of_a_stranger(address, **options):

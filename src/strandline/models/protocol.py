@@ -43,7 +43,7 @@ class Simulation:
 
     Args:
         interfaces: Interfaces by condition, all of the same specimen; "" names a single unnamed condition.
-        diagnostics: Figures about the run.
+        diagnostics: Numbers that describe the run, by name.
         sensitivities: Derivatives of the interface's points, by condition and input, mm per unit of the input.
     """
 
@@ -58,7 +58,7 @@ class Simulation:
         diagnostics: Mapping[str, float] | None = None,
         sensitivities: Mapping[str, Float[np.ndarray, "point xyz"]] | None = None,
     ) -> "Simulation":
-        """Return the outcome of a run with one unnamed condition; `sensitivities` by input."""
+        """Return the outcome of a run with one unnamed condition; `sensitivities` are keyed by input."""
         return cls({"": interface}, diagnostics or {}, {"": sensitivities} if sensitivities else {})
 
     @property
@@ -99,36 +99,36 @@ class ModelInput:
 class ForwardModel(Protocol):
     """A simulator: inputs by name → the interface it predicts.
 
-    A plain function of the same signature works too, and may return a bare `Interface`, which is one unnamed condition.
-    A model may declare `inputs` (a tuple of `ModelInput`), `fingerprint` (a string that changes whenever its results
-    do), where a run yields several interfaces or one with a name, their `conditions` (a tuple of names), and the kinds
-    of its failures, `failure_kinds` (a tuple of words), so that others are refused in a study. A model that can compute
-    sensitivities is a dataclass with a field `sensitivities`, which says whether it does; they are additional and
+    A plain function of the same signature works too. It may return a bare `Interface`, which is one unnamed condition.
+    A model may declare `inputs` (a tuple of `ModelInput`) and `fingerprint` (a string that changes whenever its results
+    do). If a run yields several interfaces, or one with a name, the model declares their `conditions` (a tuple of
+    names). It may declare `failure_kinds` (a tuple of words); a study then accepts no other kinds of failure. A model
+    that can compute sensitivities is a dataclass with a boolean field `sensitivities` that switches them on; they
     change no interface, so they are not part of its fingerprint. A model with a method ``on_finer_mesh(inputs)``, which
-    returns the interfaces by condition, lets `strandline check` state the error of its mesh. It is pickled once per
-    worker process.
+    returns the interfaces by condition, lets `strandline check` report the error of its mesh. The model is pickled once
+    per worker process.
 
     Raises:
         ForwardModelError: the run failed, with its kind.
     """
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
-        """Run the simulator; `workdir` is an empty folder of this run's own."""
+        """Run the simulator; `workdir` is an empty folder for this run."""
         ...
 
 
 def declared_inputs(model: ForwardModel) -> tuple[ModelInput, ...]:
-    """Return the inputs that `model` declares; empty where it declares none."""
+    """Return the inputs that `model` declares; empty if it declares none."""
     return tuple(getattr(model, "inputs", ()))
 
 
 def declared_conditions(model: ForwardModel) -> tuple[str, ...]:
-    """Return the conditions of which each run of `model` yields an interface; a single unnamed one by default."""
+    """Return the conditions for which each run of `model` yields an interface; a single unnamed one by default."""
     return tuple(getattr(model, "conditions", ("",)))
 
 
 def declared_failure_kinds(model: ForwardModel) -> tuple[str, ...] | None:
-    """Return the kinds of `ForwardModelError` that `model` declares; None where it does not say."""
+    """Return the kinds of `ForwardModelError` that `model` declares; None if it declares none."""
     declared = getattr(model, "failure_kinds", None)
     return None if declared is None else tuple(declared)
 
@@ -145,13 +145,13 @@ def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:
             raise InvalidInput(
                 "condition of an observation",
                 value=name or "no name",
-                expected=f"one of {', '.join(known)}" if any(known) else "no name, for the model has one condition",
+                expected=f"one of {', '.join(known)}" if any(known) else "no name: the model has one condition",
                 remedy="Name the conditions of the observations as the model does.",
             )
 
 
 def asks_sensitivities(model: ForwardModel) -> bool:
-    """Return whether the runs of `model` are to yield sensitivities too."""
+    """Return whether runs of `model` yield sensitivities too."""
     return getattr(model, "sensitivities", False) is True
 
 
@@ -159,7 +159,7 @@ def with_sensitivities(model: Any) -> Any:
     """Return `model` with its field `sensitivities` set.
 
     Raises:
-        InvalidInput: it has no such field, or refuses to have it set.
+        InvalidInput: it has no such field, or does not allow it to be set.
     """
     if _has_field(model, "sensitivities"):
         return dataclasses.replace(model, sensitivities=True)
@@ -172,7 +172,7 @@ def with_sensitivities(model: Any) -> Any:
 
 
 def without_failure_budget(model: Any) -> Any:
-    """Return `model` with its field `failure_budget`, if any, at 0: the search for a failure's reason has no limit."""
+    """Return `model` with its field `failure_budget`, if any, at 0: no limit on the search for a failure's cause."""
     return dataclasses.replace(model, failure_budget=0) if _has_field(model, "failure_budget") else model
 
 
@@ -198,11 +198,11 @@ def _has_field(model: Any, name: str) -> bool:
 
 
 def fingerprint(model: ForwardModel) -> str:
-    """Return what identifies `model` in a ledger.
+    """Return the text that identifies `model` in a ledger.
 
-    Its own `fingerprint` if it has one, with the options of the instance where the class states one text for all.
-    Otherwise a hash of its class or function, of the file that defines it and the files of the same package that this
-    file imports, and of its fields except `sensitivities`, which change no interface.
+    This is its own `fingerprint` if it has one, plus the options of the instance if the class has one fingerprint for
+    all instances. Otherwise it is a hash of the class or function, the file that defines it, the files of the same
+    package that this file imports, and the fields except `sensitivities`, which change no interface.
     """
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
@@ -217,9 +217,9 @@ def fingerprint(model: ForwardModel) -> str:
 
 
 def _options_beside(model: Any) -> str:
-    """Return the options that differ from their defaults where a dataclass has one fingerprint for all instances.
+    """Return the options that differ from their defaults, if a dataclass has one fingerprint for all instances.
 
-    One that is declared a ``ClassVar`` says on purpose that no option changes results.
+    A fingerprint declared as a ``ClassVar`` states on purpose that no option changes results.
     """
     kind = type(model)
     declared = "fingerprint" in inspect.get_annotations(kind)
@@ -228,13 +228,17 @@ def _options_beside(model: Any) -> str:
     given = {
         f.name: value
         for f in dataclasses.fields(model)
-        if f.init and f.name != "sensitivities" and (value := getattr(model, f.name)) != f.default
+        if f.init and f.name != "sensitivities" and repr(value := getattr(model, f.name)) != repr(_default(f))
     }
     return f"/{json.dumps(given, default=repr, sort_keys=True)}" if given else ""
 
 
+def _default(field: "dataclasses.Field[Any]") -> Any:
+    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+
+
 def earlier_fingerprint(model: ForwardModel) -> str:
-    """Return what identified `model` before its whole file counted: the source of its class or function alone."""
+    """Return the fingerprint used before the whole file counted: it covers only the source of the class or function."""
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
         return own

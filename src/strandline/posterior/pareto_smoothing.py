@@ -1,4 +1,4 @@
-"""Pareto-smoothed importance sampling: weights that the largest few do not dominate, and a figure that says if they do.
+"""Pareto-smoothed importance sampling: it tames the largest weights and reports whether they dominate.
 
 Vehtari, Simpson, Gelman, Yao, Gabry: Pareto smoothed importance sampling, JMLR 25 (72), 2024. The generalised Pareto
 distribution is fitted as in Zhang, Stephens: A new and efficient estimation method for the generalized Pareto
@@ -16,6 +16,7 @@ from scipy.special import logsumexp
 from strandline.errors import InvalidInput
 
 __all__ = [
+    "NEARLY_EQUAL",
     "GeneralisedPareto",
     "SmoothedWeights",
     "Verdict",
@@ -29,21 +30,21 @@ Verdict = Literal["good", "usable", "bad"]
 
 GOOD_BELOW, USABLE_BELOW = 0.5, 0.7
 NEARLY_EQUAL = 0.98
-"""Effective draws, as a share of all, from which on the weights change nothing, whatever the shape of their tail."""
+"""Share of effective draws from which the weights change nothing, whatever the shape of their tail."""
 SMALLEST_TAIL = 5
 PRIOR_SHAPE, PRIOR_WEIGHT = 0.5, 10
-"""The shape is drawn towards 1/2 with the weight of ten observations: Appendix C of Vehtari et al."""
+"""The shape is shrunk towards 1/2 with the weight of ten observations: Appendix C of Vehtari et al."""
 LOG_NOTHING = -460.0
 """A weight below e^-460 = 1e-200 of the largest counts as zero."""
 LOG_EQUAL = 1e-10
-"""Largest log weights within this are equal except for rounding: they have no tail."""
+"""If the largest log weights differ by less than this, they are equal except for rounding and have no tail."""
 
 
 @dataclass(frozen=True)
 class GeneralisedPareto:
     """The distribution on x > 0 with survival function (1 + k x/σ)^(-1/k), k = `shape` and σ = `scale`.
 
-    For k > 0 its tail is that of a power law, and only moments below 1/k exist.
+    For k > 0 its tail follows a power law, and only moments below 1/k exist.
     """
 
     shape: float
@@ -59,10 +60,10 @@ class GeneralisedPareto:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedWeights:
-    """Normalised log weights (draw,), and the shape k̂ of the tail that the raw weights have.
+    """Normalised log weights (draw,), and the shape k̂ of the raw weights' tail.
 
-    k̂ is -inf where the largest weights are equal, so that there is no tail, and +inf where fewer than five weights
-    stand out from nothing, so that none can be fitted.
+    k̂ is -inf if the largest weights are equal, so that there is no tail, and +inf if fewer than five weights stand
+    out, so that none can be fitted.
     """
 
     log_weights: Float[np.ndarray, " draw"]
@@ -83,7 +84,8 @@ def pareto_smoothed(log_ratios: Float[np.ndarray, " draw"]) -> SmoothedWeights:
     """Return the smoothed weights of draws from a proposal, given log(target/proposal) at each, up to a constant.
 
     The largest min(S/5, 3√S) of the S ratios are replaced by the quantiles of a generalised Pareto distribution fitted
-    to them, none above the largest raw one. -inf is a draw of no weight: it counts among the S.
+    to them, none above the largest raw one. A ratio of -inf marks a draw without weight, which counts
+    among the S.
 
     Raises:
         InvalidInput: fewer than five draws, a ratio that is NaN or +inf, or none that is finite.
@@ -108,10 +110,10 @@ def pareto_smoothed(log_ratios: Float[np.ndarray, " draw"]) -> SmoothedWeights:
 
 
 def fit_generalised_pareto(exceedances: Float[np.ndarray, " tail"]) -> GeneralisedPareto:
-    """Return the distribution that `exceedances`, all above 0 and ascending, come from.
+    """Return the distribution fitted to `exceedances`, which are all above 0 and ascending.
 
-    Zhang and Stephens (2009): the posterior mean of θ = -k/σ under a weak prior, on a grid of θ by quantiles of that
-    prior, with the likelihood maximised over k at each.
+    Zhang and Stephens (2009): the posterior mean of θ = -k/σ under a weak prior, on a grid of quantiles of that prior,
+    with the likelihood maximised over k at each.
     """
     x, number = exceedances, len(exceedances)
     size = 30 + math.isqrt(number)
@@ -130,10 +132,10 @@ def reliability_threshold(number: int) -> float:
 
 
 def verdict_on(weights: SmoothedWeights) -> Verdict:
-    """Return what the weights say of estimates that are made with them.
+    """Return how reliable estimates with these weights are.
 
-    k̂ does not depend on how much the weights differ. Where they hardly do, a heavy tail of what little there is moves
-    no estimate: their coefficient of variation is √(S / effective draws - 1), below 0.15 from `NEARLY_EQUAL` on.
+    k̂ does not depend on how much the weights differ. If they hardly differ, even a heavy tail moves no estimate: their
+    coefficient of variation is √(S / effective draws - 1), below 0.15 from `NEARLY_EQUAL` on.
     """
     number = len(weights.log_weights)
     threshold = reliability_threshold(number)

@@ -1,4 +1,4 @@
-"""A worker process that is asked for one run at a time, for callers that have no list of runs but wait for each."""
+"""A worker process that makes one run at a time, for callers that have no list of runs but wait for each one."""
 
 import pickle
 import shutil
@@ -7,6 +7,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 
 from strandline.models.protocol import ForwardModel
+from strandline.runs.executors.seat import KILLED_STARTS_BORNE, killed_while_starting
 from strandline.runs.record import RunRecord, RunRequest
 from strandline.runs.workers import Worker
 
@@ -16,12 +17,12 @@ LOOKED_AFTER_SECONDS = 0.25
 
 
 class OnCall:
-    """Makes runs of `model` in a process of its own, replaced where a run takes it down; not for several threads.
+    """Makes runs of `model` in a separate process, replaced if a run crashes it; call it from one thread only.
 
     The process starts with the first run and lives until `close`.
 
     Args:
-        model: Model that is defined in a module that can be imported.
+        model: Model defined in a module that can be imported.
         timeout: Seconds after which a run is killed; None: never.
     """
 
@@ -54,7 +55,7 @@ class OnCall:
             shutil.rmtree(workdir, ignore_errors=True)
 
     def close(self) -> None:
-        """End the process, now, and with it a run that another thread is waiting for."""
+        """End the process at once, and with it a run that another thread is waiting for."""
         self._closed = True
         if self._worker is not None:
             self._worker.hang_up()
@@ -63,27 +64,29 @@ class OnCall:
         self._folder.cleanup()
 
     def _ready(self) -> Worker:
-        """Return a worker that has loaded the model; one that has gone while it was idle is replaced."""
+        """Return a worker that has loaded the model; replace one that ended while idle."""
         if self._worker is not None and self._worker.gone():
             self._drop(self._worker)
-        if self._worker is not None:
-            return self._worker
-        self._launched += 1
-        worker = Worker.launch(Path(self._folder.name), self._launched, self._setup)
-        try:
-            worker.receive()
-        except (EOFError, OSError):
-            worker.vanished()
-            worker.end()
-            return self._ready()
-        except BaseException:
-            worker.end()
-            raise
-        self._worker = worker
-        return worker
+        killed = 0
+        while self._worker is None:
+            self._launched += 1
+            worker = Worker.launch(Path(self._folder.name), self._launched, self._setup)
+            try:
+                worker.receive()
+                self._worker = worker
+            except (EOFError, OSError):
+                worker.vanished()
+                worker.end()
+                killed += 1
+            except BaseException:
+                worker.end()
+                raise
+            if killed > KILLED_STARTS_BORNE:
+                raise killed_while_starting(killed)
+        return self._worker
 
     def _heard(self, worker: Worker) -> RunRecord:
-        """Return the record that the worker sends, or the one of its end."""
+        """Return the record that the worker sends, or one that says how the worker ended."""
         while True:
             if wait([worker.connection], timeout=LOOKED_AFTER_SECONDS):
                 record = worker.receive()

@@ -1,7 +1,7 @@
-"""The folders in which runs are made; those of drivers that were killed are cleared by the next one.
+"""Folders in which runs are made; each driver removes the folders of drivers that were killed.
 
-The name of a folder says whose it is: the machine, the process, and when that was started, since process numbers are
-reused.
+The name of a folder identifies its owner: the machine, the process, and the start of the process, since process numbers
+are reused.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ NAME = re.compile(PREFIX + r"(?P<machine>[0-9a-f]{8})-(?P<pid>\d+)-(?P<begun>\d+
 
 
 def scratch_folder() -> Path:
-    """Return a new, empty folder of this process; those of processes that are gone are removed first."""
+    """Return a new, empty folder for this process; remove the folders of processes that are gone first."""
     clear_stale(Path(tempfile.gettempdir()))
     pid = os.getpid()
     return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{_machine()}-{pid}-{_begun(pid) or 0}-"))
@@ -34,7 +34,11 @@ def clear_stale(parent: Path) -> int:
         if found is None or found["machine"] != _machine() or _lives(int(found["pid"]), int(found["begun"])):
             continue
         folder = parent / name
-        if folder.is_symlink() or not folder.is_dir() or folder.stat().st_uid != os.getuid():
+        try:
+            ours = not folder.is_symlink() and folder.is_dir() and folder.stat().st_uid == os.getuid()
+        except OSError:  # another driver has just removed it
+            continue
+        if not ours:
             continue
         shutil.rmtree(folder, ignore_errors=True)
         cleared += not folder.exists()
@@ -49,7 +53,7 @@ def _entries(parent: Path) -> list[str]:
 
 
 def _lives(pid: int, begun: int) -> bool:
-    """Return whether the process `pid` that was started at `begun` is still there; a later one does not count."""
+    """Return whether the process `pid` that was started at `begun` still runs; a later one does not count."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -63,7 +67,7 @@ def _lives(pid: int, begun: int) -> bool:
 
 
 def _begun(pid: int) -> int | None:
-    """Return when a process was started, in ticks since the machine was; None where the system does not say."""
+    """Return when a process was started, in clock ticks since boot; None if the system does not report it."""
     if sys.platform != "linux":
         return None
     try:
@@ -73,7 +77,7 @@ def _begun(pid: int) -> int | None:
 
 
 def _machine() -> str:
-    """Return a short name of this machine; a container with process numbers of its own is another machine."""
+    """Return a short name of this machine; a container with its own process numbers counts as another machine."""
     try:
         numbers = os.readlink("/proc/self/ns/pid")  # noqa: PTH115
     except OSError:

@@ -28,7 +28,7 @@ __all__ = ["Biofilm", "FlowFields"]
 REVISION = 2
 """Raised whenever the results of the model change."""
 SIZES = 1
-"""Raised whenever the rule changes by which elements shrink in narrow gaps and at sharp bends of the outline."""
+"""Raised whenever the rule changes that shrinks elements in narrow gaps and at sharp bends of the outline."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,13 @@ class Biofilm:
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
             condition. Each experiment gives one interface, and V_in is no longer an input.
         sensitivities: Whether runs return d(interface)/d(input) as well.
-        failure_budget: Jacobians after which a run gives up its search for a steady state, so that a failure costs
-            about three median runs; 0: no limit, every failed run is followed around its limit point (about five).
+        failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure
+            costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
+            five).
 
     Raises:
         InvalidInput: an option that cannot be used; a degenerate outline, with the place; a linear solver that the
-            environment asks for and that is not installed.
+            environment requests but that is not installed.
 
     A run raises ForwardModelError with kind ``limit_point``, ``continuation_stalled``, ``inverted_elements``,
     ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence.
@@ -106,7 +107,7 @@ class Biofilm:
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """E and nu, or E1, nu1, E2, … of the parts, and V_in where no inflow rates are given."""
+        """E and nu, or E1, nu1, E2, … of the parts, and V_in if no inflow rates are given."""
         count = max(1, len(self.partition.markers))
         numbers = [""] if count == 1 else [str(k) for k in range(1, count + 1)]
         solids = [item for number in numbers for item in _solid_inputs(number)]
@@ -114,15 +115,15 @@ class Biofilm:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Names of the experiments, one interface each; a single unnamed one where no inflow rates are given."""
+        """Names of the experiments, one interface each; a single unnamed one if no inflow rates are given."""
         return tuple(name for name, _ in self.inflow_rates) or ("",)
 
     @property
     def fingerprint(self) -> str:
-        """What identifies the model in a ledger.
+        """Text that identifies the model in a ledger.
 
-        Sensitivities leave the interface as it is and do not count. The rule for element sizes counts only where the
-        outline makes it act: so the ledgers of other outlines, the study's among them, stay valid.
+        Sensitivities do not change the interface and do not count. The rule for element sizes counts only if it takes
+        effect for the outline, so the ledgers of other outlines, including the study's, stay valid.
         """
         chosen = [
             f"{field.name}={getattr(self, field.name)!r}"
@@ -135,12 +136,12 @@ class Biofilm:
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
-        """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; at each of several inflow rates."""
+        """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; with several inflow rates, one for each."""
         cell = _flow_cell(self._geometry)
         young, poisson = self._material_values(inputs)
         interfaces, sensitivities = {}, {}
         figures: dict[str, float] = {}
-        for name, rate in self.inflow_rates or (("", float(inputs["V_in"])),):
+        for name, rate in self._rates(inputs):
             solution = cell.solve(young, poisson, rate, budget=self.failure_budget)
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
             figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
@@ -154,28 +155,27 @@ class Biofilm:
         return self.outline.interface()
 
     def fields(self, inputs: Mapping[str, float], condition: str = "") -> FlowFields:
-        """Return velocity, pressure and displacement of the solved state; at the last of several inflow rates.
+        """Return velocity, pressure and displacement of the solved state.
 
         Args:
             inputs: Inputs of the run by name.
             condition: Name of one of the inflow rates; the last one by default.
         """
         cell = _flow_cell(self._geometry)
-        rates = dict(self.inflow_rates) or {"": float(inputs.get("V_in", 0.0))}
+        rates = dict(self._rates(inputs))
         rate = rates[condition or next(reversed(rates))]
         cell.solve(*self._material_values(inputs), rate)
         return cell.fields()
 
     def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
-        """Return the deformed interfaces by condition on the next finer mesh, at the same nodes; a check of accuracy.
+        """Return the deformed interfaces by condition on the next finer mesh, at the same nodes, to check the accuracy.
 
         Raises:
-            ForwardModelError: The run fails, as any run may.
+            ForwardModelError: The run fails.
         """
         cell = _new_cell(self._geometry, FINER[self.mesh])
-        rates = self.inflow_rates or (("", float(inputs.get("V_in", 0.0))),)
         found = {}
-        for name, rate in rates:
+        for name, rate in self._rates(inputs):
             solution = cell.solve(*self._material_values(inputs), rate, budget=self.failure_budget)
             found[name] = Interface.polyline(cell.outline.points + solution.displacement)
         return found
@@ -184,6 +184,10 @@ class Biofilm:
     def _geometry(self) -> "Biofilm":
         """The model reduced to what affects mesh and forms."""
         return dataclasses.replace(self, inflow_rates=(), sensitivities=False, failure_budget=0)
+
+    def _rates(self, inputs: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+        """Return the conditions with their inflow rates."""
+        return self.inflow_rates or (("", float(inputs[_INFLOW.name])),)
 
     def _material_values(self, inputs: Mapping[str, float]) -> tuple[list[float], list[float]]:
         """Return Young's moduli and Poisson's ratios of the parts."""
@@ -208,7 +212,7 @@ def _solid_inputs(number: str) -> tuple[ModelInput, ModelInput]:
 
 
 def _sorted_like_cell(inputs: tuple[ModelInput, ...]) -> list[ModelInput]:
-    """Order as `FlowCell.sensitivities` has it: all E, all nu, V_in."""
+    """Return the inputs in the order of `FlowCell.sensitivities`: all E, all nu, V_in."""
     return sorted(inputs, key=lambda item: ("E", "n", "V").index(item.name[0]))
 
 

@@ -1,7 +1,8 @@
-"""Keys by which the parts of a Dask cluster know each other: whoever has no key can neither give runs nor take them."""
+"""Keys by which the parts of a Dask cluster recognise each other: without a key, nobody can give or take runs."""
 
 import contextlib
 import os
+import re
 import shutil
 import socket
 import tempfile
@@ -31,10 +32,10 @@ def key_in_memory() -> Any:
 
 @contextlib.contextmanager
 def keys_in_files(parent: Path) -> Iterator[Any]:
-    """Yield a new key whose files, readable by this user only, lie in a folder of their own inside `parent`.
+    """Yield a new key whose files, readable by this user only, are in their own folder inside `parent`.
 
-    Jobs find them by their path, which is all that a command line shows. They are removed in the end; those of a driver
-    that was killed are removed by the next one on the same machine.
+    Jobs find the files by their path, so a command line shows only the path. The files are removed at the end; those of
+    a driver that was killed are removed by the next one on the same machine.
 
     Args:
         parent: folder that the nodes see.
@@ -78,9 +79,10 @@ def _prefix() -> str:
 
 def _remove_forgotten(parent: Path) -> None:
     """Remove the keys of drivers on this machine that are gone."""
-    for folder in parent.glob(f"{_prefix()}*-*"):
-        process = folder.name.removeprefix(_prefix()).partition("-")[0]
-        if process.isdigit() and not _alive(int(process)):
+    name = re.compile(re.escape(_prefix()) + r"(\d+)-[^-]+")  # not the folders of a machine whose name begins like ours
+    for folder in parent.iterdir():
+        found = name.fullmatch(folder.name)
+        if found and not _alive(int(found[1])):
             shutil.rmtree(folder, ignore_errors=True)
 
 

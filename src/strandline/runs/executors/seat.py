@@ -13,12 +13,13 @@ from strandline.runs.workers import Worker
 __all__ = ["KILLED_STARTS_BORNE", "LONGEST_WAIT_SECONDS", "Seat", "killed_while_starting"]
 
 LONGEST_WAIT_SECONDS = 0.5
+"""Time after which a worker that has said nothing is checked."""
 KILLED_STARTS_BORNE = 10
-"""How often workers are looked at that have not said anything."""
+"""Number of worker processes that may be killed while they start."""
 
 
 class Seat:
-    """One worker process on this machine, replaced where a run takes it down; `close` it in the end."""
+    """One worker process on this machine, replaced if a run takes it down; `close` it at the end."""
 
     def __init__(self, setup: bytes) -> None:
         self.folder = scratch_folder()
@@ -28,7 +29,7 @@ class Seat:
         self.launched = self.runs = 0
 
     def start(self, *, wanted: Callable[[], bool]) -> bool:
-        """Start the worker process; return whether it has loaded the model, false if it is no longer `wanted`.
+        """Start the worker process; return True once it has loaded the model, False if it is no longer `wanted`.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
@@ -36,9 +37,9 @@ class Seat:
         return self._ready_worker(wanted) is not None
 
     def run(self, request: RunRequest, timeout: float | None, *, wanted: Callable[[], bool]) -> RunRecord | None:
-        """Return the outcome of a run; one that is no longer `wanted` is stopped within half a second, as out of time.
+        """Return the outcome of a run; None if it is no longer `wanted` before it begins.
 
-        None if it was no longer wanted before it began.
+        If it is no longer wanted after it has begun, it is stopped within half a second, as out of time.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
@@ -114,7 +115,7 @@ class Seat:
 
 
 def killed_while_starting(times: int) -> InvalidInput:
-    """Return the error of worker processes that never come up."""
+    """Return the error of worker processes that never finish starting."""
     return InvalidInput(
         "worker processes are killed before they have loaded the model",
         value=f"{times} times",

@@ -1,7 +1,7 @@
-"""The folder of a batch: what an array of jobs is to do, what has come back, and what of it was taken.
+"""The folder of a batch: what an array of jobs must do, what has come back, and which results were taken.
 
 ```
-<name>/batch.json     the runs; without it the folder is no batch, and its jobs do nothing
+<name>/batch.json     the runs; without it the folder is not a batch, and its jobs do nothing
 <name>/job            the number of its job, once SLURM has taken it
 <name>/job.sh         what was submitted
 <name>/logs/7.txt     what job 7 of the array printed
@@ -14,6 +14,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,7 +50,7 @@ class Batch:
 
     @classmethod
     def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> "Batch":
-        """Write a new batch into a folder of its own inside `parent`, durably."""
+        """Write a new batch to its own folder inside `parent`, durably."""
         folder = parent / f"strandline-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:8]}"
         for part in ("logs", "results"):
             (folder / part).mkdir(parents=True)
@@ -70,7 +71,7 @@ class Batch:
         """Return the batch in `folder`.
 
         Raises:
-            FileNotFoundError: There is none, or it has been removed.
+            FileNotFoundError: There is no batch, or it has been removed.
         """
         content = json.loads((folder / BATCH).read_text(encoding="utf-8"))
         requests = tuple(RunRequest(run["key"], run["inputs"]) for run in content["runs"])
@@ -85,7 +86,7 @@ class Batch:
 
     @property
     def job(self) -> str | None:
-        """Number of the job; None where SLURM is not known to have it."""
+        """Number of the job; None if SLURM is not known to have it."""
         try:
             return (self.folder / "job").read_text(encoding="utf-8").strip()
         except FileNotFoundError:
@@ -101,7 +102,7 @@ class Batch:
             write_run(self._result(index), record)
 
     def present(self) -> tuple[dict[int, Path], frozenset[int]]:
-        """Return the results that are there, by number, and the numbers of those taken."""
+        """Return the results not taken yet, by number, and the numbers of those taken."""
         found = list((self.folder / "results").iterdir())
         there = {int(path.stem): path for path in found if path.suffix == ".run" and path.stem.isdigit()}
         taken = frozenset(int(path.stem) for path in found if path.suffix == ".taken")
@@ -115,14 +116,14 @@ class Batch:
             self._taken(index).touch()
 
     def log_tail(self, index: int, size: int = 8192) -> str:
-        """Return the end of what a job printed."""
+        """Return the end of a job's output."""
         try:
             return (self.folder / "logs" / f"{index}.txt").read_bytes()[-size:].decode("utf-8", "replace")
         except OSError:
             return ""
 
     def remove(self) -> None:
-        """Remove the batch; jobs that may still come find nothing to do."""
+        """Remove the batch; jobs that start later find nothing to do."""
         (self.folder / BATCH).unlink(missing_ok=True)
         shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -134,6 +135,9 @@ class Batch:
 
 
 def known_batches(parent: Path) -> Iterable[Batch]:
-    """Yield the batches inside `parent`, the oldest first."""
-    folders = [path.parent for path in parent.glob(f"strandline-*/{BATCH}")]
-    yield from sorted((Batch.read(folder) for folder in folders), key=lambda batch: batch.created)
+    """Yield the batches inside `parent`, the oldest first; what another driver removes meanwhile is left out."""
+    batches = []
+    for path in parent.glob(f"strandline-*/{BATCH}"):
+        with suppress(FileNotFoundError):
+            batches.append(Batch.read(path.parent))
+    yield from sorted(batches, key=lambda batch: batch.created)
