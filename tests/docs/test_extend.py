@@ -1,6 +1,7 @@
 """The page "Extend strandline": its examples are one file, pass the conformance suites, and make a study."""
 
 import importlib
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -13,7 +14,17 @@ import pytest
 import strandline as sl
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study, run_study
-from strandline.testing import criteria, discrepancies, executors, kernels, noise, priors, readers, simulators
+from strandline.testing import (
+    criteria,
+    discrepancies,
+    executors,
+    kernels,
+    noise,
+    priors,
+    readers,
+    simulators,
+    surrogates,
+)
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "extend.md").read_text("utf-8")
 
@@ -41,6 +52,8 @@ def test_its_entries_pass_the_suites(doors: ModuleType) -> None:
         check(doors.Arch(), {"height": 0.25})
     for check in kernels.CHECKS.values():
         check(doors.MATERN72)
+    for check in surrogates.CHECKS.values():
+        check(doors.Quadratic)
     for check in criteria.CHECKS.values():
         check(doors.at_random)
 
@@ -51,6 +64,20 @@ def test_its_study_runs(doors: ModuleType, tmp_path: Path, without_report: None)
     posterior = run_study(load_study(tmp_path)).calibration.posterior
     assert abs(posterior.mean[0] - 0.25) < 3 * posterior.sd[0]
     assert (tmp_path / "runs.txt").read_text() == "24 runs\n"
+
+
+def test_its_surrogate_makes_a_study(doors: ModuleType, tmp_path: Path) -> None:
+    (study,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    with_fit = study.replace('kernel: "my_doors:MATERN72"', 'fit: "my_doors:Quadratic"')
+    assert with_fit != study
+    (tmp_path / "study.yaml").write_text(with_fit, encoding="utf-8")
+    outcome = run_study(load_study(tmp_path))
+    posterior = outcome.calibration.posterior
+    assert abs(posterior.mean[0] - 0.25) < 3 * posterior.sd[0]
+    assert posterior.sd[0] == pytest.approx(0.01, rel=0.2)
+    found = json.loads((tmp_path / "summary.json").read_text("utf-8"))["surrogate"]
+    assert (found["n_train"], found["hyperparameters"], found["optimiser"]) == (24, None, None)
+    assert (tmp_path / "report.html").is_file()
 
 
 def test_its_noise_model_is_used(doors: ModuleType) -> None:

@@ -26,8 +26,9 @@ from strandline.models.python import PythonModel
 from strandline.models.umbridge.server import UMBridgeServer
 from strandline.priors import PRIORS, Normal, Uniform
 from strandline.readers import READERS, Contents, Reading
+from strandline.surrogate import fit_log_likelihood
 from strandline.surrogate.kernels import KERNELS, Isotropic, Kernel
-from strandline.testing import criteria, discrepancies, kernels, noise, priors, readers, simulators
+from strandline.testing import criteria, discrepancies, kernels, noise, priors, readers, simulators, surrogates
 from strandline.testing.models import Cantilever
 
 NUMBERS = {"beta": (2.6, 1.4, 0.0, 110.0), "lognormal": (5.86, 0.4), "normal": (3.0, 2.0), "uniform": (100.0, 800.0)}
@@ -63,6 +64,12 @@ def test_every_discrepancy(name: str, check: Any) -> None:
 def test_every_kernel(name: str) -> None:
     for check in kernels.CHECKS.values():
         check(KERNELS[name])
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_the_gaussian_process_with_every_kernel(name: str) -> None:
+    for check in surrogates.CHECKS.values():
+        check(lambda x, y: fit_log_likelihood(x, y, kernel=name).process)
 
 
 @pytest.mark.parametrize("name", CRITERIA)
@@ -231,6 +238,40 @@ ROUGH = Isotropic(
 def test_a_wrong_kernel_is_noticed() -> None:
     kernel: Kernel = ROUGH
     assert "gradient is not that of the value" in complaints(kernels.CHECKS, kernel)
+
+
+class Nearest:
+    """The value of the nearest run: a surrogate that learns badly."""
+
+    def __init__(self, x: np.ndarray, y: np.ndarray) -> None:
+        self.x, self.y = x, y
+
+    def mean(self, x: np.ndarray) -> np.ndarray:
+        return np.asarray(self.y[((x[:, None] - self.x) ** 2).sum(axis=2).argmin(axis=1)])
+
+    def variance(self, x: np.ndarray) -> np.ndarray:
+        return np.ones(len(x))
+
+
+class Shy(Nearest):
+    """It draws what it predicts to zero, and judges points by their fellows."""
+
+    def mean(self, x: np.ndarray) -> np.ndarray:
+        return 0.9 * super().mean(x) + 0.1 * x[:, 0].mean()
+
+    def variance(self, x: np.ndarray) -> np.ndarray:
+        return -np.ones(len(x))
+
+
+def test_a_bad_surrogate_is_noticed() -> None:
+    assert "it errs by" in complaints(surrogates.CHECKS, Nearest)
+    assert "other units" in complaints(surrogates.CHECKS, Nearest)
+    found = complaints(surrogates.CHECKS, Shy)
+    for planted in ("a variance is negative", "depends on the points beside it", "a constant added"):
+        assert planted in found
+    assert "has no" in complaints(surrogates.CHECKS, lambda x, y: np.mean)
+    random = np.random.default_rng(1)
+    assert "another surrogate" in complaints(surrogates.CHECKS, lambda x, y: Nearest(x, y + random.normal(size=len(y))))
 
 
 def forgetful(state: Any, candidates: np.ndarray, unknown: np.ndarray, targets: np.ndarray) -> Any:

@@ -25,22 +25,22 @@ __all__ = ["LARGEST_DIM", "cut_by_quadrature", "under_uncertainty"]
 ZETA = 0.5
 """Share of the effective sample size that a tempering step keeps: enough for moments."""
 FEWEST_PARTICLES = 250
-"""For each value of the nuisance inputs: with 150, errors of 5 % of a standard deviation were seen."""
+"""Fewest particles for each value of the nuisance inputs: 150 gave errors of 5 % of a standard deviation."""
 STREAM = 2
-"""Sets these random numbers apart from the two streams of the joint reading."""
+"""Keeps these random numbers apart from the two streams of the joint reading."""
 LARGEST_DIM = 3
-"""Number of inputs, nuisance inputs included, up to which posteriors are integrated directly too."""
+"""Largest number of inputs, including nuisance inputs, for which posteriors are also integrated directly."""
 
 
 def under_uncertainty(posterior: Posterior, log_likelihood: BatchedLogDensity, settings: Settings) -> UnderUncertainty:
-    """Return both readings of the posterior of the calibrated inputs: joint, and cut.
+    """Return both readings of the posterior of the calibrated inputs: joint and cut.
 
-    For the cut one, p(x | θ, Y) is sampled for values θ that represent p(θ), and the draws are pooled.
+    For the cut reading, p(x | θ, Y) is sampled for values θ that represent p(θ), and the draws are pooled.
 
     Args:
         posterior: Posterior of all inputs, some of them nuisance.
         log_likelihood: Log-likelihood of points (…, dim).
-        settings: Those of the joint posterior; steps of tempering may be longer here.
+        settings: Settings of the joint posterior; tempering steps may be longer here.
     """
     space = posterior.space
     theta, calibrated = nuisance_values(space, settings.nuisance_values), space.calibrated_space
@@ -55,21 +55,22 @@ def under_uncertainty(posterior: Posterior, log_likelihood: BatchedLogDensity, s
 
 
 def cut_by_quadrature(log_likelihood: BatchedLogDensity, cut: Cut) -> tuple[QuadratureResult, ...] | None:
-    """Integrate p(x | θ, Y) directly for each θ of a cut reading; None above three inputs."""
+    """Integrate p(x | θ, Y) directly for each θ of a cut reading; None for more than three inputs."""
     space = cut.extended.space
     if space.dim > LARGEST_DIM:
         return None
-    calibrated, compiled = space.calibrated_space, jax.jit(_given(space, log_likelihood))
+    calibrated, given = space.calibrated_space, _given(space, log_likelihood)
+    found = given.of_one_value if is_on_host(given) else jax.jit(given)
 
     def log_density(x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, " nuisance"]) -> Any:
-        return np.asarray(compiled(x, theta)) + calibrated.log_prior(x)
+        return np.asarray(found(x, theta)) + calibrated.log_prior(x)
 
     return tuple(integrate(partial(log_density, theta=theta), calibrated.low, calibrated.high) for theta in cut.values)
 
 
 @dataclass(frozen=True)
 class _GivenOnHost:
-    """log L of NumPy arrays, of calibrated inputs and of as many nuisance inputs."""
+    """log L for NumPy arrays of calibrated inputs and of as many nuisance inputs."""
 
     log_likelihood: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
     order: tuple[int, ...]
@@ -79,6 +80,12 @@ class _GivenOnHost:
         self, x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, "point nuisance"]
     ) -> Float[np.ndarray, " point"]:
         return self.log_likelihood(np.ascontiguousarray(np.concatenate([x, theta], axis=1)[:, self.order]))
+
+    def of_one_value(
+        self, x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, " nuisance"]
+    ) -> Float[np.ndarray, " point"]:
+        """Return log L with the same nuisance inputs at all points."""
+        return self(x, np.tile(theta, (len(x), 1)))
 
 
 def _given(space: ParameterSpace, log_likelihood: Any) -> Any:

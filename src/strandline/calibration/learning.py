@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -26,25 +26,25 @@ from strandline.runs import (
 )
 from strandline.runs.executors import usable_cores
 from strandline.runs.failures import counted
-from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood
+from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood, fit_named, fit_of_the_user
 
 __all__ = ["Learning", "Lesson"]
 
 LARGEST_BATCH = 16
-"""Runs of an active design chosen together where nobody says how many, at most."""
+"""Largest default number of runs that an active design chooses together."""
 ROUNDS_INSTEAD = 4
-"""Rounds of refinement that make the second half of an active design's runs where there can be no field."""
+"""Rounds of refinement that make the second half of an active design's runs if there can be no field."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """What all forward runs have taught.
+    """What was learnt from all forward runs.
 
     Args:
-        learnt: Runs, and surrogates of the log-likelihood; with a field, to compare.
+        learnt: Runs, and surrogates of the log-likelihood; with a field, these are for comparison.
         rounds: Rounds of refinement.
-        knowledge: What is known of the field; None where the surrogate is one of the log-likelihood.
-        certificate: What speaks for an active design; None for a fixed one.
+        knowledge: What is known about the field; None if the surrogate is one of the log-likelihood.
+        certificate: Certificate of an active design; None for a fixed design.
         no_field: Why there is no surrogate of the field although the settings ask for one.
         set_aside: Runs that ended ok and were not used.
     """
@@ -65,7 +65,7 @@ class Lesson:
 
     @property
     def found(self) -> dict[str, Any]:
-        """What a `Calibration` reports of the runs, by the names of its fields."""
+        """What a `Calibration` reports about the runs, by the names of its fields."""
         learnt = self.learnt
         return {
             "records": learnt.records,
@@ -91,11 +91,11 @@ class Learning:
 
     @cached_property
     def judge(self) -> Judge:
-        """Says which runs can be used."""
+        """The judge that decides which runs can be used."""
         return Judge(self.problem.observations, self.problem.discrepancies, self.settings.failures)
 
     def lesson(self, given: Float[np.ndarray, "run dim"] | None) -> Lesson:
-        """Make all forward runs and learn from them, by the surrogate that the settings name where that can be.
+        """Make all forward runs and learn from them, with the surrogate that the settings name if possible.
 
         Args:
             given: Inputs of finished runs to begin with, shape (run, dim), in place of the Sobol design.
@@ -133,9 +133,9 @@ class Learning:
         return Lesson(learnt, rounds, set_aside=self.judge.set_aside(learnt.records))
 
     def _instead(self, asked: Float[np.ndarray, "run dim"]) -> Lesson:
-        """Learn the log-likelihood from the runs `asked` for so far, and from what an active design may still make.
+        """Learn the log-likelihood from the runs `asked` for so far and those that an active design may still make.
 
-        Half of all runs are spread over the box, the others are made where the posterior lies.
+        Half of all runs are spread over the box; the others are made where the posterior lies.
         """
         most = len(asked) if self.settings.active is None else max(self.settings.active.runs, len(asked))
         more = max(most - ROUNDS_INSTEAD * (most // (2 * ROUNDS_INSTEAD)) - len(asked), 0)
@@ -147,7 +147,7 @@ class Learning:
         return self._refined(asked, Refinement(ROUNDS_INSTEAD, runs) if runs else Refinement())
 
     def extend(self, known: Learnt | None, points: Float[np.ndarray, "run dim"]) -> Learnt:
-        """Run the model at `points`, behind the known runs, and train the surrogates with all of them."""
+        """Run the model at `points`, append these to the known runs, and train the surrogates with all of them."""
         with self.watch("forward", self.tell):
             if known is not None:
                 self.tell.draws(self._inputs(points))
@@ -164,13 +164,13 @@ class Learning:
         with self.watch("surrogate", self.tell):
             records = self.judge.usable(records)
             training, log_likelihoods = _training_set(self.judge, points, records)
-            surrogates = _trained(training, log_likelihoods, self.settings.kernel)
+            surrogates = _trained(training, log_likelihoods, self.settings)
         return Learnt(points, records, training, log_likelihoods, surrogates)
 
     def _by_field(self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None) -> tuple[Learnt, Knowledge]:
-        """Run the model at `first`, and where the active design wants; learn the field.
+        """Run the model at `first` and where the active design chooses; learn the field.
 
-        The surrogates of the log-likelihood are trained beside it, to compare, where they can be.
+        The surrogates of the log-likelihood are also trained, for comparison, if possible.
         """
         space = self.problem.space
         with self.watch("forward", self.tell):
@@ -182,13 +182,13 @@ class Learning:
             else:
                 knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
             training, log_likelihoods = _training_set(self.judge, points, records)
-            surrogates = _to_compare(training, log_likelihoods, self.settings.kernel)
+            surrogates = _to_compare(training, log_likelihoods, self.settings)
         return Learnt(points, records, training, log_likelihoods, surrogates), knowledge
 
     def _known_field(
         self, points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
     ) -> tuple[Knowledge, tuple[RunRecord, ...]]:
-        """Learn the field; return the records too, those that it was not learnt from turned into invalid ones."""
+        """Learn the field; also return the records, with those that it was not learnt from marked invalid."""
         measure = next(iter(self.problem.discrepancies.values()))
         while True:
             used = self.judge.usable(records)
@@ -237,25 +237,28 @@ class Learning:
 
 
 def _trained(
-    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], kernel: str
+    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], settings: Settings
 ) -> dict[str, LogLikelihoodSurrogate]:
-    """Return a surrogate for each measure; none of one, beside the first, that too few runs can be compared by."""
+    """Return a surrogate for each measure, except those after the first that can compare too few runs."""
     found = {}
+    fit = partial(fit_log_likelihood, kernel=settings.kernel)
+    if settings.fit is not None:
+        fit = partial(fit_of_the_user, fit=fit_named(settings.fit))
     for name, values in log_likelihoods.items():
         usable = np.isfinite(values)
         if usable.all():
-            found[name] = fit_log_likelihood(training, values, kernel=kernel)
+            found[name] = fit(training, values)
         elif usable.sum() >= training.shape[1] + 2:
-            found[name] = fit_log_likelihood(training[usable], values[usable], kernel=kernel)
+            found[name] = fit(training[usable], values[usable])
     return found
 
 
 def _to_compare(
-    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], kernel: str
+    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], settings: Settings
 ) -> dict[str, LogLikelihoodSurrogate]:
-    """Return the surrogates of the log-likelihood, none where one cannot be trained."""
+    """Return the surrogates of the log-likelihood, none if one cannot be trained."""
     try:
-        return _trained(training, log_likelihoods, kernel)
+        return _trained(training, log_likelihoods, settings)
     except (NumericsError, TooFewRuns):
         return {}
 
@@ -263,7 +266,7 @@ def _to_compare(
 def _training_set(
     judge: Judge, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
 ) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
-    """Return the inputs of the usable runs and their log-likelihood under each measure, NaN where it has none."""
+    """Return the inputs of the usable runs and their log-likelihood under each measure, NaN if a run has none."""
     succeeded = [i for i, record in enumerate(records) if record.ok]
     _require_enough(len(succeeded), records, design.shape[1])
     values = {name: np.array([judge.value(name, records[i]) for i in succeeded]) for name in judge.likelihoods}

@@ -42,19 +42,19 @@ def calibrate(
     """Return the posterior of the unknown inputs of `problem`.
 
     Finished runs in the ledger are not repeated. The same arguments give the same result to the bit, whatever order the
-    runs ended in. If the runs' interfaces have no common points, the log-likelihood is learnt instead of the field.
+    runs end in. If the runs' interfaces have no common points, the log-likelihood is learnt instead of the field.
 
     Args:
         problem: Simulator, inputs with their priors, observations and measures.
         settings: How the posterior is computed.
-        ledger: Where forward runs are kept, a ledger or its path; forgotten afterwards if omitted.
-        executor: Where forward runs are made; in this process if omitted.
+        ledger: Ledger of the forward runs, or its path; if omitted, the runs are not kept.
+        executor: Executor of the forward runs; if omitted, they run in this process.
         observer: Functions to call as the work goes on.
         given: Inputs of finished runs to begin with, shape (run, dim), in place of the Sobol design.
 
     Raises:
         InvalidInput: An observed condition that the model does not have; raised before any run.
-        CampaignStopped: As `settings.failures` says; what is finished is in the ledger.
+        CampaignStopped: `settings.failures` says to stop; finished runs are in the ledger.
         TooFewRuns: Fewer successful runs than the Gaussian process needs.
     """
     if not isinstance(ledger, Ledger):
@@ -97,7 +97,7 @@ def calibrate(
 
 @contextmanager
 def _opened(path: Path | str | None, problem: Problem) -> Iterator[Ledger]:
-    """Give the ledger at `path`, or one in a folder that is removed afterwards."""
+    """Yield the ledger at `path`, or one in a folder that is removed afterwards."""
     with (
         TemporaryDirectory() if path is None else nullcontext() as folder,
         Ledger.open(path or Path(str(folder)) / "ledger.sqlite", model=problem.model) as ledger,
@@ -113,7 +113,7 @@ def _sample(target: Target, space: ParameterSpace, settings: Settings, tell: Obs
 
 
 def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:
-    """Return how much each input has to do with the log-likelihood; None where there is one input only."""
+    """Return how much each input affects the log-likelihood; None if there is only one input."""
     if space.dim == 1:
         return None
     return sobol_indices(log_likelihood, space, number=2048 if space.dim < 4 else 1024, seed=seed)

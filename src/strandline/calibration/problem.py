@@ -1,4 +1,4 @@
-"""What a calibration is asked, how it is answered, and what it yields."""
+"""The problem, the settings and the result of a calibration."""
 
 import html
 import time
@@ -37,21 +37,22 @@ from strandline.smc import (
     SMCSettings,
     StepInfo,
 )
-from strandline.surrogate import LogLikelihoodSurrogate
+from strandline.surrogate import LogLikelihoodSurrogate, fit_named
+from strandline.surrogate.kernels import kernel_named
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "Stopwatch"]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is asked.
+    """The problem to solve.
 
     Args:
         model: the simulator.
         space: its unknown inputs with their priors.
         fixed: its known inputs by name.
         observations: the observed interface of each observed condition, and the noise.
-        discrepancies: measures by name. The first one makes the posterior; the others get a surrogate to compare with.
+        discrepancies: measures by name. The first one defines the posterior; the others get a surrogate for comparison.
     """
 
     model: ForwardModel
@@ -68,9 +69,9 @@ class Problem:
         _require("known inputs of the problem", self.fixed, fixed, "numbers by name, e.g. {} or {'load': 1.0}")
         seen = isinstance(self.observations, tuple | list)
         seen = seen and all(isinstance(one, Observation) for one in self.observations)
-        _require("observations of the problem", self.observations, seen, "a tuple of Observations, one a condition")
+        _require("observations of the problem", self.observations, seen, "a tuple of Observations, one per condition")
         named = isinstance(self.discrepancies, Mapping) and all(map(callable, self.discrepancies.values()))
-        _require("measures of the problem", self.discrepancies, named, "discrepancies by name, the first one first")
+        _require("measures of the problem", self.discrepancies, named, "discrepancies by name, the main one first")
         object.__setattr__(self, "observations", tuple(self.observations))
 
 
@@ -83,28 +84,33 @@ def _require(what: str, value: object, right: bool, expected: str) -> None:
 
 @dataclass(frozen=True)
 class Settings:
-    """How it is answered; the defaults are the study's.
+    """How the problem is solved; the defaults are the study's.
 
     Args:
         runs: Number of runs of the Sobol design.
         scramble: Seed of the design's scrambling, None for the plain sequence.
         refine: Further runs where the posterior lies; none by default.
         kernel: Name of the Gaussian process's kernel.
+        fit: Function that learns the log-likelihood in place of the Gaussian process, ``module:name``; None if unused.
         particles: Number of particles of the sampler.
         smc: Other settings of the sampler.
         seed: Seed of every random number after the design.
-        nuisance_values: Number of values of the nuisance inputs, where there are any, that represent their prior in the
+        nuisance_values: Number of values of the nuisance inputs, if there are any, that represent their prior in the
             cut reading of the posterior under uncertainty.
-        failures: What is done about forward runs that fail.
+        failures: Policy for forward runs that fail.
         surrogate: Quantity that the surrogate predicts: the log-likelihood, as in the study, or the interface
             as a ``field``.
         active: Further runs chosen as the posterior takes shape; only with a surrogate of the field.
+
+    Raises:
+        InvalidInput: No such kernel, or no such function.
     """
 
     runs: int = 1000
     scramble: int | None = None
     refine: Refinement = field(default_factory=Refinement)
     kernel: str = "matern32"
+    fit: str | None = None
     particles: int = 5000
     smc: SMCSettings = field(default_factory=SMCSettings)
     seed: int = 1
@@ -113,22 +119,27 @@ class Settings:
     surrogate: Literal["log_likelihood", "field"] = "log_likelihood"
     active: Active | None = None
 
+    def __post_init__(self) -> None:
+        kernel_named(self.kernel)
+        if self.fit is not None:
+            fit_named(self.fit)
+
     @property
     def planned_runs(self) -> int:
-        """Runs of the Sobol design and of all rounds of refinement; of an active design, the most that it may make."""
+        """Runs of the Sobol design and of all rounds of refinement; for an active design, the most that it may make."""
         return self.runs + self.refine.total if self.active is None else self.active.runs
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Problem, settings and all that was learnt; the runs of each round of refinement stand behind the earlier ones.
+    """Problem, settings and all results; the runs of each round of refinement follow the earlier ones.
 
-    With nuisance inputs `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
-    `cut_quadrature` has one result for each value of the nuisance inputs; else both are None. With a surrogate of the
-    field, `field` is what it knows; `surrogates`, of the log-likelihood, are then there to compare, or empty.
-    `no_field` says why there is none though it was asked for. `set_aside` are runs that ended ok and were not used;
-    unless one measure alone cannot use them, they stand in `records` as invalid. `turned` are the conditions whose
-    observation ran against the runs and stands in `problem` turned round.
+    With nuisance inputs, `posterior` is that of all inputs, `under_uncertainty` that of the calibrated ones, and
+    `cut_quadrature` has one result for each value of the nuisance inputs; else these two are None. With a surrogate of
+    the field, `field` describes it; `surrogates`, of the log-likelihood, are then for comparison, or empty. `no_field`
+    is the reason why there is no field although it was requested. `set_aside` are runs that ended ok but were not used;
+    unless only one measure cannot use them, they are invalid in `records`. `turned` are the conditions whose
+    observation ran against the runs; in `problem` it is turned round.
     """
 
     problem: Problem
@@ -172,10 +183,10 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Observer:
-    """Who wants to know how far it is: functions called as the work goes on; by default nobody.
+    """Functions to call as the work goes on; by default they do nothing.
 
-    `draws` hears of the inputs of each round of refinement before they are run, `batch` of the posterior after each
-    batch of an active design, `note` of what a person should know.
+    `draws` receives the inputs of each round of refinement before they are run, `batch` the posterior after each batch
+    of an active design, `note` anything that a person should know.
     """
 
     stage: Callable[[str], None] = lambda name: None
@@ -187,7 +198,7 @@ class Observer:
 
 
 class Stopwatch:
-    """Seconds by stage, added up where a stage comes again; a stage inside another one does not count there."""
+    """Seconds by stage, summed if a stage is repeated; a stage inside another one does not count there."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

@@ -1,7 +1,7 @@
-"""The two log-likelihoods that a sampler may be given: the mean of a surrogate, or that of a predicted interface.
+"""The two log-likelihoods to sample from: the mean of a surrogate, or that of a predicted interface.
 
-Each comes in the forms that the sampler and the checks need, turns what was sampled into the posterior, and brings the
-checks that it allows.
+Each has the forms that the sampler and the checks need, turns the sample into the posterior, and provides the checks
+that it allows.
 """
 
 from collections.abc import Callable
@@ -18,14 +18,14 @@ from scipy.special import log_softmax, logsumexp
 from strandline.calibration.cut_posterior import LARGEST_DIM, cut_by_quadrature
 from strandline.design.active import Certificate, FieldOutcome, Knowledge, VarianceEffect
 from strandline.design.refinement import SAMPLING
-from strandline.likelihood import OnHost
+from strandline.likelihood import OnHost, evaluated, predicted
 from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Cut, Posterior
 from strandline.posterior.quadrature import QuadratureResult, integrate
 from strandline.posterior.weighted import Weighted
 from strandline.smc import BatchedLogDensity, SMCResult, sample
-from strandline.surrogate import GaussianProcess, batched_mean
+from strandline.surrogate import HasHessian, Predictor
 
 __all__ = ["Checks", "FieldTarget", "LogLikelihoodTarget", "Target"]
 
@@ -33,20 +33,20 @@ Point = Float[np.ndarray, " dim"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
 NORMALISED = 1e-7
-"""Largest logarithm of the weights' sum: rounding exceeds it where log-likelihoods are of the order of -1e9."""
+"""Largest logarithm of the weights' sum: rounding exceeds it if log-likelihoods are of the order of -1e9."""
 COMPARED = 2000
-"""Particles of the posterior that is reported beside the study's own."""
-_STEP = 0.1  # of finite differences, in the given scales
+"""Particles of the posterior that is reported for comparison."""
+_STEP = 0.1  # step of finite differences, in the given scales
 
 
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """What a target says of its posterior; None or left out where it does not allow the check.
+    """Checks of a target's posterior; None for a check that it does not allow.
 
     Args:
         quadrature: Evidence and moments by direct integration.
-        cut_quadrature: The same of the cut posterior, for each value of the nuisance inputs.
-        field: What is known of the field, and how it affects the posterior.
+        cut_quadrature: The same for the cut posterior, for each value of the nuisance inputs.
+        field: What is known about the field, and how it affects the posterior.
     """
 
     quadrature: QuadratureResult | None = None
@@ -76,7 +76,7 @@ class Target(Protocol):
         ...
 
     def posterior(self, sampling: SMCResult) -> Posterior:
-        """Return the posterior that the sampled particles stand for."""
+        """Return the posterior that the sampled particles represent."""
         ...
 
     def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> Checks:
@@ -89,25 +89,27 @@ class LogLikelihoodTarget:
     """Mean of a surrogate of the log-likelihood.
 
     Args:
-        process: Gaussian process of the log-likelihood.
+        process: Surrogate of the log-likelihood.
         space: All inputs.
     """
 
-    process: GaussianProcess
+    process: Predictor
     space: ParameterSpace
 
     @cached_property
     def compiled(self) -> BatchedLogDensity:
-        """The mean, with JAX."""
-        return batched_mean(self.process)
+        """The mean: with JAX if it is a Gaussian process, else for NumPy arrays."""
+        return predicted(self.process)
 
     def values(self, x: Points) -> Values:
         """Return the mean."""
         return np.asarray(self.process.mean(x))
 
     def hessian(self, x: Point, scales: Point) -> Float[np.ndarray, "dim dim"]:
-        """Return the exact second derivatives of the mean."""
-        return np.asarray(self.process.hessian(x[None])[0])
+        """Return the second derivatives of the mean: exact if the surrogate knows them, else central differences."""
+        if isinstance(self.process, HasHessian):
+            return np.asarray(self.process.hessian(x[None])[0])
+        return central_hessian(self.values, x, _STEP * scales, self.space.low, self.space.high)
 
     def threads(self) -> AbstractContextManager[Any]:
         """Return a context that changes nothing."""
@@ -121,26 +123,26 @@ class LogLikelihoodTarget:
         return _posterior(self.space, sampling, log_weights, sampling.log_likelihood, sampling.log_evidence)
 
     def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> Checks:
-        """Integrate the surrogate directly, as far as the dimension allows it: the check of the sampler."""
+        """Integrate the surrogate directly if the dimension allows it, to check the sampler."""
         cuts = None if cut is None else cut_by_quadrature(self.compiled, cut)
-        return Checks(quadrature(self.space, jax.jit(self.compiled)), cuts)
+        return Checks(quadrature(self.space, evaluated(self.compiled)), cuts)
 
 
 @dataclass(frozen=True, eq=False)
 class FieldTarget:
-    """Log-likelihood of the predicted interface; the posterior has that expected over possible interfaces.
+    """Log-likelihood of the predicted interface; the posterior uses the one expected over possible interfaces.
 
     Args:
         knowledge: Surrogate of the field, its likelihood and feasibility.
         space: All inputs.
-        certificate: What speaks for an active design; None for a fixed one.
-        beside: Gaussian process of the log-likelihood from the same runs, to compare; None if there is none.
+        certificate: Certificate of an active design; None for a fixed design.
+        beside: Surrogate of the log-likelihood from the same runs, for comparison; None if there is none.
     """
 
     knowledge: Knowledge
     space: ParameterSpace
     certificate: Certificate | None = None
-    beside: GaussianProcess | None = None
+    beside: Predictor | None = None
 
     @cached_property
     def compiled(self) -> BatchedLogDensity:
@@ -156,18 +158,18 @@ class FieldTarget:
         return central_hessian(self.values, x, _STEP * scales, self.space.low, self.space.high)
 
     def threads(self) -> AbstractContextManager[Any]:
-        """Return a context in which BLAS uses one thread, for its matrices are small."""
+        """Return a context in which BLAS uses one thread, because its matrices are small."""
         return one_thread()
 
     def posterior(self, sampling: SMCResult) -> Posterior:
-        """Return the particles, weighted from the log-likelihood that was sampled to the expected one."""
+        """Return the particles, reweighted from the sampled log-likelihood to the expected one."""
         expected = self.knowledge.expected(sampling.positions)
         log_weights = sampling.log_weights + expected - sampling.log_likelihood
         log_evidence = sampling.log_evidence + float(logsumexp(log_weights))
         return _posterior(self.space, sampling, log_softmax(log_weights), expected, log_evidence)
 
     def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> Checks:
-        """Return what the surrogate's variance, feasibility and the other surrogate make of the posterior."""
+        """Return how the surrogate's variance, feasibility and the other surrogate change the posterior."""
         weights = np.exp(sampling.log_weights)
         plain = Weighted(sampling.positions, weights)
         ratios = posterior.weights / np.maximum(weights, 1e-300)
@@ -198,7 +200,7 @@ def _posterior(
 def quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> QuadratureResult | None:
     """Integrate the posterior of a log-likelihood; None for more than three inputs.
 
-    None, too, for a posterior so narrow that rounding leaves no variance, as where nothing comes near the observation.
+    Also None for a posterior so narrow that rounding leaves no variance, e.g. if nothing comes near the observation.
     """
     if space.dim > LARGEST_DIM:
         return None
@@ -206,8 +208,8 @@ def quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> Q
     return found if (np.diag(found.covariance) > 0).all() else None
 
 
-def _moments_by(process: GaussianProcess, space: ParameterSpace, seed: int) -> dict[str, Point]:
-    """Return mean and standard deviations of the posterior by a surrogate of the log-likelihood."""
+def _moments_by(process: Predictor, space: ParameterSpace, seed: int) -> dict[str, Point]:
+    """Return mean and standard deviations of the posterior from a surrogate of the log-likelihood."""
     initial = space.prior_quantiles(np.random.default_rng(seed).random((COMPARED, space.dim)))
     found = sample(jax.random.key(seed), OnHost(process.mean), space.log_prior, initial, settings=SAMPLING)
     moments = Weighted(found.positions, np.exp(found.log_weights))
@@ -221,7 +223,7 @@ def central_hessian(
     low: Float[np.ndarray, " dim"],
     high: Float[np.ndarray, " dim"],
 ) -> Float[np.ndarray, "dim dim"]:
-    """Return second derivatives by central differences, around a point that is moved inside where x is at the edge."""
+    """Return second derivatives by central differences around a point, which is moved inside if x is at the edge."""
     dim = len(x)
     step = np.minimum(step, (high - low) / 4)
     x = np.clip(x, low + step, high - step)

@@ -1,8 +1,8 @@
 """Further forward runs where the posterior lies (Willmann et al. 2022, Remark 7), in rounds.
 
 Each round samples the posterior of the surrogate so far, runs the simulator at some of the particles, and trains the
-surrogate again with all runs. What the surrogate had predicted there and what the runs then gave is the honest measure
-of its error, for the runs were no part of its training.
+surrogate again with all runs. The difference between what the surrogate had predicted there and the results of the runs
+is an honest measure of its error, because it was not trained with these runs.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,16 +16,17 @@ from jaxtyping import Float
 from scipy.special import log_softmax
 
 from strandline.errors import InvalidInput
+from strandline.likelihood import predicted
 from strandline.parameters import ParameterSpace
 from strandline.posterior.weighted import Weighted
 from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, sample
-from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
+from strandline.surrogate import LogLikelihoodSurrogate
 
 __all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts"]
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
-"""Settings of the samplings between rounds: cheaper than the one that makes the posterior."""
+"""Settings of the samplings between rounds: cheaper than the one for the final posterior."""
 STREAM = 3
 """Keeps the random numbers of the rounds apart from all others of the same seed."""
 
@@ -61,7 +62,7 @@ class Refinement:
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """The runs so far and the surrogates that they trained, by measure; the first measure makes the posterior.
+    """The runs so far and the surrogates that they trained, by measure; the first measure defines the posterior.
 
     Args:
         design: Physical inputs of all runs, shape (run, dim).
@@ -90,17 +91,17 @@ class Learnt:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What one round found out about the surrogate that it began with.
+    """Result of one round: how good the surrogate was that it began with.
 
     Args:
-        n_train: Number of runs that had trained this surrogate.
+        n_train: Number of runs that trained this surrogate.
         runs: Number of further runs made.
         failed: Number of these runs that failed.
-        error_rms: Root mean square of predicted minus found log-likelihood over the successful ones; None if there
+        error_rms: Root mean square of predicted minus true log-likelihood over the successful runs; None if there
             are none.
-        error_rms_posterior: The same over those drawn from the posterior itself, not from the tempered one.
-        mean: Posterior mean by this surrogate, shape (dim,).
-        sd: Posterior standard deviation by this surrogate, shape (dim,).
+        error_rms_posterior: The same over the runs drawn from the posterior itself, not from the tempered one.
+        mean: Posterior mean from this surrogate, shape (dim,).
+        sd: Posterior standard deviation from this surrogate, shape (dim,).
     """
 
     n_train: int
@@ -114,7 +115,7 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class _Proposal:
-    """Where a round makes runs, the first `own` drawn from the posterior itself, and that posterior's moments."""
+    """Inputs of a round's runs, the first `own` from the posterior itself, and that posterior's moments."""
 
     points: Float[np.ndarray, "run dim"]
     own: int
@@ -132,18 +133,18 @@ def refine(
     seed: int,
     stage: Callable[[], AbstractContextManager[Any]] = nullcontext,
 ) -> tuple[Learnt, tuple[Round, ...]]:
-    """Return what is learnt after all rounds, and an account of each.
+    """Return what is learnt after all rounds, and a report on each.
 
-    The same arguments give the same inputs to the bit, so that runs kept in a ledger are found again.
+    The same arguments give the same inputs to the bit, so runs kept in a ledger are found again.
 
     Args:
         learnt: Runs and surrogates of the first design.
-        extend: Makes runs at further inputs and trains the surrogate with all of them, the new ones last.
+        extend: Function that makes runs at further inputs and trains the surrogate with all of them, the new ones last.
         space: The unknown inputs.
         refinement: Number of rounds, and of runs in each.
         particles: Number of particles of the samplings between rounds.
         seed: Seed of the random numbers of the rounds.
-        stage: Returns a context in which each of these samplings is done.
+        stage: Function that returns a context for each of these samplings.
     """
     rounds = []
     for number in range(refinement.rounds):
@@ -158,7 +159,7 @@ def refine(
 def shifts(
     rounds: Sequence[Round], final: Float[np.ndarray, " dim"], sd: Float[np.ndarray, " dim"]
 ) -> tuple[Float[np.ndarray, " dim"], ...]:
-    """Return by how much each round has moved the posterior means (dim,), in standard deviations after it.
+    """Return how far each round has moved the posterior means (dim,), in standard deviations after it.
 
     Args:
         rounds: Rounds in the order in which they were made.
@@ -177,12 +178,12 @@ def _propose(
     particles: int,
     seed: tuple[int, ...],
 ) -> _Proposal:
-    """Sample π_γ once; weights L^(1 - γ) make of the same particles those of the posterior."""
+    """Sample π_γ once; weights L^(1 - γ) turn the same particles into draws from the posterior."""
     rng = np.random.default_rng(seed)
-    mean, gamma = batched_mean(surrogate.process), refinement.temperature
+    gamma = refinement.temperature
     initial = space.prior_quantiles(rng.random((particles, space.dim)))
     key = jax.random.key(int(rng.integers(2**32)))
-    tempered = sample(key, lambda x: gamma * mean(x), space.log_prior, initial, settings=SAMPLING)
+    tempered = sample(key, predicted(surrogate.process, power=gamma), space.log_prior, initial, settings=SAMPLING)
     rest = (1.0 / gamma - 1.0) * tempered.log_likelihood
     log_weights = log_softmax(tempered.log_weights + rest)
     positions = tempered.positions
@@ -200,7 +201,7 @@ def _distinct(
     rng: np.random.Generator,
     taken: Float[np.ndarray, "other dim"],
 ) -> Float[np.ndarray, "run dim"]:
-    """Return `number` draws by weight, no position twice and none of `taken`: a run repeated teaches nothing.
+    """Return `number` weighted draws, no position twice and none of `taken`: a repeated run teaches nothing.
 
     Sampling without replacement: the largest sums of log weight and Gumbel noise.
     """

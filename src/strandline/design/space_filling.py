@@ -11,19 +11,19 @@ __all__ = ["sobol"]
 
 MOST_POINTS = 2**24
 MOST_INPUTS = qmc.Sobol.MAXDIM
-"""Inputs for which direction numbers are known."""
+"""Largest number of inputs for which direction numbers are known."""
 
 
 def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.ndarray, "run dim"]:
     """Return the first `number` points of one Sobol sequence in the unit cube.
 
-    Nested: a larger design begins with the smaller one, so it reuses its runs.
+    Designs are nested: a larger one begins with the smaller one and reuses its runs.
 
     Args:
-        number: how many points.
+        number: number of points.
         dim: dimension of the cube.
-        scramble: seed of an Owen scrambling; None (the default) leaves the sequence as Sobol' built it, whose first
-            point is the origin.
+        scramble: seed of an Owen scrambling; None (the default) is the plain sequence, whose first point is the
+            origin.
 
     Raises:
         InvalidInput: `number` or `dim` below 1, or more than the sequence has.

@@ -2,5 +2,6 @@
 
 from strandline.likelihood.field import FieldLikelihood, OnHost, noise_length
 from strandline.likelihood.interfaces import InterfaceLikelihood
+from strandline.likelihood.learnt import evaluated, predicted
 
-__all__ = ["FieldLikelihood", "InterfaceLikelihood", "OnHost", "noise_length"]
+__all__ = ["FieldLikelihood", "InterfaceLikelihood", "OnHost", "evaluated", "noise_length", "predicted"]

@@ -41,17 +41,17 @@ class FieldLikelihood:
         return np.concatenate([self._of(self.surrogate.mean(block), None) for block in blocks])
 
     def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return log E[L] over the fields that the surrogate holds possible at each point.
+        """Return log E[L] over the fields that the surrogate considers possible at each point.
 
-        The mean over `DRAWS` fields, the same standard normal numbers at every point. What the modes leave is drawn
-        like the modes.
+        This is the mean over `DRAWS` fields, with the same standard normal numbers at every point. What the modes leave
+        over is drawn like the modes.
         """
         number = max(_BLOCK // DRAWS, 1)
         blocks = [x[k : k + number] for k in range(0, len(x), number)]
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
 
     def left_out(self, runs: Int[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
-        """Return log E[L] at training runs, by their numbers, each predicted from all others."""
+        """Return log E[L] at the training runs with these indices, each predicted from all others."""
         left_out = [process.left_out() for process in self.surrogate.processes]
         values = np.stack([p.observed.values for p in self.surrogate.processes], axis=1)
         mean = values - np.stack([one.errors for one in left_out], axis=1)
@@ -87,7 +87,7 @@ class FieldLikelihood:
 
 @dataclass(frozen=True)
 class OnHost:
-    """A function of NumPy arrays for the sampler, which keeps it out of what it compiles.
+    """A function of NumPy arrays for the sampler, which does not compile it.
 
     Args:
         function: log L of points.
@@ -104,7 +104,7 @@ class OnHost:
 def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     """Return the shift of the observed interface, mm, that costs half a unit of log-likelihood: d² = σ_N².
 
-    The mean over shifts along the axes; half the interface's extent where no shift costs as much.
+    This is the mean over shifts along the axes; half the interface's extent if no shift costs as much.
     """
     seen = observation.interface
     extent = float(np.ptp(seen.points, axis=0).max())

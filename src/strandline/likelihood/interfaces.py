@@ -1,4 +1,4 @@
-"""From discrepancies to a log-likelihood; several conditions add."""
+"""From discrepancies to a log-likelihood, summed over conditions."""
 
 import math
 from collections import Counter
@@ -18,10 +18,10 @@ __all__ = ["InterfaceLikelihood"]
 
 @dataclass(frozen=True)
 class InterfaceLikelihood:
-    """log L = Σ over conditions of what their noise makes of d²; with Gaussian noise, Eq. (4) of the study.
+    """log L = Σ over conditions of the log density of d² under their noise; for Gaussian noise, Eq. (4) of the study.
 
     Args:
-        observations: one for each condition or time that was observed; simulated ones beyond these are passed over.
+        observations: one for each condition or time that was observed; further simulated ones are ignored.
         discrepancy: the measure d².
 
     Raises:
@@ -58,7 +58,7 @@ class InterfaceLikelihood:
         """Return d² of each observation, in `unit`.
 
         Args:
-            interfaces: the simulated ones by condition; a bare interface serves where there is one observation.
+            interfaces: the simulated ones by condition; a single interface suffices if there is one observation.
 
         Raises:
             InvalidInput: an observed condition is not among the simulated ones.
@@ -74,7 +74,7 @@ class InterfaceLikelihood:
 
     @property
     def independent_terms(self) -> int | None:
-        """Number of independent residuals that d² sums over all observations; None where it is no such sum."""
+        """Number of independent residuals that d² sums over all observations; None if it is not such a sum."""
         counts = [independent_terms(self.discrepancy, o.interface) for o in self.observations]
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
@@ -88,7 +88,7 @@ class InterfaceLikelihood:
     def constant(self) -> float | None:
         """The Gaussian constant -½ Σ n_c log(2πσ_N,c²) that `__call__` leaves out.
 
-        None where d² is not the sum of a number n_c of independent residuals fixed by the observation. σ_N in mm: the
+        None if d² is not a sum of n_c independent residuals, with n_c fixed by the observation. σ_N is in mm: the
         constant depends on the unit, as any log density of data does.
         """
         counts = [independent_terms(self.discrepancy, o.interface) for o in self.observations]
@@ -97,7 +97,7 @@ class InterfaceLikelihood:
         return sum(o.noise.constant(n or 0) for o, n in zip(self.observations, counts, strict=True))
 
     def _matched(self, interfaces: Interface | Mapping[str, Interface]) -> Mapping[str, Interface]:
-        """Return the simulated interfaces by condition, all observed ones among them."""
+        """Return the simulated interfaces by condition, which include all observed ones."""
         if isinstance(interfaces, Interface):
             interfaces = {self.conditions[0] if len(self.conditions) == 1 else "": interfaces}
         missing = [name for name in self.conditions if name not in interfaces]

@@ -1,4 +1,4 @@
-"""Single runs that the analysis cannot use, though they ended ok: named, set aside, and the study goes on.
+"""Single runs that ended ok but cannot be used: they are named and set aside, and the study goes on.
 
 A run may have another number of points than the measure needs, coordinates of 1e160, or an interface that runs the
 other way round. Such a run counts as `invalid` for this analysis; the ledger keeps it as it is.
@@ -26,9 +26,9 @@ NOT_COMPARABLE = "not_comparable"
 NO_COMMON_POINTS = "no_common_points"
 KINDS = frozenset({NOT_COMPARABLE, FLIPPED, NO_COMMON_POINTS})
 FARTHEST = 1e6
-"""Extents of the observed interface: beyond so many from it there is nothing to compare."""
+"""Distance from the observed interface, in its extents, beyond which there is nothing to compare."""
 EXCEPTIONS = 0.1
-"""Share of the runs, and at least one, that may be set aside for want of common points; more are no exceptions."""
+"""Share of the runs, but at least one, that may be set aside because they lack common points with the others."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class SetAside:
         key: Content address of the run.
         inputs: Inputs by name.
         kind: ``not_comparable``, ``flipped`` or ``no_common_points``.
-        measure: Name of the measure it is set aside for; None where it is not used at all.
+        measure: Name of the measure it is set aside for; None if it is not used at all.
         why: Reason in words.
     """
 
@@ -51,15 +51,15 @@ class SetAside:
 
 
 class Judge:
-    """Evaluates the measures on runs, each once, and says which runs cannot be used.
+    """Evaluate the measures on runs, each once, and decide which runs cannot be used.
 
-    The first runs say from which end an interface is run through; an observation from the other end is turned round
-    then, and `turned` names its condition.
+    The first runs show at which end an interface begins. An observation that begins at the other end is turned round,
+    and `turned` names its condition.
 
     Args:
         observations: One for each observed condition.
-        discrepancies: Measures by name; the first one makes the posterior.
-        policy: What is done about failed runs, those that are set aside among them.
+        discrepancies: Measures by name; the first one defines the posterior.
+        policy: Policy for failed runs, including those that are set aside.
     """
 
     def __init__(
@@ -75,12 +75,12 @@ class Judge:
         self._exceptions: dict[str, SetAside] = {}
 
     def usable(self, records: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
-        """Return `records`, those that cannot be used turned into `invalid` ones.
+        """Return `records` with those that cannot be used marked `invalid`.
 
         Raises:
-            InvalidInput: The measure cannot be evaluated on any of the runs: then it is not the runs that are odd.
+            InvalidInput: The measure cannot be evaluated on any of the runs, so the runs are not the cause.
             NumericsError: Likewise.
-            CampaignStopped: As the policy says.
+            CampaignStopped: The policy says to stop.
         """
         good = [record for record in records if record.ok]
         self._orient(good)
@@ -96,10 +96,10 @@ class Judge:
 
         Args:
             records: All runs.
-            error: What was raised for want of common points.
+            error: Error that was raised because common points are missing.
 
         Raises:
-            NoCommonPoints: `error`, where such runs are no exceptions, or the best run is one of them.
+            NoCommonPoints: `error`, if such runs are not exceptions or the best run is one of them.
         """
         good = [record for record in records if record.ok and record.key not in self._aside]
         names = [seen.condition for seen in self.observations]
@@ -120,12 +120,12 @@ class Judge:
         self._exceptions = {}
 
     def value(self, measure: str, record: RunRecord) -> float:
-        """Return the log-likelihood of a run under a measure, NaN where it cannot be evaluated."""
+        """Return the log-likelihood of a run under a measure, NaN if it cannot be evaluated."""
         found = self._evaluated(measure, record)
         return found if isinstance(found, float) else math.nan
 
     def set_aside(self, records: Sequence[RunRecord]) -> tuple[SetAside, ...]:
-        """Return which of the runs are set aside, for one measure or for all."""
+        """Return the runs that are set aside, for one measure or for all."""
         first = {**self._exceptions, **self._aside}
         whole = [first[record.key] for record in records if record.key in first]
         partly = [
@@ -137,7 +137,7 @@ class Judge:
         return (*whole, *partly)
 
     def _orient(self, good: Sequence[RunRecord]) -> None:
-        """Turn the observations round that run against the first runs there are."""
+        """Turn round the observations that run against the first available runs."""
         if self._oriented or not good:
             return
         self._oriented, observations, turned = True, [], []
@@ -172,7 +172,7 @@ class Judge:
                 yield SetAside(record.key, record.inputs, NOT_COMPARABLE, self.first, _one_line(one))
         rest = [record for record, one in zip(good, found, strict=True) if isinstance(one, float)]
         turned = [record for record in rest if self._flipped(record)]
-        if 2 * len(turned) < len(rest):  # else it is the observation that runs the other way
+        if 2 * len(turned) < len(rest):  # otherwise the observation runs the other way
             for record in turned:
                 yield SetAside(record.key, record.inputs, FLIPPED, None, "its points run from the other end")
 
@@ -187,7 +187,7 @@ class Judge:
         return replace(record, state="invalid", failure_kind=found.kind, message=found.why, **nothing)
 
     def _heed(self, records: Sequence[RunRecord]) -> None:
-        """Stop where the policy wants that."""
+        """Stop if the policy says so."""
         for record in records:
             if record.failure_kind in KINDS and self.policy.aborts(record):
                 raise CampaignStopped(
@@ -200,16 +200,16 @@ class Judge:
 
 
 def says_whether_runs_succeed(record: RunRecord) -> bool:
-    """Return whether a record says if runs succeed at its inputs; what was set aside or excluded does not."""
+    """Return whether a record shows if runs succeed at its inputs; one set aside or excluded does not."""
     return record.state != EXCLUDED and record.failure_kind not in KINDS
 
 
 def _require_near(record: RunRecord, observations: Sequence[Observation]) -> None:
-    """Refuse coordinates so far away that squares of distances say nothing."""
+    """Refuse coordinates so far away that squared distances mean nothing."""
     for seen in observations:
         simulated = record.interfaces.get(seen.condition)
         if simulated is None:
-            continue  # the likelihood says which condition is missing
+            continue  # the likelihood reports which condition is missing
         low, high = seen.interface.points.min(axis=0), seen.interface.points.max(axis=0)
         extent = float((high - low).max())
         largest = float(np.abs(simulated.points).max())

@@ -19,6 +19,6 @@ class Captioned:
 
 
 def whole(figure: Any) -> Figure:
-    """Return the figure of a drawing that fills one."""
+    """Return a drawing that fills a whole figure as that figure."""
     assert isinstance(figure, Figure)
     return figure

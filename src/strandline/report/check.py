@@ -12,7 +12,7 @@ from strandline.report.figures import Captioned
 __all__ = ["draw_check"]
 
 CAPTION = (
-    "Draws of the posterior, run with the true model. Left: their log-likelihood over what the surrogate says of it; a "
+    "Draws of the posterior, run with the true model. Left: their true log-likelihood against the surrogate's; a "
     "common offset does no harm. Right: the interfaces of the draws and the observed one, as offsets along the normals "
     "of the median interface."
 )

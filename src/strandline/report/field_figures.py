@@ -1,4 +1,4 @@
-"""The figures of a posterior by a surrogate of the field: its history, its errors, what it predicts."""
+"""The figures of a posterior from a surrogate of the field: history, errors and predicted interfaces."""
 
 from collections.abc import Iterator, Mapping
 
@@ -18,7 +18,7 @@ DRAWS = 400
 
 
 def field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
-    """Yield the figures; none where the log-likelihood has the surrogate."""
+    """Yield the figures; none if the surrogate is one of the log-likelihood."""
     found = calibration.field
     if found is None:
         return
@@ -27,8 +27,8 @@ def field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -
     x = calibration.posterior.draws[chosen]
     errors = plots.plot_field_error(_errors(found, x))
     caption = (
-        "Error of the surrogate along the interface: in the median over the runs, each predicted from all others, and "
-        "as the surrogate estimates it itself, in the median over draws of the posterior."
+        "Error of the surrogate along the interface: the median over the runs, each predicted from all others, and "
+        "the surrogate's own estimate, the median over draws of the posterior."
     )
     yield Captioned("field_error", "surrogate", caption, whole(errors.figure))
     yield from _predictive(calibration, found, x)
@@ -47,7 +47,7 @@ def _history(calibration: Calibration, found: FieldOutcome, truth: Mapping[str, 
     )
     at = None if truth is None else [truth[name] for name in space.names]
     figure = plots.plot_run_history(history, [parameter.figure_label() for parameter in space], truth=at)
-    caption = "The posterior over the number of runs: means with a band of one standard deviation."
+    caption = "The posterior against the number of runs: means with a band of one standard deviation."
     yield Captioned("run_history", "certificate", caption, whole(figure))
 
 
@@ -89,7 +89,7 @@ def _predictive(calibration: Calibration, found: FieldOutcome, x: Float[np.ndarr
 
 
 def _arc_length(interface: Interface) -> Float[np.ndarray, " point"]:
-    """Return the place of each point along a polyline; of a surface, its number."""
+    """Return the arc length at each point of a polyline, or the number of each point of a surface."""
     if interface.dim != 2:
         return np.arange(len(interface.points), dtype=float)
     return normal_offsets(interface.points[None], interface).arc_length

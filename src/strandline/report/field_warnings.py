@@ -1,4 +1,4 @@
-"""Warnings in words about a posterior by a surrogate of the field."""
+"""Warnings about a posterior from a surrogate of the field."""
 
 from collections.abc import Iterator
 
@@ -11,10 +11,10 @@ from strandline.likelihood import noise_length
 __all__ = ["field_warnings"]
 
 UNSURE = 0.5
-"""Error of the interface, in shifts of it that the noise hides, from which a value of the cut reading is reported."""
+"""Error of the interface, in units of the shift that the noise hides, above which a warning counts a nuisance value."""
 
 EFFECT = 0.25
-"""Standard deviations that the surrogate's variance may move a mean."""
+"""Largest shift of a mean by the surrogate's variance, in standard deviations, without a warning."""
 TOUCHED = 0.05
 """Posterior mass where runs are likely to fail, above which a warning reports it."""
 
@@ -27,7 +27,7 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
     if max(shift, ratio) > EFFECT:
         yield (
-            f"What the surrogate does not know of the interface moves means by up to {shift:.2f} standard deviations "
+            f"The surrogate's uncertainty of the interface moves means by up to {shift:.2f} standard deviations "
             f"and changes standard deviations by up to {np.expm1(ratio):.0%}. More runs will lower it."
         )
     if 1.0 - found.feasible > TOUCHED:
@@ -48,7 +48,7 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
 
 
 def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
-    """The runs were chosen for the joint reading: unlikely values may lead to places without runs."""
+    """Yield a warning if the cut reading goes where there are few runs: they were chosen for the joint reading."""
     if calibration.under_uncertainty is None:
         return
     cut, problem = calibration.under_uncertainty.cut, calibration.problem

@@ -1,11 +1,10 @@
-"""Which figures a calibration has: a name and a caption each, drawn one after the other."""
+"""The figures of a calibration, each with a name and a caption, drawn one after the other."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -13,6 +12,7 @@ from strandline.calibration import Calibration
 from strandline.design.active import FieldOutcome
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
+from strandline.likelihood import evaluated, predicted
 from strandline.models.offers import DrawsFields, undeformed_interface
 from strandline.parameters import Parameter
 from strandline.posterior import Reading
@@ -21,7 +21,7 @@ from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
 from strandline.report.field_figures import field_figures
 from strandline.report.run_figures import failed_runs, offsets_of_runs
-from strandline.surrogate import LogLikelihoodSurrogate, batched_mean
+from strandline.surrogate import LogLikelihoodSurrogate
 
 __all__ = ["Captioned", "figure_groups"]
 
@@ -30,13 +30,13 @@ BEST = "best run"
 NARROW_SHARE = 0.02
 """A likelihood above 5 % of its maximum on less than this share of the box is shown enlarged as well."""
 EXAMPLES = (0.1, 0.8, 1.0)
-"""Which runs are drawn as examples: quantiles of their displacement."""
+"""Quantiles of the displacement at which runs are drawn as examples."""
 
 
 def figure_groups(calibration: Calibration, truth: Mapping[str, float] | None) -> dict[str, Iterator[Captioned]]:
-    """Return the figures of a calibration in groups, drawn as they are asked for.
+    """Return the figures of a calibration in groups; each is drawn on request.
 
-    Those that need two inputs are left out where there are fewer or more.
+    Figures of exactly two inputs are left out if there are fewer or more.
     """
     return {
         "data": chain(_data(calibration, truth), offsets_of_runs(calibration), failed_runs(calibration)),
@@ -76,10 +76,10 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
 
 
 def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[str, dict[str, Interface]]:
-    """Return interfaces, by observed condition and inputs: of the best run, and from little to much displacement.
+    """Return interfaces by observed condition and inputs: the best run, and runs with little to large displacement.
 
-    Displacements are those of the first condition, from the undeformed interface where it is known, else from the best
-    run; runs with other nodes than that are kept out.
+    Displacements are those of the first condition, from the undeformed interface if it is known, else from the best
+    run; runs with a different number of nodes are left out.
     """
     problem = calibration.problem
     first = problem.observations[0]
@@ -101,14 +101,14 @@ def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[st
 
 
 def _best_run(calibration: Calibration) -> str:
-    """Return the inputs of the run of highest log-likelihood, as the legend has them."""
+    """Return the inputs of the run with the highest log-likelihood, as the legend shows them."""
     values = next(iter(calibration.log_likelihoods.values()))
     best = calibration.training[int(np.argmax(values))]
     return ", ".join(f"{_symbol(p)} = {x:.3g}" for p, x in zip(calibration.problem.space, best, strict=True))
 
 
 def _symbol(parameter: Parameter) -> str:
-    """Return the symbol of an input as a figure has it."""
+    """Return the symbol of an input as a figure shows it."""
     return replace(parameter, unit="1").figure_label()
 
 
@@ -129,19 +129,19 @@ def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iter
     yield Captioned(
         "likelihood",
         "surrogate",
-        f"Likelihood over its maximum, {several}mean of the Gaussian process. {crosses}",
+        f"Likelihood over its maximum, {several}mean of the surrogate. {crosses}",
         whole(plots.three_measures(means, kind="likelihood")),
     )
     yield Captioned(
         "log_likelihood",
         "surrogate",
-        f"Log-likelihood, {several}mean of the Gaussian process. {crosses}",
+        f"Log-likelihood, {several}mean of the surrogate. {crosses}",
         whole(plots.three_measures(means, kind="log_likelihood")),
     )
     yield Captioned(
         "log_likelihood_sd",
         "surrogate",
-        f"Standard deviation of the Gaussian process, {several}in units of log-likelihood. {crosses}",
+        f"Standard deviation of the surrogate, {several}in units of log-likelihood. {crosses}",
         whole(plots.three_measures(deviations, kind="sd")),
     )
 
@@ -149,8 +149,8 @@ def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iter
 def _mean_grid(
     calibration: Calibration, surrogate: LogLikelihoodSurrogate, truth: Mapping[str, float] | None
 ) -> plots.FieldGrid:
-    """Return the surrogate's mean over the box, with a detail where the likelihood is too narrow to be seen."""
-    compiled = jax.jit(batched_mean(surrogate.process))  # a quarter of the time of `process.mean`
+    """Return the surrogate's mean over the box, with an enlarged detail if the likelihood is too narrow to see."""
+    compiled = evaluated(predicted(surrogate.process))  # compiled: takes a quarter of the time of `process.mean`
 
     def mean(_: LogLikelihoodSurrogate, x: Any) -> Any:
         return np.asarray(compiled(x))
@@ -165,7 +165,7 @@ def _mean_grid(
 
 
 def _around(values: Float[np.ndarray, " x"], chosen: Int[np.ndarray, " n"]) -> tuple[float, float]:
-    """Return the interval of the chosen grid points, half as wide again and at least four cells."""
+    """Return the interval of the chosen grid points plus a quarter of it, at least four cells, on each side."""
     reach = max(4, round(0.25 * (chosen[-1] - chosen[0] + 1)))
     return float(values[max(chosen[0] - reach, 0)]), float(values[min(chosen[-1] + reach, len(values) - 1)])
 
@@ -231,7 +231,7 @@ def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
         caption = (
             "Sobol' indices: the share of the log-likelihood's variance under the prior that each input explains "
             "alone, and that it is part of, with bootstrap intervals of 95 %. The far tail has most of this variance; "
-            "how well an input is known is seen from its marginal."
+            "the marginal of an input shows how well it is known."
         )
         yield Captioned("sensitivity", "surrogate", caption, whole(axes.figure))
 
@@ -244,7 +244,7 @@ def _sampler(calibration: Calibration) -> Iterator[Captioned]:
         [s.acceptance for s in steps],
         particles=calibration.settings.particles,
     )
-    caption = "The sampler's course: exponent γ of the likelihood, effective sample size, share of accepted moves."
+    caption = "The sampler's steps: exponent γ of the likelihood, effective sample size, share of accepted moves."
     yield Captioned("tempering", "sampler", caption, whole(figure))
 
 

@@ -27,14 +27,14 @@ __all__ = ["Nearest", "as_json", "nearest_runs", "nothing_near"]
 FAR = 5.0
 """Residual in units of the noise above which a run is not near the observation."""
 SPACINGS = 2.0
-"""A run is not near where the observation is further off than this many times the distance of neighbouring runs."""
+"""A run is not near if the observation is further away than this many times the distance of neighbouring runs."""
 TELLING = 2.0
-"""Ratio of extents, or its inverse, from which a message states it."""
+"""Smallest ratio of extents, or inverse of it, that the message mentions."""
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """The run with the largest log-likelihood, as it lies to one observation.
+    """The run with the largest log-likelihood and how near it is to one observation.
 
     Args:
         condition: The observed condition.
@@ -42,8 +42,8 @@ class Nearest:
         inputs: The inputs of the run.
         residual: √(d²/(n σ_N²)), n being the number of distances that d² sums, 1 for a norm.
         distance: Root mean square distance of the two interfaces, mm.
-        noise: The noise as a length, mm: σ_N where d² sums distances, else the shift for which d² = σ_N². None where
-            it was not needed.
+        noise: The noise as a length, mm: σ_N if d² sums distances, else the shift for which d² = σ_N². None if it was
+            not needed.
         offset: Distance of their centres, mm.
         extent: Extent of the observed interface, mm.
         extent_ratio: Extent of the observed interface divided by that of the run.
@@ -63,7 +63,7 @@ class Nearest:
 
     @property
     def message(self) -> str:
-        """Say that nothing comes near, how far the best run is, and what may be the reason."""
+        """A sentence that nothing comes near, with the distance of the best run and the likely reason."""
         of = f" of {self.condition}" if self.condition else ""
         where = ", ".join(f"{name} = {value:.4g}" for name, value in self.inputs.items())
         reason = "The model, the box or the noise is wrong."
@@ -81,7 +81,7 @@ class Nearest:
 
 
 def nothing_near(found: list[Nearest]) -> str | None:
-    """Return the message on the first observation that no run comes near; None where all have one."""
+    """Return the message on the first observation that no run comes near; None if there is no such observation."""
     return next((nearest.message for nearest in found if not nearest.near), None)
 
 
@@ -91,13 +91,13 @@ def nearest_runs(
     """Return how near the best run comes to each observation.
 
     Args:
-        problem: What is asked; its first measure counts.
+        problem: The calibration problem; only its first measure counts.
         records: The runs, at least one successful one among them.
         log_likelihood: Log-likelihoods of the successful runs (ok,) under the first measure, if they are known already.
 
-    A run is far where all of these hold: its residual is above 5 noise units, or d² no longer grows with the distance;
-    the interfaces are further apart than 5 times the noise; and further than the runs are from each other, so that no
-    input between two runs is likely to fit.
+    A run is far if all of these hold: its residual is above 5 noise units, or d² no longer grows with the distance;
+    the interfaces are further apart than 5 times the noise; and they are further apart than the runs are from each
+    other, so that no input between two runs is likely to fit.
     """
     measure = next(iter(problem.discrepancies.values()))
     runs = [record for record in records if record.ok]
@@ -133,7 +133,7 @@ def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: lis
 
 
 def _log_likelihood(problem: Problem, measure: Discrepancy, runs: list[RunRecord]) -> Float[np.ndarray, " ok"]:
-    """Return the log-likelihood of each run; -inf where the measure refuses its interface."""
+    """Return the log-likelihood of each run; -inf if the measure refuses its interface."""
     likelihood = InterfaceLikelihood(problem.observations, measure)
 
     def value(record: RunRecord) -> float:
@@ -154,8 +154,8 @@ def _noise(seen: Observation, measure: Discrepancy, simulated: Interface) -> flo
 def _outside(seen: Observation, runs: list[RunRecord], least: float) -> bool:
     """Return whether the observation is further from all runs than `least`, mm, and than the runs are from each other.
 
-    For the run nearest to it, the distance to as many neighbours counts as enclose a point: one more than there are
-    inputs that vary.
+    The latter is the distance from the run nearest to the observation to its (d + 1)-th neighbour, d being the number
+    of inputs that vary: it takes d + 1 neighbours to enclose a point.
     """
     interfaces = [record.interfaces[seen.condition] for record in runs]
     distances = np.array([apart(interface, seen.interface)[0] for interface in interfaces])
@@ -176,7 +176,7 @@ def _length(mm: float) -> str:
 
 
 def as_json(found: list[Nearest]) -> dict[str, Any]:
-    """Return what summary.json says of it."""
+    """Return the entry of summary.json."""
     keys = ("condition", "run", "inputs", "residual", "distance", "noise", "offset", "extent_ratio", "near")
     return {
         "near": all(nearest.near for nearest in found),

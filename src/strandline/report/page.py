@@ -25,11 +25,11 @@ __all__ = ["FIGURES", "PAGE_PIXELS_PER_INCH", "add_check", "template", "write_re
 FILE_NAME = "report.html"
 FIGURES = "figures"
 PAGE_PIXELS_PER_INCH = 138
-"""Pixels of a page an inch of a figure: two columns of a journal fill the page."""
+"""Pixels on the page per inch of a figure: two columns of a journal fill the page."""
 OF_POSTERIOR = ("posterior", "uncertainty")
 """Sections whose figures show a posterior."""
 MARKS = ("<!-- check of the posterior -->\n", "<!-- end of the check -->\n")
-"""Comments of the page between which the section of a check stands."""
+"""Comments on the page that enclose the section of a check."""
 
 
 def write_report(
@@ -44,7 +44,7 @@ def write_report(
 ) -> Path:
     """Write `folder`/figures (PNG and PDF) and `folder`/report.html; return the page's path.
 
-    The page needs nothing from outside: pictures are inside it, there is no script and no link to load.
+    The page is self-contained: pictures are embedded, and it loads no script and no link.
 
     Args:
         calibration: Result of the calibration.
@@ -86,7 +86,7 @@ def write_report(
 def _all_saved(
     groups: Mapping[str, Iterable[Captioned]], target: Path, note: Callable[[str, Exception], None]
 ) -> list[dict[str, str]]:
-    """Save the figures and return what the page needs of each; of a group with an error, those drawn before it."""
+    """Save the figures and return what the page needs of each; an error ends its group but not the others."""
     shown: list[dict[str, str]] = []
     try:
         with _whole_folder(target) as partial:
@@ -131,7 +131,7 @@ def _replaced(folder: Path, page: str) -> Path:
 
 @contextmanager
 def _whole_folder(target: Path) -> Iterator[Path]:
-    """Give an empty folder that replaces `target` once it is filled, and vanishes if it cannot be."""
+    """Yield an empty folder that replaces `target` once it is filled, and is removed if that fails."""
     partial = target.with_name(f".{target.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
@@ -144,7 +144,7 @@ def _whole_folder(target: Path) -> Iterator[Path]:
 
 
 def _marked(captioned: Captioned, doubt: str | None) -> Captioned:
-    """Return the figure with the doubt written on it, where it shows a posterior."""
+    """Return the figure, with the doubt written on it if it shows a posterior."""
     if doubt is not None and (captioned.section in OF_POSTERIOR or captioned.name.startswith("predictive")):
         mark_doubt(captioned.figure, doubt)
     return captioned
@@ -153,12 +153,12 @@ def _marked(captioned: Captioned, doubt: str | None) -> Captioned:
 def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
     """Save one figure for print and return what the page needs of it.
 
-    The layout is found once, for both files: left to `savefig`, each of them finds it again and draws twice.
+    The layout is computed once for both files; otherwise `savefig` would compute it for each and draw twice.
     """
     figure = captioned.figure
     figure.set_dpi(DOTS_PER_INCH)
     buffer = io.BytesIO()
-    with styled():  # settles the kind of embedded font, and the size of tick labels, on which their number depends
+    with styled():  # sets the kind of embedded font, and the size of tick labels, which decides their number
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
             figure.set_layout_engine(None)
@@ -178,7 +178,7 @@ def template(name: str, *, package: str = "strandline.report") -> Any:
 
 @lru_cache(maxsize=4)
 def _environment(package: str) -> Environment:
-    """Return what keeps the templates of a package once they are compiled."""
+    """Return the environment that caches the compiled templates of a package."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")]),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -195,14 +195,14 @@ def _environment(package: str) -> Environment:
 
 
 def _figures(value: float | list[float] | None, digits: int = 4) -> str:
-    """Return a number, or each of several, with this many digits."""
+    """Return a number, or several, as text with this many digits."""
     if isinstance(value, list):
         return ", ".join(_figures(item, digits) for item in value)
     return "–" if value is None else _unbroken(f"{value:.{digits}g}")
 
 
 def _unbroken(number: str) -> str:
-    """Return a number that no line break divides: a proper minus, and a power of ten in place of ``e-05``."""
+    """Return a number that no line break splits: a proper minus, and a power of ten instead of ``e-05``."""
     mantissa, _, power = number.partition("e")
     raised = f"\u00a0·\u00a010{str(int(power)).translate(RAISED)}" if power else ""
     return mantissa.replace("-", "−") + raised

@@ -14,14 +14,14 @@ from strandline.report.captioned import Captioned, whole
 __all__ = ["failed_runs", "offsets_of_runs"]
 
 SHOWN = 5
-"""The best runs whose offsets are drawn, the one at zero included."""
+"""Number of best runs whose offsets are drawn, including the one at zero."""
 TWO = 2
 
 
 def offsets_of_runs(calibration: Calibration) -> Iterator[Captioned]:
     """Yield the normal offsets of the observation and of the best runs from the best one, by condition.
 
-    A surrogate of the field predicts interfaces, and its own figure shows those of the posterior's draws.
+    Nothing is drawn for a surrogate of the field: it predicts interfaces, and its own figure shows the posterior's.
     """
     if calibration.field is not None:
         return
@@ -52,7 +52,7 @@ def offsets_of_runs(calibration: Calibration) -> Iterator[Captioned]:
 
 
 def failed_runs(calibration: Calibration) -> Iterator[Captioned]:
-    """Yield a picture of the failed runs where there are any and more than two inputs; two have theirs in the maps."""
+    """Yield a picture of the failed runs if there are any and more than two inputs; for two, the maps show them."""
     space = calibration.problem.space
     failed = [record for record in calibration.records if not record.ok]
     if space.dim <= TWO or not failed:
@@ -68,12 +68,12 @@ def failed_runs(calibration: Calibration) -> Iterator[Captioned]:
     }
     ok = inputs([dict(record.inputs) for record in calibration.records if record.ok])
     axes = plots.plot_failed_runs(space, ok, by_kind)
-    caption = "Inputs of all runs, a line each: grey where a run succeeded, coloured by kind where it failed."
+    caption = "Inputs of all runs, one line each: grey if the run succeeded, coloured by kind if it failed."
     yield Captioned("failed_runs", "runs", caption, whole(axes.figure))
 
 
 def _number(value: float) -> str:
-    """Return four figures of a number, with a proper minus."""
+    """Return a number with four significant digits and a proper minus."""
     return f"{value:.4g}".replace("-", "−")
 
 

@@ -1,4 +1,4 @@
-"""Warnings in words about a finished calibration."""
+"""Warnings about a finished calibration."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -15,7 +15,7 @@ from strandline.runs.tables import EXCLUDED
 __all__ = ["find_warnings", "reason_to_doubt", "small_share"]
 
 BOUND_SHARE = 0.02
-"""A bound counts as touched where the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
+"""A bound counts as touched if the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
 BOUND_MASS = 0.01
 MANY_BOUNDS = 3
 """Number of ends of the box from which one sentence reports all of them."""
@@ -27,14 +27,14 @@ ESS_SHARE = 0.1
 QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
 CUT_TAIL = 0.05
-"""Share of the cut reading that the reported smallest log-likelihood leaves aside."""
+"""Share of the cut reading below the smallest log-likelihood that a warning reports."""
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
-    """Yield one sentence per doubt; none where all is well. `turned`: conditions observed from the other end."""
+    """Yield one sentence per doubt; none if all is well. `turned`: conditions observed from the other end."""
     for condition in turned:
         where = f" of {condition}" if condition else ""
-        yield f"The observed points{where} ran against the model's interface and were turned round."
+        yield f"The observed points{where} ran opposite to the model's interface and were turned round."
     if calibration.no_field is not None:
         yield (
             f"NO FIELD could be made of the runs' interfaces: {calibration.no_field}. The surrogate is one of the "
@@ -59,7 +59,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
 
 
 def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = None) -> str | None:
-    """Return why figures of the posterior must be marked, in a few words; None where it may be used.
+    """Return in a few words why figures of the posterior must be marked; None if the posterior can be used.
 
     Args:
         calibration: Result of the calibration.
@@ -79,7 +79,7 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
 
 
 def small_share(share: float) -> str:
-    """Return a share above zero, which may be small, as text, the same in all places."""
+    """Return a share above zero, even a very small one, as text."""
     return f"{share:.2%}" if share >= 0.0001 else "less than 0.01%"
 
 
@@ -219,7 +219,7 @@ def _bounds_of(posterior: Posterior, called: str, names: Sequence[str] | None = 
 
 
 def _touched(posterior: Posterior) -> Iterator[tuple[Parameter, str, float, float]]:
-    """Yield the ends of the box that the posterior reaches: input, lower or upper, where it is, mass next to it."""
+    """Yield the ends of the box that the posterior reaches: input, lower or upper, bound, mass next to it."""
     unit = posterior.space.to_unit(posterior.draws)
     for i, parameter in enumerate(posterior.space):
         sides = {"lower": unit[:, i] < BOUND_SHARE, "upper": unit[:, i] > 1.0 - BOUND_SHARE}
@@ -230,5 +230,5 @@ def _touched(posterior: Posterior) -> Iterator[tuple[Parameter, str, float, floa
 
 
 def _of(parameter: Parameter) -> str:
-    """Return the unit behind a number, with its blank; nothing for a pure number."""
+    """Return a space and the unit, to follow a number; empty for a pure number."""
     return "" if parameter.unit in ("", "1") else f" {parameter.unit}"

@@ -31,6 +31,7 @@ from strandline.studies.keys.failures import Failures
 from strandline.studies.keys.study_file import Input, Quantity, StudyFile
 from strandline.studies.observed import TO_MM, read_points
 from strandline.studies.own_prior import require_prior
+from strandline.surrogate import fit_named
 from strandline.surrogate.kernels import kernel_named
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "build_refinement",
     "build_space",
     "check_complete",
+    "check_fit",
     "check_kernel",
     "check_runs",
     "check_values",
@@ -54,15 +56,15 @@ MASS_CUT_ACCEPTED = 0.5
 def build_model(
     choice: Mapping[str, Mapping[str, Any] | None], folder: Path = Path(), *, sensitivities: bool = False
 ) -> ForwardModel:
-    """Return the forward model that the study names, asked for `sensitivities` where the study wants them.
+    """Return the forward model that the study names, with sensitivities if the study asks for them.
 
     An option `{file: …, unit: …}` is replaced by the points of that file in `folder`, as an outline in mm; a model with
-    a field `folder` is given the study's instead, and reads files itself.
+    a field `folder` gets the study folder instead and reads files itself.
     """
     (name, options) = next(iter(choice.items()))
     if "sensitivities" in (options or {}):
         raise InvalidStudy(
-            f"model.{name}: sensitivities is no option of the model",
+            f"model.{name}: sensitivities is not an option of the model",
             value=(options or {})["sensitivities"],
             expected="`sensitivities: true` as a key of the study",
             remedy="Move the key to the top level of study.yaml.",
@@ -77,12 +79,12 @@ def build_model(
 
 
 def wants_folder(factory: Any) -> bool:
-    """Return whether a model needs the study folder: it has a field `folder`, which is no option then."""
+    """Return whether a model needs the study folder: it has a field `folder`, which is then not an option."""
     return any(f.name == "folder" and f.init for f in dataclasses.fields(factory))
 
 
 def _with_points(name: str, value: Any, folder: Path) -> Any:
-    """Return an option, its file of points read."""
+    """Return an option, with its file of points read if it names one."""
     if not isinstance(value, Mapping) or "file" not in value:
         return value
     unit = value.get("unit")
@@ -91,7 +93,7 @@ def _with_points(name: str, value: Any, folder: Path) -> Any:
             f"unit of the points in {value['file']}",
             value=unit,
             expected=f"one of {', '.join(TO_MM)}",
-            remedy="Add `unit: mm` beside `file`.",
+            remedy="Add `unit: mm` after `file`.",
         )
     points = read_points(folder / str(value["file"]), unit, what=name).points.tolist()
     rest = {key: item for key, item in value.items() if key not in ("file", "unit")}
@@ -117,7 +119,7 @@ def build_discrepancies(
 
 
 def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:
-    """Return what is done about failed runs; a kind that the model is known not to have is refused."""
+    """Return the policy for failed runs; refuse a kind that the model is known not to have."""
     if declared_failure_kinds(model) is not None:
         known = dict.fromkeys(failure_words(model))
         for kind in given.kinds:
@@ -129,7 +131,7 @@ def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:
 
 
 def failure_words(model: ForwardModel) -> tuple[str, ...]:
-    """Return the words for failed runs of `model`, as far as they are known: states, its own kinds, those of any."""
+    """Return the known words for failed runs of `model`: states, its own kinds, kinds of any model."""
     states = (state for state in STATES if state != "ok")
     return tuple(dict.fromkeys([*states, *(declared_failure_kinds(model) or ()), *COMMON_KINDS]))
 
@@ -190,9 +192,9 @@ def check_values(values: Mapping[str, float], model: ForwardModel, place: str) -
 def check_complete(
     values: Mapping[str, float], names: Iterable[str], model: ForwardModel, place: str, *, add: str = "Add {name}."
 ) -> None:
-    """Refuse values that are not one for each input of the model: those it declares, else the study's own `names`.
+    """Refuse values unless there is one for each input that the model declares, else for each of the study's `names`.
 
-    `add` is the remedy for the one that is missing.
+    `add` is the remedy for a missing value.
     """
     names = [item.name for item in declared_inputs(model)] or list(names)
     for name in values:
@@ -221,7 +223,7 @@ def check_runs(runs: int, dim: int) -> None:
 
 
 def build_active(given: Mapping[str, Any] | None, dim: int, *, sensitivities: bool) -> Active | None:
-    """Return the settings of an active design, its first runs counted."""
+    """Return the settings of an active design, with the number of its first runs."""
     if given is None:
         return None
     options = {name: value for name, value in given.items() if name != "scramble"}
@@ -248,9 +250,17 @@ def build_refinement(given: Mapping[str, Any] | None, particles: int) -> Refinem
 
 
 def check_kernel(name: str) -> str:
-    """Return `name` if a kernel is called so."""
+    """Return `name` if there is a kernel of that name."""
     with refused_at():
         kernel_named(name, what="surrogate.log_likelihood.kernel")
+    return name
+
+
+def check_fit(name: str | None) -> str | None:
+    """Return `name` if it is None or names a function."""
+    if name is not None:
+        with refused_at():
+            fit_named(name, what="surrogate.log_likelihood.fit")
     return name
 
 
@@ -301,7 +311,7 @@ def _prior(name: str, item: Input) -> Prior:
 
 
 def _check_prior_in_box(parameter: Parameter) -> None:
-    """A bounded prior must lie in the box; an unbounded one must keep most of its mass there."""
+    """Require a bounded prior to lie in the box, and an unbounded one to have at least half of its mass there."""
     support, box = parameter.prior.support, parameter.interval
     sticks_out = np.isfinite(support).all() and (support[0] < box[0] or support[1] > box[1])
     if sticks_out or parameter.mass_cut > MASS_CUT_ACCEPTED:
@@ -350,5 +360,5 @@ def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, pl
 
 
 def _plain(unit: str) -> str:
-    """Return a unit with its spellings unified: ``mm²/s`` and ``mm^2/s``."""
+    """Return a unit in one spelling: ``mm²/s`` and ``mm^2/s`` are the same."""
     return unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace(" ", "")

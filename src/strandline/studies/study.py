@@ -1,4 +1,4 @@
-"""A study: a folder with study.yaml, loaded and checked as far as that goes without a forward run."""
+"""A study: a folder with study.yaml, loaded and checked as far as possible without a forward run."""
 
 import hashlib
 import html
@@ -33,31 +33,31 @@ from strandline.typeset import html_text
 __all__ = ["Study", "load_study"]
 
 FEW_INPUTS = 3
-"""Inputs up to which a surrogate of the log-likelihood that is there to compare has one length scale."""
+"""Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """All that study.yaml says, as objects of the domain.
+    """The content of study.yaml as domain objects.
 
     Args:
-        folder: Folder where the study lies and its results go.
+        folder: Folder of the study and its results.
         name: Name of the study.
         text: Text of study.yaml, kept for provenance.
-        model: The simulator, asked for sensitivities where the study wants them.
+        model: The simulator, with sensitivities if the study asks for them.
         space: The unknown inputs.
         fixed: The known inputs by name.
         discrepancies: Measures by name; the first one makes the posterior.
-        noise: Noise of every condition that has none of its own.
+        noise: Noise of every condition without its own.
         noises: Noise by condition.
-        observed: The observed interfaces by condition, mm; empty where the model makes synthetic ones.
+        observed: The observed interfaces by condition, mm; empty if the model makes synthetic ones.
         truth: The inputs at which the model makes a synthetic observation of each of its conditions, or None.
         synthetic_noise: Noise added to a synthetic observation, or None.
-        turned: The conditions whose observed points ran the other way round and were turned.
+        turned: The conditions whose observed points were in the opposite direction and were reversed.
         settings: How the posterior is computed.
         executor: Where forward runs are made.
-        reuse: Ledgers of other studies whose runs are taken over where they fit.
-        as_loaded: What study.yaml says, to notice what was replaced since; None for a study made otherwise.
+        reuse: Ledgers of other studies whose runs are taken over if they fit.
+        as_loaded: The study as loaded, to notice fields replaced since; None for a study made in another way.
     """
 
     folder: Path
@@ -92,7 +92,7 @@ class Study:
 
     @cached_property
     def runs(self) -> StudyRuns:
-        """The runs that the study needs, and what its ledgers hold of them."""
+        """The runs that the study needs, and which of them its ledgers hold."""
         return StudyRuns(self)
 
     def noise_of(self, condition: str) -> Noise:
@@ -110,12 +110,12 @@ class Study:
 
     @property
     def text_digest(self) -> str:
-        """SHA-256 of study.yaml, by which results of another version of it are noticed."""
+        """SHA-256 of study.yaml, to notice results of another version of it."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
     def sensitivities(self) -> bool:
-        """Whether the runs are to yield sensitivities too."""
+        """Whether the runs also return sensitivities."""
         return asks_sensitivities(self.model)
 
 
@@ -123,7 +123,7 @@ def load_study(folder: Path | str) -> Study:
     """Return the study in `folder`; nothing is written and no forward run is made.
 
     Raises:
-        InvalidStudy: see `parse_study`, or any value in it that cannot be used.
+        InvalidStudy: The study cannot be parsed, see `parse_study`, or a value in it cannot be used.
     """
     folder = Path(folder)
     content, text = parse_study(folder)
@@ -186,6 +186,7 @@ def _settings(content: StudyFile, model: ForwardModel) -> Settings:
         scramble=scramble,
         refine=refine,
         kernel=build.check_kernel(kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")),
+        fit=None if log_likelihood is None else build.check_fit(log_likelihood.fit),
         surrogate="field" if by_field else "log_likelihood",
         active=active,
         particles=particles,
@@ -207,7 +208,7 @@ def _truth(
 
 
 def _synthetic_noise(content: StudyFile) -> SyntheticNoise | None:
-    """Return the noise of a synthetic observation; its seed is the study's where it has none."""
+    """Return the noise of a synthetic observation; its seed is the study's if it has none."""
     source = content.observation
     if isinstance(source, list) or source.noise is None:
         return None
@@ -218,7 +219,7 @@ def _synthetic_noise(content: StudyFile) -> SyntheticNoise | None:
 def _observed(
     folder: Path, source: ObservationFile | list[ConditionFile], model: ForwardModel
 ) -> tuple[dict[str, Interface], tuple[str, ...]]:
-    """Return the observed interfaces by condition, and the conditions whose points were turned round."""
+    """Return the observed interfaces by condition, and the conditions whose points were reversed."""
     files = {item.condition: item for item in source} if isinstance(source, list) else {"": source}
     known = declared_conditions(model)
     for condition in files:
@@ -247,7 +248,7 @@ def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
 
 
 def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> tuple[Interface, bool]:
-    """Return an observed interface, run through as the model's is, and whether it was turned for that."""
+    """Return an observed interface in the same direction as the model's, and whether it was reversed for that."""
     path = folder / str(source.file)
     interface = read_points(path, str(source.unit), options=source.reading)
     undeformed = undeformed_interface(model)

@@ -1,4 +1,4 @@
-"""summary.json: every figure of a finished study that a program might want."""
+"""summary.json: all results of a finished study, for programs."""
 
 import platform
 from collections import Counter
@@ -21,7 +21,7 @@ from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate
-from strandline.surrogate import LogLikelihoodSurrogate
+from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
 from strandline.version import __version__
 
 __all__ = ["summarise", "versions"]
@@ -34,10 +34,10 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
     """Return the summary as plain numbers, texts, lists and dicts.
 
     Args:
-        study: what was asked.
-        calibration: what was found.
-        new_runs: forward runs made by this call.
-        reused_runs: planned runs that were in a ledger already.
+        study: The study.
+        calibration: Result of its calibration.
+        new_runs: Number of forward runs made by this call.
+        reused_runs: Number of planned runs that were in a ledger already.
     """
     sampling = calibration.sampling
     return {
@@ -143,7 +143,7 @@ def _reading(reading: Reading) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of those packages that numbers depend on, as far as they are installed."""
+    """Return the versions of Python and of the installed packages that numbers depend on."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         with suppress(metadata.PackageNotFoundError):
@@ -204,7 +204,7 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
 
 
 def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
-    """Measure, noise, conditions, and the Gaussian constant that the log-likelihood leaves out."""
+    """Return measure, noise, conditions, and the Gaussian constant that the log-likelihood leaves out."""
     name, discrepancy = next(iter(calibration.problem.discrepancies.items()))
     observations = calibration.problem.observations
     likelihood = InterfaceLikelihood(observations, discrepancy)
@@ -225,7 +225,7 @@ def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
     process, validation = surrogate.process, surrogate.validation
     return {
         "kind": "log_likelihood",
-        "n_train": len(process.x_train),
+        "n_train": len(validation.residuals),
         "loo_rms": validation.loo_rms,
         "loo_rms_near_mode": validation.loo_rms_near_mode,
         "near_mode_count": validation.near_mode_count,
@@ -233,8 +233,10 @@ def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
             "length_scale": np.asarray(process.length_scale).tolist(),
             "signal_variance": float(process.signal_variance),
             "nugget": float(process.nugget),
-        },
-        "optimiser": _plain(asdict(surrogate.fit)),
+        }
+        if isinstance(process, GaussianProcess)
+        else None,
+        "optimiser": _plain(asdict(surrogate.fit)) if surrogate.fit else None,
     }
 
 
@@ -262,7 +264,7 @@ def _sensitivity(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def _described(chosen: Any) -> str:
-    """Return a record of options in words: ``Uniform: low 100, high 800``."""
+    """Return the options of an object in words: ``Uniform: low 100, high 800``."""
     if not is_dataclass(chosen):
         return repr(chosen)
     options = ((field.name, getattr(chosen, field.name)) for field in fields(chosen))
@@ -271,7 +273,7 @@ def _described(chosen: Any) -> str:
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what JSON can hold of a record of figures."""
+    """Return the plain values among `values`, which JSON can hold."""
     return {
         key: value.item() if isinstance(value, np.generic) else value
         for key, value in values.items()

@@ -10,7 +10,8 @@ from strandline.surrogate.hyperparameters import (
     fit_hyperparameters,
 )
 from strandline.surrogate.kernels import KERNELS, Kernel, LengthScale
-from strandline.surrogate.log_likelihood import LogLikelihoodSurrogate, fit_log_likelihood
+from strandline.surrogate.log_likelihood import LogLikelihoodSurrogate, fit_log_likelihood, fit_of_the_user
+from strandline.surrogate.predictor import Fit, HasHessian, Predictor, fit_named
 from strandline.surrogate.validation import Validation, validate
 
 __all__ = [
@@ -19,11 +20,14 @@ __all__ = [
     "Attempt",
     "Convergence",
     "Evidence",
+    "Fit",
     "FittedHyperparameters",
     "GaussianProcess",
+    "HasHessian",
     "Kernel",
     "LengthScale",
     "LogLikelihoodSurrogate",
+    "Predictor",
     "Validation",
     "batched_mean",
     "condition",
@@ -31,5 +35,7 @@ __all__ = [
     "evidence",
     "fit_hyperparameters",
     "fit_log_likelihood",
+    "fit_named",
+    "fit_of_the_user",
     "validate",
 ]

@@ -22,7 +22,7 @@ class Convergence:
     Args:
         sizes: numbers of training runs.
         log_likelihood: ‖m - 𝓛‖ / ‖𝓛‖ of the posterior mean m.
-        likelihood: ‖exp m - L‖ / ‖L‖; the few test points of high likelihood decide it.
+        likelihood: ‖exp m - L‖ / ‖L‖; dominated by the few test points of high likelihood.
     """
 
     sizes: Int[np.ndarray, " size"]
@@ -39,14 +39,14 @@ def convergence_study(
     sizes: Sequence[int] | None = None,
     kernel: str = "matern32",
 ) -> Convergence:
-    """Fit a surrogate to the first runs, more and more of them, and compare each with the truth at the test points.
+    """Fit surrogates to more and more of the first runs, and compare each with the truth at the test points.
 
     Args:
         x: Physical inputs of the successful runs, in the order of the Sobol sequence.
         log_likelihood: Log-likelihoods of these runs.
-        x_test: Physical inputs of test runs, which are not among those; the study takes 100 from later in the sequence.
+        x_test: Physical inputs of test runs, none of them in `x`; the study takes 100 from later in the sequence.
         log_likelihood_test: Log-likelihoods of the test runs.
-        sizes: Numbers of training runs; by default those of `STUDY_SIZES` that there are runs for.
+        sizes: Numbers of training runs; by default those of `STUDY_SIZES` for which there are runs.
         kernel: A name in `KERNELS`.
 
     Raises:
@@ -72,7 +72,7 @@ def relative_error(found: Float[np.ndarray, " point"], truth: Float[np.ndarray, 
 
 
 def relative_error_of_exponentials(found: Float[np.ndarray, " point"], truth: Float[np.ndarray, " point"]) -> float:
-    """Return ‖exp found - exp truth‖ / ‖exp truth‖, whatever the size of the exponents; inf where it overflows."""
+    """Return ‖exp found - exp truth‖ / ‖exp truth‖, whatever the size of the exponents; inf if it overflows."""
     top = max(found.max(), truth.max())
     difference = float(np.linalg.norm(np.exp(found - top) - np.exp(truth - top)))
     if difference == 0:

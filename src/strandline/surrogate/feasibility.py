@@ -1,4 +1,4 @@
-"""The probability that a run at given inputs yields an interface, learnt from the runs that did and that did not.
+"""The probability that a run at given inputs yields an interface, learnt from the runs that did and those that did not.
 
 A Gaussian process classifier with the logistic likelihood in Laplace's approximation: Rasmussen and Williams (2006),
 Algorithms 3.1 and 3.2; the mean of the logistic function by MacKay's formula. Its hyperparameters come from a small
@@ -19,15 +19,15 @@ __all__ = ["Feasibility", "learn_feasibility"]
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 """Length scales tried, in standard deviations of the inputs."""
 SPREADS = (0.3, 2.0, 6.0)
-"""Standard deviations of the latent function tried; the smallest says that failures fall at random."""
+"""Standard deviations of the latent function tried; the smallest means that failures are random."""
 _STEPS = 50
-_PRIOR_RUNS = 1.0  # of either kind, in the base rate
-_LARGEST = 1500  # runs that are learnt from, the last ones
+_PRIOR_RUNS = 1.0  # weight of each outcome in the base rate
+_LARGEST = 1500  # the last runs, which are learnt from
 
 
 @dataclass(frozen=True, eq=False)
 class Feasibility:
-    """The classifier; without a failure it says 1 everywhere. Inputs of its methods are standardised.
+    """The classifier; without failures it returns 1 everywhere. Inputs of its methods are standardised.
 
     Args:
         z: inputs of the runs learnt from.
@@ -63,7 +63,7 @@ def learn_feasibility(z: Float[np.ndarray, "run dim"], ok: Bool[np.ndarray, " ru
 
     Args:
         z: standardised inputs of all runs.
-        ok: which of them succeeded.
+        ok: whether each run succeeded.
     """
     z, ok = z[-_LARGEST:], ok[-_LARGEST:]
     if ok.all():

@@ -31,7 +31,7 @@ SINGLE_PRECISION_LIMIT = 0.02
 
 _PAIRS_PER_BLOCK = 2**20
 _UNROLL = 8
-_SINGLE_ROUNDING = 6e-7  # half a unit in the last place, ten times: the largest errors seen are eight times
+_SINGLE_ROUNDING = 6e-7  # ten times half a unit in the last place: the largest errors seen are eight times that
 _BOX_POINTS = 12  # log2
 
 
@@ -49,8 +49,8 @@ class GaussianProcess:
         alpha: (K + σ_n² I)⁻¹ (y - target_mean).
         cholesky: Lower Cholesky factor of K + σ_n² I.
         kernel: The correlation function.
-        length_scale: Length scale l, in standard deviations of the inputs; one for each input with a kernel that has
-            them.
+        length_scale: Length scale l, in standard deviations of the inputs; one for each input if the kernel has
+            several.
         signal_variance: Signal variance σ0², in squared units of the target.
         nugget: Noise variance σ_n², in squared units of the target.
     """
@@ -88,14 +88,14 @@ class GaussianProcess:
         return np.maximum(out, 0.0)
 
     def gradient(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim"]:
-        """Return the gradient of the mean by the physical inputs."""
+        """Return the gradient of the mean with respect to the physical inputs."""
         out = np.empty(x.shape)
         for rows, offset in self._blocks(x):
             out[rows] = self.kernel.weighted_gradient(offset, self.alpha)
         return self.signal_variance * out / (self.length_scale * self.scale)
 
     def hessian(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim dim"]:
-        """Return the Hessian of the mean by the physical inputs; exact at training points too."""
+        """Return the Hessian of the mean with respect to the physical inputs; exact at training points too."""
         out = np.empty((*x.shape, self.dim))
         for rows, offset in self._blocks(x):
             out[rows] = self.kernel.weighted_hessian(offset, self.alpha)
@@ -157,8 +157,8 @@ def condition(
         x: Training inputs, physical.
         y: Training targets.
         kernel: The correlation function.
-        length_scale: Length scale l, in standard deviations of the inputs; one for each input with a kernel that has
-            them.
+        length_scale: Length scale l, in standard deviations of the inputs; one for each input if the kernel has
+            several.
         signal_variance: Signal variance σ0², in squared units of the target.
         nugget: Noise variance σ_n², in squared units of the target.
 
@@ -199,11 +199,11 @@ def batched_mean(
         fused: Whether to reduce over a (particle, run) array in one kernel, which suits an accelerator; False scans
             over the training points, which suits a CPU. None (the default) chooses by JAX's default back end.
         precision: Precision of the sum over the training points; arguments and result have that of the points.
-            ``float32`` takes a half to a quarter of the time, and is refused where `single_precision_error` is above
-            `SINGLE_PRECISION_LIMIT`; ``auto`` takes it where it is allowed.
+            ``float32`` takes a half to a quarter of the time, and is refused if `single_precision_error` is above
+            `SINGLE_PRECISION_LIMIT`; ``auto`` uses it if it is allowed.
 
     Raises:
-        InvalidInput: Single precision whose error would matter.
+        InvalidInput: The error of single precision would matter.
     """
     unit = gp.scale * gp.length_scale
     of_sum = np.dtype(_allowed(gp, precision))
@@ -236,11 +236,11 @@ def batched_mean(
 
 
 def single_precision_error(gp: GaussianProcess) -> float:
-    """Return about the largest error of the mean that is summed in single precision, in units of the target.
+    """Return roughly the largest error of the mean summed in single precision, in units of the target.
 
     That is 6e-7 · σ0² · max Σ_i |α_i| c(x, x_i) over the training points and 4096 Sobol points of the box around them.
-    The root mean square of the error is about a tenth; α of alternating signs, as large length scales have it, makes
-    it large though the mean is not.
+    The root mean square of the error is about a tenth of it. At large length scales α alternates in sign, which makes
+    the error large even if the mean is not.
     """
     low, high = gp.x_train.min(axis=0), gp.x_train.max(axis=0)
     among = low + (high - low) * qmc.Sobol(gp.dim, scramble=False).random_base2(_BOX_POINTS)

@@ -3,8 +3,8 @@
 On a log-likelihood the evidence rises along σ0²/l³ = const, so the coordinates are (log σ0²/l³, log l) and l is
 bounded; the nugget is given. With a length for each input there is a log l for each, and l³ is that of their geometric
 mean: the ridge, on which all lengths grow together, is straight again. (All this holds for Matérn 3/2; the ridge of a
-smoother kernel runs at another angle to these coordinates.) A function can have several maxima and flat slopes between
-them: so there are two starts, and every stop is judged, the optimiser's own success too.
+smoother kernel runs at another angle to these coordinates.) The evidence can have several maxima with flat slopes
+between them, so there are two starts, and every stop is checked, even if the optimiser reports success.
 """
 
 import math
@@ -33,14 +33,14 @@ SHORTEST_LENGTH = 0.01
 STARTING_LENGTHS = (0.5, 3.0)
 _WINDOW = 40.0  # half-width of the box of log σ0²/l³ around its first guess
 _FLAT = 1e-3  # nats: a smaller change of the log evidence decides nothing
-_VARIANCE_STEPS, _SMALLEST_SHARE = 3, 1e-3  # of the search for a starting variance
+_VARIANCE_STEPS, _SMALLEST_SHARE = 3, 1e-3  # limits of the search for a starting variance
 _STEP = 0.01  # perturbation of the coordinates when a stop is checked
-_TRIES = 4  # of the optimiser from one start, each from where the last one stopped short of a maximum
+_TRIES = 4  # runs of the optimiser from one start, each from where the last stopped short of a maximum
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Log evidence and its derivatives by (log σ0²/l³, log l), with a log l for each length."""
+    """Log evidence and its derivatives with respect to (log σ0²/l³, log l), with a log l for each length."""
 
     value: float
     gradient: Float[np.ndarray, " coordinate"]
@@ -51,12 +51,12 @@ class Attempt:
     """One start of the optimiser and how it ended.
 
     Args:
-        start: length scale at the start, of every input.
+        start: length scale at the start, the same for every input.
         length_scale: length scale at the end.
         signal_variance: signal variance at the end.
         log_evidence: log evidence at the end.
         evaluations: evaluations of the evidence by the optimiser.
-        message: the optimiser's own words on its last stop.
+        message: the optimiser's own message on its last stop.
         verdict: ``converged``, or what the check of another stop found.
         accepted: whether the end is a maximum within tolerance.
     """
@@ -76,14 +76,14 @@ class FittedHyperparameters:
     """The best accepted attempt, and all attempts.
 
     Args:
-        length_scale: l, in standard deviations of the inputs; one for each input with a kernel that has them.
+        length_scale: l, in standard deviations of the inputs; one for each input if the kernel has several.
         signal_variance: σ0².
         nugget: σ_n², as given.
         log_evidence: log p(y | l, σ0², σ_n²).
         at_bound: whether a length lies at its upper bound: the usual end on a log-likelihood.
-        message: the optimiser's own words on the best attempt.
+        message: the optimiser's own message on the best attempt.
         verdict: what the check of the best attempt found.
-        attempts: every start with its end.
+        attempts: every start and its end.
     """
 
     length_scale: LengthScale
@@ -126,11 +126,11 @@ class Objective:
         return float(0.5 * (fit - trace))
 
     def starting_ratio(self, length: float) -> float:
-        """Return log σ0²/l³ to start from at one length for all inputs: there σ0² is the variance of the targets.
+        """Return log σ0²/l³ to start from with equal lengths; with a single length, σ0² is the targets' variance.
 
-        With several lengths that is far too small at long ones, and the optimiser's first step then leads to where all
-        lengths vanish, a local maximum. So σ0² is made to fit the targets, αᵀ σ0²C α = n, as far as the nugget and a
-        covariance that can be factorised allow.
+        With several lengths this is far too small if they are long, and the optimiser's first step then leads to a
+        local maximum where all lengths vanish. So σ0² is made to fit the targets, αᵀ σ0²C α = n, as far as the nugget
+        and a covariance that can be factorised allow.
         """
         ratio = sound = math.log(float(np.var(self.y))) - 3 * math.log(length)
         for _ in range(_VARIANCE_STEPS + 1 if self.lengths > 1 else 0):
@@ -152,7 +152,7 @@ class Objective:
         return inverse, variance
 
     def descent(self, z: Float[np.ndarray, " coordinate"]) -> tuple[float, Float[np.ndarray, " coordinate"]]:
-        """Return minus the evidence for the optimiser; where K breaks down, a wall above all values seen."""
+        """Return minus the evidence for the optimiser; if K breaks down, a wall above all values seen."""
         try:
             found = self.evidence(float(z[0]), z[1:].tolist())
         except NumericsError:
@@ -170,7 +170,7 @@ def evidence(
     signal_variance: float,
     nugget: float,
 ) -> Evidence:
-    """Return log p(y | X, l, σ0², σ_n²) and its gradient by (log σ0²/l³, log l).
+    """Return log p(y | X, l, σ0², σ_n²) and its gradient with respect to (log σ0²/l³, log l).
 
     Args:
         x_std: standardised inputs.
@@ -205,7 +205,7 @@ def fit_hyperparameters(
         kernel: the correlation function.
         nugget: σ_n², kept fixed.
         length_scale_bound: upper bound of l, in standard deviations of the inputs.
-        starting_lengths: values of l to start from, in every input; those above the bound start at it.
+        starting_lengths: values of l to start from, for every input; those above the bound start at it.
 
     Raises:
         TooFewRuns: fewer than dim + 2 runs.
@@ -262,7 +262,7 @@ def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) 
 
 
 def _attempt(objective: Objective, start: float, bound: float) -> Attempt:
-    """Run the optimiser from one length scale, judge its stop and go on from there if that is no maximum."""
+    """Run the optimiser from one length scale, judge its stop, and continue from there if that is no maximum."""
     ratio = objective.starting_ratio(start)
     box = [(ratio - _WINDOW, ratio + _WINDOW)] + [(math.log(SHORTEST_LENGTH), math.log(bound))] * objective.lengths
     z, evaluations = np.array([ratio] + [math.log(start)] * objective.lengths), 0
@@ -288,12 +288,12 @@ def _attempt(objective: Objective, start: float, bound: float) -> Attempt:
 def _judge(objective: Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
     """Return a verdict on the optimiser's stop and whether to accept it.
 
-    The optimiser's own success counts where the projected gradient is small as well: it calls a step that gains little
-    a success too, and has done so hundreds of nats below the maximum. Any other stop (line search "ABNORMAL", limit of
-    iterations) is accepted only if small steps along all coordinates and along the gradient, inside the box, gain less
-    than `_FLAT`.
+    The optimiser's own success counts only if the projected gradient is small as well: it also calls a step that gains
+    little a success, and has done so hundreds of nats below the maximum. Any other stop (line search "ABNORMAL", limit
+    of iterations) is accepted only if small steps along all coordinates and along the gradient, inside the box, gain
+    less than `_FLAT`.
     """
-    if found.fun > objective.worst or math.isinf(objective.worst):  # the wall, that of another start included
+    if found.fun > objective.worst or math.isinf(objective.worst):  # the wall, including that of another start
         return "the covariance was never positive definite", False
     low, high = np.array(box).T
     slope = np.clip(found.x - np.asarray(found.jac), low, high) - found.x

@@ -1,28 +1,36 @@
-"""The study's surrogate: a Gaussian process of the log-likelihood over the physical inputs."""
+"""Surrogates of the log-likelihood over the physical inputs: the study's Gaussian process, or the user's own."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
-from strandline.surrogate.gaussian_process import GaussianProcess, condition, standardisation
+from strandline.surrogate.gaussian_process import condition, standardisation
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
 from strandline.surrogate.kernels import kernel_named
-from strandline.surrogate.validation import Validation, validate
+from strandline.surrogate.predictor import Fit, Predictor
+from strandline.surrogate.validation import Validation, cross_validate, validate
 
-__all__ = ["NUGGET_SHARE", "LogLikelihoodSurrogate", "fit_log_likelihood"]
+__all__ = ["NUGGET_SHARE", "LogLikelihoodSurrogate", "fit_log_likelihood", "fit_of_the_user"]
 
 NUGGET_SHARE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class LogLikelihoodSurrogate:
-    """A Gaussian process of the log-likelihood, its validation and how its hyperparameters were found."""
+    """A surrogate of the log-likelihood and how well it predicts runs that it has not seen.
 
-    process: GaussianProcess
+    Args:
+        process: The surrogate.
+        validation: Errors of runs that were left out.
+        fit: How the hyperparameters of the Gaussian process were found; None for the user's own surrogate.
+    """
+
+    process: Predictor
     validation: Validation
-    fit: FittedHyperparameters
+    fit: FittedHyperparameters | None
 
 
 def fit_log_likelihood(
@@ -33,8 +41,8 @@ def fit_log_likelihood(
     Args:
         x: physical inputs of the successful runs.
         log_likelihood: their log-likelihoods.
-        kernel: Name in `KERNELS`, or ``module:name``; the publication has ``matern32`` for its homogeneous specimen and
-            ``matern32_product`` for that of three parts.
+        kernel: Name in `KERNELS`, or ``module:name``; the publication uses ``matern32`` for its homogeneous specimen,
+            ``matern32_product`` for the one with three parts.
 
     Raises:
         TooFewRuns: fewer than dim + 2 runs.
@@ -57,6 +65,38 @@ def fit_log_likelihood(
         nugget=nugget,
     )
     return LogLikelihoodSurrogate(process, validate(process, log_likelihood), fit)
+
+
+def fit_of_the_user(
+    x: Float[np.ndarray, "run dim"], log_likelihood: Float[np.ndarray, " target"], fit: Fit
+) -> LogLikelihoodSurrogate:
+    """Return a surrogate learnt by the user's function, validated by leaving out a tenth of the runs at a time.
+
+    Args:
+        x: physical inputs of the successful runs.
+        log_likelihood: their log-likelihoods.
+        fit: The user's function.
+
+    Raises:
+        TooFewRuns: fewer than dim + 2 runs.
+        InvalidInput: values that are not finite, or the function returns something that is not a surrogate.
+    """
+    _require_one_each(x, log_likelihood)
+    require_runs(x, log_likelihood)
+    learn = partial(_learnt, fit)
+    return LogLikelihoodSurrogate(learn(x, log_likelihood), cross_validate(learn, x, log_likelihood), None)
+
+
+def _learnt(fit: Fit, x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) -> Predictor:
+    found = fit(x, y)
+    if not isinstance(found, Predictor):
+        raise InvalidInput(
+            "what the surrogate's function returns",
+            value=type(found).__name__,
+            expected="an object with the methods mean and variance",
+            remedy="Check it with strandline.testing.surrogates.",
+        )
+    return found
 
 
 def _require_one_each(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " other"]) -> None:

@@ -1,5 +1,6 @@
-"""Leave-one-out validation in closed form."""
+"""Validation of a surrogate: leaving out one run, in closed form, or a tenth of the runs at a time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,18 +8,22 @@ from jaxtyping import Bool, Float
 
 from strandline.numerics.linear_algebra import invert
 from strandline.surrogate.gaussian_process import GaussianProcess
+from strandline.surrogate.predictor import Predictor
 
-__all__ = ["NEAR_MODE_COUNT", "NEAR_MODE_WINDOW", "Validation", "validate"]
+__all__ = ["NEAR_MODE_COUNT", "NEAR_MODE_WINDOW", "Validation", "cross_validate", "validate"]
 
 NEAR_MODE_WINDOW = 10.0
 NEAR_MODE_COUNT = 10
+FOLDS = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """How well each training run is predicted from all others, hyperparameters and centring fixed.
+    """How well each training run is predicted from others that do not include it.
 
-    Near the mode are the runs whose target lies within `NEAR_MODE_WINDOW` of the largest one, and always the
+    For a Gaussian process these are all others, with hyperparameters and centring fixed; else nine tenths of the runs.
+
+    Runs near the mode are those whose target lies within `NEAR_MODE_WINDOW` of the largest one, and always the
     `NEAR_MODE_COUNT` best.
 
     Args:
@@ -26,7 +31,7 @@ class Validation:
         standardised_residuals: residuals over their predictive standard deviation (with the nugget).
         near_mode: which runs lie near the mode.
         loo_rms: root mean square of the residuals.
-        loo_rms_near_mode: the same near the mode: the error that a posterior feels.
+        loo_rms_near_mode: the same near the mode: the error that affects a posterior.
         near_mode_count: number of runs near the mode.
         standardised_rms: root mean square of the standardised residuals; near 1 if the variance is realistic.
         standardised_rms_near_mode: the same near the mode.
@@ -47,7 +52,27 @@ def validate(gp: GaussianProcess, y: Float[np.ndarray, " run"]) -> Validation:
     inverse = gp.cholesky.copy(order="F")
     invert(inverse)
     precision = np.diagonal(inverse)
-    residuals, standardised = gp.alpha / precision, gp.alpha / np.sqrt(precision)
+    return _validation(gp.alpha / precision, gp.alpha / np.sqrt(precision), y)
+
+
+def cross_validate(
+    fit: Callable[[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]], Predictor],
+    x: Float[np.ndarray, "run dim"],
+    y: Float[np.ndarray, " run"],
+) -> Validation:
+    """Return the residuals of every tenth run, learnt from the others, for all ten tenths."""
+    residuals, variances = np.empty(len(y)), np.empty(len(y))
+    for k in range(min(FOLDS, len(y))):
+        left_out = np.arange(len(y)) % FOLDS == k
+        learnt = fit(x[~left_out], y[~left_out])
+        residuals[left_out] = y[left_out] - learnt.mean(x[left_out])
+        variances[left_out] = learnt.variance(x[left_out])
+    return _validation(residuals, residuals / np.sqrt(np.maximum(variances, np.finfo(float).tiny)), y)
+
+
+def _validation(
+    residuals: Float[np.ndarray, " run"], standardised: Float[np.ndarray, " run"], y: Float[np.ndarray, " run"]
+) -> Validation:
     near = _near_mode(y)
     return Validation(
         residuals=residuals,

@@ -17,6 +17,7 @@ from strandline.interface import Interface, Observation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import RunRecord
+from strandline.testing.parts import by_name
 
 __all__ = ["CHECKS"]
 
@@ -46,13 +47,13 @@ def state() -> State:
 
 
 def picked(criterion: Criterion) -> list[Float[np.ndarray, " dim"]]:
-    """Return what is picked: every third pick explores."""
+    """Return the picks; every third one explores."""
     pick = criterion(state(), CANDIDATES.copy(), UNKNOWN.copy(), TARGETS.copy())
     return [np.asarray(pick(k % 3 == 2)) for k in range(PICKED)]
 
 
 def check_it_picks_from_what_it_is_given(criterion: Criterion) -> None:
-    """A pick is a candidate, or one of the points to explore where it is to explore."""
+    """A pick is a candidate, or one of the points to explore if it is to explore."""
     for k, x in enumerate(picked(criterion)):
         pool = UNKNOWN if k % 3 == 2 else CANDIDATES
         assert x.shape == (2,), f"a pick has the shape {x.shape}, not (dim,)"
@@ -60,22 +61,19 @@ def check_it_picks_from_what_it_is_given(criterion: Criterion) -> None:
 
 
 def check_it_picks_each_point_once(criterion: Criterion) -> None:
-    """A run that is chosen is not chosen again: a batch is chosen as if the runs before had been made."""
+    """A chosen run is not chosen again: a batch is chosen as if the runs before it had been made."""
     found = picked(criterion)
     assert len({x.tobytes() for x in found}) == len(found), "a point is picked twice"
 
 
 def check_it_repeats_itself(criterion: Criterion) -> None:
-    """The same state gives the same picks: a study that is resumed makes the same runs."""
+    """The same state gives the same picks, so a resumed study makes the same runs."""
     first, second = picked(criterion), picked(criterion)
     assert np.array_equal(first, second), "a second call picks other points"
 
 
-CHECKS: dict[str, Callable[[Criterion], None]] = {
-    check.__name__.removeprefix("check_"): check
-    for check in (
-        check_it_picks_from_what_it_is_given,
-        check_it_picks_each_point_once,
-        check_it_repeats_itself,
-    )
-}
+CHECKS: dict[str, Callable[[Criterion], None]] = by_name(
+    check_it_picks_from_what_it_is_given,
+    check_it_picks_each_point_once,
+    check_it_repeats_itself,
+)

@@ -64,7 +64,7 @@ def gaussian(mean: Float[np.ndarray, " dim"], covariance: Float[np.ndarray, "dim
 
 
 def banana(*, centre: float, sd: float, bend: float, width: float) -> KnownPosterior:
-    """Return a curved ridge, x ~ N(centre, sd²), y | x ~ N(bend·x², width²), in a box that cuts nothing that matters.
+    """Return a curved ridge, x ~ N(centre, sd²), y | x ~ N(bend·x², width²), in a box that cuts off nothing relevant.
 
     E y = bend (centre² + sd²), Var y = width² + bend² (4 centre² sd² + 2 sd⁴), Cov(x, y) = 2 bend·centre·sd².
     """
@@ -104,7 +104,7 @@ def truncated_gaussian(
 
 
 def linear_exponential(rate: Float[np.ndarray, " dim"]) -> KnownPosterior:
-    """Return L = exp(-rate·x) on the unit cube, rates not zero: all mass in a corner where rates are large."""
+    """Return L = exp(-rate·x) on the unit cube, rates not zero; if rates are large, all mass is in a corner."""
     mass = -np.expm1(-rate) / rate
     mean = 1 / rate - 1 / np.expm1(rate)
     variance = 1 / rate**2 - np.exp(rate) / np.expm1(rate) ** 2

@@ -12,6 +12,7 @@ import numpy as np
 
 from strandline.discrepancy import Discrepancy, independent_terms, squared_discrepancies, unit_of
 from strandline.interface import Interface
+from strandline.testing.parts import by_name
 
 __all__ = ["CHECKS"]
 
@@ -23,7 +24,7 @@ def arch(height: float, nodes: int = 41) -> Interface:
 
 
 def check_it_is_a_squared_distance(measure: Discrepancy) -> None:
-    """It is a finite number, not negative."""
+    """It is finite and not negative."""
     value = measure(arch(0.3), arch(0.2))
     assert isinstance(value, float), f"d² is a {type(value).__name__}, not a float"
     assert math.isfinite(value), f"d² is {value}"
@@ -31,13 +32,13 @@ def check_it_is_a_squared_distance(measure: Discrepancy) -> None:
 
 
 def check_an_interface_is_no_distance_from_itself(measure: Discrepancy) -> None:
-    """d² of an interface and itself is zero but for rounding."""
+    """d² between an interface and itself is zero except for rounding."""
     far = measure(arch(0.4), arch(0.2))
     assert measure(arch(0.2), arch(0.2)) <= 1e-10 * far, "an interface differs from itself"
 
 
 def check_it_grows_with_the_distance(measure: Discrepancy) -> None:
-    """A larger difference of the interfaces has a larger d²."""
+    """A larger difference between the interfaces gives a larger d²."""
     values = [measure(arch(height), arch(0.2)) for height in (0.21, 0.22, 0.24, 0.28)]
     assert all(less < more for less, more in itertools.pairwise(values)), "d² does not grow"
 
@@ -52,7 +53,7 @@ def check_it_changes_nothing(measure: Discrepancy) -> None:
 
 
 def check_many_are_as_one_by_one(measure: Discrepancy) -> None:
-    """A batch gives what its members give, to a hundredth."""
+    """A batch gives the same values as its members, to 1 %."""
     heights, template, observed = np.linspace(0.15, 0.3, 40), arch(0.2), arch(0.2)
     points = np.stack([arch(height).points for height in heights])
     together = squared_discrepancies(measure, points, template, observed)
@@ -61,27 +62,24 @@ def check_many_are_as_one_by_one(measure: Discrepancy) -> None:
 
 
 def check_it_can_be_sent(measure: Discrepancy) -> None:
-    """Worker processes get a copy that gives the same number."""
+    """A pickled copy, as worker processes get it, gives the same number."""
     copy = pickle.loads(pickle.dumps(measure))
     assert copy(arch(0.3), arch(0.2)) == measure(arch(0.3), arch(0.2)), "a pickled copy gives another number"
 
 
 def check_unit_and_terms(measure: Discrepancy) -> None:
-    """The unit is a text; the number of independent residuals is unknown or above 0."""
-    assert isinstance(unit_of(measure), str), "the unit is no text"
+    """The unit is a string; the number of independent residuals is unknown or above 0."""
+    assert isinstance(unit_of(measure), str), "the unit is not a string"
     terms = independent_terms(measure, arch(0.2))
     assert terms is None or terms > 0, "the number of independent residuals is not above 0"
 
 
-CHECKS: dict[str, Callable[[Discrepancy], None]] = {
-    check.__name__.removeprefix("check_"): check
-    for check in (
-        check_it_is_a_squared_distance,
-        check_an_interface_is_no_distance_from_itself,
-        check_it_grows_with_the_distance,
-        check_it_changes_nothing,
-        check_many_are_as_one_by_one,
-        check_it_can_be_sent,
-        check_unit_and_terms,
-    )
-}
+CHECKS: dict[str, Callable[[Discrepancy], None]] = by_name(
+    check_it_is_a_squared_distance,
+    check_an_interface_is_no_distance_from_itself,
+    check_it_grows_with_the_distance,
+    check_it_changes_nothing,
+    check_many_are_as_one_by_one,
+    check_it_can_be_sent,
+    check_unit_and_terms,
+)

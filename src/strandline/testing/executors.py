@@ -9,8 +9,8 @@ def test_my_executor(check):
     check(MyExecutor(), workers=2)
 ```
 
-`CRASH_CHECKS` are for executors that keep simulators in processes of their own, `TIMEOUT_CHECKS` for those that stop
-a run after two seconds at the latest, `WAITING_CHECKS` for those with the attribute ``asks_again``.
+`CRASH_CHECKS` are for executors that run simulators in separate processes, `TIMEOUT_CHECKS` for those that stop a run
+after at most two seconds, `WAITING_CHECKS` for those with the attribute ``asks_again``.
 """
 
 import math
@@ -45,7 +45,7 @@ class Check(Protocol):
 
 
 def requests_for(model: Any, stiffness: Sequence[float] = STIFFNESS) -> list[RunRequest]:
-    """Return requests for a `Cantilever`, or a wrapper of it, at these Young's moduli, Pa."""
+    """Return requests for a `Cantilever`, or a wrapper around it, at these Young's moduli, Pa."""
     inputs = [{"E": float(value), "load": 1e-5} for value in stiffness]
     return [RunRequest(run_key(fingerprint(model), entry), entry) for entry in inputs]
 
@@ -65,7 +65,7 @@ def check_answers_each_request_once(executor: Executor, *, workers: int) -> None
 
 
 def check_accepts_no_requests(executor: Executor, *, workers: int) -> None:
-    """Nothing asked, nothing answered."""
+    """Without requests there are no records."""
     _require(list(executor(Cantilever(), iter([]))) == [], "records without requests")
 
 
@@ -90,7 +90,7 @@ def _require_the_models_result(executor: Executor, model: Any) -> None:
 
 
 def check_yields_in_order_of_completion(executor: Executor, *, workers: int) -> None:
-    """A first run that ends last holds up the others only where there is one worker."""
+    """A first run that ends last holds up the others only if there is one worker."""
     stiffness = [600.0, 400.0, 300.0, 350.0]
     with tempfile.TemporaryDirectory() as folder:
         model = Patient(folder, others=0 if workers == 1 else 3)
@@ -104,7 +104,7 @@ def check_yields_in_order_of_completion(executor: Executor, *, workers: int) -> 
 
 
 def check_pulls_when_a_worker_is_free(executor: Executor, *, workers: int) -> None:
-    """A request is pulled when it is started: never more are out than there are workers."""
+    """A request is pulled when its run starts: there are never more open requests than workers."""
     requests = requests_for(Cantilever(), np.linspace(300.0, 500.0, 4 * workers + 4).tolist())
     pulled: list[RunRequest] = []
     records = executor(Slow(seconds=0.01), _noted(requests, pulled))
@@ -126,17 +126,17 @@ def check_stops_when_closed(executor: Executor, *, workers: int) -> None:
     count = len(pulled)
     time.sleep(0.3)
     _require(time.monotonic() - begin < 8.0, "closing took as long as the runs")
-    _require(len(pulled) == count <= workers + 1, f"{len(pulled)} requests were pulled though one record was wanted")
+    _require(len(pulled) == count <= workers + 1, f"{len(pulled)} requests were pulled though one record was requested")
 
 
 def check_gives_each_run_an_empty_folder(executor: Executor, *, workers: int) -> None:
-    """What one run leaves behind is not there in the next."""
+    """Files that one run leaves behind are not there in the next."""
     states = [record.state for record in executor(*_faulty("dirty", above=0.0))]
     _require(states == ["ok"] * len(STIFFNESS), f"a run met a used folder: {states}")
 
 
 def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
-    """A request that follows from the record before it is made; `NOT_NOW` is not a request."""
+    """A request that depends on the record before it is run; `NOT_NOW` is not a request."""
     requests = requests_for(Cantilever())
     records: list[RunRecord] = []
 
@@ -151,7 +151,7 @@ def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
 
 
 def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -> None:
-    """The only worker, which got `NOT_NOW` before, keeps no record back when it pulls again."""
+    """The only worker, which got `NOT_NOW` before, holds no record back when it pulls again."""
     if workers > 1:
         return
     requests = requests_for(Cantilever())
@@ -167,11 +167,11 @@ def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -
 
     for record in executor(Cantilever(), following()):
         records.append(record)  # noqa: PERF402 (the requests look at them)
-    _require(early == [False] * len(requests), "a request was pulled while the record that it follows from was kept")
+    _require(early == [False] * len(requests), "a request was pulled while the record that it depends on was held back")
 
 
 def check_asks_beside_a_run(executor: Executor, *, workers: int) -> None:
-    """A free worker asks again though no run ends, and makes further runs while a long one goes on."""
+    """A free worker asks again even if no run ends, and makes further runs while a long one goes on."""
     if workers == 1:
         return
     requests = requests_for(Cantilever(), [600.0, 400.0, 300.0])
@@ -193,7 +193,7 @@ def check_asks_beside_a_run(executor: Executor, *, workers: int) -> None:
 
 
 def _not_now_until(condition: Callable[[], bool], *, seconds: float = 30.0) -> Iterator[RunRequest]:
-    """Yield `NOT_NOW` once, then until `condition` holds, or it has taken so long that it will not."""
+    """Yield `NOT_NOW` once, then until `condition` holds or `seconds` have passed."""
     deadline = time.monotonic() + seconds
     yield NOT_NOW
     while not condition() and time.monotonic() < deadline:
@@ -201,9 +201,10 @@ def _not_now_until(condition: Callable[[], bool], *, seconds: float = 30.0) -> I
 
 
 def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Check:
-    """Return the check that `fault` ends in `state` and `kind` for the run that it hits, and for no other."""
+    """Return a check that `fault` ends the run that it hits, and no other, in `state` and `kind`."""
 
     def check(executor: Executor, *, workers: int) -> None:
+        """Run the faulty model; only the sick run may fail."""
         model, requests = _faulty(fault)
         records = list(executor(model, requests))
         _require_one_each(requests, records)

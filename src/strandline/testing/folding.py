@@ -1,4 +1,4 @@
-"""A forward model with a closed form and a fold: for tests of tables of interfaces and of posteriors made of them."""
+"""A forward model with a closed form and a fold, for tests of tables of interfaces and their posteriors."""
 
 import math
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ class Folding:
     """A straight interface that bulges to a half sine, with no state beyond a fold.
 
     The bulge is ``0.1 mm (1 + 0.3 ν)(1 + 0.002 V)(1 - √(1 - V/(E t)))`` with the load at the fold
-    ``t = 100 / ((1 + ν)(180 + 40 ν) softness)``: what a structure does near a limit point.
+    ``t = 100 / ((1 + ν)(180 + 40 ν) softness)``, as structures behave near a limit point.
 
     Args:
         nodes: Number of nodes of the interface.

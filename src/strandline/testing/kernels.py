@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from strandline.numerics.precision import use_double
 from strandline.surrogate.kernels import Kernel
-from strandline.testing.parts import require_parts
+from strandline.testing.parts import by_name, require_parts
 
 __all__ = ["CHECKS"]
 
@@ -20,13 +20,13 @@ LENGTHS = np.array([0.8, 2.5, 1.3])
 
 
 def offsets(number: int) -> Float[np.ndarray, "pair dim"]:
-    """Return offsets in length scales, from none to several."""
+    """Return offsets in length scales, from zero to several."""
     directions = np.random.default_rng(1).normal(size=(number, DIM))
     return directions * np.linspace(0.0, 3.0, number)[:, None]
 
 
 def check_it_is_a_correlation(kernel: Kernel) -> None:
-    """It is one at no offset, less elsewhere, the same both ways, and positive definite."""
+    """It is one at zero offset, smaller elsewhere, symmetric, and positive definite."""
     require_parts(kernel, Kernel)
     found = kernel.value(offsets(50))
     assert found[0] == 1.0, f"c is {found[0]:g} at no offset, not 1"
@@ -38,7 +38,7 @@ def check_it_is_a_correlation(kernel: Kernel) -> None:
 
 
 def check_gradient_and_hessian(kernel: Kernel) -> None:
-    """Gradient and Hessian are the central differences of the value and of the gradient."""
+    """Gradient and Hessian agree with central differences of the value and of the gradient."""
     at, weight = offsets(24)[4:].reshape(4, 5, DIM), np.linspace(-1.0, 2.0, 5)
     gradient, hessian = kernel.weighted_gradient(at, weight), kernel.weighted_hessian(at, weight)
     for k, shift in enumerate(STEP * np.eye(DIM)):
@@ -49,7 +49,7 @@ def check_gradient_and_hessian(kernel: Kernel) -> None:
 
 
 def check_jax_agrees(kernel: Kernel) -> None:
-    """The form for JAX gives the same values, compiled."""
+    """The compiled form for JAX gives the same values."""
     use_double()
     compiled = jax.jit(kernel.of_columns)(list(offsets(50).T))
     assert np.allclose(compiled, kernel.value(offsets(50)), rtol=1e-9, atol=1e-12), "JAX gives other values"
@@ -66,7 +66,7 @@ def check_pairs_fill_the_covariance(kernel: Kernel) -> None:
 
 
 def check_pairs_know_their_slopes(kernel: Kernel) -> None:
-    """The derivatives by the logarithms of the lengths are central differences."""
+    """The derivatives with respect to the logarithms of the lengths agree with central differences."""
     x, lengths = offsets(20), LENGTHS if kernel.per_input else LENGTHS[:1]
     random = np.random.default_rng(2)
     alpha, precision = random.normal(size=20), random.normal(size=(20, 20))
@@ -83,13 +83,10 @@ def check_pairs_know_their_slopes(kernel: Kernel) -> None:
     assert np.allclose(found, slopes, rtol=1e-6, atol=1e-5), "the slopes of pairs are not derivatives"
 
 
-CHECKS: dict[str, Callable[[Kernel], None]] = {
-    check.__name__.removeprefix("check_"): check
-    for check in (
-        check_it_is_a_correlation,
-        check_gradient_and_hessian,
-        check_jax_agrees,
-        check_pairs_fill_the_covariance,
-        check_pairs_know_their_slopes,
-    )
-}
+CHECKS: dict[str, Callable[[Kernel], None]] = by_name(
+    check_it_is_a_correlation,
+    check_gradient_and_hessian,
+    check_jax_agrees,
+    check_pairs_fill_the_covariance,
+    check_pairs_know_their_slopes,
+)

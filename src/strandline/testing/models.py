@@ -67,8 +67,8 @@ class Cantilever:
         """Return the outline, mm, and the tip's deflection.
 
         Raises:
-            ForwardModelError: ``nonpositive_stiffness``, or ``large_deflection`` where the tip would move by more
-                than the beam's length and the linear theory means nothing.
+            ForwardModelError: ``nonpositive_stiffness``, or ``large_deflection`` if the tip would move by more than
+                the beam's length, so that the linear theory does not hold.
         """
         modulus, load = inputs["E"], inputs["load"]
         if modulus <= 0:
@@ -106,7 +106,7 @@ class TwoLoads:
     Args:
         beam: Specimen.
         ratio: Ratio of the two forces.
-        sensitivities: Whether runs yield d(points)/dE, mm/Pa, and d(points)/d(load), mm per N/m, too.
+        sensitivities: Whether runs also yield d(points)/dE, mm/Pa, and d(points)/d(load), mm per N/m.
     """
 
     beam: Cantilever = Cantilever()
@@ -125,7 +125,7 @@ class TwoLoads:
         """Return both outlines, mm, and the tip's deflection under each force.
 
         Raises:
-            ForwardModelError: where the beam does under either force.
+            ForwardModelError: the beam raises it under either force.
         """
         loads = dict(zip(self.conditions, (inputs["load"], self.ratio * inputs["load"]), strict=True))
         runs = {name: self.beam({"E": inputs["E"], "load": load}, workdir) for name, load in loads.items()}
@@ -136,7 +136,7 @@ class TwoLoads:
         )
 
     def _sensitivities(self, modulus: float, loads: Mapping[str, float]) -> dict[str, dict[str, Any]]:
-        """Return the derivatives from the displacement under a unit force, so that none is a quotient of zeros."""
+        """Return the derivatives from the displacement under a unit force, to avoid a quotient of zeros."""
         unit = self.beam.outline(modulus, 1.0).points - self.beam.outline(modulus, 0.0).points
         factors = dict(zip(self.conditions, (1.0, self.ratio), strict=True))
         return {name: {"E": -loads[name] / modulus * unit, "load": factors[name] * unit} for name in self.conditions}
@@ -147,7 +147,7 @@ Model = Callable[[Mapping[str, float], Path], Any]
 
 @dataclass(frozen=True)
 class Faulty:
-    """`base`, with the fault `fault` (a name in `FAULTS`) where the input `name` is above `above`."""
+    """`base`, with the fault `fault` (a name in `FAULTS`) if the input `name` is above `above`."""
 
     base: Any = Cantilever()
     fault: str = "exception"
@@ -186,7 +186,7 @@ class Slow:
 
 @dataclass(frozen=True)
 class Counted:
-    """`base`, leaving a line with process id and inputs in ``calls`` of `folder` before and in ``ends`` after."""
+    """`base`; writes process id and inputs as a line to ``calls`` in `folder` before a run and to ``ends`` after it."""
 
     folder: str
     base: Any = Cantilever()
@@ -197,7 +197,7 @@ class Counted:
         return str(self.base.fingerprint)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Note the call, then return what the base returns."""
+        """Record the call, then return what the base returns."""
         line = f"{os.getpid()} {sorted(inputs.items())}\n"
         _append(Path(self.folder) / "calls", line)
         result = self.base(inputs, workdir)
@@ -209,7 +209,7 @@ class Counted:
 class Patient:
     """`base`; a run with `name` above `above` first waits until there are `others` files in `folder`.
 
-    Whoever receives the records puts them there, and so decides what has ended before.
+    The receiver of the records puts them there, and so decides which runs end first.
     """
 
     folder: str
@@ -234,7 +234,7 @@ class Patient:
 
 @dataclass(frozen=True)
 class CrashesOnce:
-    """`base`, whose process dies the first time that inputs are run; `folder` keeps the memory of it."""
+    """`base`, whose process dies the first time that inputs are run; `folder` remembers it."""
 
     folder: str
     base: Any = Cantilever()

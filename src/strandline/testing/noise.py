@@ -10,7 +10,7 @@ import numpy as np
 from scipy import integrate
 
 from strandline.interface import Noise
-from strandline.testing.parts import require_parts
+from strandline.testing.parts import by_name, require_parts
 
 __all__ = ["CHECKS"]
 
@@ -22,7 +22,7 @@ def check_it_has_all_parts(noise: Noise) -> None:
 
 
 def check_no_discrepancy_costs_nothing(noise: Noise) -> None:
-    """An interface that agrees has a log-likelihood of 0, without the constant."""
+    """An interface that agrees exactly has a log-likelihood of 0, without the constant."""
     assert float(noise.log_density(np.zeros(1))[0]) == 0.0, "the log-likelihood at d² = 0 is not 0"
 
 
@@ -42,7 +42,7 @@ def check_the_scale_costs_half_a_unit(noise: Noise) -> None:
 
 
 def check_each_number_is_on_its_own(noise: Noise) -> None:
-    """Any shape is taken, and each number is evaluated on its own."""
+    """Any shape is accepted, and each number is evaluated on its own."""
     squares = noise.scale * np.linspace(0.0, 5.0, 6)
     together = noise.log_density(squares.reshape(2, 3))
     assert together.shape == (2, 3), "the shape is not kept"
@@ -56,7 +56,7 @@ def check_the_constant_normalises(noise: Noise) -> None:
         area = 2 * math.pi ** (terms / 2) / math.gamma(terms / 2)
 
         def density(log_radius: float, terms: int = terms, area: float = area) -> float:
-            """Return the density at a distance from no residual, times the area of the sphere, by its logarithm."""
+            """Return the density times the area of the sphere at a distance from zero, given by its logarithm."""
             radius = math.exp(log_radius)
             log_density = float(noise.log_density(np.full(1, radius**2))[0]) + noise.constant(terms)
             return area * radius**terms * math.exp(log_density)
@@ -66,14 +66,11 @@ def check_the_constant_normalises(noise: Noise) -> None:
         assert abs(mass - 1.0) < 1e-4, f"the density of {terms} residuals integrates to {mass:.4g}, not 1"
 
 
-CHECKS: dict[str, Callable[[Noise], None]] = {
-    check.__name__.removeprefix("check_"): check
-    for check in (
-        check_it_has_all_parts,
-        check_no_discrepancy_costs_nothing,
-        check_it_falls,
-        check_the_scale_costs_half_a_unit,
-        check_each_number_is_on_its_own,
-        check_the_constant_normalises,
-    )
-}
+CHECKS: dict[str, Callable[[Noise], None]] = by_name(
+    check_it_has_all_parts,
+    check_no_discrepancy_costs_nothing,
+    check_it_falls,
+    check_the_scale_costs_half_a_unit,
+    check_each_number_is_on_its_own,
+    check_the_constant_normalises,
+)

@@ -1,8 +1,16 @@
-"""Which parts of a protocol something has."""
+"""What the conformance suites share: a protocol's parts, and the checks by name."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ParamSpec
 
-__all__ = ["require_parts"]
+__all__ = ["by_name", "require_parts"]
+
+_Arguments = ParamSpec("_Arguments")
+
+
+def by_name(*checks: Callable[_Arguments, None]) -> dict[str, Callable[_Arguments, None]]:
+    """Return the checks by their names, without `check_`."""
+    return {check.__name__.removeprefix("check_"): check for check in checks}
 
 
 def require_parts(entry: Any, protocol: Any) -> None:

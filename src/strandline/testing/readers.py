@@ -1,6 +1,6 @@
 """Conformance suite for readers of files: what any entry of `strandline.readers.READERS` must do.
 
-Each check takes the path of a whole file and how to read it, and raises `AssertionError` with a sentence on what is
+Each check takes the path of an intact file and how to read it, and raises `AssertionError` with a sentence on what is
 wrong.
 """
 
@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from strandline.readers import Reading, Unreadable, read_interface
+from strandline.testing.parts import by_name
 
 __all__ = ["CHECKS"]
 
@@ -24,7 +25,7 @@ def check_it_returns_an_interface(path: Path, how: Reading) -> None:
 
 
 def check_it_repeats_itself(path: Path, how: Reading) -> None:
-    """Reading changes nothing: a second time gives the same interface, and the file stays as it is."""
+    """Reading changes nothing: a second time yields the same interface, and the file stays as it is."""
     before = path.read_bytes()
     first, second = (read_interface(path, how) for _ in range(2))
     assert np.array_equal(first.points, second.points), "the second time gives other points"
@@ -54,7 +55,7 @@ def check_a_damaged_file_is_refused(path: Path, how: Reading) -> None:
 
 
 def _complaint(name: str, content: bytes, how: Reading) -> str:
-    """Return what is said of a file of that content; empty if it is read."""
+    """Return the error message for a file with this content; empty if it is read."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(content)
@@ -65,12 +66,9 @@ def _complaint(name: str, content: bytes, how: Reading) -> str:
     return ""
 
 
-CHECKS: dict[str, Callable[[Path, Reading], None]] = {
-    check.__name__.removeprefix("check_"): check
-    for check in (
-        check_it_returns_an_interface,
-        check_it_repeats_itself,
-        check_the_unit_counts,
-        check_a_damaged_file_is_refused,
-    )
-}
+CHECKS: dict[str, Callable[[Path, Reading], None]] = by_name(
+    check_it_returns_an_interface,
+    check_it_repeats_itself,
+    check_the_unit_counts,
+    check_a_damaged_file_is_refused,
+)

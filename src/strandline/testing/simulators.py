@@ -17,6 +17,7 @@ from strandline.interface import Interface
 from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
 from strandline.models.protocol import ForwardModel, declared_inputs, fingerprint, with_sensitivities
 from strandline.runs import RunRecord, RunRequest, attempt
+from strandline.testing.parts import by_name
 
 __all__ = ["CHECKS"]
 
@@ -25,7 +26,7 @@ STEP = 1e-4
 
 
 def made(model: ForwardModel, inputs: Mapping[str, float]) -> RunRecord:
-    """Return the record of a run in a folder of its own."""
+    """Return the record of a run in its own folder."""
     with TemporaryDirectory() as folder:
         return attempt(model, RunRequest("conformance", dict(inputs)), Path(folder))
 
@@ -58,7 +59,7 @@ def check_it_leaves_its_inputs_alone(model: ForwardModel, inputs: Mapping[str, f
 
 
 def check_it_writes_in_its_folder_alone(model: ForwardModel, inputs: Mapping[str, float]) -> None:
-    """A run leaves no file in the current folder: runs are made side by side."""
+    """A run leaves no file in the current folder, because runs are made side by side."""
     with TemporaryDirectory() as folder:
         work, here = Path(folder) / "work", Path(folder) / "here"
         work.mkdir()
@@ -70,7 +71,7 @@ def check_it_writes_in_its_folder_alone(model: ForwardModel, inputs: Mapping[str
 
 
 def check_it_can_be_sent(model: ForwardModel, inputs: Mapping[str, float]) -> None:
-    """A worker process gets a copy that gives the same interfaces and is known to be the same model."""
+    """A pickled copy, as worker processes get it, gives the same interfaces and counts as the same model."""
     copy: ForwardModel = pickle.loads(pickle.dumps(model))
     assert fingerprint(copy) == fingerprint(model), "a pickled copy has another fingerprint"
     there, here = run(copy, inputs), run(model, inputs)
@@ -87,7 +88,7 @@ def check_its_inputs_admit_the_run(model: ForwardModel, inputs: Mapping[str, flo
 
 
 def check_sensitivities_are_derivatives(model: ForwardModel, inputs: Mapping[str, float]) -> None:
-    """Sensitivities, if it offers them, are the central differences of its interfaces, to 1 %."""
+    """Sensitivities, if it offers them, agree with central differences of its interfaces to 1 %."""
     try:
         asked: ForwardModel = with_sensitivities(model)
     except InvalidInput:
@@ -110,20 +111,17 @@ def check_what_it_offers_fits_its_runs(model: ForwardModel, inputs: Mapping[str,
     if isinstance(model, SolvesOnFinerMesh):
         others += model.on_finer_mesh(inputs).values()
     for other in others:
-        assert other is None or isinstance(other, Interface), f"a {type(other).__name__} is no interface"
+        assert other is None or isinstance(other, Interface), f"a {type(other).__name__} is not an interface"
         assert other is None or other.dim == dim, f"an interface with {other.dim} coordinates, not {dim}"
 
 
-CHECKS: dict[str, Callable[[ForwardModel, Mapping[str, float]], None]] = {
-    check.__name__.removeprefix("check_"): check
-    for check in (
-        check_a_run_yields_its_interfaces,
-        check_it_repeats_itself,
-        check_it_leaves_its_inputs_alone,
-        check_it_writes_in_its_folder_alone,
-        check_it_can_be_sent,
-        check_its_inputs_admit_the_run,
-        check_sensitivities_are_derivatives,
-        check_what_it_offers_fits_its_runs,
-    )
-}
+CHECKS: dict[str, Callable[[ForwardModel, Mapping[str, float]], None]] = by_name(
+    check_a_run_yields_its_interfaces,
+    check_it_repeats_itself,
+    check_it_leaves_its_inputs_alone,
+    check_it_writes_in_its_folder_alone,
+    check_it_can_be_sent,
+    check_its_inputs_admit_the_run,
+    check_sensitivities_are_derivatives,
+    check_what_it_offers_fits_its_runs,
+)

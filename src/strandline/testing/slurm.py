@@ -1,7 +1,7 @@
 """A private SLURM for tests: three virtual nodes on this machine, started in seconds and removed afterwards.
 
-It needs the programs of the Debian packages ``slurmctld slurmd slurm-client munge`` and no rights. Its daemons have
-ports, a socket and a key of their own; they are ended by their pid files.
+It needs the programs of the Debian packages ``slurmctld slurmd slurm-client munge`` and no special rights. Its
+daemons have their own ports, socket and key; they are stopped through their pid files.
 """
 
 import contextlib
@@ -19,11 +19,11 @@ from pathlib import Path
 
 __all__ = ["PROGRAMS", "TemporarySlurm", "missing_programs", "temporary_slurm"]
 
-PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel", "scontrol")
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "sinfo", "scancel", "scontrol")
 NODES = ("n1", "n2", "n3")
 CPUS = 2
 SAVING = 0.5
-"""Seconds, at most, that the controller takes to write its state once it has copied it."""
+"""Longest time in seconds that the controller takes to write its state after copying it."""
 SETTINGS = """
 ClusterName=strandline
 SlurmctldHost={host}(127.0.0.1)
@@ -55,13 +55,13 @@ PartitionName=debug Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 
 @dataclass(frozen=True)
 class TemporarySlurm:
-    """A running SLURM; its commands find it by the environment variable SLURM_CONF."""
+    """A running SLURM; its commands find it through the environment variable SLURM_CONF."""
 
     base: Path
 
     @property
     def conf(self) -> Path:
-        """The file that the environment variable SLURM_CONF is to name."""
+        """The file that the environment variable SLURM_CONF must name."""
         return self.base / "slurm.conf"
 
     def command(self, *words: str, check: bool = True) -> str:
@@ -73,7 +73,7 @@ class TemporarySlurm:
         return done.stdout
 
     def start_controller(self) -> None:
-        """Start the controller; it knows the jobs of one that was killed."""
+        """Start the controller; it takes over the jobs of one that was killed."""
         self.command("slurmctld", "-f", str(self.conf))
 
     def kill_controller(self, *, saved_after: float) -> None:
@@ -108,13 +108,13 @@ class TemporarySlurm:
 
 
 def missing_programs() -> list[str]:
-    """Return the programs that are needed and not there."""
+    """Return the required programs that are missing."""
     return [name for name in PROGRAMS if shutil.which(name) is None]
 
 
 @contextlib.contextmanager
 def temporary_slurm() -> Iterator[TemporarySlurm]:
-    """Yield a SLURM of three nodes with two CPUs each, and make it that of this process and its children."""
+    """Yield a SLURM of three nodes with two CPUs each, and make it the one of this process and its children."""
     with tempfile.TemporaryDirectory(prefix="strandline-slurm-", ignore_cleanup_errors=True) as folder:
         slurm = TemporarySlurm(Path(folder))
         _write_settings(slurm)
@@ -132,7 +132,7 @@ def temporary_slurm() -> Iterator[TemporarySlurm]:
 
 def _write_settings(slurm: TemporarySlurm) -> None:
     base, ports = slurm.base, _free_ports(1 + len(NODES))
-    base.chmod(0o755)  # munge refuses others
+    base.chmod(0o755)  # munge refuses other modes
     for name in ("ctld", "log"):
         (base / name).mkdir()
     (base / "munge.key").write_bytes(os.urandom(1024))
@@ -155,7 +155,7 @@ def _start(slurm: TemporarySlurm) -> None:
     for node in NODES:
         slurm.command("slurmd", "-N", node, "-f", str(slurm.conf))
     if not _wait_until(slurm.idle, 30.0):
-        raise RuntimeError(f"SLURM does not come up:\n{(slurm.base / 'log' / 'c.log').read_text()[-2000:]}")
+        raise RuntimeError(f"SLURM does not start:\n{(slurm.base / 'log' / 'c.log').read_text()[-2000:]}")
 
 
 def _stop(slurm: TemporarySlurm) -> None:

@@ -23,11 +23,11 @@ NODES = 17
 def undeclared_beam(inputs: Mapping[str, float], workdir: Path) -> Simulation:
     """Return the centre line of a cantilever that is bent by a force and tilted at its clamp, mm.
 
-    ``y(x) = F x² (3L - x) / (6 E I) + tilt·x`` on 17 nodes, `Cantilever` giving the first term: linear in 1/E and in
-    the tilt, so a sum of squares at the nodes is a quadratic form of both.
+    ``y(x) = F x² (3L - x) / (6 E I) + tilt·x`` on 17 nodes; `Cantilever` computes the first term. It is linear in 1/E
+    and in the tilt, so a sum of squares at the nodes is a quadratic form of both.
 
     Raises:
-        ForwardModelError: ``large_deflection`` where the tip moves by more than the beam's length.
+        ForwardModelError: ``large_deflection`` if the tip moves by more than the beam's length.
     """
     shape = Cantilever()
     x = np.linspace(0.0, shape.length, NODES)
@@ -86,11 +86,11 @@ TWO_LOADS_STUDY: Mapping[str, Any] = {
     "noise": {"sd": 0.01},
     "design": {"sobol": {"runs": 24}},
 }
-"""What a study of two conditions changes in `BEAM_STUDY`."""
+"""Changes to `BEAM_STUDY` for a study of two conditions."""
 
 
 def write_study(folder: Path, **changes: Any) -> Path:
-    """Write `BEAM_STUDY` with some of its keys changed into `folder`, made if needed, and return the folder.
+    """Write `BEAM_STUDY` with some of its keys changed into `folder`, created if needed, and return the folder.
 
     A value of None removes the key.
     """

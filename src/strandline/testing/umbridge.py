@@ -9,8 +9,8 @@ def test_my_server(check):
     check(ModelUnderTest("http://127.0.0.1:4242", "forward", inputs=[[400.0, 0.3]]))
 ```
 
-`CHECKS` are what the protocol says, features that the model does not support included; `STRICT_CHECKS` ask for an
-error of the protocol where a request is malformed, of which the protocol says nothing.
+`CHECKS` cover what the protocol specifies, including features that the model does not support. `STRICT_CHECKS` require
+an error of the protocol for malformed requests, about which the protocol says nothing.
 """
 
 import json
@@ -40,7 +40,7 @@ class ModelUnderTest:
         return httpx.get(f"{self.url}/{endpoint}", **self._options)
 
     def post(self, endpoint: str, content: Any) -> httpx.Response:
-        """Return the response to POST, `content` as JSON; bytes go as they are."""
+        """Return the response to POST, with `content` as JSON; bytes are sent unchanged."""
         body = content if isinstance(content, bytes) else json.dumps(content).encode()
         headers = {"Content-Type": "application/json"}
         return httpx.post(f"{self.url}/{endpoint}", content=body, headers=headers, **self._options)
@@ -53,12 +53,12 @@ class ModelUnderTest:
 
     @property
     def input_sizes(self) -> list[int]:
-        """Numbers in each input block, as the server says."""
+        """Number of values in each input block, as reported by the server."""
         return list(self.ask("InputSizes")["inputSizes"])
 
     @property
     def output_sizes(self) -> list[int]:
-        """Numbers in each output block, as the server says."""
+        """Number of values in each output block, as reported by the server."""
         return list(self.ask("OutputSizes")["outputSizes"])
 
     def supports(self, feature: str) -> bool:
@@ -67,11 +67,11 @@ class ModelUnderTest:
 
     @property
     def _options(self) -> dict[str, Any]:
-        """How httpx is to call; its preparation for TLS takes longer than a request."""
+        """Options of httpx; its preparation for TLS would take longer than a request."""
         return {"timeout": TIMEOUT_SECONDS, "trust_env": False, "verify": not self.url.startswith("http:")}
 
     def request(self, feature: str, **changes: Any) -> dict[str, Any]:
-        """Return a right request of `feature`, block 0 by block 0, with some of its keys changed."""
+        """Return a valid request for `feature` on block 0, with some of its keys changed."""
         content: dict[str, Any] = {"name": self.name, "config": {}, "input": self.inputs}
         sens, vec = [1.0] * self.output_sizes[0], [1.0] * self.input_sizes[0]
         content |= {
@@ -87,35 +87,35 @@ Check = Callable[[ModelUnderTest], None]
 
 
 def check_info(model: ModelUnderTest) -> None:
-    """Info gives the version 1.0 and the names of the models, and nothing else."""
+    """Info returns the version 1.0 and the names of the models, and nothing else."""
     response = model.get("Info")
     _require(response.status_code == 200, f"Info is answered with HTTP {response.status_code}")
     info = _keys(response.json(), {"protocolVersion", "models"}, "Info")
     _require(
         _is_number(info["protocolVersion"]) and info["protocolVersion"] == 1.0, "the version is not the number 1.0"
     )
-    _require(all(isinstance(name, str) for name in _list(info["models"], "models")), "a model's name is no text")
+    _require(all(isinstance(name, str) for name in _list(info["models"], "models")), "a model's name is not a string")
     _require(model.name in info["models"], f"{model.name} is not among the models")
 
 
 def check_model_info(model: ModelUnderTest) -> None:
-    """ModelInfo says by true and false which of the four features the model supports."""
+    """ModelInfo says with true or false which of the four features the model supports."""
     support = _keys(model.ask("ModelInfo"), {"support"}, "ModelInfo")["support"]
     _require(isinstance(support, dict) and set(support) <= set(FEATURES), f"support is {support}")
-    _require(all(type(value) is bool for value in support.values()), "support holds something else than true and false")
+    _require(all(type(value) is bool for value in support.values()), "support holds other values than true and false")
 
 
 def check_input_sizes(model: ModelUnderTest) -> None:
-    """InputSizes is a list of whole numbers that the blocks of inputs have."""
+    """InputSizes is a list of whole numbers, the sizes of the input blocks."""
     sizes = _keys(model.ask("InputSizes"), {"inputSizes"}, "InputSizes")["inputSizes"]
-    _require(all(type(size) is int for size in _list(sizes, "inputSizes")), "a size is no whole number")
+    _require(all(type(size) is int for size in _list(sizes, "inputSizes")), "a size is not a whole number")
     _require(sizes == [len(block) for block in model.inputs], f"{sizes} are not the sizes of the inputs given")
 
 
 def check_output_sizes(model: ModelUnderTest) -> None:
     """OutputSizes is a list of whole numbers, at least one."""
     sizes = _keys(model.ask("OutputSizes"), {"outputSizes"}, "OutputSizes")["outputSizes"]
-    _require(all(type(size) is int for size in _list(sizes, "outputSizes")), "a size is no whole number")
+    _require(all(type(size) is int for size in _list(sizes, "outputSizes")), "a size is not a whole number")
 
 
 def check_sizes_need_no_config(model: ModelUnderTest) -> None:
@@ -145,7 +145,7 @@ def check_gradient(model: ModelUnderTest) -> None:
     """Gradient yields a number for each input of its block, and 0 for weights of 0."""
     if model.supports("Gradient"):
         size = model.input_sizes[0]
-        _require(len(_product(model, "Gradient")) == size, f"the gradient has not {size} numbers")
+        _require(len(_product(model, "Gradient")) == size, f"the gradient does not have {size} numbers")
         still = _product(model, "Gradient", sens=[0.0] * model.output_sizes[0])
         _require(not any(still), "weights of 0 yield a gradient that is not 0")
 
@@ -154,7 +154,7 @@ def check_apply_jacobian(model: ModelUnderTest) -> None:
     """ApplyJacobian yields a number for each output of its block, and 0 for a vector of 0."""
     if model.supports("ApplyJacobian"):
         size = model.output_sizes[0]
-        _require(len(_product(model, "ApplyJacobian")) == size, f"the product has not {size} numbers")
+        _require(len(_product(model, "ApplyJacobian")) == size, f"the product does not have {size} numbers")
         still = _product(model, "ApplyJacobian", vec=[0.0] * model.input_sizes[0])
         _require(not any(still), "a vector of 0 yields a product that is not 0")
 
@@ -163,11 +163,11 @@ def check_apply_hessian(model: ModelUnderTest) -> None:
     """ApplyHessian yields a number for each input of its first block."""
     if model.supports("ApplyHessian"):
         size = model.input_sizes[0]
-        _require(len(_product(model, "ApplyHessian")) == size, f"the product has not {size} numbers")
+        _require(len(_product(model, "ApplyHessian")) == size, f"the product does not have {size} numbers")
 
 
 def check_gradient_and_jacobian_agree(model: ModelUnderTest) -> None:
-    """The weights times (Jacobian times vector) are (weights times Jacobian) times vector."""
+    """Weights times (Jacobian times vector) equals (weights times Jacobian) times vector."""
     if model.supports("Gradient") and model.supports("ApplyJacobian"):
         vec = [0.5 + k for k in range(model.input_sizes[0])]
         sens = [1.0 / (1 + k) for k in range(model.output_sizes[0])]
@@ -181,7 +181,7 @@ def check_gradient_and_jacobian_agree(model: ModelUnderTest) -> None:
 
 
 def check_unknown_models(model: ModelUnderTest) -> None:
-    """Every endpoint answers ModelNotFound to the name of no model, whatever else the request lacks."""
+    """Every endpoint answers ModelNotFound to an unknown model, whatever else the request lacks."""
     for endpoint in ("ModelInfo", "InputSizes", "OutputSizes", *FEATURES):
         _require_error(model.post(endpoint, {"name": "no such model"}), "ModelNotFound", endpoint)
 
@@ -194,20 +194,20 @@ def check_unsupported_features(model: ModelUnderTest) -> None:
 
 
 def check_number_of_blocks(model: ModelUnderTest) -> None:
-    """A block too many, and none, are answered with InvalidInput."""
+    """One block too many, or none, is answered with InvalidInput."""
     for blocks in ([*model.inputs, [1.0]], []):
         _refused_everywhere(model, "input", blocks, FEATURES)
 
 
 def check_sizes_of_blocks(model: ModelUnderTest) -> None:
-    """An input too many in a block, and one too few, are answered with InvalidInput."""
+    """One input too many or too few in a block is answered with InvalidInput."""
     first, *rest = model.inputs
     for block in ([*first, 1.0], first[:-1]):
         _refused_everywhere(model, "input", [block, *rest], FEATURES)
 
 
 def check_weights_and_vectors(model: ModelUnderTest) -> None:
-    """Weights and vectors of another length are answered with InvalidInput."""
+    """Weights and vectors of the wrong length are answered with InvalidInput."""
     _refused_everywhere(model, "sens", [1.0] * (model.output_sizes[0] + 1), ("Gradient",))
     _refused_everywhere(model, "vec", [1.0] * (model.input_sizes[0] + 1), ("ApplyJacobian",))
 
@@ -224,7 +224,7 @@ def check_blocks_that_do_not_exist(model: ModelUnderTest) -> None:
 
 
 def check_malformed_json(model: ModelUnderTest) -> None:
-    """What is no JSON object is answered with InvalidInput."""
+    """Anything but a JSON object is answered with InvalidInput."""
     for body in (b"", b"{", b"[]", b"null", b'"text"', b"\xff\xfe", b'{"name": "' + b"[" * 10000, b"[" * 100000):
         response = model.post("Evaluate", body)
         kinds = ("InvalidInput", "ModelNotFound")
@@ -232,7 +232,7 @@ def check_malformed_json(model: ModelUnderTest) -> None:
 
 
 def check_wrong_types(model: ModelUnderTest) -> None:
-    """Text, truth values, null, objects and nested lists are no numbers; numbers are no lists and no indices."""
+    """Text, booleans, null, objects and lists are not numbers; numbers are not lists; indices are whole numbers."""
     first, *rest = model.inputs
     wrong: Any
     for wrong in ("1", True, None, {}, [1.0]):
@@ -262,21 +262,21 @@ def check_missing_keys(model: ModelUnderTest) -> None:
 
 
 def check_large_requests(model: ModelUnderTest) -> None:
-    """A request of 11 MB is refused with HTTP 413, and the server lives on."""
+    """A request of 11 MB is refused with HTTP 413, and the server keeps running."""
     response = model.post("Evaluate", b" " * 11_000_000)
     _require(response.status_code == 413, f"a request of 11 MB is answered with HTTP {response.status_code}")
     check_evaluate(model)
 
 
 def check_unknown_endpoints(model: ModelUnderTest) -> None:
-    """Another path is answered with 404, another method with 405, both as errors of the protocol."""
+    """Another path is answered with 404, another method with 405, both with errors of the protocol."""
     for response, code in (
         (model.post("Nothing", {}), 404),
         (model.get("Evaluate"), 405),
         (model.post("Info", {}), 405),
     ):
         _require(response.status_code == code, f"HTTP {response.status_code} instead of {code}")
-        _require(set(response.json()["error"]) == {"type", "message"}, "no error of the protocol")
+        _require(set(response.json()["error"]) == {"type", "message"}, "not an error of the protocol")
 
 
 CHECKS: Mapping[str, Check] = {
@@ -298,7 +298,7 @@ CHECKS: Mapping[str, Check] = {
     "weights_and_vectors": check_weights_and_vectors,
     "blocks_that_do_not_exist": check_blocks_that_do_not_exist,
 }
-"""What the protocol says, by name."""
+"""What the protocol specifies, by name."""
 
 STRICT_CHECKS: Mapping[str, Check] = {
     "malformed_json": check_malformed_json,
@@ -308,7 +308,7 @@ STRICT_CHECKS: Mapping[str, Check] = {
     "large_requests": check_large_requests,
     "unknown_endpoints": check_unknown_endpoints,
 }
-"""What a careful server does where the protocol says nothing, by name."""
+"""What a careful server does in cases that the protocol does not specify, by name."""
 
 
 def _product(model: ModelUnderTest, feature: str, **changes: Any) -> list[float]:
@@ -318,7 +318,7 @@ def _product(model: ModelUnderTest, feature: str, **changes: Any) -> list[float]
 
 
 def _refused_everywhere(model: ModelUnderTest, key: str, value: Any, features: tuple[str, ...]) -> None:
-    """Require InvalidInput of each feature that the model supports, one key of its request being wrong."""
+    """Require InvalidInput of each feature that the model supports if one key of its request is wrong."""
     for feature in features:
         if model.supports(feature):
             shown = repr(value)[:60]
@@ -331,22 +331,22 @@ def _require_error(response: httpx.Response, kind: str | tuple[str, ...], what: 
     error = _keys(_keys(response.json(), {"error"}, what)["error"], {"type", "message"}, "error")
     kinds = (kind,) if isinstance(kind, str) else kind
     _require(error["type"] in kinds, f"{what} is answered with {error['type']}, not {' or '.join(kinds)}")
-    _require(isinstance(error["message"], str), "the message is no text")
+    _require(isinstance(error["message"], str), "the message is not a string")
 
 
 def _keys(content: Any, expected: set[str], what: str) -> dict[str, Any]:
-    _require(isinstance(content, dict) and set(content) == expected, f"{what} has not exactly the keys {expected}")
+    _require(isinstance(content, dict) and set(content) == expected, f"the keys of {what} are not exactly {expected}")
     return dict(content)
 
 
 def _list(content: Any, what: str) -> list[Any]:
-    _require(isinstance(content, list) and bool(content), f"{what} is no list with entries")
+    _require(isinstance(content, list) and bool(content), f"{what} is not a list with entries")
     return list(content)
 
 
 def _numbers(content: Any, what: str) -> list[float]:
     values = _list(content, what)
-    _require(all(_is_number(value) for value in values), f"{what} holds something else than numbers")
+    _require(all(_is_number(value) for value in values), f"{what} holds something other than numbers")
     return values
 
 

@@ -30,7 +30,7 @@ def test_nodes_that_correspond_are_taken_as_they_are() -> None:
     np.testing.assert_array_equal(points, runs[1].points)
     assert error == 0.0
     assert layout.weights.sum() == pytest.approx(1.0)
-    with pytest.raises(InvalidInterface, match="another number of points"):
+    with pytest.raises(InvalidInterface, match="a different number of points"):
         registered(arc(21), layout)
 
 

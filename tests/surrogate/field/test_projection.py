@@ -277,7 +277,7 @@ def test_parts_and_holes_that_all_runs_have_are_fine() -> None:
 def test_triangles_that_the_projection_turns_over_are_refused() -> None:
     """Two discs with round sides that stand across each other: neither can be projected onto the other."""
     lying, standing = ellipsoid((2.0, 1.0, 0.3), 800, 1), ellipsoid((0.3, 1.0, 2.0), 800, 2)
-    with pytest.raises(InvalidInterface, match=r"triangle\(s\) of one run's surface (turned over|flattened) where"):
+    with pytest.raises(InvalidInterface, match=r"triangle\(s\) of one run's surface (turned over|flattened) when"):
         common_layout([lying, standing])
     found = Reference(ellipsoid((1.0, 1.0, 1.0), 1200, 1)).on(ellipsoid((2.0, 1.0, 0.3), 1200, 6))
     assert isinstance(found, str)
@@ -288,7 +288,7 @@ def test_triangles_that_become_flat_are_refused() -> None:
     """A rim that shrinks to a notch: the nodes near its tip all find the same point."""
     first = sheet(9)
     corner = Interface(np.array([[0.4, 0.4, 0.0], [0.6, 0.4, 0.0], [0.5, 0.6, 0.0]]), np.array([[0, 1, 2]]))
-    with pytest.raises(InvalidInterface, match=r"flattened where .* at \(.*\) mm"):
+    with pytest.raises(InvalidInterface, match=r"flattened when .* at \(.*\) mm"):
         registered(corner, common_layout([first, divided(first)]))
 
 

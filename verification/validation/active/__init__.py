@@ -1,1 +1,1 @@
-"""Active designs on a surrogate of the field, against the true model."""
+"""Active designs on a surrogate of the field, compared with the true model."""

@@ -1,9 +1,9 @@
-"""`python -m verification.validation.active PART …`: make the figures of a part for several seeds, in two processes.
+"""`python -m verification.validation.active PART …`: compute the figures of a part for several seeds, in two processes.
 
 Parts: s3, s5, s6 (runs until the posterior is right), failing (runs that fail at random), stopping (where whole
-calibrations stop). Courses are appended to ../output/active.jsonl; the part ``table`` prints the tables made of all of
-them, and with ``--publish`` puts them into docs/explanation/surrogates.md, their numbers into active-designs.json
-beside it. All parts take two hours on two cores.
+calibrations stop). Results are appended to ../output/active.jsonl; the part ``table`` prints tables of all of them, and
+with ``--publish`` puts them into docs/explanation/surrogates.md and their numbers into active-designs.json next to it.
+All parts take two hours on two cores.
 """
 
 import argparse
@@ -37,7 +37,7 @@ def main() -> None:
         show(publish=given.publish)
         return
     start()
-    truth_of(case("S3", "refined"))  # the table of true interfaces is made here, once
+    truth_of(case("S3", "refined"))  # makes the table of true interfaces once, before the workers start
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"), initializer=start) as pool:
         jobs = [pool.submit(task) for task in tasks(given.part, given.seeds, given.criterion, given.quadrature)]
         for done, job in enumerate(as_completed(jobs), 1):
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def show(*, publish: bool) -> None:
-    """Print the tables of all courses so far."""
+    """Print the tables of all results so far, and publish them if asked."""
     every = [json.loads(line) for line in FILE.read_text().splitlines()]
     tables = [runs_table([one for one in every if "points" in one])]
     tables.append(stopping_table([one for one in every if "points" not in one]))

@@ -15,12 +15,12 @@ __all__ = ["Course", "s3", "s5", "s6"]
 
 PANELS = (24, 12, 8)
 DRAWS = 100
-"""Draws of the posterior of S6 at which the true model judges it: enough to see a shift of 0.1 standard deviations."""
+"""Draws of the posterior of S6 at which the true model checks it: enough to see a shift of 0.1 standard deviations."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """Figures over the number of runs, of one seed."""
+    """Figures against the number of runs, for one seed."""
 
     study: str
     quadrature: str
@@ -32,7 +32,7 @@ class Course:
 
 
 def s3(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str, share: float = 0.0) -> Course:
-    """Return the total variation to the true posterior over the (E, nu) plane; runs fail at random to `share`."""
+    """Return the total variation to the true posterior over the (E, nu) plane; a `share` of runs fails at random."""
     one = case("S3", quadrature)
     truth, grid = truth_of(one), product_grid(one.space, panels=PANELS, rate=100.0)
     true = posterior_on_grid(truth.field, one.space, grid)
@@ -54,7 +54,7 @@ def s3(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion:
 
 
 def s5(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str) -> Course:
-    """Return the errors of mean and standard deviation of (E, nu), the inflow integrated out: the joint reading."""
+    """Return the errors of mean and standard deviation of (E, nu) with the inflow integrated out: the joint reading."""
     one = case("S5", quadrature)
     truth = truth_of(one).posterior
     calibrated = [one.space.names.index(name) for name in ("E", "nu")]
@@ -73,7 +73,7 @@ def s5(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion:
 
 
 def s6(quadrature: str, *, sensitivities: bool, seed: int, most: int, first: int, batch: int, criterion: str) -> Course:
-    """Return what importance weights of the true model say at draws of the posterior, from `first` runs on."""
+    """Return the importance weights by the true model at draws of the posterior, from `first` runs on."""
     one = case("S6", quadrature)
     points = []
     for grown in grow(one, seed=seed, batch=batch, most=most, sensitivities=sensitivities, criterion=criterion):
@@ -87,7 +87,7 @@ def s6(quadrature: str, *, sensitivities: bool, seed: int, most: int, first: int
 
 
 def checked(one: Case, grown: Grown, seed: int) -> dict[str, Any]:
-    """Run the true model at draws of the posterior; these runs serve to judge it, and are not learnt from."""
+    """Run the true model at draws of the posterior; these runs only check it and do not train the surrogate."""
     state = grown.state
     chosen = subset(np.exp(state.log_weights), DRAWS, seed)
     records = [one.run(x, False) for x in state.positions[chosen]]
@@ -106,7 +106,7 @@ def checked(one: Case, grown: Grown, seed: int) -> dict[str, Any]:
 
 
 def failing(share: float, seed: int) -> Any:
-    """Return a function that makes a share of the good runs fail, whatever their inputs."""
+    """Return a function that makes a share of the successful runs fail, whatever their inputs."""
     rng = np.random.default_rng([seed, 77])
 
     def spoil(record: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The studies S3, S5 and S6 as they are run here: real forward runs, and what is known of the true posterior."""
+"""The studies S3, S5 and S6 as run here, with real forward runs, and the true posteriors of S3 and S5."""
 
 import pickle
 import tempfile
@@ -37,10 +37,10 @@ class Case:
 
     Args:
         name: S3, S5 or S6.
-        space: Its unknown inputs.
-        observations: What was observed.
+        space: Unknown inputs.
+        observations: Observations.
         measure: The currents measure with one of its quadratures.
-        run: Function that makes a forward run at one point, with sensitivities if the second argument says so.
+        run: Function that makes a forward run at one point, with sensitivities if the second argument is true.
     """
 
     name: str
@@ -74,7 +74,7 @@ def case(name: str, quadrature: str) -> Case:
 
 
 def truth_of(one: Case) -> TruePosterior:
-    """Return the posterior of the true model by direct quadrature; of S3 and S5."""
+    """Return the posterior of the true model by direct quadrature, for S3 and S5."""
     likelihood = InterfaceLikelihood(one.observations, one.measure)
     rate = None if "V_in" in one.space.names else 100.0
     return true_posterior(_table(), likelihood, one.space, rate=rate)
@@ -82,7 +82,7 @@ def truth_of(one: Case) -> TruePosterior:
 
 @cache
 def _table() -> FieldTable:
-    """Return the table of true interfaces; it and its runs are kept in verification/validation/output."""
+    """Return the table of true interfaces; the table and its runs are kept in verification/validation/output."""
     kept = OUTPUT / "table.pickle"
     if kept.is_file():
         return pickle.loads(kept.read_bytes())  # type: ignore[no-any-return]

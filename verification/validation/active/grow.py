@@ -1,7 +1,7 @@
-"""A design grown batch by batch, and after each batch how far its posterior is from the truth."""
+"""A design grown batch by batch, with its posterior after each batch."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -11,8 +11,7 @@ from scipy.special import log_softmax
 from verification.validation.active.cases import Case
 
 from strandline.design import sobol
-from strandline.design.active import Knowledge, State, learn, posterior_state
-from strandline.design.active.choice import choose
+from strandline.design.active import Active, ActiveDesign, Knowledge, State, learn, posterior_state
 from strandline.errors import TooFewRuns
 from strandline.likelihood import OnHost
 from strandline.numerics.one_thread import one_thread
@@ -22,8 +21,9 @@ from strandline.smc import SMCSettings, sample
 
 __all__ = ["Grown", "Moments", "delivered", "grow", "initial_runs"]
 
-EXPLORE = 0.1
 PARTICLES = 6000
+RESTLESS = 1e-12
+"""Change below which a design would go on to its check; none is as small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Moments:
 
 
 def initial_runs(dim: int, *, sensitivities: bool) -> int:
-    """Return the size of the first design, as a study has it."""
+    """Return the size of the first design, the same as in a study."""
     return max((4 + 2 * dim) // 2, 3) if sensitivities else 4 + 2 * dim
 
 
@@ -70,25 +70,33 @@ def grow(
         criterion: Name of the criterion that chooses the runs.
         spoil: Function of a record that makes runs fail.
     """
-    space = one.space
-    x = space.to_physical(sobol(initial_runs(space.dim, sensitivities=sensitivities), space.dim, scramble=seed))
+    space, first = one.space, initial_runs(one.space.dim, sensitivities=sensitivities)
+    most_asked = most + batch + Active.check
+    active = Active(runs=most_asked, initial=first, batch=batch, criterion=criterion, change=RESTLESS)
+
+    def posterior(x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> State:
+        known = learn(x, records, space, one.observations, one.measure)
+        return posterior_state(known, space, (seed, len(x)))
+
+    design = ActiveDesign(
+        active, space, batch=batch, learn=posterior, log_likelihood=one.log_likelihood, seed=seed, scramble=seed
+    )
+    x = space.to_physical(sobol(first, space.dim, scramble=seed))
+    design.start(x)
     records = [spoil(one.run(row, sensitivities)) for row in x]
     while True:
         begun = time.perf_counter()
         try:
             with one_thread():
-                knowledge = learn(x, records, space, one.observations, one.measure)
-                state = posterior_state(knowledge, space, (seed, len(x)))
-                more = choose(
-                    state, space, batch, explore=EXPLORE, first=len(x), criterion=criterion, seed=seed + 7919 * len(x)
-                )
-            yield Grown(state, len(x), sum(not r.ok for r in records), time.perf_counter() - begun)
+                more = design.next(x, records)
+            assert design.state is not None
+            yield Grown(design.state, len(x), sum(not r.ok for r in records), time.perf_counter() - begun)
         except TooFewRuns:
-            more = space.to_physical(sobol(len(x) + batch, space.dim, scramble=seed)[len(x) :])
-        if len(x) + batch > most:
+            more = design.more_of_the_first()
+        if more is None or len(x) + batch > most:
             return
-        x = np.concatenate([x, more])
-        records += [spoil(one.run(row, sensitivities)) for row in more]
+        x = np.concatenate([x, more.points])
+        records += [spoil(one.run(row, sensitivities)) for row in more.points]
 
 
 def delivered(one: Case, knowledge: Knowledge, seed: int) -> Moments:

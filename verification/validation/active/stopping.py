@@ -27,9 +27,9 @@ class Stopped:
 
     Args:
         runs: Total number of runs.
-        chosen: Number of runs before the check that it passed.
-        converged: What the certificate says.
-        checks: Number of checks that were made.
+        chosen: Number of runs without those of a check at the end.
+        converged: Whether the certificate says so.
+        checks: Number of checks made.
         mean_error: Largest error of a mean against the true posterior, in standard deviations.
         sd_error: Largest relative error of a standard deviation.
         seconds: Seconds of choosing, sampling and the like, by stage.
@@ -50,7 +50,7 @@ class Stopped:
 
 
 def stopped(name: str, quadrature: str, *, sensitivities: bool, seed: int, most: int = 200) -> Stopped:
-    """Calibrate S3 or S5 (joint reading) with an active design and compare with quadrature of the true model."""
+    """Calibrate S3 or S5 (joint reading) with an active design, and compare with quadrature of the true model."""
     one = case(name, quadrature)
     truth = truth_of(one).posterior
     study = load_study(Path("studies") / STUDIES[name])

@@ -1,4 +1,4 @@
-"""Tables of how many runs it took, and of where whole calibrations stopped."""
+"""Tables of the numbers of runs needed, and of where whole calibrations stopped."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def needed(course: Mapping[str, Any]) -> int | None:
-    """Return the number of runs from which on the posterior is right; None if it is not at the end."""
+    """Return the number of runs from which on the posterior is right; None if it is still wrong at the end."""
     good, found = GOOD[course["study"]], None
     for point in reversed(course["points"]):
         if not good(point):
@@ -59,7 +59,7 @@ def runs_table(courses: Rows) -> Table:
 
 
 def stopping_table(stopped: Rows) -> Table:
-    """Return where calibrations stopped of themselves, and how wrong they were there."""
+    """Return where calibrations stopped by themselves, and their errors there."""
     rows: list[tuple[Cell, ...]] = []
     for (study, rule, gradients), some in _grouped(stopped, ("study", "quadrature", "sensitivities")):
         ended = [one for one in some if one["converged"]]

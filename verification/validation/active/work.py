@@ -1,4 +1,4 @@
-"""What is computed for each part, course by course."""
+"""The tasks of each part."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -14,7 +14,7 @@ RULES = ("refined", "centre")
 def tasks(
     part: str, seeds: int, criterion: str, quadrature: str | None = None
 ) -> Iterator[Callable[[], Course | Stopped]]:
-    """Yield the courses of a part; of s3 and s6 with one quadrature only, if it is named."""
+    """Yield the tasks of a part; for s3 and s6 with only one quadrature if it is given."""
     rules = RULES if quadrature is None else (quadrature,)
     if part == "stopping":
         for seed in range(1, seeds + 1):

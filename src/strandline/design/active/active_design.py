@@ -1,8 +1,8 @@
 """An active design: batches of runs chosen on the posterior so far, a check on the true model, and when to stop.
 
-After each batch the posterior is computed again. Where it has not moved over two batches, the true model is run at
-draws of it, and importance weights say how far it is from the true posterior. Where they say too far, these runs join
-the training and the design goes on.
+The posterior is updated after each batch. If it has not moved over two batches, the true model is run at draws from it,
+and importance weights show how far it is from the true posterior. If it is too far, these runs join the training set
+and the design goes on.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
 from strandline.errors import InvalidInput
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Reweighting, reweight, subset
+from strandline.posterior import NEARLY_EQUAL, Reweighting, reweight, subset
 from strandline.runs import RunRecord
 
 __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
@@ -95,7 +95,7 @@ class Active:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Inputs that were run together (run, dim), and what for."""
+    """Inputs that were run together (run, dim), and their purpose."""
 
     points: Float[np.ndarray, "run dim"]
     kind: Kind
@@ -131,10 +131,10 @@ class Step:
         mean: Posterior mean, shape (dim,).
         sd: Posterior standard deviation, shape (dim,).
         error: Error of the predicted interface, mm: root mean square along it, median over the posterior.
-        moved: Distance from the last step that had fewer runs by at least the number of inputs; None where there is
-            none since the last check.
-        since: Number of runs of that step.
-        check: Result of the batch, where it was a check; it concerns the posterior before the batch.
+        moved: Distance from the last step that had fewer runs by at least the number of inputs; None if there is none
+            since the last check.
+        since: Number of runs at that step.
+        check: Result of the batch if it was a check; it concerns the posterior before the batch.
     """
 
     runs: int
@@ -183,11 +183,11 @@ class ActiveDesign:
         self._checked: tuple[Float[np.ndarray, "draw dim"], Float[np.ndarray, " draw"]] | None = None
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
-        """Note the first runs; `given` are those of an earlier analysis, which count for nothing in the budget."""
+        """Record the first runs; `given` runs come from an earlier analysis and do not count towards the budget."""
         self.batches.append(Batch(points, "given" if given else "initial"))
 
     def more_of_the_first(self) -> Batch | None:
-        """Return as many further points of the Sobol sequence, for too few runs succeeded; None if none is left."""
+        """Return a further batch of the Sobol sequence because too few runs succeeded; None if no runs are left."""
         asked = sum(len(batch.points) for batch in self.batches)
         number = min(self.batch, self.active.runs - asked)
         if number < 1:
@@ -196,7 +196,7 @@ class ActiveDesign:
         return self._noted(self.space.to_physical(points), "initial")
 
     def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
-        """Return the next batch, given all runs that are settled; None to stop."""
+        """Return the next batch, given all runs that have ended; None to stop."""
         kind = self.batches[-1].kind
         check = self._judged(x, records) if kind == "check" else None
         self.state = self.learn(x, records)
@@ -243,7 +243,7 @@ class ActiveDesign:
         return np.asarray(state.positions[chosen])
 
     def _judged(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> BatchCheck:
-        """Return what the runs of a check say of the posterior that they were drawn from."""
+        """Return the verdict of a check's runs on the posterior that they were drawn from."""
         assert self._checked is not None
         draws, surrogate = self._checked
         by_input = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
@@ -259,35 +259,35 @@ class ActiveDesign:
         return BatchCheck(len(draws), failed, found, not reasons, reasons)
 
     def _judged_without_runs(self, records: Sequence[RunRecord]) -> BatchCheck:
-        """Return what runs of an earlier analysis say, each against its prediction from all others."""
+        """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
         assert self.state is not None
         x, ratios = left_out_ratios(self.state, records, self.log_likelihood, self.space.log_prior)
         if len(x) < FEWEST_CHECKED:
-            reason = f"only {len(x)} of the runs at hand lie where the posterior is"
+            reason = f"only {len(x)} of the available runs lie inside the posterior"
             return BatchCheck(len(x), 0, None, False, (reason,))
         found = reweight(x, ratios)
         reasons = (*self._objections(found), *self._unsure())
         return BatchCheck(len(x), 0, found, not reasons, reasons)
 
     def _unsure(self) -> tuple[str, ...]:
-        """Return a reason where the surrogate's own variance weighs too much: runs left out tell of where runs are."""
+        """Return a reason if the surrogate's own variance weighs too much: left-out runs only test where runs are."""
         assert self.state is not None
         ratios = np.exp(self.state.log_weights - self.state.log_weights_plug_in)
         share = float(1.0 / (np.exp(self.state.log_weights_plug_in) @ ratios**2))
         if share >= self.active.effective:
             return ()
         return (
-            f"what the surrogate does not know leaves {share:.0%} effective draws, not {self.active.effective:.0%}",
+            f"the surrogate's own uncertainty leaves only {share:.0%} effective draws, not {self.active.effective:.0%}",
         )
 
     def _objections(self, found: Reweighting) -> tuple[str, ...]:
         a, number = self.active, len(found.smoothed.log_weights)
-        share, beyond = found.smoothed.ess / number, float((np.abs(found.shift) - found.shift_error).max())
+        share, beyond = found.smoothed.ess / number, np.abs(found.shift) - found.shift_error
         out = []
-        if found.smoothed.k_hat >= a.k_hat and share < 0.98:
+        if found.smoothed.k_hat >= a.k_hat and share < NEARLY_EQUAL:
             out.append(f"Pareto k̂ is {found.smoothed.k_hat:.2f}, not below {a.k_hat:g}")
-        if beyond >= a.shift:
-            worst = float(np.abs(found.shift).max())
+        if beyond.max() >= a.shift:
+            worst = float(np.abs(found.shift[beyond.argmax()]))
             out.append(f"importance weights move a mean by {worst:.2f} standard deviations, more than {a.shift:g}")
         if share < a.effective:
             out.append(f"the effective sample size of the weights is {share:.0%} of the draws, not {a.effective:.0%}")

@@ -1,4 +1,4 @@
-"""The batches of an active design as a campaign asks for them."""
+"""The batches of an active design, chosen as a campaign asks for them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ Points = Float[np.ndarray, "run dim"]
 
 @dataclass
 class ActiveRuns:
-    """Chooses the batches of a campaign for `run_batches`, and keeps account.
+    """Choose the batches of a campaign for `run_batches`, and keep a record of them.
 
     Args:
         active: Settings of the design.
@@ -36,8 +36,8 @@ class ActiveRuns:
         seed: Seed of all random numbers.
         scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
         judge: Decides which runs can be used.
-        aside: Returns a context for the time that choosing takes.
-        on_step: Called after each tempering step of the sampling that a choice begins with.
+        aside: Function that returns a context in which each batch is chosen.
+        on_step: Called after each tempering step of the sampling that begins each choice.
         told: Called with a report of each batch once the posterior is updated.
     """
 
@@ -73,7 +73,7 @@ class ActiveRuns:
         return np.array([[record.inputs[name] for name in self.space.names] for record in records], float)
 
     def __call__(self, records: Sequence[RunRecord]) -> Points:
-        """Return the inputs of the next batch, none to stop; more of the first design where too few succeeded."""
+        """Return the inputs of the next batch, none to stop; more of the first design if too few runs succeeded."""
         with self.aside(), one_thread():
             try:
                 before = len(self.design.steps)
@@ -87,7 +87,7 @@ class ActiveRuns:
         return np.empty((0, self.space.dim)) if batch is None else batch.points
 
     def _next(self, records: Sequence[RunRecord]) -> Batch | None:
-        """Return the next batch; the design stays as it was where the runs make no field yet."""
+        """Return the next batch; the design stays unchanged if the runs do not define a field yet."""
         points = self.points(records)
         while True:
             try:
@@ -102,7 +102,7 @@ class ActiveRuns:
 
     @property
     def certificate(self) -> Certificate:
-        """What speaks for the posterior."""
+        """Grounds for trusting the posterior."""
         design = self.design
         checks = [step for step in design.steps if step.check is not None]
         return Certificate(

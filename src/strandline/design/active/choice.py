@@ -15,22 +15,22 @@ from strandline.registry import lookup
 __all__ = ["CRITERIA", "Criterion", "choose", "criterion_named"]
 
 CANDIDATES, TARGETS = 300, 200
-"""Particles of π_γ among which runs are chosen; particles at which they are to help, half of them of the posterior."""
+"""Particles of π_γ to choose runs from; particles at which runs are to help, half of them from the posterior."""
 EXPLORATION = 64
-"""Points of the Sobol sequence looked at for a run that explores."""
+"""Points of the Sobol sequence considered for an exploring run."""
 _LEADING = 6  # modes whose variances count
 
 
 def choose(
     state: State, space: ParameterSpace, number: int, *, explore: float, first: int, criterion: str, seed: int
 ) -> Float[np.ndarray, "run dim"]:
-    """Return the inputs of the next runs, one after the other as if the ones before had been made.
+    """Return the inputs of the next runs, each chosen as if the ones before it had been made.
 
     Args:
         state: The posterior so far.
         space: The inputs.
         number: Number of runs to choose.
-        explore: Share of all runs that explore: the point of the Sobol sequence of which least is known.
+        explore: Share of all runs that explore the point of the Sobol sequence about which least is known.
         first: Number of runs made so far; the share is kept over all batches.
         criterion: Name in `CRITERIA`, or ``module:name``.
         seed: Seed of the draws.
@@ -55,7 +55,7 @@ def _accepted(
     before: Sequence[Float[np.ndarray, " dim"]],
     criterion: str,
 ) -> Float[np.ndarray, " dim"]:
-    """Return what a criterion picked: one of the points that it was given, and none `before` while there are others."""
+    """Return the point that a criterion picked; it must be a given one, and not one of `before` if others are left."""
     point = np.asarray(found)
     given = any(point.shape == pool.shape[1:] and (pool == point).all(axis=1).any() for pool in pools.values())
     used_up = len(before) >= min(len(pool) for pool in pools.values())
@@ -70,7 +70,7 @@ def _accepted(
 
 
 def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarray, "new dim"]:
-    """Return those of the points that were not run."""
+    """Return the points that have not been run."""
     known = {row.tobytes() for row in state.knowledge.x}
     return points[[row.tobytes() not in known for row in points]]
 
@@ -92,11 +92,11 @@ def expected_variance(
     unknown: Float[np.ndarray, "other dim"],
     targets: Float[np.ndarray, "target dim"],
 ) -> Callable[[bool], Float[np.ndarray, " dim"]]:
-    """Pick what lowers the variance of the field at the targets most, times the probability that the run succeeds.
+    """Pick the run with the largest variance reduction at the targets, times its probability of success.
 
-    The posterior variance of a Gaussian process does not depend on what the runs will return, so that several can be
-    chosen one after the other: Sacks et al. (1989), Section 5; Cohn (1996). Runs that failed count as if they had given
-    information: another one beside them would fail as well.
+    The posterior variance of a Gaussian process does not depend on what the runs will return, so several can be chosen
+    one after the other: Sacks et al. (1989), Section 5; Cohn (1996). Failed runs count as if they had yielded
+    information: a run near them would fail as well.
     """
     failed = state.knowledge.x[~state.knowledge.ok]
     z = [state.knowledge.surrogate.warping.standardise(x) for x in (candidates, unknown, targets, failed)]
@@ -169,7 +169,7 @@ def criterion_named(name: str) -> Criterion:
     """Return the criterion of that name in `CRITERIA`, or the function ``module:name``.
 
     Raises:
-        InvalidInput: There is no such criterion, or it is no function.
+        InvalidInput: There is no such criterion, or it is not a function.
     """
     found: Criterion = lookup(CRITERIA, name, "criterion")
     if not callable(found):

@@ -1,4 +1,4 @@
-"""What choosing a batch costs: seconds to compare interfaces, before any batch is chosen."""
+"""Cost of choosing a batch, in seconds to compare interfaces, estimated before any batch is chosen."""
 
 import time
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ __all__ = ["SLOW_BATCH", "seconds_of_a_batch"]
 SLOW_BATCH = 30.0
 """Seconds from which a batch counts as slow."""
 TEMPERING_STEPS = 20
-"""Steps that a sampling takes from the prior to a posterior far narrower: 21 for a drop with five inputs."""
+"""Tempering steps from the prior to a much narrower posterior: 21 for a drop with five inputs."""
 TRIED = 32, 1024
-"""Interfaces compared to find out what one costs; the larger number where the smaller takes less than `QUICK`."""
+"""Interfaces compared to measure the cost of one; the larger number if the smaller takes less than `QUICK`."""
 QUICK = 0.2
 REPEATS = 3
-"""The quickest comparison counts: whatever else runs on the machine makes the others slower."""
+"""The fastest comparison counts, because other work on the machine slows comparisons down."""
 
 
 def seconds_of_a_batch(
@@ -30,11 +30,11 @@ def seconds_of_a_batch(
     simulated: Mapping[str, Interface],
     dim: int,
 ) -> float:
-    """Return the seconds that comparing interfaces takes in the choice of one batch, estimated by trying.
+    """Return the seconds that comparing interfaces takes in the choice of one batch, estimated by a trial.
 
     Args:
         observations: one for each observed condition.
-        discrepancy: the measure that makes the posterior.
+        discrepancy: the measure that defines the posterior.
         simulated: an interface of each condition, as the simulator returns it.
         dim: number of inputs.
     """
@@ -44,7 +44,7 @@ def seconds_of_a_batch(
 
 
 def _seconds_of_one(seen: Observation, discrepancy: Discrepancy, simulated: Interface) -> float:
-    """Return the seconds of one comparison among many, of interfaces as far apart as the noise."""
+    """Return the seconds per comparison in a batch of interfaces as far apart as the noise."""
     width = noise_length(seen, discrepancy)
     for number in TRIED:
         points = simulated.points + width * np.linspace(-1.0, 1.0, number)[:, None, None]
@@ -58,7 +58,7 @@ def _seconds_of_one(seen: Observation, discrepancy: Discrepancy, simulated: Inte
 def _seconds(
     seen: Observation, discrepancy: Discrepancy, simulated: Interface, points: Float[np.ndarray, "run point xyz"]
 ) -> float:
-    """Return the seconds of one comparison of all interfaces: of the clock, or of the processor where others use it."""
+    """Return the seconds to compare all interfaces once: wall-clock time, or processor time if that is less."""
     begun, used = time.perf_counter(), time.process_time()
     squared_discrepancies(discrepancy, points, simulated, seen.interface)
     return min(time.perf_counter() - begun, time.process_time() - used)

@@ -1,4 +1,4 @@
-"""A check that costs no run: the true log-likelihood of runs made already, against their prediction from all others."""
+"""A check that needs no new runs: the true log-likelihood of each run against its prediction from all others."""
 
 from collections.abc import Callable, Sequence
 
@@ -11,7 +11,7 @@ from strandline.runs import RunRecord
 __all__ = ["left_out_ratios"]
 
 MASS = 0.95
-"""Runs count that lie where the posterior density is as high as in its densest part of this mass."""
+"""Runs count if they lie in the densest part of the posterior that has this mass."""
 
 
 def left_out_ratios(
@@ -20,10 +20,10 @@ def left_out_ratios(
     log_likelihood: Callable[[RunRecord], float],
     log_prior: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]],
 ) -> tuple[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]]:
-    """Return inputs of the runs inside the posterior, and log(true/predicted likelihood) of each.
+    """Return the inputs of the runs inside the posterior, and log(true/predicted likelihood) of each.
 
-    The prediction is that of the surrogate without the run, so that the ratios are those of a worse surrogate than the
-    one in use. They say how much the weights of a check would differ, not where the posterior would go.
+    The prediction is that of the surrogate without the run, so the ratios are those of a worse surrogate than the
+    one in use. They show how much the weights of a check would differ, not where the posterior would move.
 
     Args:
         state: The posterior given all runs.

@@ -1,4 +1,4 @@
-"""What a calibration by a surrogate of the field knows beside its posterior, and what speaks for it."""
+"""Results of a calibration by a surrogate of the field besides the posterior, and grounds for trusting it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ __all__ = ["Certificate", "FieldOutcome", "VarianceEffect"]
 
 @dataclass(frozen=True, eq=False)
 class VarianceEffect:
-    """What not knowing the field exactly does to the posterior: with the expected likelihood, against the plug-in one.
+    """Effect of the field's uncertainty on the posterior: expected likelihood compared with the plug-in one.
 
     Args:
         shift: Shift of the posterior means, in standard deviations, shape (dim,).
@@ -30,12 +30,12 @@ class VarianceEffect:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What speaks for the posterior of an active design.
+    """Grounds for trusting the posterior of an active design.
 
     Args:
         converged: whether it stopped because its tolerances were met.
-        reasons: why not, in words.
-        steps: the posterior after each batch, the last one that which the result was made from.
+        reasons: why it did not converge, in words.
+        steps: the posterior after each batch; the result is computed from the last one.
         batches: inputs of each batch.
         checked: the step with the last check, or None.
     """
@@ -60,14 +60,14 @@ class Certificate:
 
 @dataclass(frozen=True, eq=False)
 class FieldOutcome:
-    """What a calibration by a surrogate of the field knows beside its posterior.
+    """Results of a calibration by a surrogate of the field besides the posterior.
 
     Args:
         knowledge: Surrogate, likelihood and feasibility.
         effect: Effect of the surrogate's variance on the posterior.
         feasible: Posterior mean of the probability that a run succeeds, relative to the safest one.
-        certificate: Certificate of an active design; None for a fixed one.
-        compared: Means and standard deviations of the posterior by the log-likelihood surrogate of the same runs.
+        certificate: Certificate of an active design; None for a fixed design.
+        compared: Means and standard deviations of the posterior from the log-likelihood surrogate of the same runs.
     """
 
     knowledge: Knowledge

@@ -1,4 +1,4 @@
-"""What a batch of an active design came to, in one line."""
+"""One-line report on a batch of an active design."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -20,9 +20,9 @@ class BatchReport:
     """The posterior after a batch, and what comes next.
 
     Args:
-        number: which batch, the first design being 1.
+        number: number of the batch; the first design is 1.
         posterior: mean and standard deviation of each calibrated input by its symbol, as text.
-        moved: how far the posterior has moved, in standard deviations; None where there is none to compare with.
+        moved: how far the posterior has moved, in standard deviations; None if there is none to compare with.
         next: what the design does next.
     """
 

@@ -23,15 +23,15 @@ from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 __all__ = ["Knowledge", "Moved", "Remembered", "State", "learn", "posterior_state"]
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
-"""Of the posterior after each batch."""
+"""Settings of the sampler after each batch."""
 PARTICLES = {1: 2000, 2: 2000, 3: 2000}
 MANY_INPUTS_PARTICLES = 1200
 TEMPERATURE = 0.5
-"""γ of π_γ ∝ L^γ p that is sampled; its particles are weighted to the posterior, and runs are chosen among them."""
+"""γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
 STREAM = 4
 """Keeps the random numbers of the active design apart from all others of the same seed."""
 TOLERATED_REMAINDER = 0.08
-"""What the modes may leave, as a share of the shift of the interface that the noise hides."""
+"""Largest remainder that the modes may leave, as a share of the interface's shift that the noise hides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +58,16 @@ class Knowledge:
         return self.likelihood.surrogate
 
     def log_feasibility(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return the log probability of success relative to the safest run: failures at random change nothing."""
+        """Return the log probability of success relative to the safest run, so random failures change nothing."""
         z = self.surrogate.warping.standardise(x)
         return np.asarray(np.minimum(self.feasibility.log_probability(z) - self.highest, 0.0))
 
     def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return log L of the predicted interface, and of there being one."""
+        """Return log L of the predicted interface plus the log probability that there is one."""
         return np.asarray(self.likelihood.plug_in(x) + self.log_feasibility(x))
 
     def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return log E[L] over the fields that the surrogate holds possible, and of there being an interface."""
+        """Return log E[L] over the fields possible for the surrogate plus the log probability of an interface."""
         return np.asarray(self.likelihood.expected(x) + self.log_feasibility(x))
 
 
@@ -78,12 +78,12 @@ def learn(
     observations: tuple[Observation, ...],
     discrepancy: Discrepancy,
 ) -> Knowledge:
-    """Return what these runs teach; a function of them alone.
+    """Return what is learnt from these runs; nothing else matters.
 
     Raises:
-        TooFewRuns: too few succeeded.
-        NoCommonPoints: interfaces that cannot be brought to common points, or only so that they are
-            farther off than the noise hides.
+        TooFewRuns: too few runs succeeded.
+        NoCommonPoints: interfaces that cannot be brought to common points, or only to points that are
+            farther away than the noise hides.
     """
     ok = np.array([record.ok for record in records], bool)
     good = [record for record in records if record.ok]
@@ -108,10 +108,10 @@ def learn(
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The posterior after some runs, as particles of π_γ with two sets of weights.
+    """The posterior after some runs, as particles of π_γ with three sets of weights.
 
     Args:
-        knowledge: What the runs taught, from which the posterior follows.
+        knowledge: Knowledge from the runs, from which the posterior follows.
         positions: Particles, shape (particle, dim).
         log_weights: Normalised log weights of the posterior with the expected likelihood, shape (particle,).
         log_weights_tempered: Normalised log weights of π_γ, shape (particle,).
@@ -156,10 +156,10 @@ class Moved:
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """What is kept of a posterior to measure later how far it has moved.
+    """Part of a posterior that is kept to measure later how far it has moved.
 
     Args:
-        runs: Number of runs that the posterior was made from.
+        runs: Number of runs that the posterior was computed from.
         positions: Particles, shape (particle, dim).
         log_weights: Normalised log weights of the posterior, shape (particle,).
         log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
@@ -172,14 +172,14 @@ class Remembered:
 
     @classmethod
     def of(cls, state: State) -> "Remembered":
-        """Return what is kept of `state`."""
+        """Return the part of `state` that is kept."""
         return cls(len(state.knowledge.x), state.positions, state.log_weights, state.log_plug_in)
 
     def moved(self, knowledge: Knowledge) -> Moved:
         """Return how far the posterior that `knowledge` leads to is from this one.
 
-        The same particles are weighted by the ratio of the two likelihoods: two samples, each of its own particles,
-        differ by their noise, which in seven dimensions is larger than what is looked for.
+        The same particles are reweighted by the ratio of the two likelihoods. Two separate samples would differ by
+        their noise, which in seven dimensions is larger than the shift to be measured.
         """
         log_weights = log_softmax(self.log_weights + knowledge.plug_in(self.positions) - self.log_plug_in)
         before, after = np.exp(self.log_weights), np.exp(log_weights)
@@ -200,10 +200,10 @@ def posterior_state(
     *,
     on_step: Callable[[StepInfo], None] | None = None,
 ) -> State:
-    """Return the posterior that `knowledge` leads to; the same arguments give the same bits.
+    """Return the posterior that `knowledge` leads to; the same arguments give the same result to the bit.
 
     Args:
-        knowledge: What the runs taught.
+        knowledge: Knowledge from the runs.
         space: The inputs with their priors.
         seed: Seed of the random numbers, one or more integers.
         on_step: Called after every tempering step.

@@ -1,4 +1,4 @@
-"""A surrogate's posterior against the true model: log-likelihoods at its draws, and the interfaces they give."""
+"""A surrogate's posterior against the true model: log-likelihoods and interfaces at its draws."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -58,9 +58,9 @@ def plot_check(
     """Draw `plot_likelihoods` and, for each condition, `plot_offsets`.
 
     Args:
-        true: Log-likelihoods of the draws by the true model; not finite where the run failed.
+        true: Log-likelihoods of the draws by the true model; not finite if the run failed.
         surrogate: Log-likelihoods of the draws by the surrogate.
-        bands: Bands by condition; None where there is no band to draw.
+        bands: Bands by condition; None if there is no band to draw.
         figure: Figure to draw in; a new one by default.
     """
     with styled():
@@ -74,7 +74,7 @@ def plot_check(
 
 
 def plot_likelihoods(true: Float[np.ndarray, " draw"], surrogate: Float[np.ndarray, " draw"], *, ax: Axes) -> Axes:
-    """Draw true over surrogate log-likelihoods, the line on which they agree, and the failed runs on the floor."""
+    """Draw true against surrogate log-likelihoods, the line of agreement, and the failed runs at the bottom."""
     with styled():
         ok = np.isfinite(true)
         both = np.concatenate([true[ok], surrogate])
@@ -93,13 +93,13 @@ def plot_likelihoods(true: Float[np.ndarray, " draw"], surrogate: Float[np.ndarr
 
 
 def _along(band: OffsetBand) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
-    """Return the places of the median in their order, and the median there."""
+    """Return the arc lengths of the median in ascending order, and the median there."""
     order = np.argsort(band.arc_length, kind="stable")
     return band.arc_length[order], band.median[order]
 
 
 def plot_offsets(band: OffsetBand | None, *, ax: Axes | None = None) -> Axes:
-    """Draw the band of the interfaces and the observation over the arc length; a note where there is no band."""
+    """Draw the band of the interfaces and the observation over the arc length; a note if there is no band."""
     with styled():
         ax = axes_or_new(ax, (SINGLE, 3.6))
         if band is None:

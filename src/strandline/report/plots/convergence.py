@@ -1,4 +1,4 @@
-"""Error of a surrogate over the number of training runs, one line a case (Fig. 12)."""
+"""Error of a surrogate against the number of training runs, one line per case (Fig. 12)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -25,7 +25,7 @@ def plot_convergence(
     quantity: str = "relative L² error at the test points",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw errors over the number of training runs, both logarithmic.
+    """Draw errors against the number of training runs, both on logarithmic scales.
 
     Args:
         sizes: numbers of training runs (size,).

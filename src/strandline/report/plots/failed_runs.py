@@ -21,7 +21,7 @@ def plot_failed_runs(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw each run as a line over one axis an input: grey where it succeeded, coloured by kind where it failed.
+    """Draw each run as a line across one axis per input: grey if it succeeded, coloured by kind if it failed.
 
     Args:
         space: the inputs, from left to right; each axis spans the box.

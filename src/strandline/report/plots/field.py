@@ -52,7 +52,7 @@ class FieldGrid:
         values: the scalar (x, y): log-likelihood, or standard deviation.
         failed: inputs of the failed runs (run, 2); None for none.
         training: inputs of the successful runs (run, 2); None leaves them out.
-        truth: the ground truth (2,), where there is one.
+        truth: the ground truth (2,), if there is one.
         detail: the same scalar on a finer grid of a small part; a likelihood too narrow to be seen is shown there.
     """
 
@@ -187,7 +187,7 @@ def _norm(values: Float[np.ndarray, "x y"], kind: Kind, floor: float | None) -> 
 
 
 def _keep_last_label(figure: Figure | SubFigure, panels: Sequence[Axes]) -> None:
-    """Leave the label to the rightmost of several colour bars."""
+    """Keep only the label of the rightmost colour bar."""
     bars = [ax for ax in figure.axes if ax not in panels]
     for bar in bars[:-1]:
         bar.set_ylabel("")
@@ -211,7 +211,7 @@ def _draw_runs(ax: Axes, grid: FieldGrid) -> None:
 
 
 def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], lines: Mapping[str, Any]) -> None:
-    """Draw a small part of the field enlarged in the corner farthest from it, with a frame about that part."""
+    """Draw a small part of the field enlarged in the corner farthest from it, with a frame around that part."""
     inset = ax.inset_axes(_corner(ax, detail))
     colours: Any = {"cmap": _COLOURS["likelihood"], "norm": Normalize(0.0, 1.0), "shading": "gouraud"}
     inset.pcolormesh(detail.x_values, detail.y_values, values.T, rasterized=True, **colours)
@@ -228,7 +228,7 @@ def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], 
 
 
 def _corner(ax: Axes, detail: FieldGrid) -> tuple[float, float, float, float]:
-    """Return a place for an inset, in shares of the axes, on the sides that the enlarged part does not lie on."""
+    """Return a place for an inset, in shares of the axes, away from the enlarged part."""
     middle = [0.5 * (values[0] + values[-1]) for values in (detail.x_values, detail.y_values)]
     share = [(m - low) / (high - low) for m, (low, high) in zip(middle, (ax.get_xlim(), ax.get_ylim()), strict=True)]
     return 0.47 if share[0] < 0.5 else 0.14, 0.13 if share[1] > 0.5 else 0.5, 0.5, 0.45

@@ -21,7 +21,7 @@ __all__ = ["ErrorsAlong", "plot_field_error"]
 
 MM_TO_MICROMETRES = 1e3
 DECADES = 1e-3
-"""Lowest error shown, as a share of the largest: ends that are held have errors of rounding."""
+"""Lowest error shown, as a share of the largest: fixed ends have rounding errors only."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ def plot_interfaces(
     Args:
         observed: the measured interface, green.
         reference: the undeformed interface, grey.
-        simulated: interfaces by the label that the legend gives them, e.g. their inputs.
+        simulated: interfaces by their label in the legend, e.g. their inputs.
         ax: axes to draw in.
     """
     labels = {label: _wrapped(label) for label in simulated or {}}
@@ -66,7 +66,7 @@ def plot_conditions(
     simulated: Mapping[str, Mapping[str, Interface]] | None = None,
     figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw the interfaces of several conditions, a panel each, as `plot_interfaces` does for one.
+    """Draw the interfaces of several conditions, one panel each, as `plot_interfaces` does for one.
 
     Args:
         observed: Observed interfaces by condition; None for a condition that was not observed.

@@ -41,7 +41,7 @@ __all__ = ["plot_hexagons", "plot_joint", "plot_pairs", "plot_selected_pairs"]
 
 PERCENTILES = (0.1, 0.5, 0.9)
 _GRID = 71
-"""Points across on which percentile lines are found."""
+"""Points per axis of the grid on which percentile lines are computed."""
 NEGLIGIBLE = 1e-3
 """Hexagons with less than this share of the fullest one's mass are left out."""
 
@@ -105,8 +105,8 @@ def plot_hexagons(
         percentiles: Probabilities that the lines enclose, as fractions.
         bins: Hexagons across.
         colour_bar: Whether to draw one.
-        particles: Largest number of particles behind the lines, a fifth of them for the bandwidth; more are thinned by
-            systematic resampling. Hexagons take all.
+        particles: Largest number of particles used for the lines, a fifth of them for the bandwidth; more are thinned
+            by systematic resampling. Hexagons use all.
         ax: Axes to draw in.
     """
     x, y = (posterior.space[name] for name in names)
@@ -266,7 +266,7 @@ def _draw_kde(
     try:
         estimate = KernelDensity.fit(values, weights, bounds=bounds, loo_points=loo_points)
     except NumericsError:
-        return  # draws on a line have no density in the plane: the hexagons say all
+        return  # draws on a line have no density in the plane: the hexagons show everything
     axes = [np.linspace(*limits, _GRID) for limits in shown]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     levels = np.unique(estimate.percentile_levels(percentiles))
@@ -287,7 +287,7 @@ def _draw_laplace(
     laplace: LaplaceApproximation | None,
     percentiles: Sequence[float],
 ) -> str:
-    """Draw the Laplace approximation; return what to note where that is impossible."""
+    """Draw the Laplace approximation; return a note if that is impossible."""
     if laplace is None:
         return ""
     if not laplace.definite:

@@ -28,11 +28,11 @@ def plot_leave_one_out(
     spread_top: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw predictions over values; on the diagonal they agree.
+    """Draw predictions against values; on the diagonal they agree.
 
     Args:
         value: the quantity at each training point (run,).
-        prediction: what the surrogate says without that point (run,).
+        prediction: the surrogate's prediction without that point (run,).
         sd: its standard deviation there, drawn as error bars.
         near_mode: the points near the mode, which decide the posterior; highlighted.
         quantity: what is predicted, with its unit.

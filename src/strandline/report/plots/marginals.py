@@ -33,7 +33,7 @@ __all__ = ["Curve", "plot_marginal", "plot_marginals"]
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A density from elsewhere to draw over a marginal, e.g. the quadrature of the same surrogate.
+    """A density from another source to draw over a marginal, e.g. from quadrature of the same surrogate.
 
     Args:
         x: values of the input (point,).
@@ -126,7 +126,7 @@ def draw_marginal(
         estimate = KernelDensity.fit(values[:, None], weights, bounds=[parameter.interval])
         _line(ax, grid, estimate.density(grid[:, None]), upright, color=BLACK, label="KDE")
     except NumericsError:
-        pass  # an input without spread has no density: its one bar says all
+        pass  # an input without spread has no density: its one bar shows everything
     _line(ax, grid, prior, upright, color=RED, linestyle="--", label="prior")
 
 

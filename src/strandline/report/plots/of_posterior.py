@@ -26,7 +26,7 @@ class PosteriorPlots:
         return "<plots: joint, marginal, marginals, pairs, particles>"
 
     def joint(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
-        """Draw the joint density of two inputs, of the first two if none are named; options of `plot_hexagons`."""
+        """Draw the joint density of two inputs, by default the first two; options of `plot_hexagons`."""
         return plot_hexagons(self.posterior, self._two(x, y), ax=ax, **options)
 
     def particles(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
@@ -34,7 +34,7 @@ class PosteriorPlots:
         return plot_particles(self.posterior, self._two(x, y), ax=ax, **options)
 
     def marginal(self, name: str | None = None, *, ax: Any = None, **options: Any) -> Any:
-        """Draw the marginal of an input, of the first if none is named, with its prior; options of `plot_marginal`."""
+        """Draw the marginal of an input, by default the first, with its prior; options of `plot_marginal`."""
         return plot_marginal(self.posterior, name or self.posterior.space.names[0], ax=ax, **options)
 
     def marginals(self, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""How far interfaces lie from one of them, along its normals: what millimetres do not show."""
+"""How far interfaces lie from one of them along its normals, in µm: a plot in millimetres would not show it."""
 
 from collections.abc import Mapping
 

@@ -24,7 +24,7 @@ from strandline.report.plots.style import (
 __all__ = ["plot_parallel"]
 
 DENSITY = "log posterior density"
-"""What the axis of the density is called, in `names` too."""
+"""Name of the density axis, also in `names`."""
 LOWEST = 0.02
 """Quantile of the log density, by weight, at which its axis begins; lower particles are drawn at its lower end."""
 TICKS = 5
@@ -103,7 +103,7 @@ def _lines(
     density: Float[np.ndarray, " particle"],
     limits: tuple[float, float],
 ) -> Float[np.ndarray, "particle axis"]:
-    """Return the height of each particle on each axis, 0 at its lower end and 1 at its upper one."""
+    """Return the height of each particle on each axis, 0 at its lower end and 1 at its upper end."""
     columns = []
     for name in order:
         values = density if name == DENSITY else posterior.columns([name])[:, 0]

@@ -25,7 +25,7 @@ def plot_parts(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the triangles of each part in a colour of its own.
+    """Draw the triangles of each part in its own colour.
 
     Args:
         points: vertices of the mesh, mm.

@@ -1,4 +1,4 @@
-"""The posterior over the number of runs that it was made of."""
+"""The posterior against the number of runs it is based on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,10 +31,10 @@ class RunHistory:
     """Posteriors in the order in which they were computed.
 
     Args:
-        runs: Number of runs behind each posterior (step,).
+        runs: Number of runs each posterior is based on (step,).
         mean: Posterior means (step, dim).
         sd: Posterior standard deviations (step, dim).
-        checked: Which posteriors were computed with the runs of a check as well (step,).
+        checked: Whether each posterior was computed with the runs of a check as well (step,).
     """
 
     runs: Float[np.ndarray, " step"]
@@ -50,7 +50,7 @@ def plot_run_history(
     truth: Sequence[float] | None = None,
     figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw the mean and the band of one standard deviation of each input over the number of runs.
+    """Draw the mean and a band of one standard deviation of each input against the number of runs.
 
     Args:
         history: Posteriors to draw.

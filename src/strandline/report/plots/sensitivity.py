@@ -22,7 +22,7 @@ HEIGHT = 0.36
 
 
 def plot_sensitivity(indices: SobolIndices, names: Sequence[str], *, ax: Axes | None = None) -> Axes:
-    """Draw first-order and total index of each input, one pair of bars an input, with their bootstrap intervals.
+    """Draw the first-order and the total index of each input as a pair of bars, with their bootstrap intervals.
 
     Args:
         indices: Sobol' indices of the inputs, in the order of `names`.

@@ -1,6 +1,6 @@
 """What all figures share: colours that colour-blind readers can distinguish, type sizes, new axes.
 
-Figures are made without pyplot, so none is kept alive by a global register and none needs closing.
+Figures are made without pyplot, so no global registry keeps them alive and none needs closing.
 """
 
 import textwrap
@@ -43,7 +43,7 @@ __all__ = [
 BLACK, GREY = "#000000", "#8c8c8c"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
 CYCLE = (BLUE, RED, PURPLE, SKY, ORANGE)
-"""Okabe and Ito's palette; green is kept for what was observed."""
+"""Okabe and Ito's palette; green is reserved for observations."""
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 """Line styles that go with CYCLE, for print without colour."""
 
@@ -127,7 +127,7 @@ def mark(
 
 
 def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
-    """Put the legend of `ax`, where it has entries, under its x axis, in at most `columns` columns that fit."""
+    """Put the legend of `ax`, if it has entries, under its x axis in as many columns as fit, at most `columns`."""
     if not ax.get_legend_handles_labels()[0]:
         return
     place = ax.get_subplotspec()
@@ -141,7 +141,7 @@ def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
 
 
 def legend_under(figure: Figure | SubFigure, entries: Mapping[str, Any], *, columns: int = 4) -> None:
-    """Put a legend of handles by their labels under all panels, in at most `columns` columns that fit the width."""
+    """Put a legend of `entries`, handles by label, under all panels in as many columns as fit, at most `columns`."""
 
     def legend(ncols: int) -> Legend:
         return figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=ncols)
@@ -172,7 +172,7 @@ def root_scale(top: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     """Return a scale for log densities and its inverse: signed square roots of the distance from `top`.
 
     Under a normal density it is linear in the number of standard deviations from the mode, so that the neighbourhood
-    of the mode is seen even if the log density falls by thousands elsewhere.
+    of the mode stays visible even if the log density falls by thousands elsewhere.
     """
 
     def forward(value: Any) -> Any:

@@ -30,13 +30,13 @@ def plot_tempering(
     particles: int | None = None,
     figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw the sampler's course over its tempering steps, three panels on one axis.
+    """Draw the sampler's tempering steps in three panels with a common x axis.
 
     Args:
         gamma: exponent of the likelihood after each step (step,).
         ess: effective sample size after each step.
         acceptance: share of accepted moves in each step.
-        particles: number of particles; draws the half at which resampling sets in.
+        particles: number of particles; a line marks half of it, below which the sampler resamples.
         figure: figure to draw in.
     """
     with styled():

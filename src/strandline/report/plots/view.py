@@ -10,7 +10,7 @@ WHOLE_BOX_FROM = 0.75
 
 
 def shown_interval(posterior: Posterior, name: str) -> tuple[float, float]:
-    """Return the part of the design box in which practically all mass lies, with a margin; the box where that is most.
+    """Return the part of the design box that holds nearly all mass, with a margin; the box if that is most of it.
 
     A posterior that data have narrowed to a few per cent of the box would be a speck on axes that show the whole box.
 

@@ -1,4 +1,4 @@
-"""The keys of study.yaml, version 1, a section a file: what each means, and which values it takes."""
+"""The keys of study.yaml, version 1, one file per section: what each key means, and which values it takes."""
 
 from strandline.studies.keys.options import annotation_of, keys_within
 from strandline.studies.keys.study_file import SCHEMA_VERSION, StudyFile

@@ -53,6 +53,15 @@ class LogLikelihood(Section):
     kernel: str | None = None
     """[kernel](#kernels) of the Gaussian process, or [`module:name`](../how-to/extend.md#a-kernel); default:
     `matern32`"""
+    fit: str | None = None
+    """function that learns another surrogate, [`module:name`](../how-to/extend.md#a-surrogate); default: the Gaussian
+    process"""
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "LogLikelihood":
+        if self.kernel is not None and self.fit is not None:
+            raise ValueError("one of `kernel`, `fit`")
+        return self
 
 
 class InterfaceField(Section):

@@ -58,7 +58,7 @@ SLURM_ARRAY = Options(
 
 
 def _others_apart(value: Any) -> Any:
-    """Return a mapping whose keys ``module:name`` stand under `other`."""
+    """Return a mapping with its keys ``module:name`` moved under `other`."""
     if not isinstance(value, dict):
         return value
     others = {name: options for name, options in value.items() if isinstance(name, str) and ":" in name}

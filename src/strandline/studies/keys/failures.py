@@ -21,7 +21,7 @@ def _action(value: Any) -> Any:
 
 
 class Stop(Section):
-    """When a campaign nearly all of whose runs fail is stopped."""
+    """When a campaign is stopped because nearly all of its runs fail."""
 
     share: Annotated[Number, Field(gt=0, le=1)] = 0.95
     """share of failed runs that stops the study, above 0, at most 1; never: `failures: {stop: never}`"""

@@ -1,4 +1,4 @@
-"""All keys of study.yaml in a row, with defaults and meanings: what the reference page shows."""
+"""All keys of study.yaml in one list, with defaults and meanings, for the reference page."""
 
 import json
 from collections.abc import Iterator
@@ -17,9 +17,9 @@ class Key:
     """A key of study.yaml that takes a value.
 
     Args:
-        name: Name with the sections around it, as ``design.sobol.runs``; NAME stands for a name that the user chooses.
+        name: Name with the sections around it: ``design.sobol.runs``; NAME stands for a name that the user chooses.
         default: Default as YAML writes it, or ``required``.
-        meaning: Meaning in Markdown; empty where a key before it says what this one means.
+        meaning: Meaning in Markdown; empty if a key before it explains this one too.
     """
 
     name: str

@@ -11,7 +11,7 @@ from strandline.studies.keys.section import Section
 __all__ = ["ONE", "SEVERAL", "ConditionFile", "Noise", "ObservationFile", "Observed"]
 
 ONE, SEVERAL = "[one]", "[several]"
-"""Branches of `observation`, as pydantic names them in the place of a mistake."""
+"""Branches of `observation`, as pydantic names them in the location of an error."""
 
 
 class ObservationNoise(Section):
@@ -26,7 +26,7 @@ class ObservationNoise(Section):
 class ObservationFile(Section):
     """Where the observed interface comes from: a file, or a run of the model itself.
 
-    `strandline.readers` checks what stands between `unit` and `synthetic`.
+    `strandline.readers` checks the keys between `unit` and `synthetic`.
     """
 
     file: str | None = None
@@ -59,7 +59,7 @@ class ObservationFile(Section):
         if (self.file is None) == (self.synthetic is None):
             raise ValueError("either `file` with its `unit`, or `synthetic`")
         if self.file is None and self.reading:
-            raise ValueError(f"`{next(iter(self.reading))}` beside a `file` only, which it says how to read")
+            raise ValueError(f"`{next(iter(self.reading))}` only with a `file`, since it says how to read it")
         if self.file is not None and self.unit is None:
             raise ValueError("the unit of the coordinates too: `unit: mm` (or um, m)")
         if self.file is not None and self.noise is not None:
@@ -70,7 +70,7 @@ class ObservationFile(Section):
 
     @property
     def reading(self) -> dict[str, Any]:
-        """How the file is to be read."""
+        """How to read the file."""
         others = {"file", "unit", "synthetic", "noise", "condition"}
         return {name: value for name, value in self if name not in others and value is not None}
 
@@ -133,14 +133,14 @@ class ConditionNoise(Section):
 
     @property
     def squared(self) -> float:
-        """σ_N²; infinite where the square of σ_N is no number."""
+        """σ_N²; infinite if σ_N is missing or its square overflows."""
         if self.variance is not None:
             return self.variance
         return float(self.sd) ** 2 if self.sd is not None and self.sd < 1e150 else float("inf")
 
 
 class Noise(ConditionNoise):
-    """σ_N² or σ_N of the likelihood, of every condition that has none of its own."""
+    """σ_N² or σ_N of the likelihood, for every condition without its own."""
 
     variance: Annotated[Number, Field(gt=0)] | None = None
     """σ_N², in the unit of d² (mm²)"""

@@ -1,7 +1,7 @@
 """Sections of study.yaml whose keys are the options of a class of the library: one definition of name, type, default.
 
 ``refine: Annotated[Mapping[str, Any], Options(Refinement)]`` takes a mapping from the fields of `Refinement` to values
-of their types and refuses other keys. Which values make sense, the class itself says when it is made.
+of their types and refuses other keys. The class itself checks which values make sense when it is made.
 """
 
 import dataclasses
@@ -28,12 +28,12 @@ PLAIN = {float: Number, int: Size, str: Text, bool: Switch}
 
 @dataclass(frozen=True, eq=False)
 class Options:
-    """Marks a mapping in the study file whose keys are the fields of a dataclass.
+    """A mark for a mapping in the study file whose keys are the fields of a dataclass.
 
     Args:
-        of: Dataclass.
-        without: Fields that are no keys.
-        also: Further keys, or fields that the study file takes otherwise: type and default by name.
+        of: The dataclass.
+        without: Fields that are not keys.
+        also: Further keys, or fields with another form in the study file: type and default by name.
     """
 
     of: type
@@ -57,12 +57,12 @@ class Options:
         return made
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of the section; what comes out is a dict."""
+        """Return the schema of the section; a validated value is a dict."""
         return core_schema.no_info_after_validator_function(_chosen, handler.generate_schema(self.section))
 
 
 def _chosen(section: BaseModel) -> dict[str, Any]:
-    """Return the options by name; none that is left to the class."""
+    """Return the options by name, except those left to the class."""
     return section.model_dump(exclude_none=True)
 
 
@@ -96,7 +96,7 @@ def keys_within(annotation: Any) -> type[BaseModel] | None:
 
 
 def annotation_of(key: FieldInfo) -> Any:
-    """Return the annotation of a key as it was written; pydantic keeps what is outermost in it apart."""
+    """Return the annotation of a key as written; pydantic keeps its outermost metadata separately."""
     return cast(Any, Annotated)[(key.annotation, *key.metadata)] if key.metadata else key.annotation
 
 

@@ -1,4 +1,4 @@
-"""Numbers, names and texts as study.yaml may hold them; each refuses what could not be used later."""
+"""Numbers, names and texts in study.yaml; each type refuses values that could not be used later."""
 
 from typing import Annotated, Any
 
@@ -30,11 +30,11 @@ MOST_RETRIES = 1000
 MOST_VALUES = 10_000
 """Values of the nuisance inputs; the sampler runs once for each."""
 VARIANCES = 1e-30, 1e30
-"""Least and largest σ_N²; beyond, likelihoods overflow."""
+"""Smallest and largest σ_N²; beyond them, likelihoods overflow."""
 
 
 def _number(value: Any) -> Any:
-    """Refuse true/false and text where a number is wanted; accept `1e-5`, which YAML 1.1 reads as text."""
+    """Refuse true/false and text instead of a number; accept `1e-5`, which YAML 1.1 reads as text."""
     if isinstance(value, bool):
         raise ValueError("a number, not a truth value")
     if isinstance(value, str):
@@ -46,7 +46,7 @@ def _number(value: Any) -> Any:
 
 
 def _whole(value: Any) -> Any:
-    """Refuse true/false and text, `"80"` too, where a whole number is wanted."""
+    """Refuse true/false and text, even `"80"`, instead of a whole number."""
     if isinstance(value, bool):
         raise ValueError("a number, not a truth value")
     if isinstance(value, str):
@@ -76,7 +76,7 @@ Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Count = Annotated[Whole, Field(ge=1, le=MOST)]
 Size = Annotated[Whole, Field(le=MOST)]
-"""A count whose least value somebody else knows."""
+"""A count whose smallest value is checked elsewhere."""
 Seed = Annotated[Whole, Field(ge=0, lt=2**32)]
 Name = Annotated[str, AfterValidator(_name)]
 Unit = Annotated[str, AfterValidator(_label)]

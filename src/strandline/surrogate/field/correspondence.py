@@ -1,6 +1,6 @@
-"""Interfaces as fields over common points: node by node where they correspond, else as they can be compared.
+"""Interfaces as fields over common points: node by node if the nodes correspond, else by a common parametrisation.
 
-Polylines are taken by shares of their arclength, triangulated surfaces by projection of the nodes of one of them.
+Polylines are compared at equal shares of their arclength, triangulated surfaces at the projected nodes of one of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,18 +17,18 @@ from strandline.surrogate.field.projection import Reference, common_reference
 __all__ = ["Layout", "common_layout", "fields_of", "registered"]
 
 FEWEST_POINTS = 33
-"""Points of an interface that is taken by equal shares of its arclength, at least."""
+"""Smallest number of points of an interface taken at equal shares of its arclength."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What the points of one condition's interface are in all runs.
+    """The meaning of the points of one condition's interface in all runs.
 
     Args:
         template: An interface that has these points, for its cells and the weights of its points.
-        way: The nodes where they correspond; otherwise points at equal shares of the arclength of a polyline, or the
-            template's nodes projected onto a surface.
-        reference: The template, to project onto surfaces; None in the other ways.
+        way: Points used: the nodes if they correspond; otherwise points at equal shares of the arclength of a polyline,
+            or the template's nodes projected onto a surface.
+        reference: The template, to project onto surfaces; None for the other ways.
     """
 
     template: Interface
@@ -44,7 +44,7 @@ class Layout:
         return np.asarray(size / size.sum())
 
     def with_points(self, points: Float[np.ndarray, "point xyz"]) -> Interface:
-        """Return the interface of other points in the same order."""
+        """Return the interface with other points in the same order."""
         return Interface(points, self.template.cells)
 
 
@@ -73,7 +73,7 @@ def common_layout(interfaces: Sequence[Interface]) -> Layout:
 
 
 def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, "point xyz"], float]:
-    """Return the points of `interface` in the layout, and the root mean square error that this makes, mm.
+    """Return the points of `interface` in the layout, and the root mean square error that this causes, mm.
 
     The error is the distance of the interface's own nodes from the polyline or the triangles through the points.
 
@@ -89,7 +89,7 @@ def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, 
         return found.points, found.error
     if layout.way == "nodes":
         if interface.points.shape != layout.template.points.shape:
-            raise _different("another number of points than in the other runs")
+            raise _different("a different number of points than the other runs")
         return interface.points, 0.0
     if interface.dim != 2 or interface.closed != layout.template.closed:
         raise _different("a polyline that is open or closed where the others are not")
@@ -104,7 +104,7 @@ def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, 
 def fields_of(
     runs: Sequence[Mapping[str, Interface]], layouts: Mapping[str, Layout]
 ) -> tuple[Float[np.ndarray, "run value"], float]:
-    """Return the coordinates of all points of all conditions, one row a run, and the largest registration error, mm."""
+    """Return the coordinates of the points of all conditions, one row per run, and the worst registration error, mm."""
     rows, worst = [], 0.0
     for run in runs:
         parts = []

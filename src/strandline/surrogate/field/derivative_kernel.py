@@ -1,4 +1,4 @@
-"""The squared exponential of a function and of its gradient, in coordinates scaled by the length scales.
+"""The squared exponential for a function and its gradient, in coordinates scaled by the length scales.
 
 With δ = u - v and k = exp(-|δ|²/2): cov(f, f') = k, cov(f, ∂_j f') = k δ_j, cov(∂_i f, ∂_j f') = k (I_ij - δ_i δ_j);
 Rasmussen and Williams (2006), Section 9.4. Rows and columns: all values, then the derivatives by the first coordinate,
@@ -20,7 +20,7 @@ def covariance(
     Args:
         u: inputs in length scales.
         v: inputs in length scales.
-        rows: whether there are derivatives at `u`, by the scaled coordinates, behind the values.
+        rows: whether derivatives at `u` with respect to the scaled coordinates follow the values.
         columns: the same at `v`.
     """
     (n, dim), m = u.shape, len(v)
@@ -46,7 +46,7 @@ def covariance(
 def trend(
     z: Float[np.ndarray, "run dim"], lengths: Float[np.ndarray, " dim"], *, linear: bool, derivatives: bool
 ) -> Float[np.ndarray, "row term"]:
-    """Return the terms of the mean, 1 and if `linear` the inputs, and their derivatives by z/lengths if asked for."""
+    """Return the terms of the mean, 1 and, if `linear`, the inputs, and if asked their derivatives by z/lengths."""
     n, dim = z.shape
     F = np.zeros((n * (1 + dim * derivatives), 1 + dim * linear))
     F[:n, 0] = 1.0

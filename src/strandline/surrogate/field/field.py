@@ -1,7 +1,7 @@
-"""A surrogate of what the simulator returns: the interface as a field over the inputs.
+"""A surrogate of the simulator's result: the interface as a field over the inputs.
 
-Interfaces → fields over common points → modes (POD) → one Gaussian process a mode. It works for every measure, noise
-and observation, and is far smoother in the inputs than a log-likelihood is.
+Interfaces → fields over common points → modes (POD) → one Gaussian process per mode. It works for every measure,
+noise and observation, and is far smoother in the inputs than a log-likelihood.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,9 +22,9 @@ from strandline.surrogate.field.warping import WARPS, Warping, eligible
 __all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field"]
 
 TOLERANCE = 1e-5
-"""Default of what the modes may leave, root mean square along the interface, mm."""
+"""Default of the remainder that the modes may leave, root mean square along the interface, mm."""
 _LEADING = 3  # modes whose errors choose the warps
-_CHOOSING_ROWS = 160  # observations with which the warps are chosen, the first ones
+_CHOOSING_ROWS = 160  # the first observations, with which the warps are chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class FieldSurrogate:
         warping: Warping of the inputs.
         modes: Modes of the field.
         processes: Processes, one for each mode.
-        registration_error: Largest root mean square error of bringing a run's interface to the layout, mm.
+        registration_error: Largest root mean square error of fitting a run's interface to the layout, mm.
         gradients: Whether it was trained with sensitivities too.
     """
 
@@ -77,7 +77,7 @@ class FieldSurrogate:
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """How the interfaces share their points, over the conditions: ``nodes``, ``arclength``, ``projection``."""
+        """How the interfaces of the conditions share their points: ``nodes``, ``arclength``, ``projection``."""
         return tuple(sorted({layout.way for layout in self.layouts.values()}))
 
     @property
@@ -103,7 +103,7 @@ class FieldSurrogate:
 
         Args:
             coefficients: Coefficients of the modes (draw, mode), mm.
-            tail: Standard normal numbers that multiply the remainder which the modes leave; None leaves it out.
+            tail: Standard normal numbers that multiply the remainder that the modes leave; None leaves it out.
         """
         fields = self.modes.fields(coefficients)
         if tail is not None:
@@ -121,12 +121,12 @@ class FieldSurrogate:
         return {name: layout.with_points(points[name][0]) for name, layout in self.layouts.items()}
 
     def left_out_fields(self) -> Float[np.ndarray, "run value"]:
-        """Return the error of the field at each run, predicted from the others, in all its values, mm."""
+        """Return the errors of all values of the field at each run, predicted from the others, mm."""
         errors = np.stack([process.left_out().errors for process in self.processes], axis=1)
         return np.asarray((errors @ self.modes.basis) / self.modes.roots)
 
     def left_out_error(self) -> Float[np.ndarray, " run"]:
-        """Return the root mean square of that error along the interface, what the modes leave included, mm."""
+        """Return the root mean square of these errors along the interface, with the remainder of the modes, mm."""
         errors = np.stack([process.left_out().errors for process in self.processes], axis=1)
         return np.asarray(np.sqrt(np.sum(errors**2, axis=1) / len(self.layouts) + self.modes.remainder**2))
 
@@ -137,15 +137,15 @@ class FieldSurrogate:
 
 
 def fewest_runs(dim: int, *, gradients: bool) -> int:
-    """Return the number of runs from which a field can be learnt."""
+    """Return the smallest number of runs from which a field can be learnt."""
     return 3 if gradients else dim + 3
 
 
 def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> FieldSurrogate:
     """Return the surrogate of the field from these runs; the result depends on nothing else.
 
-    Inputs that are positive over a wide box may enter by their logarithm or their reciprocal, first all of them alike,
-    then one after the other: the warp with the smallest leave-one-run-out error of the leading modes is taken.
+    Inputs that are positive over a wide box may enter by their logarithm or reciprocal, first all in the same way, then
+    one by one: the warp with the smallest leave-one-run-out error of the leading modes is taken.
 
     Args:
         training: The runs.
@@ -198,7 +198,7 @@ class _Data:
 
 
 def _gradients(training: FieldTraining, layouts: Mapping[str, Layout]) -> Float[np.ndarray, "run value dim"] | None:
-    """Return the derivatives of the fields by the physical inputs."""
+    """Return the derivatives of the fields with respect to the physical inputs."""
     if training.gradients is None:
         return None
     dim = training.x.shape[1]
@@ -208,7 +208,7 @@ def _gradients(training: FieldTraining, layouts: Mapping[str, Layout]) -> Float[
 def _fit(
     data: _Data, warping: Warping, tolerance: float, most: int | None = None
 ) -> tuple[Modes, tuple[ModeProcess, ...]]:
-    """Return the modes and their processes; `most` of them, to compare with others."""
+    """Return the modes and their processes; `most` limits their number, for comparisons."""
     z = warping.standardise(data.x)
     derivatives = None if data.gradients is None else warping.gradients(data.x, data.gradients)
     modes = decompose(data.fields, data.weights, derivatives, tolerance=tolerance)
@@ -221,7 +221,7 @@ def _fit(
 
 
 def _choose(data: _Data, warping: Warping, tolerance: float) -> Warping:
-    """Return the warping with the best warp of each input, the others kept; ties leave it as it is."""
+    """Return the warping with the best warp for each input, the others held fixed; ties change nothing."""
     rows = 1 if data.gradients is None else 1 + data.x.shape[1]
     few = data.first(max(_CHOOSING_ROWS // rows, fewest_runs(data.x.shape[1], gradients=rows > 1)))
     some = eligible(warping.low, warping.high)
@@ -244,7 +244,7 @@ def _changed(names: tuple[str, ...], inputs: Sequence[int], name: str) -> tuple[
 
 
 def _error(data: _Data, warping: Warping, tolerance: float) -> float:
-    """Return the sum of squares of the leading modes' errors at left-out runs, mm²; extremes are cut."""
+    """Return the sum of squares of the leading modes' errors at left-out runs, mm²; extremes are clipped."""
     _, processes = _fit(data, warping, tolerance, most=_LEADING)
     errors = np.sum([process.left_out().errors ** 2 for process in processes], axis=0)
     return float(np.sum(np.minimum(errors, 25 * np.median(errors))))

@@ -1,4 +1,4 @@
-"""A Gaussian process of one coefficient of the field, conditioned on values and, where there are any, on gradients."""
+"""A Gaussian process of one coefficient of the field, conditioned on values and, if available, on gradients."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,13 +19,13 @@ LENGTHS = (0.2, 40.0)
 NUGGETS = (1e-10, 1e-2)
 """Bounds of the noise variance, relative to that of the process."""
 TYPICAL_LENGTH, LENGTH_SPREAD = 3.0, 1.5
-"""Median and spread, in logarithms, of the prior of a length scale: it decides where few runs do not."""
+"""Median and spread, in logarithms, of the prior of a length scale: it decides if too few runs do."""
 STARTS = (3.0, 1.0)
 _STARTING_NUGGET = 1e-6
 _ITERATIONS = 40
-_LARGE = 120  # observations from which one start has to do
+_LARGE = 120  # observations from which a single start is made
 _QUICK_ITERATIONS = 15
-_PRIOR_RUNS = 4.0  # weight of "as wide as it should be" against the residuals
+_PRIOR_RUNS = 4.0  # weight of "the variances are right" against the residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class ModeProcess:
     def mean(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the posterior mean.
 
-        The derivatives' part is k (u - v)·β, so that products of matrices do all but the exponential.
+        The derivatives' part is k (u - v)·β, so matrix products do everything but the exponential.
         """
         u, v, alpha = z / self.lengths, self.observed.z / self.lengths, self.factors.alpha
         n, dim = v.shape
@@ -96,7 +96,7 @@ class ModeProcess:
     def left_out(self) -> LeftOut:
         """Return the errors of leave-one-run-out prediction; its gradient is left out with its value.
 
-        Closed form by the precision matrix: Rasmussen and Williams (2006), Section 5.4.2, in blocks.
+        Closed form with the precision matrix: Rasmussen and Williams (2006), Section 5.4.2, in blocks.
         """
         n, P = len(self.observed.z), self.factors.precision
         rows = np.arange(len(P)).reshape(-1, n).T
@@ -114,7 +114,7 @@ class ModeProcess:
     def _reduced(
         self, z: Float[np.ndarray, "point dim"]
     ) -> tuple[Float[np.ndarray, "row point"], Float[np.ndarray, "term point"]]:
-        """Return what the runs explain of the variance at z, and what the unknown mean adds, each as a root."""
+        """Return roots of the variance at z that the runs explain and of the part that the unknown mean adds."""
         rows = self._rows(z)
         half = solve_triangular(self.factors.cholesky, rows.T, lower=True, check_finite=False)
         unexplained = self._trend(z) - rows @ self.factors.solved_trend
@@ -125,7 +125,7 @@ class ModeProcess:
 def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
     """Return the process whose length scales and nugget maximise the restricted evidence and their weak prior.
 
-    `quick`: from one start and for few iterations, to compare.
+    With `quick`, there are one start and few iterations, for comparisons.
 
     Raises:
         NumericsError: No start of the optimiser led to hyperparameters with a covariance that can be factorised.
@@ -141,7 +141,7 @@ def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
         if found.fun < _WALL and (best is None or found.fun < best.fun):
             best = found
     if best is None:
-        raise NumericsError("no length scales were found for a mode of the field: do runs repeat with other results?")
+        raise NumericsError("no length scales were found for a mode of the field: do repeated runs differ?")
     lengths, nugget = np.exp(best.x[:dim]), float(np.exp(best.x[dim]))
     process = ModeProcess(observed, lengths, nugget, condition_mode(observed, lengths, nugget))
     left_out = process.left_out()
@@ -155,7 +155,7 @@ _WALL = 1e25
 def _objective(
     at: Float[np.ndarray, " coordinate"], observed: Observed
 ) -> tuple[float, Float[np.ndarray, " coordinate"]]:
-    """Return minus the log evidence and minus the log prior of the lengths; a wall where there is no evidence."""
+    """Return minus the log evidence and minus the log prior of the lengths; a wall if there is no evidence."""
     dim = len(at) - 1
     try:
         value, slope = restricted_evidence(observed, at[:dim], float(at[dim]))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 __all__ = ["Modes", "decompose"]
 
 MOST = 20
-"""Modes that get a process of their own, at most."""
+"""Largest number of modes with their own process."""
 STEP = 0.5
 """Derivatives enter the decomposition as a step of this many standard deviations of an input."""
 _NOTHING = 1e-14
@@ -22,7 +22,7 @@ class Modes:
         mean: Mean field (value,), mm.
         roots: Square roots of the weights of the values, whose squares sum to the number of conditions.
         basis: Orthonormal weighted fields of the modes (mode, value).
-        tail: Weighted fields of what was cut off, times their standard deviations over the runs (rest, value), mm.
+        tail: Weighted fields of the modes cut off, times their standard deviations over the runs (rest, value), mm.
     """
 
     mean: Float[np.ndarray, " value"]
@@ -32,7 +32,7 @@ class Modes:
 
     @property
     def remainder(self) -> float:
-        """Root mean square of what was cut off, along the interface, mm."""
+        """Root mean square of the modes cut off, along the interface, mm."""
         return float(np.sqrt(np.sum(self.tail**2)))
 
     def coefficients(self, fields: Float[np.ndarray, "run value"]) -> Float[np.ndarray, "run mode"]:
@@ -44,7 +44,7 @@ class Modes:
         return np.asarray(np.einsum("rvd,mv->rmd", derivatives * self.roots[:, None], self.basis, optimize=True))
 
     def fields(self, coefficients: Float[np.ndarray, "run mode"]) -> Float[np.ndarray, "run value"]:
-        """Return the fields of coefficients."""
+        """Return the fields with these coefficients."""
         return np.asarray(self.mean + (coefficients @ self.basis) / self.roots)
 
 
@@ -60,8 +60,8 @@ def decompose(
     Args:
         fields: Fields (run, value), mm.
         weights: Share of the interface that each value stands for.
-        derivatives: Derivatives of the fields by the standardised inputs (run, value, dim), whose directions the modes
-            span too; None: there are none.
+        derivatives: Derivatives of the fields with respect to the standardised inputs (run, value, dim), whose
+            directions the modes span too; None: there are none.
         tolerance: Largest root mean square of the remainder, mm.
     """
     mean, roots = fields.mean(axis=0), np.sqrt(weights)

@@ -1,4 +1,4 @@
-"""Which of many interfaces differ in kind from the others, so that they cannot form one field with the rest."""
+"""Find the interfaces that differ in kind from most others and cannot form one field with them."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,10 +14,10 @@ __all__ = ["FLIPPED", "flipped", "odd_ones"]
 
 FLIPPED = "flipped"
 CANDIDATES = 3
-"""Surfaces tried as the one that the others are projected onto."""
+"""Number of surfaces tried as the reference of the projections."""
 SHARES = 33
 NEARER = 0.1
-"""An open polyline counts as flipped where, turned round, the sum of its squared distances is so much smaller."""
+"""An open polyline counts as flipped if reversing it reduces the sum of squared distances to less than this share."""
 
 
 def flipped(interface: Interface | None, other: Interface) -> bool:
@@ -56,7 +56,7 @@ def _kind(interface: Interface) -> str:
 
 
 def _misfits(interfaces: Mapping[int, Interface], hidden: float) -> dict[int, str]:
-    """Return those that cannot be brought to the points of the others, by the layout that leaves out the fewest."""
+    """Return those that cannot be brought to the points of the others, for the layout that leaves out the fewest."""
     layouts = _layouts(list(interfaces.values()))
     return min((_left_out(interfaces, layout, hidden) for layout in layouts), key=len)
 

@@ -1,9 +1,9 @@
-"""A triangulated surface on the nodes of another one: along that one's normals, and its rim on the rim.
+"""Projection of the nodes of one triangulated surface onto another: along the normals, and from rim to rim.
 
-Each node of the reference goes along its normal to the nearest crossing with the surface that faces the same side. The
-nodes of a rim go to the closest points of the surface's rim; the others first follow them by the harmonic extension of
-these displacements, so that a rim that moves within the surface pushes no triangles together. A closed surface has no
-rim; it is first shifted to where the other one's centre is.
+Each node of the reference moves along its normal to the nearest crossing with the surface that faces the same side. The
+nodes of its rim move to the closest points of the surface's rim; the others first follow them by the harmonic extension
+of these displacements, so that a rim that moves within the surface pushes no triangles together. A closed surface has
+no rim; the reference is first shifted to the centre of the other surface.
 """
 
 from collections.abc import Sequence
@@ -27,17 +27,17 @@ from strandline.interface.triangles import shortest_altitudes, vector_areas
 __all__ = ["Projection", "Reference", "common_reference"]
 
 CANDIDATES = 8
-"""Runs whose surface may be the reference, the first ones."""
+"""Number of runs, counted from the first, whose surface may be the reference."""
 FAR = 3.0
-"""How many times as far as the nearest triangle's centre a crossing may be; beyond, the closest point is taken."""
+"""Largest distance of a crossing, relative to the nearest triangle's centre; beyond, the closest point is taken."""
 FLAT = 0.01
-"""Altitude by longest side, as a share of what it was in the reference, below which a triangle counts as flat."""
+"""Altitude over longest side, as a share of its value in the reference, below which a triangle counts as flat."""
 TURNED = 0.01
-"""Area turned over, by the square of the longest side, from which a triangle counts so: slivers turn by rounding."""
+"""Area over squared longest side, above which a triangle that faces back is turned over: slivers turn by rounding."""
 _BRANCHES = 8
-"""Parts of a box around triangles."""
+"""Number of parts that a box around triangles is divided into."""
 _EDGE = 1e-9
-"""How far outside a triangle, in its coordinates, a line may pass: two neighbours leave no gap."""
+"""How far outside a triangle, in its coordinates, a line may pass, so that neighbours leave no gap."""
 
 Points = Float[np.ndarray, "point 3"]
 
@@ -68,7 +68,7 @@ class Projection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The surface whose nodes stand for those of all, and where they are on those that they were projected onto."""
+    """The surface whose nodes stand for those of all, and their projections onto other surfaces so far."""
 
     surface: Interface
     known: dict[bytes, "Projection | str"] = field(default_factory=dict, repr=False)
@@ -85,7 +85,7 @@ class Reference:
 
     @cached_property
     def spread(self) -> Float[np.ndarray, "point rim"]:
-        """What each node moves by where one of the rim's moves by 1: harmonic along the surface.
+        """Displacement of each node if one node of the rim moves by 1: harmonic along the surface.
 
         Parts without a rim stay where they are.
         """
@@ -101,7 +101,7 @@ class Reference:
         return out
 
     def on(self, surface: Interface) -> "Projection | str":
-        """Return its nodes on `surface`, whichever side that faces; or, in words, why that is impossible."""
+        """Return its nodes projected onto `surface`, whichever side that faces; or, in words, why that fails."""
         key = blake2b(surface.points.tobytes() + surface.cells.tobytes()).digest()
         if key not in self.known:
             self.known[key] = _project(surface, self)
@@ -109,10 +109,10 @@ class Reference:
 
 
 def common_reference(surfaces: Sequence[Interface]) -> Reference | str:
-    """Return the first surface that fits onto all others, of the first few; or, in words, why the very first does not.
+    """Return the first of the leading surfaces that fits onto all others; or, in words, why the very first does not.
 
-    Strongly bent ones may not fit onto flatter ones, while these do onto them. What has been projected is kept for the
-    references used last, so that further runs cost no more than themselves.
+    A strongly bent surface may not fit onto a flatter one that fits onto it. The projections of the references used
+    last are kept, so that each further run costs only its own projection.
     """
     first, hard = "", list[Interface]()
     for candidate in surfaces[:CANDIDATES]:
@@ -133,7 +133,7 @@ def _reference(snapshot: Snapshot) -> Reference:
 def _project(surface: Interface, reference: Reference) -> Projection | str:
     topology = _topology(surface)
     if topology != reference.topology:
-        return f"surfaces of other kinds: {reference.topology} in one run; {topology} in another"
+        return f"surfaces of different kinds: {reference.topology} in one run; {topology} in another"
     if surface.runs_against(reference.surface):
         surface = surface.reversed()
     start, sides, rim = reference.surface.points, _rim(surface), np.unique(reference.sides)
@@ -162,7 +162,7 @@ def _along_normals(
     surface: Interface,
     centres: cKDTree,
 ) -> Float[np.ndarray, "inner 3"]:
-    """Return the nearest crossings of the nodes' normals with `surface`; its closest points where these are far."""
+    """Return the nearest crossings of the nodes' normals with `surface`; its closest points if these are far."""
     start, normals = points[which], _vertex_normals(points, cells)[which]
     steps = _crossings(start, normals, surface)
     distances, nearest = centres.query(start)
@@ -177,7 +177,7 @@ def _along_normals(
 def _crossings(
     start: Float[np.ndarray, "line 3"], along: Float[np.ndarray, "line 3"], surface: Interface
 ) -> Float[np.ndarray, " line"]:
-    """Return how far along each line the nearest triangle is crossed that faces the same side, mm; inf where none is.
+    """Return how far along each line the nearest triangle that faces the same side is crossed, mm; inf if none is.
 
     The crossing solves start + t·along = a + v·(b - a) + w·(c - a) by Cramer's rule (Möller and Trumbore).
     """
@@ -201,7 +201,7 @@ def _crossings(
 def _near_lines(
     start: Float[np.ndarray, "line 3"], along: Float[np.ndarray, "line 3"], surface: Interface
 ) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
-    """Return pairs of a line and a triangle that it may cross: balls around ever fewer triangles, near each other."""
+    """Return pairs of a line and a triangle that it may cross, by balls around ever fewer neighbouring triangles."""
     corners, number = surface.points[surface.cells], len(surface.cells)
     order = cKDTree(surface.centres, leafsize=_BRANCHES).indices
     low, high = corners.min(axis=1)[order], corners.max(axis=1)[order]
@@ -224,7 +224,7 @@ def _near_lines(
 
 
 def _fault(points: Points, reference: Interface, surface: Interface, centres: cKDTree) -> str:
-    """Return in words the first triangle between the points that is no picture of the surface; "" where none is."""
+    """Return in words which triangles between the points misrepresent the surface; "" if none do."""
     cells = reference.cells
     longest = np.linalg.norm(points[cells] - np.roll(points[cells], 1, axis=1), axis=2).max(axis=1)
     before = np.linalg.norm(reference.points[cells] - reference.points[np.roll(cells, 1, axis=1)], axis=2).max(axis=1)
@@ -236,7 +236,7 @@ def _fault(points: Points, reference: Interface, surface: Interface, centres: cK
         if wrong.any():
             where = ", ".join(f"{x:.6g}" for x in reference.points[cells[np.argmax(wrong)]].mean(axis=0))
             return (
-                f"{wrong.sum()} triangle(s) of one run's surface {word} where that is projected onto another's, "
+                f"{wrong.sum()} triangle(s) of one run's surface {word} when it is projected onto another's, "
                 f"the first at ({where}) mm"
             )
     return ""
@@ -255,7 +255,7 @@ def _error(points: Points, reference: Reference, surface: Interface, sides: Int[
 def _closest_on_sides(
     start: Float[np.ndarray, "line 3"], points: Points, sides: Int[np.ndarray, "side 2"]
 ) -> Float[np.ndarray, "line 3"]:
-    """Return the closest point of these sides to each point, by trying them all."""
+    """Return the closest point on these sides to each point, by trying all sides."""
     a = points[sides[:, 0]]
     d = points[sides[:, 1]] - a
     offset = start[:, None] - a
@@ -274,7 +274,7 @@ def _vertex_normals(points: Points, cells: Int[np.ndarray, "cell 3"]) -> Points:
 
 
 def _sides(surface: Interface) -> tuple[Int[np.ndarray, "side 2"], Int[np.ndarray, " side"]]:
-    """Return all sides of triangles, each once, and how many triangles have it."""
+    """Return all sides of triangles, each once, and how many triangles share each."""
     cells, number = surface.cells, len(surface.points)
     both = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
     found, counts = np.unique(both[:, 0] * number + both[:, 1], return_counts=True)

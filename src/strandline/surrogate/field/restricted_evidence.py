@@ -1,6 +1,6 @@
-"""Evidence of a mode's process with its mean and its variance integrated out or profiled, and its gradient.
+"""Evidence of a mode's process, with its mean integrated out and its variance profiled, and its gradient.
 
-y = F b + f + noise with f of covariance s² K, noise of variance s² τ and a flat prior of b: the restricted likelihood
+y = F b + f + noise with f of covariance s² K, noise of variance s² τ and a flat prior on b: the restricted likelihood
 (Patterson and Thompson 1971; Rasmussen and Williams 2006, Eq. 2.45), profiled over s². Coordinates are the logarithms
 of the length scales, and of τ.
 """
@@ -19,12 +19,12 @@ __all__ = ["Conditioned", "Observed", "condition_mode", "restricted_evidence"]
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What is known of one function: values, and gradients where there are any.
+    """Data on one function: values, and gradients if available.
 
     Args:
         z: Inputs, standardised (run, dim).
         values: Values of the function (run,).
-        gradients: Derivatives by the standardised inputs (run, dim), or None.
+        gradients: Derivatives with respect to the standardised inputs (run, dim), or None.
         linear: Whether the mean is linear in the inputs or constant.
     """
 
@@ -34,7 +34,7 @@ class Observed:
     linear: bool
 
     def scaled(self, lengths: Float[np.ndarray, " dim"]) -> Float[np.ndarray, " row"]:
-        """Return values and derivatives by the inputs in length scales, in one column."""
+        """Return values, and derivatives with respect to the inputs in length scales, in one column."""
         if self.gradients is None:
             return self.values
         return np.concatenate([self.values, (self.gradients * lengths).T.ravel()])
@@ -66,7 +66,7 @@ class Conditioned:
 
     @property
     def precision(self) -> Float[np.ndarray, "row row"]:
-        """(K + τ I)⁻¹ less what the unknown mean takes away: P = K⁻¹ - K⁻¹F (FᵀK⁻¹F)⁻¹ FᵀK⁻¹."""
+        """(K + τ I)⁻¹ less the part due to the unknown mean: P = K⁻¹ - K⁻¹F (FᵀK⁻¹F)⁻¹ FᵀK⁻¹."""
         inverse, _ = lapack.dpotri(self.cholesky, lower=1)
         inverse = np.tril(inverse) + np.tril(inverse, -1).T
         return np.asarray(inverse - self.solved_trend @ np.linalg.solve(self.normal, self.solved_trend.T))
@@ -99,7 +99,7 @@ def condition_mode(observed: Observed, lengths: Float[np.ndarray, " dim"], nugge
 def restricted_evidence(
     observed: Observed, log_lengths: Float[np.ndarray, " dim"], log_nugget: float
 ) -> tuple[float, Float[np.ndarray, " coordinate"]]:
-    """Return the log evidence, up to a constant, and its gradient by the log lengths and the log nugget.
+    """Return the log evidence, up to a constant, and its gradient with respect to log lengths and log nugget.
 
     Raises:
         NumericsError: the covariance is not positive definite, or the data leave no residual.
@@ -126,7 +126,7 @@ def restricted_evidence(
 def _by_kernel(
     observed: Observed, W: Float[np.ndarray, "row row"], lengths: Float[np.ndarray, " dim"], nugget: float
 ) -> Float[np.ndarray, " coordinate"]:
-    """Return Σ W_ab ∂(K + τ I)_ab by each log length and by log τ; the derivatives stay by the scaled coordinates."""
+    """Return Σ W_ab ∂(K + τ I)_ab by each log length and by log τ, with derivatives by the scaled coordinates."""
     (n, dim), derivatives = observed.z.shape, observed.gradients is not None
     u = observed.z / lengths
     K = covariance(u, u, rows=derivatives, columns=derivatives)

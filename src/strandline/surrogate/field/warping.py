@@ -1,4 +1,4 @@
-"""Inputs made straighter: a stiffness acts on a displacement by its logarithm or its reciprocal."""
+"""Inputs transformed to act more linearly: a stiffness acts on a displacement by its logarithm or its reciprocal."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from jaxtyping import Float
 __all__ = ["WARPS", "Warp", "Warping", "eligible"]
 
 SMALLEST_RATIO = 2.0
-"""An input whose box spans a smaller ratio is left as it is: all warps are straight there."""
+"""An input whose box spans a smaller ratio is left as it is: all warps are nearly linear there."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ WARPS = {
 
 @dataclass(frozen=True, eq=False)
 class Warping:
-    """Physical inputs → standardised ones: warped, less their mean over the box, over their deviation there.
+    """Physical inputs → standardised ones: warped, centred and scaled by their standard deviation over the box.
 
     Args:
         names: a warp of `WARPS` for each input.
@@ -50,7 +50,7 @@ class Warping:
     def gradients(
         self, x: Float[np.ndarray, "run dim"], by_input: Float[np.ndarray, "run *value dim"]
     ) -> Float[np.ndarray, "run *value dim"]:
-        """Return derivatives by the standardised inputs, given those by the physical ones."""
+        """Return derivatives with respect to the standardised inputs, given those by the physical ones."""
         _, spread = self._scale()
         slopes = np.stack([WARPS[name].slope(x[:, j]) for j, name in enumerate(self.names)], axis=1) / spread
         shape = (len(x), *(1,) * (by_input.ndim - 2), len(self.names))
@@ -68,5 +68,5 @@ class Warping:
 
 
 def eligible(low: Float[np.ndarray, " dim"], high: Float[np.ndarray, " dim"]) -> Sequence[int]:
-    """Return the inputs for which other warps than the identity can be tried: positive, over a wide enough ratio."""
+    """Return the inputs for which warps other than the identity can be tried: positive, with a wide enough ratio."""
     return [j for j in range(len(low)) if low[j] > 0 and high[j] >= SMALLEST_RATIO * low[j]]

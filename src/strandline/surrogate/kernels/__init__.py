@@ -30,10 +30,10 @@ KERNELS: dict[str, Kernel] = {
 
 
 def kernel_named(name: str, *, what: str = "name of the kernel") -> Kernel:
-    """Return the kernel of that name in `KERNELS`, or the object ``module:name``; `what` it is called in messages.
+    """Return the kernel of that name in `KERNELS`, or the object ``module:name``; `what` names it in messages.
 
     Raises:
-        InvalidInput: There is no such kernel, or the object is none.
+        InvalidInput: There is no such kernel, or the object is not a kernel.
     """
     found: Any = lookup(KERNELS, name, what)
     if not isinstance(found, Kernel):

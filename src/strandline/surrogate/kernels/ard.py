@@ -1,7 +1,7 @@
-"""Isotropic correlation functions of inputs that have a length each: c(s), s² = Σ_d u_d², u_d = (x_d - x'_d) / l_d.
+"""Isotropic correlation functions with a length for each input: c(s), s² = Σ_d u_d², u_d = (x_d - x'_d) / l_d.
 
-In units of the lengths they are the isotropic ones; what differs is the derivative by one length, with g(s) = c'(s) / s
-as there: ∂c/∂log l_d = -u_d² g(s).
+In units of the lengths they are the isotropic ones; only the derivative with respect to one length differs, with
+g(s) = c'(s) / s as there: ∂c/∂log l_d = -u_d² g(s).
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class Ard:
 
     @property
     def per_input(self) -> bool:
-        """A length for each input."""
+        """True: each input has its own length."""
         return True
 
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
@@ -51,7 +51,7 @@ class Ard:
         return self.radial.weighted_hessian(offset, weight)
 
     def of_columns(self, offset: Sequence[Array]) -> Array:
-        """Return c of one JAX array for each input."""
+        """Return c of offsets given as one JAX array per input."""
         return self.radial.of_columns(offset)
 
     def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Float[np.ndarray, " length"]) -> "_Columns":
@@ -61,7 +61,7 @@ class Ard:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """See `Pairs`. Distances are computed again each time: a matrix for each input would not fit in memory."""
+    """See `Pairs`. Distances are recomputed each time: a matrix for each input would not fit in memory."""
 
     radial: Isotropic
     columns: Float[np.ndarray, "dim run"]
@@ -96,6 +96,7 @@ class _Columns:
         scaled = self.columns * inverse_lengths[:, None]
 
         def part(tile: Tile) -> Float[np.ndarray, " dim"]:
+            """Return what one tile adds to the slope."""
             rows, columns = tile
             squares = _squares(scaled, tile)
             weight = precision[rows, columns].T - alpha[columns, None] * alpha[rows]

@@ -1,7 +1,7 @@
-"""exp(x) of arguments that are not positive, for the hot loop of the sampler: cheaper than JAX's own on a CPU.
+"""exp(x) for x ≤ 0, in the hot loop of the sampler: cheaper than JAX's own on a CPU.
 
-There are no special cases, except that results below 1e-270 are cut there. It pays where a radial kernel is summed (a
-fifth of the time); in a product of kernels, whose loop has more in its registers, JAX's own is quicker.
+There are no special cases, except that results below 1e-270 are cut there. It pays off if a radial kernel is summed (a
+fifth of the time); in a product of kernels, whose loop has more in its registers, JAX's own is faster.
 """
 
 import math
@@ -20,7 +20,7 @@ _LOWEST = -900.0
 
 @jax.custom_jvp
 def decay(x: jax.Array) -> jax.Array:
-    """Return exp(x) for x ≤ 0, to 2e-14 + 2e-16 |x| of it; JAX's own in single precision."""
+    """Return exp(x) for x ≤ 0, with relative error 2e-14 + 2e-16 |x|; JAX's own in single precision."""
     if x.dtype != np.float64:
         return jnp.exp(x)
     exponent = jnp.maximum(x * _LOG2_E, _LOWEST)

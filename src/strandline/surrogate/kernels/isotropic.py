@@ -39,7 +39,7 @@ class Isotropic:
 
     @property
     def per_input(self) -> bool:
-        """One length for all inputs."""
+        """False: one length for all inputs."""
         return False
 
     def by_log_length(self, s: Array) -> Array:
@@ -68,7 +68,7 @@ class Isotropic:
         return np.asarray(out)
 
     def of_columns(self, offset: Sequence[Array]) -> Array:
-        """Return c of one JAX array for each input."""
+        """Return c of offsets given as one JAX array per input."""
         return self.correlation(jnp.sqrt(sum(column**2 for column in offset)))
 
     def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Float[np.ndarray, " length"]) -> "_Distances":
@@ -113,6 +113,7 @@ class _Distances:
         inverse = float(inverse_lengths[0])
 
         def part(tile: Tile) -> Float[np.ndarray, "1"]:
+            """Return what one tile adds to the slope."""
             rows, columns = tile
             slope = self.kernel.by_log_length(inverse * self.r[rows, columns].T)
             slope *= alpha[columns, None] * alpha[rows] - precision[rows, columns].T

@@ -1,6 +1,6 @@
 """Products over the inputs of one-dimensional correlation functions p(t) exp(-t), t = κ |x - x'| / l.
 
-Each input has a length l of its own, and the whole has one variance: if each factor had its own, data could determine
+Each input has its own length l, and the whole has one variance: if each factor had its own, data could determine
 only their product. The Matérn functions of half-integer order have this form, and their product needs a single
 exponential: c = Π_d p(t_d) · exp(-Σ_d t_d). Relative to c, and with u = (x - x') / l:
 
@@ -43,7 +43,7 @@ class Product:
 
     @property
     def per_input(self) -> bool:
-        """A length for each input."""
+        """True: each input has its own length."""
         return True
 
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
@@ -68,7 +68,7 @@ class Product:
         return np.asarray(out)
 
     def of_columns(self, offset: Sequence[Array]) -> Array:
-        """Return c of one JAX array for each input."""
+        """Return c of offsets given as one JAX array per input."""
         distance = [jnp.abs(column) for column in offset]
         return math.prod(self.polynomial(self.rate * u) for u in distance) * jnp.exp(-self.rate * sum(distance))
 
@@ -83,7 +83,7 @@ class Product:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """See `Pairs`. Distances are computed again each time: a matrix for each input would not fit in memory."""
+    """See `Pairs`. Distances are recomputed each time: a matrix for each input would not fit in memory."""
 
     kernel: Product
     columns: Float[np.ndarray, "dim run"]
@@ -117,6 +117,7 @@ class _Columns:
         scaled = self._scaled(inverse_lengths)
 
         def part(tile: Tile) -> Float[np.ndarray, " dim"]:
+            """Return what one tile adds to the slope."""
             rows, columns = tile
             t = _distances(scaled, tile)
             weight = alpha[columns, None] * alpha[rows]

@@ -1,4 +1,4 @@
-"""What a Gaussian process asks of its correlation function c(x - x').
+"""What a Gaussian process requires of its correlation function c(x - x').
 
 The covariance is σ0² c. Offsets are given in length scales: one length for all inputs, or one for each.
 """
@@ -60,7 +60,7 @@ class Kernel(Protocol):
 
     @property
     def per_input(self) -> bool:
-        """Whether each input has a length of its own."""
+        """Whether each input has its own length."""
         ...
 
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
@@ -70,17 +70,17 @@ class Kernel(Protocol):
     def weighted_gradient(
         self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
     ) -> Float[np.ndarray, "point dim"]:
-        """Return Σ_run weight ∇c, the gradient by the offset."""
+        """Return Σ_run weight ∇c, the gradient with respect to the offset."""
         ...
 
     def weighted_hessian(
         self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
     ) -> Float[np.ndarray, "point dim dim"]:
-        """Return Σ_run weight ∇∇c, the Hessian by the offset; exact at a training point too."""
+        """Return Σ_run weight ∇∇c, the Hessian with respect to the offset; exact at training points too."""
         ...
 
     def of_columns(self, offset: Sequence[Array]) -> Array:
-        """Return c of one JAX array for each input, all of one shape."""
+        """Return c of offsets given as one JAX array per input, all of one shape."""
         ...
 
     def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Float[np.ndarray, " length"]) -> Pairs:
@@ -92,7 +92,7 @@ def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Float[np.
     """Return the lengths that `kernel` has in `dim` dimensions; one number stands for all of them.
 
     Raises:
-        InvalidInput: not positive, or several lengths that are not one for each input.
+        InvalidInput: a length that is not positive, or several lengths that are not one for each input.
     """
     given, count = np.atleast_1d(np.asarray(length_scale, float)), dim if kernel.per_input else 1
     if given.size not in (1, count) or not (given > 0).all():

@@ -1,8 +1,8 @@
 """Squared exponential, isotropic: exp(-s²/2); also called Gaussian or RBF.
 
-Its samples are analytic, and its covariance is far worse conditioned than a Matérn one's of the same length: the
-eigenvalues fall faster than any power. Where the factorisation fails in floating point, `NumericsError` says so, and
-the optimiser of the evidence takes such lengths for a wall.
+Its samples are analytic, and its covariance is far worse conditioned than a Matérn one with the same length: the
+eigenvalues fall faster than any power. If the factorisation fails in floating point, `NumericsError` is raised, and
+the optimiser of the evidence treats such lengths as a wall.
 """
 
 from strandline.surrogate.kernels.isotropic import Isotropic

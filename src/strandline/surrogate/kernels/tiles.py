@@ -1,7 +1,7 @@
-"""The lower triangle of a matrix in tiles that stay in the cache, done by several threads where that is worth it.
+"""The lower triangle of a matrix in tiles that stay in the cache, processed by several threads if that is worth it.
 
-NumPy releases the interpreter within an operation on a tile, so that threads overlap. There are as many as
-``OMP_NUM_THREADS`` says, the limit that BLAS keeps as well; by default, as many as the process has cores.
+NumPy releases the interpreter lock during an operation on a tile, so threads overlap. Their number is
+``OMP_NUM_THREADS``, the limit that BLAS follows as well; by default, the number of cores of the process.
 """
 
 import os
@@ -31,7 +31,7 @@ def lower_tiles(number: int) -> Iterator[list[Tile]]:
 
 
 def over_tiles(number: int, task: Callable[[Tile], T]) -> list[T]:
-    """Return `task` of each tile of a triangle of `number` rows, in the order of the tiles."""
+    """Return the results of `task` for each tile of a triangle of `number` rows, in the order of the tiles."""
 
     def group(tiles: list[Tile]) -> list[T]:
         return [task(tile) for tile in tiles]
@@ -55,7 +55,7 @@ def offsets_of_tile(columns: Float[np.ndarray, "dim run"], tile: Tile) -> Float[
 
 
 def clear_above(values: Float[np.ndarray, "column row"], tile: Tile) -> None:
-    """Set to zero what lies on or above the diagonal."""
+    """Set the values on and above the diagonal to zero."""
     rows, columns = tile
     if rows.start < columns.stop:
         values[np.arange(columns.start, columns.stop)[:, None] >= np.arange(rows.start, rows.stop)] = 0.0
