@@ -1,9 +1,9 @@
-# Everything a fresh machine needs is set up by the targets themselves; only Python 3.11 or later is assumed.
+# The targets install everything they need; a fresh machine only has to have Python 3.11 or later.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
-# Compiled once: hundreds of tests start Python anew.
+# Keep compiled bytecode: hundreds of tests start a new Python process.
 export PYTHONDONTWRITEBYTECODE =
 
 .PHONY: env demo reproduce test test-all test-slurm check installed dist bench bench-env pyvbmc-env docs clean
@@ -24,11 +24,11 @@ $(VENV)/.installed-check: $(VENV)/.installed
 demo: env
 	$(BIN)/strandline run studies/biofilm-uniform
 
-# All examples of the published study, and what is to be said of them.
+# Run all examples of the published study and judge its claims.
 reproduce: env
 	$(BIN)/python -m verification.reproduction
 
-# Without the statistical tests marked long.
+# All tests except the statistical ones marked long.
 test: env
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not long" --ignore=tests/slurm
 
@@ -36,7 +36,7 @@ test-all: env
 	$(BIN)/python -m pytest -n auto --dist loadgroup --ignore=tests/slurm
 	$(BIN)/python -m pytest tests/slurm
 
-# Against a SLURM of their own; skipped where its programs are missing (Debian: slurmctld slurmd slurm-client munge).
+# These tests start their own SLURM; skipped if its programs are missing (Debian: slurmctld slurmd slurm-client munge).
 test-slurm: env
 	$(BIN)/python -m pytest -m "not long" tests/slurm
 
@@ -48,7 +48,7 @@ check: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	$(BIN)/python -m verification.validation.installed
 
-# The wheel alone, in empty environments, with this Python and the newest one that is found (see STRANDLINE_PYTHONS).
+# Test the wheel alone, in empty environments, with this Python and the newest one found (see STRANDLINE_PYTHONS).
 installed: $(VENV)/.installed-check
 	$(BIN)/python -m verification.validation.installed
 
@@ -59,11 +59,11 @@ dist: $(VENV)/.installed-check
 docs: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W -b html docs docs/_build/html
 
-# strandline beside other programs, about a quarter of an hour; best on an idle machine.
+# Compare strandline with other programs: about a quarter of an hour, best on an idle machine.
 bench: bench-env
 	$(BIN)/python -m verification.benchmarks
 
-# The other programs have an environment of their own. Without them the benchmark says what it did not measure.
+# The other programs have their own environment. Without it, the benchmark reports what it did not measure.
 bench-env: env
 	$(BIN)/python -m verification.benchmarks.peers.install
 

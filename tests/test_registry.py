@@ -112,7 +112,7 @@ def test_a_study_of_entries_that_are_all_somebody_elses(tmp_path: Path, without_
     [
         ("curents", "Did you mean currents"),
         ("no_such_module:Measure", "ModuleNotFoundError"),
-        ("math:no_such_name", "a name that math has"),
+        ("math:no_such_name", "a name defined in math"),
         (":Measure", "module:name, e.g."),
     ],
 )

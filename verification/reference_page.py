@@ -1,4 +1,4 @@
-"""The keys of study.yaml on the page that lists them: ``python -m verification.reference_page`` writes its table."""
+"""The table of the keys of study.yaml on its reference page: ``python -m verification.reference_page`` writes it."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference" / "study.md"
 
 
 def page() -> str:
-    """Return the text of the page with the keys as they are."""
+    """Return the text of the page with the present keys."""
     rows = tuple((f"`{key.name}`", _default(key.default), key.meaning) for key in listed(StudyFile))
     table = Table("keys", "Keys of study.yaml", ("key", "default", "meaning"), ("s", "s", "s"), rows)
     return put_into_page(PAGE.read_text("utf-8"), [table])

@@ -1,6 +1,6 @@
 """strandline: Bayesian calibration of computational-mechanics models from the shape of a measured interface.
 
-The names below stand in the order of the pipeline; `calibrate` runs all of it.
+The names below follow the order of the pipeline; `calibrate` runs all of it.
 """
 
 import importlib
@@ -98,7 +98,7 @@ _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.s
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is asked for: the command line's help takes no numerics."""
+    """Import a public name when it is requested, so that the command line's help loads no numerics."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

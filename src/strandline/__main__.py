@@ -1,4 +1,4 @@
-"""`python -m strandline` is the command `strandline`."""
+"""`python -m strandline` runs the command `strandline`."""
 
 from strandline.cli import main
 

@@ -5,12 +5,12 @@ StrandlineError
 ├── InvalidInput            the caller can fix it: exit code 2, one line, nothing written
 │   ├── InvalidStudy        study.yaml or the study folder
 │   ├── InvalidInterface    an observed or supplied polyline
-│   │   └── NoCommonPoints  interfaces of runs that make no field over the inputs
-│   ├── LedgerError         a ledger that is locked, foreign, unreadable or of a newer version
+│   │   └── NoCommonPoints  interfaces of runs that cannot be brought to common points
+│   ├── LedgerError         a ledger that is locked, unreadable, of another model or of a newer version
 │   └── TooFewRuns          not enough successful forward runs to go on
-├── ForwardModelError       one forward run failed: data, never the end of a campaign
-├── CampaignStopped         a campaign ended before its last run, as its failure policy says
-├── ResultsNotWritten       some files of the results could not be written; the others were
+├── ForwardModelError       one forward run failed: this is data and does not end a campaign
+├── CampaignStopped         a campaign ended before its last run, as its failure policy requires
+├── ResultsNotWritten       some result files could not be written; the others were
 └── NumericsError           a numerical method could not deliver what it promises
 ```
 """
@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 EndState = Literal["failed", "timeout", "killed", "invalid"]
 LONGEST_VALUE, LONGEST_PART = 160, 1000
-"""Characters of a message: of the value that was found, and of each other part."""
+"""Maximum number of characters in a message: for the value found, and for each other part."""
 
 
 class StrandlineError(Exception):
@@ -72,11 +72,11 @@ class ForwardModelError(StrandlineError):
     Args:
         kind: short machine-readable reason, e.g. ``newton_stalled``.
         message: one sentence for a person.
-        evidence: figures that support the kind, e.g. the load reached.
-        state: how the run ended: ``failed`` | ``timeout`` | ``killed``, by something other than itself, so that it
-            deserves another try | ``invalid``, with a result that cannot be used. Left out, ``timeout`` where the kind
-            is, else ``failed``.
-        log: tail of what the simulator printed.
+        evidence: numbers that support the kind, e.g. the load reached.
+        state: how the run ended: ``failed`` | ``timeout`` | ``killed`` by something other than itself, so that it
+            deserves another try | ``invalid``, with a result that cannot be used. Default: ``timeout`` if `kind` is
+            ``timeout``, else ``failed``.
+        log: end of the simulator's output.
     """
 
     def __init__(
@@ -98,16 +98,16 @@ class ForwardModelError(StrandlineError):
 
 
 class CampaignStopped(StrandlineError):
-    """A campaign ended before its last run, as its failure policy says; the message tells why and what to do."""
+    """A campaign ended before its last run, as its failure policy requires; the message says why and what to do."""
 
 
 class ResultsNotWritten(StrandlineError):
     """Some files of a finished study could not be written; the others were.
 
     Args:
-        folder: the study's.
-        missing: why each file is missing, by name.
-        outcome: what was found, as `run_study` would have returned it.
+        folder: the study folder.
+        missing: reason why each file is missing, by file name.
+        outcome: the outcome that `run_study` would have returned.
     """
 
     def __init__(self, folder: Path, missing: Mapping[str, str], outcome: Any) -> None:
@@ -141,18 +141,18 @@ def _rebuild_failure(
 
 
 def _shown(value: object) -> str:
-    """Return `value` on one line of bearable length."""
+    """Return `value` on one line of reasonable length."""
     if value is None:
         return "nothing"
     try:
         text = value if isinstance(value, str) else repr(value)
-    except (ValueError, RecursionError):  # a number of thousands of digits, a list within itself
+    except (ValueError, RecursionError):  # a number with thousands of digits, a list that contains itself
         text = f"a {type(value).__name__} too long to show"
     return _line(text, LONGEST_VALUE)
 
 
 def _line(text: str, longest: int = LONGEST_PART) -> str:
-    """Return `text` on one line, shortened, control characters written out."""
+    """Return `text` on one line, shortened, with control characters escaped."""
     words = " ".join(text[: 4 * longest].split())
     plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
     return plain if len(plain) <= longest else plain[: longest - 3] + "…"

@@ -29,7 +29,7 @@ RESERVED = (
     "nuisance_values",
     "conditional_log_evidence",
 )
-"""What the files of a posterior call their own variables and dimensions, and no input may be called."""
+"""Names of variables and dimensions in the files of a posterior; no input may have one of them."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +37,18 @@ class Parameter:
     """One uncertain input.
 
     Args:
-        name: the simulator's name of it; see `strandline.text.require_name`.
+        name: name of the input in the simulator; see `strandline.text.require_name`.
         prior: the distribution before the data are seen.
         unit: e.g. ``Pa``; ``1`` for a pure number.
-        box: interval in which forward runs are made; where it is left out, the support of the prior.
-        nuisance: not asked for, only uncertain (θ of the paper): the answer is an average over it.
-        symbol: what figures, report and tables call it, e.g. ``ν`` or ``V̇_in``; its name where there is none.
+        box: interval in which forward runs are made; default: the support of the prior.
+        nuisance: whether the input is uncertain but not calibrated (θ in the paper); results are averaged over it.
+        symbol: symbol in figures, report and tables, e.g. ``ν`` or ``V̇_in``; default: the name.
 
-    A prior that reaches beyond the box is truncated to it, and `mass_cut` tells how much was cut off: outside the box
-    nothing is known of the simulator.
+    A prior that extends beyond the box is truncated to it, because nothing is known about the simulator outside the
+    box; `mass_cut` is the probability cut off.
 
     Raises:
-        InvalidInput: a name or a unit that results cannot hold, or a box that cannot be.
+        InvalidInput: the name or the unit cannot be stored in results, or the box is invalid.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Parameter:
 
     @property
     def shown(self) -> str:
-        """Its symbol, or else its name."""
+        """The symbol, or the name if there is no symbol."""
         return self.symbol or self.name
 
     def figure_label(self) -> str:
@@ -124,7 +124,7 @@ class ParameterSpace:
                 "inputs to calibrate",
                 value=f"none: {', '.join(names)} {'is' if len(names) == 1 else 'are all'} nuisance",
                 expected="at least one input that is not nuisance",
-                remedy="Take `nuisance` away from the inputs that are asked for.",
+                remedy="Remove `nuisance` from the inputs to calibrate.",
             )
 
     def __iter__(self) -> Iterator[Parameter]:
@@ -144,17 +144,17 @@ class ParameterSpace:
 
     @property
     def calibrated(self) -> tuple[int, ...]:
-        """Columns of the inputs that are asked for, x of the paper."""
+        """Columns of the calibrated inputs, x in the paper."""
         return tuple(i for i, p in enumerate(self.parameters) if not p.nuisance)
 
     @property
     def nuisance(self) -> tuple[int, ...]:
-        """Columns of the nuisance inputs, θ of the paper."""
+        """Columns of the nuisance inputs, θ in the paper."""
         return tuple(i for i, p in enumerate(self.parameters) if p.nuisance)
 
     @property
     def calibrated_space(self) -> "ParameterSpace":
-        """The inputs that are asked for alone, in their order."""
+        """The calibrated inputs only, in order."""
         return ParameterSpace(tuple(self.parameters[i] for i in self.calibrated))
 
     @property
@@ -185,7 +185,7 @@ class ParameterSpace:
         return sum(p.truncated_prior.log_density(x[..., i]) for i, p in enumerate(self.parameters))
 
     def prior_quantiles(self, p: Float[np.ndarray, "particle dim"]) -> Float[np.ndarray, "particle dim"]:
-        """Map uniform numbers to draws of the prior by the quantile functions, input by input."""
+        """Map uniform numbers to draws from the prior through the quantile functions, input by input."""
         columns = [q.truncated_prior.quantile(p[:, i]) for i, q in enumerate(self.parameters)]
         return np.stack([np.asarray(c, float) for c in columns], axis=1)
 

@@ -1,7 +1,7 @@
 """Univariate prior distributions.
 
 A prior is a small frozen dataclass with a log density that works on NumPy *and* JAX arrays (and under `jax.jit`),
-and with a cumulative distribution and quantile on NumPy arrays. A study names one of your own as ``module:name``.
+and with a cumulative distribution and quantile on NumPy arrays. A study can use your own prior as ``module:name``.
 """
 
 import math
@@ -18,11 +18,11 @@ __all__ = ["PRIORS", "LogNormal", "Normal", "Prior", "ScaledBeta", "Truncated", 
 Array = Any  # a NumPy or a JAX array of any shape, or a float
 
 LEAST_MASS = 1e-10
-"""Mass that a truncated prior must keep: below, the rounding of the cumulative distribution shows in its density."""
+"""Minimum mass of a truncated prior; below it, rounding errors of the cumulative distribution show in the density."""
 LARGEST, LEAST, LEAST_SHARE = 1e100, 1e-100, 1e-9
-"""Largest magnitude of a number in a prior, least width, and least width as a share of the numbers themselves."""
+"""Largest magnitude of a number in a prior, smallest width, and smallest width as a share of the numbers themselves."""
 MOST_SHAPE, MOST_MU, MOST_SIGMA = 1e6, 300.0, 100.0
-"""Largest shape of a beta distribution, largest |mu| and sigma of a log-normal one: beyond, exponentials overflow."""
+"""Largest shape of a beta distribution, largest |mu| and sigma of a log-normal; exponentials overflow beyond these."""
 
 
 @runtime_checkable
@@ -236,7 +236,7 @@ PRIORS = {"uniform": Uniform, "normal": Normal, "lognormal": LogNormal, "beta": 
 
 
 def truncate(prior: Prior, low: float, high: float) -> Prior:
-    """Return `prior` restricted to [low, high]; itself where nothing is cut off."""
+    """Return `prior` restricted to [low, high]; `prior` itself if nothing is cut off."""
     support_low, support_high = prior.support
     if low <= support_low and support_high <= high:
         return prior
@@ -256,7 +256,7 @@ def require_span(what: str, low: float, high: float) -> None:
     """Refuse an interval too wide or too narrow to compute with.
 
     Raises:
-        InvalidInput: with `what` it is.
+        InvalidInput: the interval is refused; the message begins with `what`.
     """
     size = max(abs(low), abs(high))
     if size > LARGEST:

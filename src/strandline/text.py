@@ -1,4 +1,4 @@
-"""What names, units and numbers may look like where a person writes them; every face of the package asks here."""
+"""Rules for names, units and numbers that a person writes, shared by all parts of the package."""
 
 import re
 from collections.abc import Collection
@@ -8,18 +8,18 @@ from strandline.errors import InvalidInput
 __all__ = ["LONGEST", "decimal", "is_label", "is_name", "require_label", "require_name", "with_sd"]
 
 LONGEST = 64
-"""Characters of a name or a unit."""
+"""Maximum number of characters in a name or a unit."""
 NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 NOT_IN_NAMES = frozenset("/\\=$")
 
 
 def is_label(text: object) -> bool:
-    """Tell whether `text` can stand in figures, tables and files: short, on one line, without the `$` of formulas."""
+    """Return whether `text` suits figures, tables and files: short, on one line, without the `$` of formulas."""
     return isinstance(text, str) and len(text) <= LONGEST and text.isprintable() and "$" not in text
 
 
 def is_name(text: object) -> bool:
-    """Tell whether `text` can name an input: a label that netCDF files and ``--set NAME=NUMBER`` can hold."""
+    """Return whether `text` can name an input: a label that works in netCDF files and in ``--set NAME=NUMBER``."""
     return (
         isinstance(text, str)
         and is_label(text)
@@ -30,10 +30,10 @@ def is_name(text: object) -> bool:
 
 
 def require_label(what: str, text: object) -> None:
-    """Refuse a text that cannot stand in figures, tables and files.
+    """Refuse a text that cannot be used in figures, tables and files.
 
     Raises:
-        InvalidInput: with `what` it is.
+        InvalidInput: the text is refused; the message begins with `what`.
     """
     if not is_label(text):
         raise InvalidInput(
@@ -48,7 +48,7 @@ def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> 
     """Refuse a text that cannot name an input, and the `reserved` names.
 
     Raises:
-        InvalidInput: with `what` it is.
+        InvalidInput: the text is refused; the message begins with `what`.
     """
     if text in reserved:
         raise InvalidInput(
@@ -67,14 +67,14 @@ def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> 
 
 
 def decimal(text: str) -> float | None:
-    """Return the number that `text` is, in the digits 0 to 9 with a point and an exponent; None for all else.
+    """Return `text` as a number if it consists of the digits 0 to 9 with a point and an exponent, else None.
 
-    ``float`` alone would read ``1_0`` as 10 and take the digits of every script, and ``nan`` and ``inf``.
+    ``float`` alone would read ``1_0`` as 10, and accept the digits of any script, ``nan`` and ``inf``.
     """
     return float(text) if NUMBER.fullmatch(text) else None
 
 
 def with_sd(mean: float, sd: float) -> str:
-    """Return mean ± sd, the mean with as many decimals as the standard deviation shows with two digits."""
+    """Return mean ± sd; the mean has as many decimals as the standard deviation, which has two significant digits."""
     decimals = 0 if sd >= 10 or sd <= 0 else len(f"{sd:.2g}".partition("e")[0].partition(".")[2])
     return f"{mean:.{decimals}f} ± {sd:.2g}" if 1e-4 <= sd < 1e6 else f"{mean:.4g} ± {sd:.2g}"

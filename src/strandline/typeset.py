@@ -1,4 +1,4 @@
-"""Units and symbols as a reader expects them: ``mm^2/s`` as mm² s⁻¹, ``V_in`` with an index."""
+"""Units and symbols as a reader expects them: ``mm^2/s`` as mm² s⁻¹, ``V_in`` with a subscript."""
 
 import html
 import re
@@ -12,10 +12,10 @@ _SPACE = "\u00a0"
 
 
 def unit_text(unit: str, *, inverse: bool = False) -> str:
-    """Return a unit with raised exponents and negative ones for divisors; as it stands where it cannot be read.
+    """Return a unit with superscript exponents, negative ones for divisors; unchanged if it cannot be parsed.
 
-    ``mm^2/s`` becomes ``mm² s⁻¹``, ``1/Pa`` becomes ``Pa⁻¹``; a pure number has none. Blanks in it do not break.
-    `inverse` gives one over the unit, as a density has it.
+    ``mm^2/s`` becomes ``mm² s⁻¹``, ``1/Pa`` becomes ``Pa⁻¹``; a pure number has none. Spaces in it are non-breaking.
+    With `inverse`, return one over the unit, as for a density.
     """
     plain = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: "^" + found[0].translate(_LEVEL), unit.strip()).replace("**", "^")
     if plain in ("", "1"):
@@ -29,7 +29,7 @@ def unit_text(unit: str, *, inverse: bool = False) -> str:
 
 
 def _factors(unit: str) -> list[tuple[str, int]] | None:
-    """Return the factors of a unit and their powers, None where it is not a product of powers."""
+    """Return the factors of a unit and their powers; None if it is not a product of powers."""
     out: list[tuple[str, int]] = []
     for number, divided in enumerate(re.split(r"\s*/\s*", unit)):
         grouped = re.fullmatch(r"\((.*)\)", divided)
@@ -46,7 +46,7 @@ def _factors(unit: str) -> list[tuple[str, int]] | None:
 
 
 def figure_text(symbol: str) -> str:
-    """Return a symbol as Matplotlib draws it: what stands behind an underscore becomes an index, ``$`` stays one."""
+    """Return a symbol for Matplotlib: the part after an underscore becomes a subscript, ``$`` stays a dollar sign."""
     base, _, index = symbol.partition("_")
     if not base or not index or not re.fullmatch(r"[\w,]+", index):
         return symbol.replace("$", r"\$")
@@ -54,7 +54,7 @@ def figure_text(symbol: str) -> str:
 
 
 def html_text(symbol: str) -> str:
-    """Return a symbol as HTML, escaped: what stands behind an underscore becomes an index."""
+    """Return a symbol as escaped HTML: the part after an underscore becomes a subscript."""
     base, _, index = symbol.partition("_")
     if not base or not index:
         return html.escape(symbol)

@@ -175,7 +175,7 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
     "not a study folder": (no_study, ["not a study folder", "strandline init"]),
     "the file instead of the folder": (study_file, ["not a study folder", "Give the folder"]),
     "ledger of another model": (foreign_ledger, ["another model", "biofilm:r2:mesh=default in the ledger"]),
-    "ledger that is none": (garbage_ledger, ["damaged or no ledger", "Restore it"]),
+    "ledger that is none": (garbage_ledger, ["damaged or not a ledger", "Restore it"]),
     "reused ledger of another model": (foreign_reuse, ["other/ledger.sqlite keeps the runs of another model"]),
     "reused folder missing": (changed(reuse=["../none"]), ["reuse: got ../none"]),
     "design smaller than the surrogate needs": (

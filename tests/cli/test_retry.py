@@ -69,7 +69,7 @@ def test_a_study_whose_runs_all_fail_stops_early_with_the_log_and_goes_on_when_t
     folder = study(tmp_path, monkeypatch, name="never_licensed", above=200.0, **changes)
     code, said = refused(capsys, "run", str(folder), "--quiet", "--workers", "1")
     assert code == 1
-    assert "stopped, for 20 of 20 runs failed (20 × licence)" in said
+    assert "stopped because 20 of 20 runs failed (20 × licence)" in said
     assert "the server is down" in said
     assert "Traceback" not in said
     assert calls(tmp_path) == 22  # one is the synthetic observation, and one was begun meanwhile

@@ -241,7 +241,7 @@ def test_runs_without_figures_or_interfaces(tmp_path: Path, capsys: pytest.Captu
         (["--show", "a"], "--show: got a; expected the beginning of the key of one run, not of 7"),
         (["--show", "zz"], "--show: got zz: none of the 7 keys begins with zz; expected the beginning of the key"),
         (["--show", ""], "an argument is empty"),
-        (["--show", "aa1", "--state", "ok"], "--show: got another option beside it"),
+        (["--show", "aa1", "--state", "ok"], "--show: got another option with it"),
         (["--limit", "0"], "--limit"),
         (["--export", "runs.txt"], "expected a file name that ends with .csv or .nc"),
         (["--export", "runs"], "expected a file name that ends with .csv or .nc"),

@@ -216,7 +216,7 @@ def test_no_target_and_no_result_leads_out_of_the_runs_folder(folder: Path, name
         ("line\n{{ b }}", "in.j2, line 2: unknown variable: got b; expected one of a, load, python"),
         ("{% if a > 1 %}\n\n{{ aa }}{% endif %}", "in.j2, line 3: unknown variable: got aa"),
         ("{{ a }\n", "in.j2, line 1"),
-        ("{{ load }}", "the input a stands in no template"),
+        ("{{ load }}", "the input a is used in no template"),
         ("{{ a }} \udcff", "cannot be read"),
     ],
 )

@@ -345,7 +345,7 @@ def test_nan_in_a_mesh(tmp_path: Path) -> None:
         ({"cells": {"regoin": 7}}, "no cell data regoin: got region"),
         ({"cells": {"region": 9}}, "no such cells: got region = 9"),
         ({"field": "v", "block": "line"}, "no point data v: got"),
-        ({"field": "top", "block": "line"}, "expected a vector a point"),
+        ({"field": "top", "block": "line"}, "expected one vector per point"),
         ({"points": {"bottom": 1}}, "no point data bottom"),
         ({"block": 5}, "no block 5: got 2 blocks"),
         ({"block": "hexahedron"}, "no cells of the kind hexahedron: got triangle, line"),

@@ -229,7 +229,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(Unreadable, match="is missing") as caught:
         read(tmp_path / "none.npy")
     assert caught.value.kind == "result_missing"
-    with pytest.raises(Unreadable, match="is no file"):
+    with pytest.raises(Unreadable, match="is not a file"):
         read(tmp_path)
 
 

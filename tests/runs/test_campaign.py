@@ -297,7 +297,7 @@ def answering(answer):
     [
         (lambda model, requests: None, "got a NoneType; expected records"),
         (answering(lambda record: [record.interface]), "got a Interface; expected a RunRecord"),
-        (answering(lambda record: [record, record]), "each of them once"),
+        (answering(lambda record: [record, record]), "one record for each"),
         (answering(lambda record: [replace(record, key="another")]), "a record of the run another"),
     ],
     ids=["nothing", "interface", "twice", "unknown"],

@@ -58,7 +58,7 @@ def test_a_driver_whose_lock_file_was_deleted_says_who_took_its_ledger_over(
             if still_there:
                 second.communicate()
     said = str(caught.value)
-    assert f"another driver took the ledger {path} over: got its lock file was deleted" in said
+    assert f"another driver took over the ledger {path}: got its lock file was deleted" in said
     assert f"process {second.pid} on " in said
     assert "damaged" not in said
     assert "backup" not in said

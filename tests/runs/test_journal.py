@@ -145,7 +145,7 @@ def test_a_ledger_that_is_read_is_not_converted_and_the_driver_says_so(
         reader.execute("SELECT * FROM meta").fetchall()
         request.getfixturevalue("network")
         monkeypatch.setattr(journal, "BUSY_SECONDS", 0.1)
-        with pytest.raises(LedgerError, match=r"cannot be given a rollback journal.*Let it end"):
+        with pytest.raises(LedgerError, match=r"cannot be given a rollback journal.*Wait until it ends"):
             Ledger.open(path, model="m")
 
 

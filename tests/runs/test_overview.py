@@ -105,7 +105,7 @@ def test_refusals_are_those_of_the_ledger(path):
     with pytest.raises(LedgerError, match="another model"):
         Overview(path, model="other")
     path.write_bytes(b"no database" * 500)
-    with pytest.raises(LedgerError, match="damaged or no ledger"):
+    with pytest.raises(LedgerError, match="damaged or not a ledger"):
         Overview(path)
 
 

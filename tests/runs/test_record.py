@@ -136,7 +136,7 @@ def changed(**changes):
             "sensitivities",
             "4 numbers of d/dE of",
         ),
-        (changed(sensitivities=SLOPES | {"fast": {"E": "steep"}}), "sensitivities", "d/dE of fast is no array"),
+        (changed(sensitivities=SLOPES | {"fast": {"E": "steep"}}), "sensitivities", "d/dE of fast is not an array"),
         (changed(sensitivities=SLOPES | {"fast": {"F": np.ones((2, 2))}}), "sensitivities", "called 'F'"),
         (changed(sensitivities=SLOPES | {"rapid": SLOPES["slow"]}), "sensitivities", "called 'rapid'"),
     ],

@@ -154,7 +154,7 @@ def test_a_wrong_surrogate_is_caught(folder: Path) -> None:
     content = checked(folder, model=Changed(weaker=1.5))
     assert content["verdict"] == "bad"
     assert content["k_hat"] is None or content["k_hat"] > 0.7
-    assert content["remarks"][0].startswith("DO NOT BELIEVE THE SURROGATE")
+    assert content["remarks"][0].startswith("DO NOT TRUST THE SURROGATE")
     assert "Remedy: more runs near the posterior" in content["remarks"][1]
     assert content["remarks"][0] in (folder / "report.html").read_text("utf-8")
 

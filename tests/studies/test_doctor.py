@@ -63,7 +63,7 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "leftover": (lambda folder: (folder / ".summary.json.7.partial").touch(), "left by a process that was killed"),
     "versions": (lambda folder: summary_with(folder, version="0.0.1"), "other versions: strandline 0.0.1"),
     "model": (lambda folder: summary_with(folder, model="m"), "made with the model m"),
-    "missing": (lambda folder: (folder / "posterior.nc").unlink(), "missing beside summary.json: posterior.nc"),
+    "missing": (lambda folder: (folder / "posterior.nc").unlink(), "missing next to summary.json: posterior.nc"),
     "half": (lambda folder: (folder / "summary.json").unlink(), "without a readable summary.json"),
     "study": (lambda folder: (folder / "study.yaml").write_text("version: 1\n"), "study.yaml cannot be used"),
 }

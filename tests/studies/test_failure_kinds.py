@@ -121,7 +121,7 @@ def test_check_warns_of_a_word_where_kinds_are_not_known(tmp_path: Path, capsys:
     kinds = {"timeout": {"retry": 1}, "large_deflexion": "abort"}
     folder = write_study(tmp_path / "study", failures={"kinds": kinds})
     (line,) = checked(capsys, folder)
-    assert line.startswith("warning: failures.kinds.large_deflexion: no run has ended so yet")
+    assert line.startswith("warning: failures.kinds.large_deflexion: no run has ended with it yet")
     study = load_study(folder)
     key = study.runs.design_keys[0]
     with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:

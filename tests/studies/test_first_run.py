@@ -144,7 +144,7 @@ def test_a_reversed_contour_is_no_upside_down_one(
     folder = observe(tmp_path / "s", points[::-1])
     shown = checked(folder, capsys, observation=OBSERVED, simulator=simulator, discrepancy=CLOSEST)
     assert "y upwards" not in shown
-    assert "the observed points run against the model's interface and will be turned round" in shown
+    assert "the observed points run opposite to the model's interface and will be turned round" in shown
     upside_down = points[:, ::-1]
     assert "y upwards" in checked(observe(folder, upside_down), capsys, observation=OBSERVED, simulator=simulator)
 
@@ -156,7 +156,7 @@ def test_the_displacement_in_units_of_the_noise(
     shown = checked(tmp_path / "s", capsys, simulator=resting, noise={"sd": sd})
     moved = points[-1, 1]
     assert f"largest displacement: {1e3 * moved:.3g} µm, {moved / sd:.3g} σ_N (σ_N = " in shown
-    assert ("below the noise: the data cannot tell" in shown) == hidden
+    assert ("below the noise: the data cannot show it" in shown) == hidden
 
 
 def test_a_norm_has_a_noise_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

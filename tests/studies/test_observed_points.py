@@ -100,7 +100,7 @@ def test_options_of_reading_reach_the_observation(tmp_path: Path) -> None:
         load_study(write_study(tmp_path, observation=observation | {"columns": ["a", "c"]}))
     with pytest.raises(InvalidStudy, match=r"observation\.sort: got z"):
         load_study(write_study(tmp_path, observation=observation | {"sort": "z"}))
-    with pytest.raises(InvalidStudy, match="beside a `file` only"):
+    with pytest.raises(InvalidStudy, match="only with a `file`"):
         load_study(write_study(tmp_path, observation={"synthetic": {"E": 400}, "sort": "x"}))
 
 

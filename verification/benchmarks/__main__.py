@@ -1,7 +1,7 @@
 """`make bench`: ``python -m verification.benchmarks [PART ...]``, all parts if none is named, each in its own process.
 
-Each prints its figures and puts them into ``results.json`` in place of its earlier ones. The figures of a part that
-fails are missing, and the list says so. Exit status 1: a part failed. An aim that is missed is reported.
+Each part prints its figures and writes them to ``results.json`` in place of its earlier ones. If a part fails, its
+figures are missing, and the list says so. Exit status 1: a part failed. Missed aims are printed.
 """
 
 import importlib
@@ -38,7 +38,7 @@ def main(arguments: list[str]) -> int:
 
 
 def run(part: str) -> bool:
-    """Run a part in a process of its own; False, and a line in the results, where it failed."""
+    """Run a part in its own process; if it failed, write a line into the results and return False."""
     print(f"\n{part}", flush=True)
     load, begun = results.load_average(), time.perf_counter()
     status = subprocess.run([sys.executable, "-m", HERE, ALONE, part]).returncode

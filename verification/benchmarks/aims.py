@@ -1,8 +1,8 @@
-"""What the figures of the benchmark should be, and which figure each aim is of.
+"""Aims for the figures of the benchmark, and which figures each aim applies to.
 
-An aim is of every figure of its part in whose text (task, then case) its pattern is found, ignoring case. Aims of a
-ratio, of the clock's seconds or of all cores', are of figures with a peer in whose name the last pattern is found; aims
-of a value are of the others, in its unit. Of several the first one counts.
+An aim applies to every figure of its part whose text (task, then case) matches its pattern, ignoring case. Aims for a
+ratio, of wall seconds or of the seconds of all cores, apply to figures with a peer whose name matches the last pattern;
+aims for a value apply to the others, in the unit of the aim. If several aims apply, the first one counts.
 """
 
 import re
@@ -19,8 +19,8 @@ class Aim:
     """One line of the table below.
 
     Args:
-        name: Name in words, for a figure that is missing.
-        part: Module that measures it.
+        name: Name in words, shown if the figure is missing.
+        part: Module that measures the figure.
         task: Pattern in the figure's text.
         kind: RATIO, PER_CORE, MOST or LEAST.
         bound: Bound of the aim.
@@ -35,7 +35,7 @@ class Aim:
     of: str
 
     def applies(self, record: Mapping[str, Any]) -> bool:
-        """Return whether the aim is of this figure."""
+        """Return whether the aim applies to this figure."""
         text = f"{record['what']}, {record.get('case', '')}"
         if record["part"] != self.part or not re.search(self.task, text, re.IGNORECASE):
             return False
@@ -45,7 +45,7 @@ class Aim:
         return not record.get("peer_name") and record.get("unit") == self.of
 
     def met(self, record: Mapping[str, Any]) -> bool | None:
-        """Return whether the figure is as it should be; None where it was not measured."""
+        """Return whether the figure meets the aim; None if it was not measured."""
         figure = record.get(FIGURES[self.kind])
         if figure is None:
             return None
@@ -86,5 +86,5 @@ AIMS = (
 
 
 def aim_of(record: Mapping[str, Any], aims: Sequence[Aim] = AIMS) -> Aim | None:
-    """Return the first aim that is of this figure."""
+    """Return the first aim that applies to this figure."""
     return next((aim for aim in aims if aim.applies(record)), None)

@@ -12,15 +12,15 @@ REPEATS = 7
 
 
 class NotMeasured(Exception):
-    """Why a figure could not be measured: the text goes into the results."""
+    """The reason why a figure could not be measured; its text goes into the results."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Median seconds of a task, by strandline and by another program; None, and a remark, where not measured.
+    """Median seconds of a task, by strandline and by another program; None with a remark if not measured.
 
-    `case` distinguishes this line from others of the same task. The seconds of all cores together are given where both
-    programs ran in processes of their own.
+    `case` distinguishes this line from others of the same task. The seconds of all cores together are given if both
+    programs ran in their own processes.
     """
 
     what: str
@@ -64,7 +64,7 @@ def compared(
     atol: float = 1e-9,
     repeats: int = REPEATS,
 ) -> Comparison:
-    """Time both in turns, after a call of each whose answers must agree."""
+    """Time both in turns, after a first call of each; the answers of these calls must agree."""
     np.testing.assert_allclose(ours(), peer(), rtol=rtol, atol=atol)
     return summarised(what, peer_name, [(timed(ours), timed(peer)) for _ in range(repeats)])
 

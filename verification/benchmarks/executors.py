@@ -1,7 +1,7 @@
 """What a run costs in addition to the model: a beam with a closed form, a thousand runs, by each executor.
 
-The time before the first record, in which workers start, is given beside it. Times depend on the machine and on what
-else it does: the best of the repeats is reported.
+The time before the first record, in which workers start, is given separately. Times depend on the machine and its
+load: the best of the repeats is reported.
 """
 
 import time
@@ -44,7 +44,7 @@ def main() -> list[dict[str, Any]]:
 
 
 def overhead(executor: Executor) -> tuple[float, float]:
-    """Return the seconds a run, of all but the first, and those until the first record."""
+    """Return the seconds per run, for all runs but the first, and the seconds until the first record."""
     requests = requests_for(Cantilever(), [300.0 + 0.1 * number for number in range(RUNS)])
     begin = time.perf_counter()
     records = iter(executor(Cantilever(), requests))

@@ -1,7 +1,7 @@
 """What a run of the built-in model costs, and where the time goes.
 
-Times depend on the machine and on what else it does. The points are the first of Sobol's sequence in the box of the
-study, failures included, at V_in = 100.
+Times depend on the machine and its load. The points are the first of Sobol's sequence in the box of the study,
+including failures, at V_in = 100.
 """
 
 import os
@@ -43,12 +43,12 @@ PARTS = {
     "residuals": (CoupledSystem, "residual"),
     "back-substitution": (Factorisation, "solve"),
 }
-"""Method whose own time, without that of others among these, is that of the part."""
+"""Method of each part; the time of a part is that of its method without calls of the others."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One line of the table; `value` is None where it could not be measured."""
+    """One line of the table; `value` is None if it could not be measured."""
 
     what: str
     case: str
@@ -59,7 +59,7 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Pace:
-    """Records of a design in order of their end, and when they came, in seconds after the call."""
+    """Records of a design in the order in which they ended, and their times in seconds after the call."""
 
     records: list[RunRecord]
     times: list[float]
@@ -77,14 +77,14 @@ class Pace:
 
 @dataclass
 class Clock:
-    """Own seconds of parts that call each other, and how often each was called."""
+    """Seconds of parts that call each other, without those of inner calls, and how often each was called."""
 
     seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     calls: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     _inner: list[float] = field(default_factory=list)
 
     def measured(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return `function` with its time counted for `part`."""
+        """Return `function`, with its time added to `part`."""
 
         @wraps(function)
         def wrapped(*args: Any, **kwargs: Any) -> Any:
@@ -227,7 +227,7 @@ def memory_figures() -> Iterator[Figure]:
 
 @contextmanager
 def using(solver: str) -> Iterator[bool]:
-    """Have this process and its workers use a linear solver; False where it is not installed."""
+    """Make this process and its workers use a linear solver; yield False if it is not installed."""
     with patch.dict(os.environ, {VARIABLE: solver}):
         linear_solver.cache_clear()
         try:
@@ -264,14 +264,17 @@ def pace(model: Any, points: Sequence[tuple[float, float]]) -> Pace:
 
 
 def failure_costs(records: Sequence[RunRecord]) -> list[float]:
-    """Return the seconds of each failed run in median successful ones; a worker's first run also builds its mesh."""
+    """Return the time of each failed run over the median of successful ones, without each worker's first run.
+
+    A worker's first run also builds its mesh.
+    """
     warm = [record for record in records if int(record.key) >= WORKERS]
     typical = statistics.median(record.seconds for record in warm if record.ok)
     return [record.seconds / typical for record in warm if not record.ok]
 
 
 def profile(cell: FlowCell, points: Sequence[tuple[float, float]]) -> Profile:
-    """Solve at `points` with the methods of `PARTS` timed."""
+    """Solve at `points` and time the methods of `PARTS`."""
     clock = Clock()
     seconds, failed, jacobians = [], [], 0
     with ExitStack() as stack:
@@ -288,7 +291,7 @@ def profile(cell: FlowCell, points: Sequence[tuple[float, float]]) -> Profile:
 
 
 def solve_cost(size: MeshSize, *, repeats: int) -> Cost:
-    """Return size and median seconds of a solve at (400, 0.3), after one that is not measured."""
+    """Return the size and the median seconds of a solve at (400, 0.3), after an unmeasured one."""
     cell = flow_cell(size)
     cell.solve([400.0], [0.3], INFLOW)
     seconds = [timed(cell.solve, [400.0], [0.3], INFLOW) for _ in range(repeats)]
@@ -302,7 +305,7 @@ def exponent(costs: Sequence[Cost]) -> float:
 
 
 def sensitivity_ratios(mesh: str, places: Sequence[tuple[float, float]], *, repeats: int = 3) -> list[float]:
-    """Return seconds of a run with sensitivities over those of one without, both in turns, at each place."""
+    """Return the ratio of seconds of a run with and without sensitivities, timed in turns, at each place."""
     plain, asked = Biofilm(mesh=mesh), Biofilm(mesh=mesh, sensitivities=True)
     plain({"E": 400.0, "nu": 0.3, "V_in": INFLOW})
     asked({"E": 400.0, "nu": 0.3, "V_in": INFLOW})
@@ -329,7 +332,7 @@ def scaled(size: MeshSize, factor: float) -> MeshSize:
 def peak_memory() -> float:
     """Return the peak memory of this process, MiB.
 
-    Linux reports it since the start of the program; `getrusage` would begin with that of the process that started it.
+    Linux reports it since the start of the program; `getrusage` would include the process that started this one.
     """
     status = Path("/proc/self/status")
     if status.exists():

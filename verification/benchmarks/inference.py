@@ -1,8 +1,8 @@
 """strandline against other programs on the same task, side by side in one process.
 
-Each task is done by both, in turns, after one unmeasured call of each; the table shows medians of the repeats and their
-ratio (above 1: strandline is faster). Both must give the same answer, or the benchmark stops. Times depend on the
-machine and on what else it does; ratios less so.
+Both do each task in turns, after one unmeasured call of each; the table shows medians of the repeats and their ratio
+(above 1: strandline is faster). Both must give the same answer, or the benchmark stops. Times depend on the machine and
+its load; ratios less so.
 """
 
 import time
@@ -36,7 +36,7 @@ def main() -> list[dict[str, Any]]:
 
 
 def gp_fit() -> Comparison:
-    """Return evidence with gradient, of the hyperparameters of the published study's kernel."""
+    """Compare the evidence and its gradient by the hyperparameters of the published study's kernel."""
     x, y = training()
     standard, centred = (x - x.mean(0)) / x.std(0), y - y.mean()
     kernel = ConstantKernel(VARIANCE) * Matern(LENGTH, nu=1.5)
@@ -60,7 +60,7 @@ def gp_fit() -> Comparison:
 
 
 def currents_centre() -> Comparison:
-    """Return d² of a campaign's interfaces by the centre rule."""
+    """Compare d² of a campaign's interfaces by the centre rule."""
     observed, simulated = interfaces()
     measure = Currents(WIDTH, quadrature="centre")
 
@@ -74,7 +74,7 @@ def currents_centre() -> Comparison:
 
 
 def currents_refined() -> Comparison:
-    """Return d² by the refined quadrature; the peer takes as many Gauss points a segment as 1e-6 of ⟨T,T⟩ needs."""
+    """Compare d² by the refined quadrature; the peer has enough Gauss points per segment for 1e-6 of ⟨T,T⟩."""
     observed, simulated = interfaces()
     measure = Currents(WIDTH)
     scale = measure.inner(observed, observed)
@@ -90,7 +90,7 @@ def currents_refined() -> Comparison:
 
 
 def executor() -> Comparison:
-    """Return the time per run of a model that costs nothing, from the first record to the last."""
+    """Compare the time per run of a model that costs nothing, from the first record to the last."""
     inputs = [{"E": 1e4 + i, "load": 0.01} for i in range(TRIVIAL_RUNS)]
 
     def mine() -> Iterator[object]:
@@ -106,13 +106,13 @@ def executor() -> Comparison:
 
 
 def training() -> tuple[np.ndarray, np.ndarray]:
-    """Return inputs and a ridge that looks like a log-likelihood."""
+    """Return inputs and the values of a ridge that looks like a log-likelihood."""
     x = np.random.default_rng(0).random((RUNS, 2))
     return x, -30.0 * (x[:, 0] * (1 + x[:, 1] ** 2) - 0.6) ** 2
 
 
 def interfaces() -> tuple[Interface, list[Interface]]:
-    """Return an arch of 66 nodes and deformed ones, as large as the biofilm."""
+    """Return an arch of 66 nodes, as large as the biofilm, and deformed ones."""
     t = np.linspace(0.0, np.pi, 66)
     rng = np.random.default_rng(2)
     arch = np.stack([1.0 - 0.43 * np.cos(t), 0.47 * np.sin(t)], axis=1)

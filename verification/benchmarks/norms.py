@@ -1,9 +1,9 @@
 """Distances between large interfaces: against NumPy on the same task, and how long the largest take.
 
-The surfaces are bent sheets of a square millimetre, the points lie around them. A wide kernel couples all facets, a
-narrow one those within some edges of each other. NumPy does each task twice: over all pairs at once, as one writes it
-first, and in blocks that fit the cache. Times depend on the machine and on what else it does, ours of large tasks also
-on ``OMP_NUM_THREADS``.
+The surfaces are bent sheets of a square millimetre, and the points lie around them. A wide kernel couples all facets, a
+narrow one only facets a few edges apart. NumPy does each task twice: over all pairs at once, the simplest way to write
+it, and in blocks that fit the cache. Times depend on the machine and its load; ours for large tasks also depend on
+``OMP_NUM_THREADS``.
 """
 
 import statistics
@@ -48,7 +48,7 @@ def main() -> list[dict[str, Any]]:
 
 
 def inner_product(*, at_once: bool = False) -> Comparison:
-    """Return one inner product of two surfaces, every facet with every other."""
+    """Compare one inner product of two surfaces, every facet with every other."""
     one, other = sheet(NODES, bend=0.20), sheet(NODES, bend=0.21)
     measure = Currents(WIDE, quadrature="centre")
     measure.inner(other, other)
@@ -60,12 +60,12 @@ def inner_product(*, at_once: bool = False) -> Comparison:
 
 
 def _peer(at_once: bool) -> tuple[str, int]:
-    """Return what NumPy does, and how often to let it."""
+    """Return the name of NumPy's way, and how often to repeat it."""
     return ("all pairs in NumPy, at once", ALL_AT_ONCE_REPEATS) if at_once else ("all pairs in NumPy, blocks", 7)
 
 
 def currents(width: float) -> Comparison:
-    """Return d² of a simulated surface; both know the norm of the observed one."""
+    """Compare d² of a simulated surface; both know the norm of the observed one."""
     simulated, observed = sheet(NODES, bend=0.20), sheet(NODES, bend=0.21)
     measure = Currents(width, quadrature="centre")
     known = all_pairs(observed, observed, width)
@@ -78,7 +78,7 @@ def currents(width: float) -> Comparison:
 
 
 def closest_on_polyline(*, at_once: bool = False) -> Comparison:
-    """Return the distances of points to a polyline."""
+    """Compare the distances of points to a polyline."""
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 2.0, SEGMENTS + 1)
     target = Interface.polyline(np.stack([x, 0.3 * np.sin(3 * x) + 0.01 * rng.normal(size=x.size)], axis=1))
@@ -91,7 +91,7 @@ def closest_on_polyline(*, at_once: bool = False) -> Comparison:
 
 
 def many_polylines(width: float, *, batched: bool) -> Comparison:
-    """Return d² of a campaign's polylines by the centre rule: one by one, and as a batch."""
+    """Compare d² of a campaign's polylines by the centre rule, one by one or as a batch."""
     t = np.linspace(0.0, np.pi, NODES_2D)
     bends = 0.05 * np.random.default_rng(2).random((INTERFACES, 1)) * np.sin(t)
     arch = np.stack([1.0 - 0.43 * np.cos(t), 0.47 * np.sin(t)], axis=1)
@@ -114,7 +114,7 @@ def many_polylines(width: float, *, batched: bool) -> Comparison:
 
 
 def closest_on_surface(spread: float) -> Figure:
-    """Return the time for points that lie some mm from a large surface, whose tree is known."""
+    """Return the time for points about `spread` mm from a large surface, whose search tree is known."""
     target = sheet(TARGET_NODES, bend=0.2)
     rng = np.random.default_rng(4)
     places = target.points[rng.integers(0, len(target.points), POINTS_3D)]
@@ -125,7 +125,7 @@ def closest_on_surface(spread: float) -> Figure:
 
 
 def large(width: float, *, repeats: int = REPEATS) -> tuple[Figure, Figure]:
-    """Return time and memory of d² between two large surfaces, in a process of its own."""
+    """Return the time and memory of d² between two large surfaces, measured in a separate process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         seconds, first, memory, triangles = pool.submit(_large, width, repeats).result()
     what, case = f"currents: d², {triangles}² triangles", f"width {width}"
@@ -140,7 +140,7 @@ def _large(width: float, repeats: int) -> tuple[float, float, float, int]:
 
 
 def repeated(task: Callable[[], object], repeats: int = REPEATS) -> tuple[float, float]:
-    """Return the median time of some calls, and that of the one before them."""
+    """Return the median time of some calls, and the time of the first call before them."""
     first = timed(task)
     return statistics.median(timed(task) for _ in range(repeats)), first
 
@@ -166,13 +166,13 @@ def all_pairs(a: Interface, b: Interface, width: float) -> float:
 
 
 def all_pairs_at_once(a: Interface, b: Interface, width: float) -> float:
-    """Return the same by one expression."""
+    """Return the same by a single expression."""
     r2 = sum((a.centres[:, i, None] - b.centres[:, i]) ** 2 for i in range(a.dim))
     return float(np.sum(np.exp(-r2 / (2 * width**2)) * (a.normals @ b.normals.T)))
 
 
 def every_segment(points: np.ndarray, target: Interface, block: int = 4 * BLOCK) -> np.ndarray:
-    """Return squared distances by projecting each point onto each segment, as many pairs at once as `block` says."""
+    """Return squared distances by projecting each point onto each segment, about `block` pairs at a time."""
     tangent = target.ends - target.starts
     square = np.sum(tangent**2, axis=1)
     found = []

@@ -39,7 +39,7 @@ def rows(records: Sequence[Mapping[str, Any]], line: Any) -> tuple[tuple[str, ..
 
 
 def aim_row(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return task, peer, the figure that the aim is of, the aim, and whether it is met."""
+    """Return task, peer, the figure that the aim applies to, the aim, and whether it is met."""
     kind = record["aim_kind"]
     figure = record.get(FIGURES[kind])
     if kind in (RATIO, PER_CORE):
@@ -51,7 +51,7 @@ def aim_row(record: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def row(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what is known of a figure."""
+    """Return the cells of one figure."""
     unit = record.get("unit", "")
     return (
         task(record),
@@ -73,7 +73,7 @@ def ratio(value: float | None) -> str:
 
 
 def amount(value: float | None, unit: str) -> str:
-    """Return a number with its unit, seconds in the multiple that suits them."""
+    """Return a number with its unit; seconds in a suitable multiple."""
     if value is None:
         return ""
     if unit.split(" ")[0] != "s" or value <= 0:
@@ -83,7 +83,7 @@ def amount(value: float | None, unit: str) -> str:
 
 
 def digits(value: float) -> str:
-    """Return three significant digits, large numbers whole or as powers of ten."""
+    """Return a number with three significant digits; large ones as whole numbers or powers of ten."""
     if value == 0 or abs(value) >= 1e6 or abs(value) < 1e-3:
         return f"{value:.3g}"
     return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"

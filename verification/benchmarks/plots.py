@@ -1,4 +1,4 @@
-"""The figure of scaling.json: core-seconds above, the share of what a core can do at best below."""
+"""The figure of scaling.json: core-seconds in the upper panels, shares of a core's peak in the lower ones."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ LOOKS = ((BLUE, "o-"), (RED, "s--"))
 
 
 def draw(content: Mapping[str, Any], path: Path) -> None:
-    """Write the figure; `content` is that of scaling.json."""
+    """Write the figure; `content` is the content of scaling.json."""
     with styled():
         figure = Figure(figsize=(10.0, 5.0), layout="constrained")
         grid = figure.subplots(2, len(AXES), sharex="col")
@@ -33,7 +33,7 @@ def draw(content: Mapping[str, Any], path: Path) -> None:
 
 
 def seconds(ax: Axes, series: Sequence[Mapping[str, Any]]) -> None:
-    """Draw times on logarithmic scales, and the power of the size by which the operations grow."""
+    """Draw times on logarithmic scales, and a line with the slope by which the operations grow."""
     plot = ax.semilogy if series and series[0]["axis"] == "inputs" else ax.loglog
     for one, (colour, style) in zip(series, LOOKS, strict=False):
         x, y = coordinates(one, "x"), coordinates(one, "seconds")
@@ -49,7 +49,7 @@ def seconds(ax: Axes, series: Sequence[Mapping[str, Any]]) -> None:
 
 
 def shares(ax: Axes, series: Sequence[Mapping[str, Any]], peaks: Mapping[str, float]) -> None:
-    """Draw the share of the peak of the series that have one."""
+    """Draw the share of the peak for the series that have one."""
     for one, (colour, style) in zip(series, LOOKS, strict=False):
         if one["limit"] is not None:
             reached = 100 * coordinates(one, "operations") / coordinates(one, "seconds") / peaks[one["limit"]]
@@ -71,7 +71,7 @@ def coordinates(series: Mapping[str, Any], key: str) -> np.ndarray:
 
 
 def short(number: float) -> str:
-    """Return it with at most two digits before a k."""
+    """Return a number as short text, in thousands (k) from 950 on."""
     return f"{number:.0f}" if number < 950 else f"{number / 1000:.0f}k"
 
 

@@ -1,7 +1,7 @@
 """results.json, a list of {what, ours, peer, ratio, aim, met}; and the machine it was measured on.
 
-A figure with a peer has seconds of both and their ratio, above 1 where strandline is faster. One without has `ours` in
-its `unit`. What was not measured has nulls and a remark that says why, even for the figure of an aim that no part has.
+A figure with a peer has the seconds of both and their ratio, above 1 if strandline is faster. A figure without one has
+`ours` in its `unit`. What was not measured has nulls and a remark with the reason; so has an aim without a figure.
 """
 
 import json
@@ -26,7 +26,7 @@ Record = dict[str, Any]
 
 
 def save(part: str, found: Sequence[Mapping[str, Any]], *, parts: Sequence[str], results: Path = RESULTS) -> None:
-    """Put the figures of a part into the list, in the order of `parts`, in place of its earlier ones."""
+    """Replace the figures of a part in the list, which is in the order of `parts`."""
     known = [record for record in load(results) if record["part"] in parts and not is_missing(record)]
     kept = [record for record in known if record["part"] != part] + [judged(one, part) for one in found]
     kept += [placeholder(aim) for aim in AIMS if aim.part in parts and not any(aim_of(one) is aim for one in kept)]
@@ -40,7 +40,7 @@ def load(results: Path = RESULTS) -> list[Record]:
 
 
 def judged(found: Mapping[str, Any], part: str, aims: Sequence[Aim] = AIMS) -> Record:
-    """Return a figure or comparison as it stands in the list, with its aim."""
+    """Return a figure or comparison as a record of the list, with its aim."""
     record = {"what": found["what"], **figures_of(found), "part": part}
     record |= {key: found[key] for key in ("case", "peer_name", "repeats") if found.get(key)}
     record["remark"] = remark_of(found, measured=record["ours"] is not None)
@@ -51,10 +51,10 @@ def judged(found: Mapping[str, Any], part: str, aims: Sequence[Aim] = AIMS) -> R
 
 
 def figures_of(found: Mapping[str, Any]) -> Record:
-    """Return ours, peer, ratio, unit and, where all cores' seconds are known, these and their ratio.
+    """Return ours, peer, ratio, unit and, if known, the seconds of all cores and their ratio.
 
-    Seconds are of the whole task, or of one evaluation if the part gives their number, whichever has the ratio that the
-    part states.
+    Seconds are of the whole task or, if the part gives the number of evaluations, of one evaluation, whichever has the
+    ratio that the part gives.
     """
     ours, peer, ratio = found.get("ours", found.get("value")), found.get("peer"), found.get("ratio")
     if isinstance(ours, Mapping) and isinstance(peer, Mapping):
@@ -77,7 +77,7 @@ def remark_of(found: Mapping[str, Any], *, measured: bool) -> str:
 
 
 def placeholder(aim: Aim) -> Record:
-    """Return the line of an aim that no figure has."""
+    """Return the line for an aim without a figure."""
     nothing: Record = {"what": aim.name, "ours": None, "peer": None, "ratio": None}
     unit = {"unit": aim.of} if aim.kind in (MOST, LEAST) else {}
     return nothing | {"aim": aim.bound, "met": None, "aim_kind": aim.kind, "part": aim.part, **unit, "remark": MISSING}
@@ -88,7 +88,7 @@ def is_missing(record: Mapping[str, Any]) -> bool:
 
 
 def note_run(part: str, *, seconds: float, load_average: float | None, machine: Path = MACHINE) -> None:
-    """Write when a part was run, beside those that were run on the same machine with the same packages."""
+    """Note when a part was run, and keep the notes of other parts from the same machine with the same packages."""
     runs = json.loads(machine.read_text("utf-8"))["runs"] if from_this_machine(machine) else {}
     date = datetime.now(UTC).isoformat(timespec="minutes")
     runs[part] = {"date": date, "seconds": round(seconds, 1), "load_average_before": load_average}
@@ -108,7 +108,7 @@ def forget() -> None:
 
 
 def this_machine() -> dict[str, Any]:
-    """Return what the times depend on."""
+    """Return a description of the machine and the packages, which times depend on."""
     return {
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
@@ -126,7 +126,7 @@ def cpu_model() -> str:
 
 
 def load_average() -> float | None:
-    """Return the number of processes that needed a core during the last minute, where the system says so."""
+    """Return the mean number of processes that needed a core during the last minute, if the system reports it."""
     return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
 
 

@@ -1,10 +1,10 @@
-"""The mean of the Gaussian process and the sampler compared with other programs: seconds of the clock and of the cores.
+"""The mean of the Gaussian process and the sampler compared with other programs: wall seconds and core-seconds.
 
 All get the same surrogate. Means must agree to 1e-9, whole posteriors within the tolerances of `require_right`, or the
-benchmark stops. Another schedule of temperatures needs other numbers of evaluations, so samplers are compared by the
-seconds of one evaluation of the log-likelihood. A program of which only a part is timed says so in the remark.
+benchmark stops. Schedules of temperatures differ in their numbers of evaluations, so samplers are compared by the
+seconds of one evaluation of the log-likelihood. If only a part of a program is timed, the remark says so.
 
-JAX settles its devices when it starts, so all is done in a process that starts as the command line does.
+JAX fixes its devices when it starts, so everything runs in a process that starts as the command line does.
 """
 
 import json
@@ -37,7 +37,7 @@ Log = Callable[[Any], Any]
 
 @dataclass(frozen=True)
 class Cost:
-    """What a task took: seconds of the clock, seconds of all cores, evaluations of the log-likelihood."""
+    """Cost of a task: wall seconds, seconds of all cores, evaluations of the log-likelihood."""
 
     wall: float
     cpu: float
@@ -64,7 +64,7 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A surrogate of a log-likelihood under the uniform prior of the unit cube, and where the particles begin."""
+    """A surrogate of a log-likelihood under the uniform prior of the unit cube, and the initial particles."""
 
     process: Any
     mean: Log
@@ -94,7 +94,7 @@ def environment(**changed: str) -> dict[str, str]:
 
 
 def measure() -> list[dict[str, Any]]:
-    """Return all figures, in a process whose JAX has its devices."""
+    """Return all figures; called in a process whose JAX has its devices."""
     titles = "ours [s]", "peer [s]", "ours/eval [µs]", "peer/eval [µs]", "ratio", "per core"
     print(f"{'task':<44} {'peer':<34} " + " ".join(f"{title:>14}" for title in titles))
     found = []
@@ -118,21 +118,22 @@ def figures() -> Iterator[Figure]:
 
 
 def mean_of_two(runs: int = RUNS, points: int = PARTICLES, repeats: int = 9) -> Figure:
-    """Return the mean at the sampler's particles, isotropic kernel."""
+    """Compare the mean at the sampler's particles, isotropic kernel."""
     return mean_beside(two_inputs(runs, points), scikit_learn_of_two(runs), "GP mean, 2 inputs", repeats)
 
 
 def mean_of_seven(runs: int = PARTS_RUNS, points: int = PARTS_PARTICLES, repeats: int = 5) -> Figure:
-    """Return the mean at the sampler's particles, product kernel."""
+    """Compare the mean at the sampler's particles, product kernel."""
     return mean_beside(parts(runs, points), scikit_learn_of_seven(runs), "GP mean, 7 inputs, product", repeats)
 
 
 def mean_beside(task: Task, peer: Log, what: str, repeats: int) -> Figure:
     import jax
 
-    from strandline.smc.devices import COMPILER_OPTIONS, spread
+    from strandline.numerics.compiled import WIDEST
+    from strandline.smc.devices import spread
 
-    compiled, points = jax.jit(task.mean, compiler_options=COMPILER_OPTIONS), spread(jax.numpy.asarray(task.initial))
+    compiled, points = jax.jit(task.mean, compiler_options=WIDEST), spread(jax.numpy.asarray(task.initial))
 
     def ours() -> Any:
         return np.asarray(compiled(points))
@@ -145,7 +146,7 @@ def mean_beside(task: Task, peer: Log, what: str, repeats: int) -> Figure:
 
 
 def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int = 3) -> Iterator[Figure]:
-    """Yield the sampler in the study's settings compared with others, each run whole or for its first steps."""
+    """Yield the sampler in the study's settings compared with others; each run is whole or only its first steps."""
     from strandline.posterior.quadrature import integrate
     from strandline.smc import SMCSettings
 
@@ -199,7 +200,7 @@ def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int 
 def seven_inputs(
     runs: int = PARTS_RUNS, particles: int = PARTS_PARTICLES, moves: int = PARTS_MOVES, zeta: float = PARTS_ZETA
 ) -> Figure:
-    """Return the default settings compared with the study's on the same surrogate; the moments must be the same."""
+    """Compare the default settings with the study's on the same surrogate, and report how far the moments differ."""
     from strandline.smc import SMCSettings
 
     task = parts(runs, particles)
@@ -228,7 +229,7 @@ def seven_inputs(
 
 
 def compilation(repeats: int = 3) -> Iterator[Figure]:
-    """Yield the seconds that the first sampling of a process takes longer than the second."""
+    """Yield how many seconds the first sampling of a process takes longer than the second."""
     costs: list[list[Cost]] = [[], []]
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as folder:
@@ -270,7 +271,7 @@ def two_inputs(runs: int, particles: int = PARTICLES) -> Task:
 
 
 def parts(runs: int, particles: int = PARTS_PARTICLES) -> Task:
-    """Return the surrogate of a ridge, a product and five inputs of little influence."""
+    """Return the surrogate of a function of seven inputs: a ridge, a product, and three inputs of little influence."""
     from verification.benchmarks import surrogate
 
     from strandline.design import sobol
@@ -305,7 +306,7 @@ def scikit_learn_of_seven(runs: int) -> Log:
 
 
 def scikit_learn(process: Any, kernel: Any, nugget: float) -> Log:
-    """Return the mean by scikit-learn's own solution of the same equations."""
+    """Return the mean that scikit-learn computes by solving the same equations itself."""
     from sklearn.gaussian_process import GaussianProcessRegressor
 
     centred = process.signal_variance * correlations(process) @ process.alpha + process.nugget * process.alpha
@@ -320,7 +321,7 @@ def correlations(process: Any) -> np.ndarray:
 
 
 def naive_mean(process: Any) -> Log:
-    """Return the mean at one point as one writes it."""
+    """Return the mean at one point in its simplest form."""
     import jax.numpy as jnp
 
     train, weight = jnp.asarray(process.x_train), jnp.asarray(process.signal_variance * process.alpha)
@@ -333,7 +334,7 @@ def naive_mean(process: Any) -> Log:
 
 
 def refactoring_mean(process: Any) -> Log:
-    """Return the mean at one point by a function that is given the training data, as libraries' `predict` is."""
+    """Return the mean at one point by a function that takes the training data, as `predict` of a library does."""
     import jax.numpy as jnp
     from jax.scipy.linalg import cho_solve
 
@@ -369,7 +370,7 @@ def strandline_run(task: Task, settings: Any, seed: int = 1) -> tuple[Any, Cost]
 
 
 def blackjax_run(task: Task, mean: Log, spread: np.ndarray, moves: int, zeta: float) -> Callable[..., tuple[Any, Cost]]:
-    """Return BlackJAX's sampler of the same posterior; it can be limited to some steps."""
+    """Return BlackJAX's sampler of the same posterior; its number of steps can be limited."""
     import warnings
 
     import jax
@@ -414,7 +415,7 @@ def blackjax_run(task: Task, mean: Log, spread: np.ndarray, moves: int, zeta: fl
 def numpy_run(
     task: Task, log_likelihood: Log, spread: np.ndarray, moves: int, zeta: float, steps: int | None = None
 ) -> tuple[Any, Cost]:
-    """Return the posterior by a plain loop over temperatures, ESS' = ζ ESS, resampled where the half is lost."""
+    """Return the posterior by a plain loop over temperatures, ESS' = ζ ESS, resampled below half of the particles."""
     rng = np.random.default_rng(3)
     begun = clocks()
     x, number, gamma, log_evidence, done = task.initial, len(task.initial), 0.0, 0.0, 0
@@ -464,7 +465,7 @@ def moments(found: tuple[float, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np
 
 
 def require_right(found: tuple[float, np.ndarray, np.ndarray], exact: Any) -> None:
-    """Stop where moments (in sd) or log evidence are off by more than the tolerances."""
+    """Stop if moments (in sd) or log evidence are off by more than the tolerances."""
     mean, sd = moments(found)
     np.testing.assert_allclose((mean - exact.mean) / exact.sd, 0.0, atol=TOLERANCE_MOMENTS)
     np.testing.assert_allclose(sd / exact.sd, 1.0, atol=TOLERANCE_MOMENTS)

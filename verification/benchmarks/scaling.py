@@ -1,10 +1,9 @@
-"""How times grow, and which share of what one core can do at best is reached: verification/benchmarks/scaling.json.
+"""How times grow with size, and which share of one core's peak they reach: verification/benchmarks/scaling.json.
 
-All on one core, in core-seconds, which other work on the machine changes less than those of the clock. What a core can
-do at best is measured here: multiplying matrices (the fit: n³ operations for Cholesky factor and inverse), exponentials
-of numbers that stay in the cache by JAX (mean, sampler, currents: one for each pair, and pairs that symmetry saves are
-not counted; the narrow currents leave out most pairs and have no share). So a share leaves out what the rest of a pair
-costs.
+Everything runs on one core, in core-seconds, which depend less on other work on the machine than wall seconds. The peak
+of a core is measured here: products of matrices (for the fit: n³ operations for Cholesky factor and inverse), and
+exponentials by JAX of numbers that stay in the cache (for mean, sampler and currents: one per pair, without pairs that
+symmetry saves; narrow currents leave out most pairs and have no share). A share ignores the other costs of a pair.
 """
 
 import os
@@ -86,7 +85,7 @@ def share(series: Series, point: Point, peaks: Mapping[str, float]) -> float | N
 
 
 def triangles(nodes: int) -> int:
-    """Return those of a sheet with `nodes` along its edges."""
+    """Return the number of triangles of a sheet with `nodes` along its edges."""
     return 2 * (nodes - 1) ** 2
 
 
@@ -119,7 +118,7 @@ def measured(
 
 
 def least(task: Callable[[], float], repeats: int = 3) -> tuple[float, float]:
-    """Return the fewest core-seconds of some calls, or those of one long one, and its operations."""
+    """Return the fewest core-seconds of some calls, or those of a single long call, and the operations."""
     best = float("inf")
     for _ in range(repeats):
         begun = time.process_time()
@@ -131,7 +130,7 @@ def least(task: Callable[[], float], repeats: int = 3) -> tuple[float, float]:
 
 
 def gemm_peak(size: int = 1500) -> float:
-    """Return the operations a core-second of a product of matrices."""
+    """Return the operations per core-second of a matrix product."""
     a = np.random.default_rng(0).random((size, size))
     out = np.empty_like(a)
 
@@ -145,7 +144,7 @@ def gemm_peak(size: int = 1500) -> float:
 
 
 def exponential_peak(size: int = 2**13, rounds: int = 4000) -> float:
-    """Return the exponentials a core-second of an array that stays in the cache, by JAX."""
+    """Return the exponentials per core-second by JAX, of an array that stays in the cache."""
 
     @jax.jit
     def repeated(x: jax.Array) -> jax.Array:
@@ -163,7 +162,7 @@ def exponential_peak(size: int = 2**13, rounds: int = 4000) -> float:
 
 
 def fit(runs: int, inputs: int) -> Task:
-    """Return the evidence of a product kernel with its gradient."""
+    """Return a task: the evidence of a product kernel with its gradient."""
     x, y = training(runs, inputs)
     objective = Objective(x, y, KERNELS["matern32_product"], NUGGET)
     log_lengths = [0.5] * inputs
@@ -176,7 +175,7 @@ def fit(runs: int, inputs: int) -> Task:
 
 
 def mean(inputs: int) -> Task:
-    """Return the mean of a product kernel at the particles."""
+    """Return a task: the mean of a product kernel at the particles."""
     x, y = training(FIXED_RUNS, inputs)
     process = condition(
         x,
@@ -197,7 +196,7 @@ def mean(inputs: int) -> Task:
 
 
 def sampling(particles: int) -> Task:
-    """Return the sampler with five moves on a ridge."""
+    """Return a task: the sampler with five moves on a ridge."""
     x, y = training(FIXED_RUNS, 2)
     process = condition(
         x, y, kernel=KERNELS["matern32"], length_scale=1.3, signal_variance=surrogate.VARIANCE, nugget=NUGGET
@@ -218,7 +217,7 @@ def flat(x: jax.Array) -> jax.Array:
 
 
 def currents(width: float, nodes: int) -> Task:
-    """Return d² of a simulated surface; the norm of the observed one is known after the first call."""
+    """Return a task: d² of a simulated surface; the norm of the observed one is known after the first call."""
     simulated, observed = sheet(nodes, bend=0.20), sheet(nodes, bend=0.21)
     measure, number = Currents(width, quadrature="centre"), len(simulated.cells)
 

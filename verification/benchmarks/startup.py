@@ -1,8 +1,7 @@
 """How long the quick commands take, from the shell and back: `strandline --help`, `status` and `runs`.
 
-They are asked of a study whose ledger holds the runs of its design; `status` also after a change of study.yaml, so that
-the study has to be loaded. A bare interpreter is timed for comparison. Times depend on the machine and on what else it
-does.
+They are timed on a study whose ledger holds the runs of its design; `status` also after a change of study.yaml, so that
+it has to load the study. A bare interpreter is timed for comparison. Times depend on the machine and its load.
 """
 
 import statistics
@@ -42,7 +41,7 @@ def main() -> list[dict[str, Any]]:
 
 
 def figures(study: Path, *, repeats: int) -> Iterator[Figure]:
-    """Yield the median wall time of each command; study.yaml is changed in the end."""
+    """Yield the median wall time of each command; study.yaml is changed before the last one."""
     yield measured("interpreter", "nothing else", ["pass"], repeats)
     yield measured("strandline --help", "", [COMMAND, "--help"], repeats, aim=HELP_AIM)
     yield measured("strandline status", "plan in the ledger", [COMMAND, "status", str(study)], repeats, aim=STATUS_AIM)
@@ -52,7 +51,7 @@ def figures(study: Path, *, repeats: int) -> Iterator[Figure]:
 
 
 def measured(what: str, case: str, arguments: Sequence[str], repeats: int, *, aim: float | None = None) -> Figure:
-    """Return the median wall time of a command in a process of its own, after one call that warms the disk."""
+    """Return the median wall time of a command in its own process, after one call that fills the disk cache."""
     first, *times = (seconds(arguments) for _ in range(repeats + 1))
     remark = f"median of {repeats}, {min(times):.3g} to {max(times):.3g}; the first time {first:.3g} s"
     return Figure(what, case, statistics.median(times), "s", remark + (f"; aim {aim:g} s" if aim else ""))

@@ -1,9 +1,9 @@
-"""The fit of the surrogate compared with its own floor and with other programs: evidence and gradient, seven inputs.
+"""The fit of the surrogate compared with its lower bound and with other programs: evidence and gradient, seven inputs.
 
-The floor is what LAPACK takes for the Cholesky factor and the inverse of the same covariance, once that is there. All
-get the same hyperparameters and give the same evidence, or the benchmark stops. OMP_NUM_THREADS limits LAPACK, the
-passes over the matrix and scikit-learn alike. JAX, GPJax and GPyTorch run in processes of their own, and strandline in
-another, all kept on the same number of cores.
+The lower bound is the time that LAPACK takes for the Cholesky factor and the inverse of the given covariance. All get
+the same hyperparameters and must give the same evidence, or the benchmark stops. OMP_NUM_THREADS limits LAPACK, the
+passes over the matrix and scikit-learn alike. JAX, GPJax, GPyTorch and strandline each run in their own process, all on
+the same number of cores.
 """
 
 import sys
@@ -51,7 +51,7 @@ def main() -> list[dict[str, Any]]:
 
 
 def floor(name: str, runs: int) -> Comparison:
-    """Return the comparison with Cholesky factor and inverse alone; a ratio of 1 / 1.4 is the aim for 5000 runs."""
+    """Compare with Cholesky factor and inverse alone; the aim for 5000 runs is a ratio of 1 / 1.4."""
     x, y = training(runs)
     u = x / (LENGTHS if KERNELS[name].per_input else LENGTHS[0])
     K = np.empty((runs, runs), order="F")
@@ -71,7 +71,7 @@ def floor(name: str, runs: int) -> Comparison:
 
 
 def scikit_learn(name: str, runs: int) -> Comparison:
-    """Return the comparison with scikit-learn, to which a factor of the product is a kernel of one column."""
+    """Compare with scikit-learn, which takes each factor of the product as a kernel of one column."""
     x, y = training(runs)
     correlation = (
         Matern(LENGTHS, nu=1.5)
@@ -88,7 +88,7 @@ def scikit_learn(name: str, runs: int) -> Comparison:
 
 
 def in_processes(peer_name: str, script: str, python: Path, *, cores: int) -> Comparison:
-    """Return the comparison with a peer in a process, and an environment, of its own; gradients must agree as well."""
+    """Compare with a peer in its own process and environment; gradients must agree as well."""
     x, y = training(USUAL)
     content = {"x": x, "y": y, "lengths": LENGTHS, "variance": VARIANCE, "nugget": NUGGET}
     scripts = ("evidence_strandline.py", script)
@@ -118,7 +118,7 @@ class Column(Matern):
 
 
 def ours(name: str, x: np.ndarray, y: np.ndarray) -> Callable[[], float]:
-    """Return an evaluation as a fit makes it, dozens of times on arrays that it keeps."""
+    """Return an evaluation as a fit makes it dozens of times, on arrays that it keeps."""
     log_lengths = np.log(LENGTHS if KERNELS[name].per_input else LENGTHS[:1])
     objective, log_ratio = Objective(x, y, KERNELS[name], NUGGET), np.log(VARIANCE) - 3 * log_lengths.mean()
     return lambda: objective.evidence(float(log_ratio), log_lengths.tolist()).value

@@ -1,4 +1,4 @@
-"""Programs in processes, and environments, of their own: started with a task, asked in turns, limited alike."""
+"""Programs in their own processes and environments: started with a task, called in turns, with the same cores."""
 
 import json
 import os
@@ -23,7 +23,7 @@ REPEATS = 5
 
 @dataclass(frozen=True)
 class Reply:
-    """One answer, and the seconds that it took by the clock and of all cores together."""
+    """One answer, with its wall seconds and the seconds of all cores together."""
 
     wall: float
     cpu: float
@@ -34,14 +34,14 @@ class Worker:
     """A program that has its task and has answered it once; see ``peers/worker.py``.
 
     Raises:
-        NotMeasured: it could not be started, or ended.
+        NotMeasured: It could not be started, or it ended.
     """
 
     def __init__(self, script: Path, python: Path, task: Path, *, cores: int) -> None:
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", CORES), str(cores))
         self._complaints = task.with_name(f"{script.stem}.txt")
         if not python.exists():
-            raise NotMeasured("the environment of the peers is not there (`make bench-env`)")
+            raise NotMeasured("the environment of the peers does not exist (`make bench-env`)")
         with self._complaints.open("w") as complaints:
             self._process = subprocess.Popen(
                 [python, "-W", "ignore", script, task],
@@ -68,7 +68,7 @@ class Worker:
         self._process.stdout.close()
 
     def ask(self) -> Reply:
-        """Return the program's answer to its task, done once more."""
+        """Return the program's answer to its task, computed once more."""
         assert self._process.stdin is not None
         self._process.stdin.write("again\n")
         self._process.stdin.flush()
@@ -103,12 +103,13 @@ def versus(
     rtol: float = 1e-6,
     repeats: int = REPEATS,
 ) -> Comparison:
-    """Let the two scripts of `peers`, ours in this environment, do the same task in turns.
+    """Compare two scripts of `peers`, the first in this environment, on the same task in turns.
 
-    Their answers, a value and its gradient, must agree: the value to `rtol`, the gradient to that of its largest entry.
+    Their answers, a value and its gradient, must agree: the value to `rtol`, the gradient to `rtol` times its largest
+    entry.
 
     Raises:
-        NotMeasured: the peer's program could not be started, or ended.
+        NotMeasured: The peer's program could not be started, or it ended.
     """
     with ExitStack() as stack:
         task = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "task.npz"
@@ -130,7 +131,7 @@ def versus(
 
 
 def core_counts(available: int | None = None) -> Sequence[int]:
-    """Return the numbers of cores to compare on: one, and all of them."""
+    """Return the numbers of cores to compare on: one and all."""
     return sorted({1, available or os.cpu_count() or 1})
 
 

@@ -1,4 +1,4 @@
-"""The published study, whole: its examples run, compared with the true model, its claims judged, one page."""
+"""Reproduce the published study: run its examples, compare with the true model, judge its claims, write one page."""
 
 from verification.reproduction.evidence import STUDIES, Evidence, Plan
 from verification.reproduction.judgement import Claim

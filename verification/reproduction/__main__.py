@@ -1,4 +1,4 @@
-"""`make reproduce`: the published study, whole; ``python -m verification.reproduction [FOLDER]``."""
+"""`make reproduce`: the whole published study; ``python -m verification.reproduction [FOLDER]``."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The claims of the study on two inputs, C1 to C8, each judged by numbers (Willmann et al. 2022, Figs. 3-10)."""
+"""The claims of the study about two inputs, C1 to C8, each judged by numbers (Willmann et al. 2022, Figs. 3-10)."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -43,13 +43,13 @@ NEGLIGIBLE = 1e-3
 GOOD = 0.1
 """Total variation to the truth below which a posterior's shape counts as found."""
 AGREES = (50.0, 0.1)
-"""An estimate of E, Pa, and ν this near to the truth is a good one: about the spacing of 200 runs over the box."""
+"""An estimate of E, Pa, and ν this near the truth counts as good: about the spacing of 200 runs over the box."""
 FAR = 45.0
-"""Degrees between two axes from which on they are nearer to orthogonal than to parallel."""
+"""Degrees between two axes above which they are nearer to orthogonal than to parallel."""
 MOVED = 0.05
 """A MAP moved by less than this many standard deviations has not moved: the best of 5000 draws is 0.02 off the mode."""
 FOLDS = {"limit_point", "continuation_stalled"}
-"""How runs end at the fold; the second, if they are given up before they have passed it."""
+"""How runs end at the fold; the second kind if the solver gives up before it has passed the fold."""
 FOUND = 0.15
 """A mean within this many standard deviations of the true model's counts as found."""
 
@@ -57,7 +57,7 @@ FOUND = 0.15
 def ridge_and_peak(
     fields: Mapping[str, LikelihoodField], truth: Sequence[float], posterior: Posterior, spacing: Sequence[float]
 ) -> Claim:
-    """Judge C1.
+    """Judge C1 by the shape of the likelihood.
 
     Args:
         fields: Log-likelihood by measure.
@@ -100,7 +100,7 @@ def ridge_and_peak(
 
 
 def measures_compared(fields: Mapping[str, LikelihoodField]) -> Claim:
-    """Judge C2: the share of the box where the likelihood is above half of its maximum, by measure."""
+    """Judge C2 by the share of the box where the likelihood under each measure is above half of its maximum."""
     shares = {name: f.share_above(0.5) for name, f in fields.items()}
     more_peaked = [name for name in (CLOSEST, CURRENTS) if shares[name] < shares[LINES]]
     return Claim(
@@ -119,7 +119,7 @@ def measures_compared(fields: Mapping[str, LikelihoodField]) -> Claim:
 def failed_where_unlikely(
     records: Sequence[RunRecord], fields: Mapping[str, LikelihoodField], names: Sequence[str]
 ) -> Claim:
-    """Judge C3 by the highest likelihood that the surrogate of each measure has at a failed run."""
+    """Judge C3 by the highest likelihood of each measure's surrogate at a failed run."""
     failed = np.array([[record.inputs[name] for name in names] for record in records if not record.ok])
     if not len(failed):
         words = f"None of {len(records)} runs failed."
@@ -159,9 +159,9 @@ def training_size(
     best: Mapping[str, Mapping[int, Sequence[float]]],
     truth: Sequence[float],
 ) -> Claim:
-    """Judge C4: near the truth from 200 runs on, however many more there are, and the estimate at 200 runs good.
+    """Judge C4: from 200 runs on, the posterior stays near the truth, and the estimate at 200 runs is good.
 
-    If no design is larger than that nearest to 200, the effect of more points is not known.
+    If no design is larger than the one nearest to 200 runs, the effect of more runs is not known.
 
     Args:
         distance: Total variation to the posterior of the true model, by quadrature rule and number of runs.
@@ -226,8 +226,8 @@ def uniform_prior(posterior: Posterior, refined: Posterior) -> Claim:
 def laplace_misleads(calibrations: Mapping[str, Calibration]) -> Claim:
     """Judge C6 by the calibrations with the centre rule and the refined quadrature (``centre``, ``refined``).
 
-    It differs where there is no axis to compare, or where the axis is right and the ellipse holds less than half of the
-    posterior that it should hold 90 % of.
+    It differs if there is no axis to compare, or if the axis is right but the ellipse, which should hold 90 % of the
+    posterior, holds less than half.
     """
     found = {rule: _laplace_figures(c) for rule, c in calibrations.items()}
     centre, refined = found["centre"], found["refined"]
@@ -261,7 +261,7 @@ def laplace_misleads(calibrations: Mapping[str, Calibration]) -> Claim:
 
 
 def informed_prior(informed: Posterior, uniform: Posterior) -> Claim:
-    """Judge C7."""
+    """Judge C7 by posteriors under the informed and the uniform prior."""
     off, moved = distance_to_prior(informed, "nu"), informed.map_estimate - uniform.map_estimate
     by = moved / informed.sd
     lower = bool((by <= -MOVED).all())
@@ -274,7 +274,7 @@ def informed_prior(informed: Posterior, uniform: Posterior) -> Claim:
         f"the mean from ({uniform.mean[0]:.0f}, {uniform.mean[1]:.2f}) to "
         f"({informed.mean[0]:.0f}, {informed.mean[1]:.2f}). The marginal of ν is {off:.2f} "
         "in total variation from its prior"
-        + (", nearly the same." if off < GOOD else ": here the data tell of ν too."),
+        + (", nearly the same." if off < GOOD else ": here the data inform ν as well."),
         {
             "map": _point(informed.map_estimate),
             "map_moved_by_sd": _point(by),
@@ -290,7 +290,7 @@ def informed_prior(informed: Posterior, uniform: Posterior) -> Claim:
 def uncertain_inflow(
     uncertain: Mapping[str, Any], certain: Posterior, truth: Mapping[str, GridPosterior], certain_truth: GridPosterior
 ) -> Claim:
-    """Judge C8, by the true model; the surrogate's figures are given as well.
+    """Judge C8 by the true model; the surrogate's figures are given as well.
 
     Args:
         uncertain: Entry `under_uncertainty` of the summary of the study with uncertain inflow.

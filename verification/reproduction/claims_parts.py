@@ -1,4 +1,4 @@
-"""The claims of the study on the heterogeneous specimen, C9 and C10 (Willmann et al. 2022, Figs. 11-15)."""
+"""The claims of the study about the heterogeneous specimen, C9 and C10 (Willmann et al. 2022, Figs. 11-15)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,21 +16,21 @@ BINS = 10
 GATHERED = ("E2", "nu2")
 BROAD = ("E1", "E3", "nu3")
 TOLD = 0.2
-"""Total variation to the prior from which on the data inform an input; a triangle on a uniform prior has 0.25."""
+"""Total variation to the prior above which the data inform an input; a triangle on a uniform prior has 0.25."""
 LITTLE = 0.1
 """Relative fall of the error that counts as no significant improvement."""
 
 
 def heterogeneous(posterior: Posterior, checks: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]) -> Claim:
-    """Judge C9.
+    """Judge C9 by the marginals and by the check of the posterior with the true model.
 
-    A marginal gathers around the truth if it is not broad and denser there than its prior. Of the claim's inputs those
-    two, and no other, have to; the study says nothing of whether ν1 stays broad. Where the check does not trust the
-    posterior, what it shows is not what the data say, and nothing is confirmed or refuted.
+    A marginal gathers around the truth if it is not broad and is denser there than its prior. The claim holds if E2 and
+    ν2 gather and no other input does; the study does not say whether ν1 stays broad. If the check finds the posterior
+    unreliable, it does not show what the data say, and the claim is neither confirmed nor refuted.
 
     Args:
         posterior: Posterior of the study's method, centre rule; it holds the inputs of `STUDY_MAP`.
-        checks: Content of check.json by study: that of this posterior, and others to compare with.
+        checks: Content of check.json by study: first that of this posterior, then others to compare with.
         truth: The inputs of the observation.
     """
     names = list(STUDY_MAP)
@@ -77,11 +77,11 @@ def heterogeneous(posterior: Posterior, checks: Mapping[str, Mapping[str, Any]],
 
 
 def more_runs(numbers: Sequence[int], errors: Mapping[str, Sequence[float]]) -> Claim:
-    """Judge C10.
+    """Judge C10 by the fall of the surrogate's error.
 
     Args:
-        numbers: training sizes, ascending; the largest is compared with that nearest to 1000.
-        errors: relative L2 errors at later Sobol points, by case; the study's first.
+        numbers: Training sizes, ascending; the largest is compared with the one nearest to 1000.
+        errors: Relative L2 errors at later Sobol points, by case; the study's case comes first.
     """
     at = int(np.argmin([abs(n - 1000) for n in numbers]))
     gains = {name: _fall(values[at], values[-1]) for name, values in errors.items()}
@@ -106,5 +106,5 @@ def _percent(change: float) -> str:
 
 
 def _fall(before: float, after: float) -> float:
-    """Return the relative fall of an error, negative for a rise; an error of 0 has no way to fall."""
+    """Return the relative fall of an error, negative for a rise; 0 for an error of 0, which cannot fall."""
     return 1.0 - after / before if before > 0 else 0.0

@@ -1,4 +1,4 @@
-"""Everything that the claims are judged by: the studies run, the true posteriors, the convergence in seven inputs."""
+"""The evidence for the claims: the studies, the true posteriors, the convergence in seven inputs."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -37,23 +37,23 @@ STUDIES = (
     "biofilm-parts-refined",
     "biofilm-parts-iterated",
 )
-"""Study folders, in an order in which each finds the runs that it reuses."""
+"""Study folders, in an order that has the runs ready that each reuses."""
 RULES = {"centre": "", "refined": "-refined"}
-"""Quadratures of the currents by the end of the folder's name."""
+"""Ends of the folder's names by quadrature of the currents."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is done in addition to the studies themselves.
+    """The extent of the work in addition to the studies themselves.
 
     Args:
         table: Intervals of the table of interfaces in load, ν and V, even.
         nodes: Nodes of the log-likelihood in load, ν and V.
-        checks: Number of runs that the table does not know, to measure its error.
+        checks: Number of runs outside the table's data, to measure its error.
         nested: Sizes of the designs of S2.
-        larger: Sizes of the designs of S5 that the table answers.
+        larger: Sizes of the designs of S5 whose runs are read from the table.
         sizes: Sizes of the training sets of Fig. 12.
-        tests: Number of test points of Fig. 12, from later in the sequence.
+        tests: Number of test points of Fig. 12, later points of the sequence.
         draws: Number of draws of each check of a posterior.
     """
 
@@ -73,7 +73,7 @@ class Truths:
 
     Args:
         table: Table of the interfaces.
-        errors: Errors of the table at runs that it does not know.
+        errors: Errors of the table at runs that it was not made from.
         certain: Posterior with known inflow (S3).
         joint: Posterior with uncertain inflow (S5), which the data update.
         cut: Posterior with uncertain inflow, which the data do not update.
@@ -88,7 +88,7 @@ class Truths:
 
 @dataclass(frozen=True)
 class Cost:
-    """Forward runs made and found in ledgers, and seconds by stage, of one part of the work."""
+    """Forward runs made, forward runs found in ledgers, and seconds by stage, for one part of the work."""
 
     name: str
     made: int
@@ -98,7 +98,7 @@ class Cost:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """All of it.
+    """The whole evidence.
 
     Args:
         studies: Loaded studies by name.
@@ -138,12 +138,12 @@ def gather(folder: Path, results: Path, *, plan: Plan, executor: Executor | None
     Args:
         folder: Folder that holds the folders of `STUDIES`.
         results: Folder of the ledgers of further runs.
-        plan: How much is done.
-        executor: Executor of forward runs, if not that of the studies.
+        plan: Extent of the work.
+        executor: Executor of forward runs; by default that of the studies.
         observer: Observer of the progress.
 
     Raises:
-        InvalidInput: a study that is not there, and everything that `run_study` raises.
+        InvalidInput: A study is missing; also everything that `run_study` raises.
     """
     require_studies(folder)
     studies = {name: load_study(folder / name) for name in STUDIES}
@@ -188,7 +188,7 @@ def require_studies(folder: Path) -> None:
     """Refuse a folder that lacks one of `STUDIES`.
 
     Raises:
-        InvalidInput: One is missing; the message lists all that are.
+        InvalidInput: One is missing; the message lists all missing ones.
     """
     missing = [name for name in STUDIES if not (folder / name / "study.yaml").is_file()]
     if missing:
@@ -208,7 +208,7 @@ class _Runs:
     reused: int = 0
 
     def count(self, ledger: Ledger, model: Any, inputs: list[dict[str, float]]) -> None:
-        """Note which of `inputs` the ledger holds already."""
+        """Count how many of `inputs` the ledger already holds."""
         keys = {run_key(fingerprint(model), entry) for entry in inputs}
         known = len(ledger.latest(keys))
         self.made, self.reused = self.made + len(keys) - known, self.reused + known
@@ -252,7 +252,7 @@ def _truths(
 
 
 def _between(table: FieldTable, number: int) -> Float[np.ndarray, "run 3"]:
-    """Return points all over the table, none of them a node."""
+    """Return random points all over the table, none of them a node."""
     return np.asarray(table.coordinates.from_box(np.random.default_rng(0).uniform(-0.99, 1.0, (number, 3))))
 
 
@@ -262,7 +262,7 @@ def _likelihood(outcome: Outcome) -> InterfaceLikelihood:
 
 
 def _design(outcome: Outcome) -> NestedDesign:
-    """Return the whole design with its log-likelihoods, NaN where a run failed."""
+    """Return the whole design with its log-likelihoods, NaN if a run failed."""
     calibration = outcome.calibration
     names = calibration.problem.space.names
     x = np.array([[record.inputs[name] for name in names] for record in calibration.records])
@@ -288,7 +288,7 @@ def _convergence(
     observer: Observer,
     made: _Runs,
 ) -> dict[str, Convergence]:
-    """Extend the design of S6 to the largest training size and the test points behind it, and fit them all."""
+    """Extend the design of S6 to the largest training size plus test points, and fit a surrogate for each size."""
     study = studies["biofilm-parts"]
     space, model = study.space, study.model
     largest = max(plan.sizes)

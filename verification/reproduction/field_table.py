@@ -1,10 +1,10 @@
 """The interface of a loaded solid as a Chebyshev table over load, Poisson's ratio and inflow rate.
 
-At a fixed Poisson's ratio the deformation depends on V/E above all, and on V through the Reynolds number: at
-100 mm²/s the same V/E bends three times as much as in creeping flow. Soft states end at a fold, where the displacement
-goes as the square root of the distance to it. So the table has the coordinates s = √(1 - load), in which the
-displacement is smooth up to the fold, ν and V, with the load V/E relative to its value at the fold. At s = 1 nothing is
-loaded and no run is needed.
+At a fixed Poisson's ratio the deformation depends mainly on V/E, and on V through the Reynolds number: at 100 mm²/s the
+same V/E bends three times as much as in creeping flow. Soft states end at a fold, near which the displacement varies as
+the square root of the distance to it. So the coordinates of the table are s = √(1 - load), in which the displacement is
+smooth up to the fold, ν and V; the load is V/E relative to its value at the fold. At s = 1 there is no load and no run
+is needed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,15 +44,15 @@ class LoadCoordinates:
     """The map between (E, ν, V) and a box in which all interfaces exist and are smooth.
 
     Args:
-        fold: (ν, E) pairs of the fold at the inflow rate `fold_rate`; between them a cubic of E/(1+ν) is fitted.
+        fold: (ν, E) pairs of the fold at the inflow rate `fold_rate`; a cubic of E/(1+ν) is fitted to them.
         fold_rate: V at which the fold was found, mm²/s.
-        inertia: (a, b) in mm²/s: at another V the fold is taken to have E ∝ V √(b² + (a + V)²). For the built-in
+        inertia: (a, b) in mm²/s: at another V, E of the fold is assumed to be ∝ V √(b² + (a + V)²). For the built-in
             biofilm this E is 2 % below to 26 % above the folds found for E from 60 to 240 Pa, and hardly below those
             of the softest solids in creeping flow. None: E ∝ V.
-        reach: Share of the load at the fold that the softest states of the table have.
+        reach: Load of the softest states of the table, as a share of the load at the fold.
         nu: Interval of Poisson's ratio.
         rate: Interval of V, mm²/s; its lower end is above 0, since at V = 0 the load would need E = 0. The table is
-            continued from there to 0.
+            extrapolated from there to 0.
     """
 
     fold: tuple[tuple[float, float], ...] = BIOFILM_FOLD
@@ -72,7 +72,7 @@ class LoadCoordinates:
     def fold_load(
         self, nu: Float[np.ndarray, "*point"], rate: float | Float[np.ndarray, "*point"]
     ) -> Float[np.ndarray, "*point"]:
-        """Return V/E at the fold, mm²/(s Pa), by the fit."""
+        """Return V/E at the fold, mm²/(s Pa), from the fit."""
         at, young = np.array(self.fold).T
         degree = min(3, len(at) - 1)
         stiffness = np.polynomial.Polynomial.fit(at, young / (1 + at), degree)
@@ -83,7 +83,7 @@ class LoadCoordinates:
         return np.asarray(at_fold_rate * np.hypot(b, a + self.fold_rate) / np.hypot(b, a + rate))
 
     def load(self, x: Float[np.ndarray, "*point 3"]) -> Float[np.ndarray, "*point"]:
-        """Return the share that (E, ν, V) has of the load at the fold."""
+        """Return the load at (E, ν, V) as a share of the load at the fold."""
         return np.asarray(x[..., 2] / x[..., 0] / self.fold_load(x[..., 1], x[..., 2]))
 
     def inside(self, x: Float[np.ndarray, "*point 3"]) -> Bool[np.ndarray, "*point"]:
@@ -122,11 +122,11 @@ class FieldTable:
     """Displacements of the interface's points at Chebyshev nodes of the box, interpolated by polynomials.
 
     Args:
-        coordinates: the box.
-        reference: the interface without load (point, 2), mm.
-        axes: the nodes of each coordinate; one node alone makes the table constant in it.
-        values: displacements (s, nu, rate, coordinate), mm, the coordinates of all points in a row.
-        runs: number of forward runs that the table is made of.
+        coordinates: Coordinates of the box.
+        reference: Interface without load (point, 2), mm.
+        axes: Nodes of each coordinate; with a single node the table is constant in it.
+        values: Displacements (s, nu, rate, coordinate), mm; the coordinates of all points in a row.
+        runs: Number of forward runs in the table.
     """
 
     coordinates: LoadCoordinates
@@ -176,7 +176,7 @@ def lagrange(nodes: Float[np.ndarray, " node"], z: Float[np.ndarray, " point"]) 
 
 
 def lobatto(intervals: int) -> Float[np.ndarray, " node"]:
-    """Return the Chebyshev–Lobatto nodes from -1 to 1; 0 intervals give the upper end alone."""
+    """Return the Chebyshev–Lobatto nodes from -1 to 1; only the upper end for 0 intervals."""
     if intervals == 0:
         return np.ones(1)
     return np.asarray(-np.cos(np.pi * np.arange(intervals + 1) / intervals))
@@ -196,14 +196,14 @@ def tabulate(
     Args:
         model: Model with the inputs E, nu and V_in.
         reference: Interface of the model without load.
-        intervals: Number of intervals in s, ν and V; even ones have a nested table of half as many. 0 in V fixes V at
-            its upper end.
+        intervals: Number of intervals in s, ν and V; even numbers have a nested table with half as many. 0 in V fixes V
+            at its upper end.
         ledger: Ledger of this model.
         executor: Executor of the runs.
         coordinates: Box of the table; by default that of the built-in biofilm.
 
     Raises:
-        NumericsError: a node of the table is a state that does not exist.
+        NumericsError: No state exists at a node of the table.
     """
     box = coordinates or LoadCoordinates()
     a, b, c = (lobatto(n) for n in intervals)
@@ -233,12 +233,12 @@ def run_at(
 
 @dataclass(frozen=True, eq=False)
 class TableErrors:
-    """Forward runs that the table does not know, against the table.
+    """Forward runs that the table was not made from, compared with it.
 
     Args:
-        x: their (E, ν, V).
-        simulated: their interfaces (run, point, 2), mm.
-        distance: the largest distance of a point from its interpolated place (run,), mm.
+        x: (E, ν, V) of the runs.
+        simulated: Interfaces of the runs (run, point, 2), mm.
+        distance: Largest distance of a point from its interpolated place (run,), mm.
     """
 
     x: Float[np.ndarray, "run 3"]
@@ -257,8 +257,8 @@ def withheld(
     """Run the model at (E, ν, V) inside the table and compare; a run that fails is a hole in the table.
 
     Raises:
-        InvalidInput: points outside the table.
-        NumericsError: a run failed.
+        InvalidInput: Points lie outside the table.
+        NumericsError: A run failed.
     """
     if not table.coordinates.inside(x).all():
         raise InvalidInput(

@@ -42,13 +42,13 @@ def plot_nested_likelihoods(
     columns: int = 3,
     figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw exp(surrogate - its maximum) of each nested design about the true posterior, whose contours lie over it.
+    """Draw exp(surrogate - its maximum) of each nested design around the true posterior, with the latter's contours.
 
     Args:
         steps: Steps from `nested_surrogates`.
         truth: True posterior under uniform priors, which is the likelihood.
         space: Space of E and ν.
-        training: Inputs of the successful runs in the order of the design; each panel shows those it used.
+        training: Inputs of the successful runs in the order of the design; each panel shows those its design uses.
         ground_truth: Inputs of the synthetic observation.
         columns: Number of panels side by side.
         figure: Figure to draw in; a new one by default.

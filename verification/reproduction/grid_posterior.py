@@ -1,4 +1,4 @@
-"""Posteriors of E and ν on a product grid of Gauss points in (log E, ν, V), and how far one is from another."""
+"""Posteriors of E and ν on a product grid of Gauss points in (log E, ν, V), and the difference between two of them."""
 
 import math
 from collections.abc import Callable
@@ -27,7 +27,7 @@ __all__ = [
 
 Reading = Literal["joint", "cut"]
 LogLikelihood = Callable[[Float[np.ndarray, "point 3"]], Float[np.ndarray, " point"]]
-"""log L at (E, ν, V), -inf where there is no state."""
+"""log L at (E, ν, V); -inf if no state exists there."""
 
 _PANEL_NODES = 4
 
@@ -65,7 +65,7 @@ def product_grid(
         rate: Fixed inflow rate, mm²/s.
 
     Raises:
-        InvalidInput: inputs other than these.
+        InvalidInput: The space has other inputs.
     """
     wanted = {"E", "nu"} if rate is not None else {"E", "nu", "V_in"}
     if set(space.names) != wanted:
@@ -73,7 +73,7 @@ def product_grid(
             "inputs of the posterior by quadrature",
             value=list(space.names),
             expected=f"{', '.join(sorted(wanted))}",
-            remedy="Give the inflow rate where it is fixed, and only there.",
+            remedy="Give the inflow rate if, and only if, it is fixed.",
         )
     softest, stiffest = space["E"].interval
     log_e, log_weight = _gauss(math.log(softest), math.log(stiffest), panels[0])
@@ -101,10 +101,10 @@ class GridPosterior:
         density: Normalised density at the points of the (E, ν) plane, 1/Pa.
         mean: Mean of E and ν (2,).
         covariance: Covariance of E and ν (2, 2).
-        log_evidence: log ∫ L p; of the cut reading too, where the posterior does not use it.
+        log_evidence: log ∫ L p; also given for the cut reading, whose posterior does not use it.
         log_evidence_at_rate: log Z(V) at the points in V.
-        edge_mass: Mass that would lie beyond the soft end of the table if the likelihood stayed as it is at that end,
-            as a share of the mass inside. It is taken as zero everywhere else.
+        edge_mass: Mass that would lie beyond the soft end of the table if the likelihood kept its value there, as a
+            share of the mass inside. Everywhere else that likelihood is taken as zero.
     """
 
     grid: ProductGrid
@@ -136,11 +136,11 @@ def posterior_on_grid(
         space: The inputs with their priors.
         grid: Grid from `product_grid`, with V fixed or not.
         reading: ``joint`` integrates V out of the posterior of all inputs; ``cut`` averages the posteriors at each V,
-            each normalised by its own evidence, over the prior of V: the data do not update V. Alike where V is fixed.
+            each normalised by its own evidence, over the prior of V: the data do not update V. The same if V is fixed.
         coordinates: Coordinates of the table behind the likelihood, for the mass at its soft end.
 
     Raises:
-        NumericsError: no state inside the box at a V that the prior admits.
+        NumericsError: No state exists in the box at a V that the prior admits.
     """
     log_area = np.log(grid.area)
     slices, edges = [], []
@@ -196,7 +196,7 @@ def _log_rate_prior(space: ParameterSpace, rate: Float[np.ndarray, " rate"]) -> 
 def _log_edge(
     log_likelihood: LogLikelihood, space: ParameterSpace, grid: ProductGrid, coordinates: LoadCoordinates, rate: float
 ) -> float:
-    """Return the log of ∫ prior · (likelihood at the soft end) over the part of the box beyond that end."""
+    """Return the log of ∫ prior · (likelihood at the soft end) over the part of the box beyond the soft end."""
     low = space["E"].interval[0]
     softest = np.minimum(coordinates.softest(grid.nu, rate), space["E"].interval[1])
     beyond = np.maximum(softest - low, 0.0)
@@ -209,14 +209,14 @@ def _log_edge(
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """How far a posterior is from another one, in the other's standard deviations.
+    """The difference of one posterior from another, in the other's standard deviations.
 
     Args:
-        mean: difference of the means, in standard deviations.
-        sd_ratio: ratio of the standard deviations, less 1.
-        correlation: difference of the correlations of E and ν.
-        log_evidence: difference of the log evidences.
-        total_variation: ½ ∫ |p - q|; None on different grids.
+        mean: Difference of the means, in standard deviations.
+        sd_ratio: Ratio of the standard deviations minus 1.
+        correlation: Difference of the correlations of E and ν.
+        log_evidence: Difference of the log evidences.
+        total_variation: ½ ∫ |p - q|; None for grids of different sizes.
     """
 
     mean: Float[np.ndarray, "2"]
@@ -227,7 +227,7 @@ class Difference:
 
 
 def compare(one: GridPosterior, other: GridPosterior) -> Difference:
-    """Return how far `one` is from `other`."""
+    """Return the difference of `one` from `other`."""
     a, b = (p.covariance[0, 1] / p.sd.prod() for p in (one, other))
     return Difference(
         mean=(one.mean - other.mean) / other.sd,
@@ -239,10 +239,10 @@ def compare(one: GridPosterior, other: GridPosterior) -> Difference:
 
 
 def total_variation(one: GridPosterior, other: GridPosterior) -> float:
-    """Return ½ ∫ |p - q| over the (E, ν) plane: 0 for the same density, 1 for densities that do not meet.
+    """Return ½ ∫ |p - q| over the (E, ν) plane: 0 for equal densities, 1 for densities that do not overlap.
 
     Raises:
-        InvalidInput: different grids.
+        InvalidInput: The grids differ.
     """
     same = np.array_equal(one.grid.young, other.grid.young) and np.array_equal(one.grid.nu, other.grid.nu)
     if not same:

@@ -1,4 +1,4 @@
-"""All ten claims, judged by the evidence."""
+"""Judge all ten claims by the evidence."""
 
 import numpy as np
 from verification.reproduction.evidence import RULES, Evidence

@@ -1,4 +1,4 @@
-"""What a judged claim is, and the figures of a density or a likelihood that claims are judged by."""
+"""A judged claim, and the figures of a density or a likelihood by which claims are judged."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -29,21 +29,21 @@ __all__ = [
 Verdict = Literal["confirmed", "refuted", "differs"]
 _GRID = 401
 PROMINENCE = 0.05
-"""A local maximum of a marginal counts if it rises by this share of the highest above its surroundings."""
+"""A local maximum of a marginal counts if it rises above its surroundings by this share of the highest maximum."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the study and what our numbers say of it.
+    """A claim of the study and what our numbers say about it.
 
     Args:
         key: C1 to C10.
         statement: The claim.
-        figures: Numbers of the study's figures that carry it.
-        verdict: ``confirmed``, ``refuted``, or ``differs`` where the study's setting cannot be compared with ours.
+        figures: Numbers of the study's figures that support it.
+        verdict: ``confirmed``, ``refuted``, or ``differs`` if the study's setting cannot be compared with ours.
         because: The reason in a sentence, with figures.
         numbers: Our numbers.
-        study: The study's numbers, where printed.
+        study: The study's numbers, if it prints them.
     """
 
     key: str
@@ -55,7 +55,7 @@ class Claim:
     study: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what claims.json holds of it; None stands for a number that is not finite, such as k̂ = inf."""
+        """Return the entry of claims.json; None replaces a number that is not finite, such as k̂ = inf."""
         return {name: _finite(value) for name, value in asdict(self).items() if name != "key"}
 
 
@@ -64,9 +64,9 @@ class LikelihoodField:
     """A log-likelihood on a grid of two inputs.
 
     Args:
-        x: grid of the first (x,).
-        y: grid of the second (y,).
-        values: log-likelihood (x, y).
+        x: Grid of the first input (x,).
+        y: Grid of the second input (y,).
+        values: Log-likelihood (x, y).
     """
 
     x: Float[np.ndarray, " x"]
@@ -80,12 +80,12 @@ class LikelihoodField:
         return float(self.x[i]), float(self.y[j])
 
     def share_above(self, fraction: float) -> float:
-        """Return the share of the box where the likelihood exceeds that fraction of its maximum."""
+        """Return the share of the box where the likelihood exceeds `fraction` of its maximum."""
         return float(np.mean(self.values > self.values.max() + np.log(fraction)))
 
     @property
     def ridge(self) -> Float[np.ndarray, " y"]:
-        """The first input of highest likelihood at each value of the second (y,)."""
+        """The value of the first input with the highest likelihood at each value of the second (y,)."""
         return np.asarray(self.x[np.argmax(self.values, axis=0)])
 
 
@@ -102,7 +102,7 @@ def modes(posterior: Posterior, name: str) -> list[float]:
 def plateau(posterior: Posterior, name: str, *, level: float = 0.8) -> float:
     """Return the length over which a marginal exceeds `level` times its maximum, in its standard deviations.
 
-    At 0.8 a Gaussian has 1.34, a uniform density √12 = 3.46.
+    At a level of 0.8 it is 1.34 for a Gaussian and √12 = 3.46 for a uniform density.
     """
     grid, density = _marginal(posterior, posterior.space[name])
     step = grid[1] - grid[0]
@@ -117,17 +117,17 @@ def distance_to_prior(posterior: Posterior, name: str, *, bins: int = 30) -> flo
 
 
 def density_over_prior(posterior: Posterior, name: str, value: float, *, bins: int = 30) -> float:
-    """Return how many times as dense as its prior a marginal is about `value`, both as histograms over the box."""
+    """Return the ratio of a marginal to its prior at `value`, both as histograms over the box."""
     edges, mass, prior = _beside_prior(posterior, name, bins)
     at = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, bins - 1))
     return float(mass[at] / prior[at])
 
 
 def correlation_ratio(posterior: Posterior, name: str, given: str, *, bins: int = 20) -> float:
-    """Return the root of the share of an input's variance that its mean given another input explains.
+    """Return the square root of the share of an input's variance that its mean given another input explains.
 
-    |ρ| for a normal distribution; unlike ρ it is not blind to a bend. The other input is cut into `bins` parts of
-    equal weight, so that of n independent draws it is about √(bins/n), not 0.
+    It is |ρ| for a normal distribution; unlike ρ it also sees a curved dependence. The other input is cut into `bins`
+    parts of equal weight, so that it is about √(bins/n), not 0, for n draws of independent inputs.
     """
     value, by = posterior.columns([name, given]).T
     order = np.argsort(by, kind="stable")
@@ -142,7 +142,7 @@ def correlation_ratio(posterior: Posterior, name: str, given: str, *, bins: int 
 def angle_between_axes(
     one: Float[np.ndarray, "2 2"], other: Float[np.ndarray, "2 2"], scale: Float[np.ndarray, "2"]
 ) -> float:
-    """Return the angle between the main axes of two covariances, degrees, inputs divided by `scale` first."""
+    """Return the angle between the main axes of two covariances, degrees, with inputs divided by `scale`."""
     axes = [np.linalg.eigh(c / np.outer(scale, scale))[1][:, -1] for c in (one, other)]
     return float(np.degrees(np.arccos(min(1.0, abs(axes[0] @ axes[1])))))
 
@@ -154,7 +154,7 @@ def mass_within(posterior: Posterior, approximation: GaussianApproximation, leve
 
 
 def _finite(value: Any) -> Any:
-    """Return `value` with None for each number that JSON does not know."""
+    """Return `value` with None for each number that is not finite."""
     if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -165,7 +165,7 @@ def _finite(value: Any) -> Any:
 def _beside_prior(
     posterior: Posterior, name: str, bins: int
 ) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
-    """Return the edges of bins over the box, the mass of a marginal in each and that of its prior."""
+    """Return the edges of bins over the box, and the mass of a marginal and of its prior in each bin."""
     parameter = posterior.space[name]
     bars = histogram(posterior.columns([name])[:, 0], posterior.weights, bounds=parameter.interval, bins=bins)
     below = np.asarray(parameter.truncated_prior.cdf(bars.edges))

@@ -1,6 +1,6 @@
-"""How many runs the surrogate of three inputs would take: Sobol designs far larger than the study's (study S5).
+"""How many runs the surrogate of three inputs would need: Sobol designs far larger than the study's (study S5).
 
-A design of ten thousand runs costs no run here: the log-likelihoods are those of the true model, read from its field.
+Even a design of ten thousand runs needs no forward run: the log-likelihoods of the true model are read from its field.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,17 +30,17 @@ __all__ = [
 
 LARGER = (1000, 2000, 4000, 8000)
 FITTED = 2000
-"""Runs that the hyperparameters are fitted to at most; larger designs keep those."""
+"""Largest number of runs that the hyperparameters are fitted to; larger designs keep the hyperparameters."""
 READINGS: tuple[Reading, ...] = ("joint", "cut")
 PANELS = (24, 12, 8)
 MEAN_WITHIN = 0.15
-"""Standard deviations that a mean may be off for a posterior to count as found."""
+"""Largest error of a mean, in standard deviations, for a posterior to count as found."""
 SD_WITHIN = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class LargerDesign:
-    """What a design of `runs` points gives.
+    """The result of a design of `runs` points.
 
     Args:
         runs: Size of the design.
@@ -53,7 +53,7 @@ class LargerDesign:
     differences: Mapping[Reading, Difference]
 
     def found(self, reading: Reading) -> bool:
-        """Return whether all means are within `MEAN_WITHIN` sd and all sds within `SD_WITHIN` of the truth."""
+        """Return whether all means are within `MEAN_WITHIN` sd and all sds within a share `SD_WITHIN` of the truth."""
         off = self.differences[reading]
         return bool((np.abs(off.mean) <= MEAN_WITHIN).all() and (np.abs(off.sd_ratio) <= SD_WITHIN).all())
 
@@ -67,7 +67,7 @@ def larger_designs(
     fitted: int = FITTED,
     panels: tuple[int, int, int] = PANELS,
 ) -> tuple[LargerDesign, ...]:
-    """Fit the study's surrogate to the true log-likelihood at ever more Sobol points and integrate its posterior.
+    """Fit the study's surrogate to the true log-likelihood at more and more Sobol points and integrate its posterior.
 
     Args:
         field: Log-likelihood of the true model.
@@ -95,7 +95,7 @@ def larger_designs(
 
 
 def runs_to_find(designs: Sequence[LargerDesign], reading: Reading) -> int | None:
-    """Return the smallest size from which on the posterior of a reading is found; None if the largest misses it."""
+    """Return the smallest size from which on designs find the posterior of a reading; None if the last does not."""
     missed = [design.runs for design in designs if not design.found(reading)]
     return next((d.runs for d in designs if d.runs > max(missed, default=0)), None)
 
@@ -103,7 +103,7 @@ def runs_to_find(designs: Sequence[LargerDesign], reading: Reading) -> int | Non
 def _process(
     x: Float[np.ndarray, "run 3"], values: Float[np.ndarray, " run"], first: GaussianProcess
 ) -> GaussianProcess:
-    """Return the surrogate of these runs; if they are more than those of `first`, with its hyperparameters.
+    """Return the surrogate of these runs, with the hyperparameters of `first` if it has no more runs.
 
     Length scales are in standard deviations of the inputs, which further Sobol points hardly change.
     """
@@ -120,7 +120,7 @@ def _process(
 
 
 def _within(field: LogLikelihoodField, process: GaussianProcess) -> LogLikelihood:
-    """Return the surrogate where the table has states, -inf elsewhere."""
+    """Return the surrogate inside the table, -inf elsewhere."""
 
     def likelihood(x: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
         values = np.full(len(x), -np.inf)
@@ -132,7 +132,7 @@ def _within(field: LogLikelihoodField, process: GaussianProcess) -> LogLikelihoo
 
 
 def _read_once(likelihood: LogLikelihood) -> LogLikelihood:
-    """Return the same function with what it gave at the slices of a grid kept, for a second reading."""
+    """Return the same function; it keeps its values at the slices of a grid for a second reading."""
     kept: dict[bytes, Float[np.ndarray, " point"]] = {}
 
     def values(x: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:

@@ -1,4 +1,4 @@
-"""The log-likelihood of tabulated interfaces on a fine grid, and between its points by splines.
+"""The log-likelihood of tabulated interfaces on a fine grid, interpolated between its points by splines.
 
 The grid is in the coordinates of the table, along which the ridge of the likelihood runs.
 """
@@ -26,7 +26,7 @@ class LogLikelihoodField:
 
     Args:
         coordinates: Coordinates of the box.
-        axes: The nodes of each box coordinate; a single node makes the field constant in it.
+        axes: Nodes of each box coordinate; with a single node the field is constant in it.
         values: log L at the nodes.
         spline: Spline through the values, over the coordinates with more than one node.
     """
@@ -61,7 +61,7 @@ def log_likelihood_field(
         table: Table of the interfaces.
         likelihood: Likelihood of one observation.
         nodes: Number of nodes in s, ν and V, at least 11 each (the halved field needs 6); odd numbers are nested.
-        rate: Fixed inflow rate, which has one node; `nodes[2]` does not count then.
+        rate: Fixed inflow rate, which has one node; then `nodes[2]` is not used.
     """
     s, nu = (np.linspace(-1.0, 1.0, n) for n in nodes[:2])
     low, high = table.coordinates.rate
@@ -95,7 +95,7 @@ def spline_field(
 
     Args:
         coordinates: Coordinates of the box.
-        axes: Equally spaced nodes from -1 to 1 in s, ν and V, at least six each; one node makes it constant.
+        axes: Equally spaced nodes from -1 to 1 in s, ν and V, at least six each, or one if the field is constant.
         values: log L at the nodes.
     """
     coefficients, knots = values, []

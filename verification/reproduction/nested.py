@@ -1,6 +1,6 @@
-"""What more forward runs bring: surrogates of nested designs against the true posterior (study S2, Fig. 8).
+"""The gain from more forward runs: surrogates of nested designs against the true posterior (study S2, Fig. 8).
 
-A Sobol design of n points begins with every smaller one, so the runs of the largest design are enough for all of them.
+A Sobol design of n points starts with every smaller one, so the runs of the largest design are enough for all.
 """
 
 from collections.abc import Sequence
@@ -30,8 +30,8 @@ class NestedDesign:
     """The outcome of a design of two inputs, in its order.
 
     Args:
-        x: (E, ν) of all runs, the failed ones included.
-        log_likelihoods: Log-likelihood of each run (run,), NaN where it failed.
+        x: (E, ν) of all runs, including the failed ones.
+        log_likelihoods: Log-likelihood of each run (run,), NaN if it failed.
     """
 
     x: Float[np.ndarray, "run 2"]
@@ -43,10 +43,10 @@ class NestedDesign:
         return np.asarray(np.isfinite(self.log_likelihoods))
 
     def first(self, runs: int) -> "NestedDesign":
-        """Return the smaller design that this one begins with.
+        """Return the design of the first `runs` runs of this one.
 
         Raises:
-            InvalidInput: it has fewer runs than that.
+            InvalidInput: It has fewer runs than that.
         """
         if not 0 < runs <= len(self.x):
             raise InvalidInput(
@@ -60,16 +60,16 @@ class NestedDesign:
 
 @dataclass(frozen=True, eq=False)
 class NestedStep:
-    """What the first `runs` points of the design give.
+    """The result of the first `runs` points of the design.
 
     Args:
         runs: Size of the design.
         succeeded: Number of runs that the surrogate was fitted to.
         surrogate: Surrogate of the log-likelihood.
-        posterior: Posterior of the surrogate, by quadrature on the grid of the truth: without sampling noise.
+        posterior: Posterior of the surrogate by quadrature on the grid of the truth, without sampling noise.
         difference: Difference of that posterior from the truth; its total variation is the actual error.
         maximum_likelihood: (E, ν) at the maximum of the surrogate in the box.
-        loo_rms_near_mode: Leave-one-out error of the runs near the mode, which a user sees who does not know the truth.
+        loo_rms_near_mode: Leave-one-out error of the runs near the mode, which a user sees without knowing the truth.
         near_mode: Number of runs near the mode.
     """
 
@@ -107,8 +107,8 @@ def nested_surrogates(
         kernel: Kernel of the surrogate, a name in `KERNELS`.
 
     Raises:
-        InvalidInput: a size beyond the design.
-        TooFewRuns: too few successes among the first runs.
+        InvalidInput: A size is larger than the design.
+        TooFewRuns: Too few of the first runs succeeded.
     """
     return tuple(_step(design.first(runs), truth, space, kernel) for runs in sizes)
 
@@ -130,14 +130,14 @@ def _step(design: NestedDesign, truth: GridPosterior, space: ParameterSpace, ker
 
 
 def two_inputs(process: GaussianProcess) -> LogLikelihood:
-    """Return a surrogate over (E, ν) as a log-likelihood over (E, ν, V) at the V of its runs."""
+    """Return a surrogate over (E, ν) as a log-likelihood over (E, ν, V), to be used at the V of its runs."""
     return lambda x: process.mean(np.ascontiguousarray(x[:, :2]))
 
 
 def maximum_likelihood(
     process: GaussianProcess, best_run: Float[np.ndarray, "2"], space: ParameterSpace
 ) -> Float[np.ndarray, "2"]:
-    """Return the point of the box with the largest mean of the surrogate: a grid, narrowed about its best point."""
+    """Return the point of the box with the largest mean of the surrogate, by grids narrowed around the best point."""
     low, high = space.low, space.high
     best, reach = best_run, 0.5 * (high - low)
     centre, points = 0.5 * (low + high), 201

@@ -27,12 +27,12 @@ __all__ = ["write_claims", "write_page"]
 
 
 WORDS = {"map": "MAP", "mean": "mean"}
-"""How the page calls the keys of a claim's numbers."""
+"""Names on the page for the keys of a claim's numbers."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """One example of the study: what is done, tables, pictures, claims."""
+    """One example of the study: titles, tables, pictures, claims."""
 
     key: str
     short: str
@@ -43,7 +43,7 @@ class Section:
 
 
 def _place(picture: Picture) -> tuple[int, str, str]:
-    """Return the place of a picture in the study's order: number, letter, the figure itself before its variants."""
+    """Return a sort key for pictures in the study's order: number, letter, the figure itself before its variants."""
     number, _, variant = picture.number.partition(",")
     digits = number.rstrip("abcd")
     return int(digits), number[len(digits) :], variant
@@ -76,7 +76,7 @@ def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Secti
 
 
 def compared(claim: Claim) -> list[tuple[str, float, float]]:
-    """Return what the study prints beside ours: name, our number, the study's."""
+    """Return the numbers that the study prints too: name, our number, the study's."""
     pairs = {key: (claim.numbers[key], theirs) for key, theirs in claim.study.items() if key in claim.numbers}
     return [
         (f"{WORDS.get(key, key)}: {name}", ours[name], theirs[name])

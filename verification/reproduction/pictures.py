@@ -1,4 +1,4 @@
-"""The pictures of the page by the numbers of the study's figures: those of the studies' reports, and further ones."""
+"""The pictures of the page, numbered as the study's figures: from the studies' reports, and further ones."""
 
 import base64
 import io
@@ -23,7 +23,7 @@ __all__ = ["FROM_REPORTS", "Picture", "draw"]
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of the page: its number in the study, with a letter where there are several, caption and PNG."""
+    """A picture of the page: its number in the study, with a letter if there are several, its caption and its PNG."""
 
     number: str
     caption: str
@@ -36,7 +36,7 @@ class Picture:
 
     @property
     def width(self) -> int:
-        """Pixels of the page across: those of the PNG's header, fewer an inch."""
+        """Width on the page in pixels: the width of the PNG at the resolution of the page."""
         return round(int.from_bytes(self.png[16:20], "big") * PAGE_PIXELS_PER_INCH / DOTS_PER_INCH)
 
 
@@ -52,7 +52,7 @@ FROM_REPORTS = (
     ("9c", "biofilm-informed", "posterior", "S4: posterior under the informed prior."),
     ("9d", "biofilm-inflow", "posterior_joint", "S5: posterior under uncertainty, joint reading."),
     ("9d, cut", "biofilm-inflow", "posterior_cut", "S5: posterior under uncertainty, cut reading."),
-    ("10", "biofilm-inflow", "nuisance", "S5: prior of the inflow, and what the data make of it."),
+    ("10", "biofilm-inflow", "nuisance", "S5: prior of the inflow, and its posterior in the joint reading."),
     ("13", "biofilm-parts", "marginals", "S6: marginals with priors."),
     ("14", "biofilm-parts", "posterior", "S6: pairs of inputs."),
     ("15", "biofilm-parts", "parallel", "S6: all particles, drawn from low to high posterior density."),
@@ -90,7 +90,7 @@ def _nested(evidence: Evidence) -> Iterator[Picture]:
         )
         yield Picture("8" if rule == "centre" else f"8, {rule}", caption, _png(figure))
     axes = plot_convergence(evidence.nested)
-    caption = "S2: total variation to the true posterior, and the leave-one-out error that a user sees, over the runs."
+    caption = "S2: total variation to the true posterior and leave-one-out error, which a user sees, against the runs."
     yield Picture("8, errors", caption, _png(axes.figure))
 
 

@@ -1,4 +1,4 @@
-"""The published study, whole: its six examples run, its ten claims judged, one page written."""
+"""Reproduce the whole published study: run its six examples, judge its ten claims, write one page."""
 
 import time
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ __all__ = ["Reproduction", "reproduce"]
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What was found, and where it is written."""
+    """The evidence, the judged claims, and the paths of the files."""
 
     evidence: Evidence
     claims: dict[str, Claim]
@@ -37,17 +37,17 @@ def reproduce(
 ) -> Reproduction:
     """Run everything, judge the claims, and write report.html and claims.json into `folder`.
 
-    Forward runs that a ledger holds are not repeated: started again, it goes on where it was stopped.
+    Forward runs that a ledger holds are not repeated: a second call goes on where the first one stopped.
 
     Args:
         studies: Folder that holds the study folders.
-        folder: Folder of the results; made if it does not exist.
-        plan: How much is done in addition to the studies.
-        executor: Executor of forward runs, if not that of the studies.
+        folder: Folder of the results; created if it does not exist.
+        plan: Extent of the work in addition to the studies.
+        executor: Executor of forward runs; by default that of the studies.
         observer: Observer of the progress.
 
     Raises:
-        InvalidInput: a study is missing; and everything that `run_study` and `check_posterior` raise.
+        InvalidInput: A study is missing; also everything that `run_study` and `check_posterior` raise.
     """
     begun, tell = time.perf_counter(), observer or Observer()
     require_studies(studies)

@@ -1,4 +1,4 @@
-"""Tables of the page: posteriors beside those of the true model, checks, sensitivities, runs and seconds."""
+"""Tables of the page: posteriors compared with those of the true model, checks, sensitivities, runs and seconds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Table:
-    """A table: names of its columns, rows of numbers and words, and a sentence below."""
+    """A table: names of its columns, rows of numbers and words, and a note below."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
@@ -29,7 +29,7 @@ INPUTS = ("E [Pa]", "ν")
 
 
 def against_truth(evidence: Evidence) -> Table:
-    """Return S3 by the sampler against the true model, by quadrature rule."""
+    """Return the posterior of S3 from the sampler against the true model, by quadrature rule."""
     rows: list[tuple[Cell, ...]] = []
     for rule, end in RULES.items():
         posterior = evidence.outcomes[f"biofilm-uniform{end}"].calibration.posterior
@@ -40,14 +40,14 @@ def against_truth(evidence: Evidence) -> Table:
         TRUTH_COLUMNS,
         tuple(rows),
         f"The true model's posterior comes from a table of {evidence.truths.table.runs} forward runs, the interface "
-        f"interpolated between them. At {len(errors.x)} runs that the table does not know it is off by "
-        f"{1e3 * float(np.median(errors.distance)):.2g} µm in the median and {1e3 * errors.distance.max():.2g} µm at "
-        f"most; half the table moves a mean by {worst:.2g} sd.",
+        f"interpolated between them. At {len(errors.x)} further runs the median error of the table is "
+        f"{1e3 * float(np.median(errors.distance)):.2g} µm and the largest {1e3 * errors.distance.max():.2g} µm; "
+        f"a table of half the intervals moves a mean by at most {worst:.2g} sd.",
     )
 
 
 def uncertain_against_truth(evidence: Evidence) -> Table:
-    """Return S5, joint and cut, by the sampler and by quadrature of the surrogate, against the true model."""
+    """Return the posterior of S5, joint and cut, from the sampler and from quadrature, against the true model."""
     rows: list[tuple[Cell, ...]] = []
     for rule, end in RULES.items():
         outcome = evidence.outcomes[f"biofilm-inflow{end}"]
@@ -67,14 +67,15 @@ def uncertain_against_truth(evidence: Evidence) -> Table:
     return Table(
         TRUTH_COLUMNS,
         tuple(rows),
-        "The surrogate by the particles of the sampler and, as a check of it, by quadrature, each against the true "
-        f"model. Half the table moves a mean of the true model's by {worst:.2g} sd. Were the likelihood beyond the "
-        f"soft end of the table what it is at that end, {100 * edge:.2g} % of the mass would lie there.",
+        "The surrogate's posterior from the sampler's particles and, to check them, from quadrature, each against the "
+        f"true model. A table of half the intervals moves a mean of the true model by at most {worst:.2g} sd. If the "
+        f"likelihood beyond the soft end of the table were as it is at that end, {100 * edge:.2g} % of the mass would "
+        "lie there.",
     )
 
 
 def larger(evidence: Evidence) -> Table:
-    """Return how far the surrogate of S5 is from the true model when it is given more runs, and how many it takes."""
+    """Return how far the surrogate of S5 is from the true model with more runs, and how many runs it needs."""
     rows: list[tuple[Cell, ...]] = []
     words = []
     for rule, designs in evidence.larger.items():
@@ -92,7 +93,7 @@ def larger(evidence: Evidence) -> Table:
         tuple(rows),
         f"The surrogate of S5 with more runs, by quadrature, against the true model; no forward run is made, the "
         f"log-likelihood of the design comes from the table, and hyperparameters from its first {FITTED} runs. Found: "
-        f"means within {MEAN_WITHIN:g} sd and standard deviations within {100 * SD_WITHIN:g} %. Runs that this takes: "
+        f"means within {MEAN_WITHIN:g} sd and standard deviations within {100 * SD_WITHIN:g} %. Runs needed: "
         + "; ".join(words)
         + ".",
     )
@@ -101,7 +102,7 @@ def larger(evidence: Evidence) -> Table:
 def _truth_rows(
     name: str, mean: Float[np.ndarray, " dim"], sd: Float[np.ndarray, " dim"], truth: TruePosterior
 ) -> list[tuple[Cell, ...]]:
-    """Return a row for each input, the posterior's figures beside those of the true model."""
+    """Return a row for each input: the posterior's figures and those of the true model."""
     exact = truth.posterior
     return [
         (name if k == 0 else "", label, float(mean[k]), float(exact.mean[k]),
@@ -111,7 +112,7 @@ def _truth_rows(
 
 
 def checks(evidence: Evidence, names: Sequence[str]) -> Table:
-    """Return what the true model says at draws of posteriors."""
+    """Return the checks of posteriors with the true model."""
     rows: list[tuple[Cell, ...]] = []
     for name in names:
         content = evidence.checks[name].content
@@ -125,13 +126,13 @@ def checks(evidence: Evidence, names: Sequence[str]) -> Table:
          "largest shift, sd"),
         tuple(rows),
         "k̂ is the shape of the Pareto distribution fitted to the largest importance weights: below 0.5 the reweighted "
-        "moments can be trusted, above 0.7 nothing can. Where nearly all draws are effective the surrogate's posterior "
+        "moments can be trusted, above 0.7 nothing can. If nearly all draws are effective, the surrogate's posterior "
         "is the true one, and the tail that k̂ describes does not matter.",
     )  # fmt: skip
 
 
 def sensitivities(evidence: Evidence, names: Sequence[str]) -> Table | None:
-    """Return Sobol indices of the log-likelihood, total and first order; None where no study has them."""
+    """Return Sobol indices of the log-likelihood, first order and total; None if no study has them."""
     found = {name: evidence.outcomes[name].summary.get("sensitivity") for name in names}
     rows = tuple(
         (name, key, item["first"], item["total"])
@@ -144,7 +145,7 @@ def sensitivities(evidence: Evidence, names: Sequence[str]) -> Table | None:
 
 
 def cost(costs: Sequence[Cost]) -> Table:
-    """Return runs and seconds of every part of the work, and their sums."""
+    """Return the runs and seconds of each part of the work, and their sums."""
     stages = list(dict.fromkeys(stage for c in costs for stage in c.seconds))
     rows: list[tuple[Cell, ...]] = [
         (c.name, c.made, c.reused, sum(c.seconds.values()), *(c.seconds.get(stage) for stage in stages)) for c in costs
@@ -159,5 +160,5 @@ def cost(costs: Sequence[Cost]) -> Table:
 
 
 def as_json(table: Table) -> dict[str, Any]:
-    """Return what claims.json holds of a table."""
+    """Return a table as stored in claims.json."""
     return {"columns": list(table.columns), "rows": [list(row) for row in table.rows]}

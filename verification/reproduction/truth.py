@@ -2,8 +2,8 @@
 
 No surrogate of the log-likelihood is fitted to scattered runs. Interfaces come from a `FieldTable`, their measure is
 evaluated on a fine tensor grid in the coordinates of that table, along which the ridge of the likelihood runs, and
-splines of the fifth degree carry it from there to a product grid of Gauss points in (log E, ν, V). A prior, a fixed
-inflow rate, or the reading of an uncertain one costs no new evaluation of the measure.
+splines of the fifth degree interpolate it to a product grid of Gauss points in (log E, ν, V). Another prior, fixed
+inflow rate or reading of an uncertain one needs no new evaluation of the measure.
 """
 
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ class TruePosterior:
     """The posterior of the true model with its own errors.
 
     Args:
-        posterior: the best one.
-        field: the log-likelihood behind it.
-        from_half_table: how far the one from the nested table of half the intervals is from it.
-        from_half_field: how far the one from every second node of the log-likelihood is.
-        from_half_grid: how far the one on half the panels is.
+        posterior: Posterior with the finest discretisation.
+        field: Log-likelihood behind it.
+        from_half_table: Difference of the posterior from the nested table of half the intervals.
+        from_half_field: Difference of the posterior from every second node of the log-likelihood.
+        from_half_grid: Difference of the posterior on half the panels.
     """
 
     posterior: GridPosterior
@@ -56,7 +56,7 @@ def true_posterior(
     panels: tuple[int, int, int] = (64, 32, 24),
     fields: tuple[LogLikelihoodField, LogLikelihoodField] | None = None,
 ) -> TruePosterior:
-    """Return the posterior of the true model and what halving each of its three discretisations does to it.
+    """Return the posterior of the true model and the effect of halving each of its three discretisations.
 
     Args:
         table: Table of the interfaces.
@@ -66,7 +66,7 @@ def true_posterior(
         reading: Reading of an uncertain inflow rate.
         nodes: Number of nodes of the log-likelihood in s, ν and V.
         panels: Number of panels of the quadrature in log E, ν and V, even.
-        fields: Log-likelihoods of `table` and of its halved table from `true_fields`, if they are known.
+        fields: Log-likelihoods of `table` and of its halved table from `true_fields`, if already known.
     """
     field, coarse = fields or true_fields(table, likelihood, nodes=nodes, rate=rate)
     grid = product_grid(space, panels=panels, rate=rate)
@@ -92,7 +92,7 @@ def true_fields(
     nodes: tuple[int, int, int] = (97, 41, 33),
     rate: float | None = None,
 ) -> tuple[LogLikelihoodField, LogLikelihoodField]:
-    """Return the log-likelihood of a table and, on half the nodes, of its nested table of half the intervals."""
+    """Return the log-likelihood of a table and, on half the nodes, that of its nested table of half the intervals."""
     fine = log_likelihood_field(table, likelihood, nodes=nodes, rate=rate)
     half = (nodes[0] // 2 + 1, nodes[1] // 2 + 1, nodes[2] // 2 + 1)
     return fine, log_likelihood_field(table.halved(), likelihood, nodes=half, rate=rate)

@@ -1,7 +1,7 @@
-"""All verifications of the forward model, a few minutes on one core.
+"""All verifications of the forward model; they take a few minutes on one core.
 
 Writes verification/validation/output/verification.md and .json. With ``--publish`` the tables also go into the page
-docs/explanation/forward-model.md, their raw numbers into verification.json beside it, and the figures are drawn again.
+docs/explanation/forward-model.md, their raw numbers into verification.json next to it, and the figures are drawn again.
 
 Run it with:  python -m verification.validation [--publish]
 """
@@ -21,7 +21,7 @@ PARTS = (turek_hron, analytic, biofilm_mesh, sensitivities, extremes)
 
 
 def write(tables: Sequence[Table], folder: Path) -> str:
-    """Write verification.md and verification.json; return the latter's text."""
+    """Write verification.md and verification.json; return the text of verification.json."""
     folder.mkdir(exist_ok=True)
     text = "\n".join(f"## {table.title}\n\n{table.markdown()}\n" for table in tables)
     raw = json.dumps({table.name: table.as_json() for table in tables}, indent=1, ensure_ascii=False) + "\n"

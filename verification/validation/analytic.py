@@ -1,6 +1,6 @@
 """Closed forms: homogeneous deformations, a manufactured solution, Poiseuille flow, balances of force and mass.
 
-The stresses here are derived again from the energies, in plain NumPy; the laws under test are those of the model.
+The reference stresses are derived independently from the energies, in plain NumPy; the laws under test are the model's.
 
 Run it with:  python -m verification.validation.analytic
 """
@@ -52,10 +52,10 @@ def first_piola(law: str, F: Tensor, pressure: float, poisson: float) -> Tensor:
 
 
 def homogeneous(kind: str, law: str, poisson: float, amount: float = 1.0) -> Homogeneous:
-    """Return ``uniaxial`` stretch with free sides, or simple ``shear``, of which `amount` in [0, 1] is applied.
+    """Return ``uniaxial`` stretch with free sides, or simple ``shear``; a share `amount` in [0, 1] of it is applied.
 
-    At ν = ½ the pressure is whatever balances; where the law's constraint excludes simple shear (tr E = 0 of
-    Saint-Venant–Kirchhoff), the height shrinks as the constraint demands.
+    At ν = ½ the pressure follows from equilibrium; if the law's constraint excludes simple shear (tr E = 0 of
+    Saint-Venant–Kirchhoff), the height shrinks to satisfy it.
     """
     free = poisson == 0.5
     F = np.eye(2)
@@ -77,7 +77,7 @@ def _free_side(law: str, stretch: float, poisson: float) -> float:
     if law == "saint_venant_kirchhoff":
         return float(np.sqrt(1 - poisson / (1 - poisson) * (stretch**2 - 1)))
     weight = (1 - 2 * poisson) / 2
-    lowest = max(1e-3, np.sqrt(-min(0.0, poisson) / (1 - 2 * min(0.0, poisson))))  # the left side grows from there on
+    lowest = max(1e-3, np.sqrt(-min(0.0, poisson) / (1 - 2 * min(0.0, poisson))))  # above this the left side increases
     return float(brentq(lambda s: weight * (s**2 - 1) + poisson * np.log(stretch * s), lowest, 5.0, xtol=1e-15))
 
 
@@ -90,7 +90,7 @@ def _lame(poisson: float) -> float:
 
 
 class LoadedSolid:
-    """A block without fluid under dead loads: the coupled system, from whose residual a load vector is taken."""
+    """A block without fluid under dead loads: the coupled system, with a load vector subtracted from its residual."""
 
     def __init__(self, mesh: Any, law: str, poisson: float, fixed: str) -> None:
         names = BoundaryNames(no_slip="", inlet="", fixed=fixed)
@@ -99,7 +99,7 @@ class LoadedSolid:
         self.load: Float[np.ndarray, " unknown"] = np.zeros(len(self.coupled.free))
 
     def set_load(self, integrand: Callable[[Any], Any]) -> None:
-        """Set the load from the virtual work as an integral over the test displacement."""
+        """Set the load from its virtual work, an integral over the test displacement."""
         form = ng.LinearForm(self.coupled.space)
         form += integrand(self.coupled.space.TestFunction()[2])
         form.Assemble()
@@ -112,20 +112,20 @@ class LoadedSolid:
         return self.coupled.factorise(x)
 
     def prescribe(self, displacement: Any, boundary: str) -> None:
-        """Write a displacement on a boundary, leaving the unknowns as they are."""
+        """Set the displacement on a boundary; the unknowns do not change."""
         kept = np.array(self.coupled.values[self.coupled.free])
         part = self.coupled.state.components[2]
         part.Set(displacement, definedon=self.coupled.mesh.Boundaries(boundary))
         self.coupled.set_unknowns(kept)
 
     def solve(self) -> None:
-        """Move the state to equilibrium, from where it is."""
+        """Solve for equilibrium, starting from the present state."""
         x = np.array(self.coupled.values[self.coupled.free])
         self.coupled.set_unknowns(newton.solve(self, x, weights=np.ones(len(x)), settings=SETTINGS).x)
 
 
 def square(size: float) -> Any:
-    """Return the unit square, material ``solid``, boundaries bottom, right, top, left."""
+    """Return the unit square with material ``solid`` and boundaries bottom, right, top and left."""
     geometry = SplineGeometry()
     geometry.AddRectangle((0, 0), (1, 1), bcs=("bottom", "right", "top", "left"))
     geometry.SetMaterial(1, "solid")
@@ -135,7 +135,7 @@ def square(size: float) -> Any:
 def block_error(kind: str, law: str, poisson: float) -> tuple[float, float]:
     """Return the largest errors of displacement and, relative to E, of stress in a block held at its bottom.
 
-    The other sides carry the closed form's traction, in ten steps.
+    The other sides carry the traction of the closed form, applied in ten steps.
     """
     block = LoadedSolid(square(0.3), law, poisson, "bottom")
     for amount in np.linspace(0.1, 1.0, 10):
@@ -165,10 +165,10 @@ def _largest(function: Any, mesh: Any) -> float:
 def manufactured_errors(law: str, poisson: float, sizes: tuple[float, ...]) -> list[tuple[float, float]]:
     """Return L² errors of displacement and pₛ on meshes of the unit square for a chosen smooth displacement.
 
-    The load is the divergence of the chosen state's stress, differentiated symbolically.
+    The load is the divergence of the stress of this displacement, differentiated symbolically.
     """
     stream = 0.006 * (ng.sin(np.pi * ng.x) * ng.sin(np.pi * ng.y)) ** 2 * (1 + ng.x)
-    exact = ng.CF((stream.Diff(ng.y), -stream.Diff(ng.x)))  # a swirl: its volume changes in second order only
+    exact = ng.CF((stream.Diff(ng.y), -stream.Diff(ng.x)))  # a swirl: the volume changes only to second order
     gradient = ng.CF(tuple(exact[i].Diff(s) for i in range(2) for s in (ng.x, ng.y)), dims=(2, 2))
     F = ng.Id(2) + gradient
     mu = 0.5 * YOUNG / (1 + poisson)
@@ -184,7 +184,7 @@ def manufactured_errors(law: str, poisson: float, sizes: tuple[float, ...]) -> l
     for size in sizes:
         block = LoadedSolid(square(size), law, poisson, "bottom|right|top|left")
         block.set_load(lambda test: ng.InnerProduct(force, test) * ng.dx(bonus_intorder=6))
-        block.coupled.state.components[2].Set(exact)  # near the root: Newton's method still has to find it
+        block.coupled.state.components[2].Set(exact)  # a start near the root; Newton's method still has to find it
         block.solve()
         d, p = block.coupled.state.components[2:]
         errors.append(tuple(_l2(a - b, block.coupled.mesh) for a, b in ((d, exact), (p, pressure))))
@@ -227,9 +227,9 @@ def layer_error() -> float:
 
 
 def force_imbalance(cell: FlowCell) -> tuple[float, float]:
-    """Return |traction of fluid on interface - reaction at base|, x and y, relative to the force; after a solve.
+    """Return |force of fluid on interface - reaction at base| after a solve, x and y, relative to the force.
 
-    Both are consistent residuals: rows tested with a field that is 1 on the boundary.
+    Both are consistent residuals, tested with a field that is 1 on the boundary.
     """
     system = cell.system
     residual = system.full_residual()

@@ -1,4 +1,4 @@
-"""The biofilm's interface on the coarse, default and fine mesh against a reference mesh, over the study's (E, ν) box.
+"""The biofilm's interface on the coarse, default and fine mesh against a reference mesh, in the study's (E, ν) box.
 
 Run it with:  python -m verification.validation.biofilm_mesh
 """
@@ -45,7 +45,7 @@ def box_points(count: int) -> Float[np.ndarray, "run 2"]:
 
 
 def displacements(cell: FlowCell, points: Float[np.ndarray, "run 2"]) -> tuple[list[Points | None], list[float]]:
-    """Return the interface's displacement at each point, None where the run failed, and the seconds of successes."""
+    """Return the interface's displacement at each point, None if the run failed, and the seconds of successful runs."""
     found: list[Points | None] = []
     seconds = []
     for young, poisson in points:
@@ -59,7 +59,7 @@ def displacements(cell: FlowCell, points: Float[np.ndarray, "run 2"]) -> tuple[l
 
 
 def tables(count: int = POINTS) -> list[Table]:
-    """Return the table of errors over those points at which the reference mesh and the mesh in question succeed."""
+    """Return the table of errors over the points at which both the reference mesh and the mesh succeed."""
     points = box_points(count)
     reference, _ = displacements(flow_cell(REFERENCE), points)
     rows = []

@@ -1,6 +1,6 @@
-"""Simulators that misbehave, each run as a command in one campaign with others that do not.
+"""Simulators that misbehave, each run as a command in one campaign together with well-behaved ones.
 
-It prints how each run ended in the ledger, and how many of its processes were left after the campaign.
+The program prints how each run ended in the ledger, and how many of its processes were left after the campaign.
 
 Run it with:  python -m verification.validation.command_faults
 """
@@ -47,13 +47,13 @@ print("this is", fault, flush=True)
 
 @dataclass(frozen=True)
 class Fault:
-    """A way to misbehave, and how such a run must end.
+    """A way to misbehave, and how the run must end.
 
     Args:
-        what: What it does.
+        what: What the simulator does.
         code: Code of the simulator, after `SIMULATOR`.
         state: State of the record.
-        kind: Kind of its failure; None where it must not fail.
+        kind: Kind of the failure; None if the run must not fail.
     """
 
     what: str
@@ -67,7 +67,7 @@ FAULTS: Sequence[Fault] = (
     Fault("raises an exception", "raise RuntimeError('diverged')", "failed", "exit_code"),
     Fault("crashes with a segmentation fault", "os.kill(os.getpid(), signal.SIGSEGV)", "failed", "exit_code"),
     Fault("is killed from outside", "os.kill(os.getpid(), signal.SIGKILL)", "killed", "simulator_killed"),
-    Fault(  # once the log has what was printed
+    Fault(  # after a wait, so that the log has what was printed
         "takes its supervisor along",
         "time.sleep(0.5); os.kill(os.getppid(), signal.SIGKILL)",
         "killed",
@@ -114,7 +114,7 @@ FAULTS: Sequence[Fault] = (
 
 
 def study(folder: Path, marker: str) -> CommandModel:
-    """Write the simulators into `folder` and return the model: its one input is the number of a fault."""
+    """Write the simulators into `folder` and return the model; its only input is the number of a fault."""
     names = [fault.what for fault in FAULTS]
     cases = "\n".join(
         f"if fault == '{k}':\n" + "\n".join(f"    {line}" for line in (fault.code or "pass").splitlines())
@@ -145,7 +145,7 @@ def campaign(folder: Path, marker: str, *, workers: int = 2) -> tuple[RunRecord,
 
 
 def processes_with(marker: str) -> list[int]:
-    """Return the processes that have `marker` in their environment, this one left out."""
+    """Return the processes, except this one, that have `marker` in their environment."""
     found = []
     for path in Path("/proc").glob("[0-9]*/environ"):
         try:
@@ -157,7 +157,7 @@ def processes_with(marker: str) -> list[int]:
 
 
 def zombies() -> list[int]:
-    """Return the children of this process that have ended and were never collected."""
+    """Return the children of this process that have ended but were not reaped."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -170,7 +170,7 @@ def zombies() -> list[int]:
 
 
 def left_after(marker: str, patience: float = 0.0) -> Mapping[int, int]:
-    """Return how many processes are left of each fault, at the latest after `patience` seconds."""
+    """Return how many processes of each fault are left, after waiting at most `patience` seconds for them to end."""
     until = time.monotonic() + patience
     while processes_with(f"{marker}-") and time.monotonic() < until:
         time.sleep(0.05)
@@ -178,7 +178,7 @@ def left_after(marker: str, patience: float = 0.0) -> Mapping[int, int]:
 
 
 def main() -> None:
-    """Print the table; exit code 1 where a run ended otherwise than it must, or left a process."""
+    """Print the table; exit code 1 if a run did not end as it must, or left a process."""
     marker, began = uuid.uuid4().hex, time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         records = campaign(Path(name), marker)

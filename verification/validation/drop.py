@@ -1,7 +1,8 @@
-"""Seconds a batch of an active design on a real contour: an air bubble in water, 1600 observed points, five inputs.
+"""Seconds per batch of an active design on a real contour: an air bubble in water, 1600 observed points, five inputs.
 
-The contour is the half level of a photograph (CC0, of the pendantdrop project), the model the Young–Laplace equation as
-a Python function. With no measured noise here, the sd of a point is half a pixel: read the times, not the widths.
+The contour is the half level of a photograph (CC0, from the pendantdrop project); the model is the Young–Laplace
+equation as a Python function. The noise is not measured but set to half a pixel per point: use the times, not the
+widths.
 
     python -m verification.validation.drop PICTURE [--direction to_observed] [--weighting sum] [--batches 8]
 """
@@ -27,13 +28,13 @@ from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
 
 PIXEL = 1.24 / 400  # mm: the needle's outer diameter is 1.24 mm or 400 pixels
 DENSITY, GRAVITY = 997.0 - 1.2, 9.81  # kg/m³, m/s²
-LOWEST = 1290  # row of the picture, from its top: the needle begins below
+LOWEST = 1290  # row of the picture, from its top; the needle begins below it
 NODES, OBSERVED = 161, 1600
 NOISE = 0.5 * PIXEL
 
 
 def bubble(inputs: Mapping[str, float], workdir: Path) -> sl.Interface:
-    """Return the outline of a bubble on a needle, mm, from its left foot over the apex to its right one.
+    """Return the outline of a bubble on a needle, mm, from its left foot over the apex to its right foot.
 
     Young–Laplace with the arc length s from the apex, the depth z below it and the angle φ of the tangent:
     dφ/ds = 2/b - Δρ g z/γ - sin φ/x. Inputs: γ (mN/m), apex radius b (mm), apex (x0, y0) (mm), tilt (degrees).
@@ -93,7 +94,7 @@ def cpu() -> float:
 
 
 class Stages:
-    """Prints the seconds of each stage when the next one begins."""
+    """Observer that prints the seconds of each stage when the next one begins."""
 
     def __init__(self) -> None:
         self.name, self.began, self.used = "", time.perf_counter(), cpu()

@@ -1,4 +1,4 @@
-"""Inputs at the edge of what the model admits: ν = ½ exactly, ν near -1, no flow, a very stiff solid; both laws.
+"""Inputs at the limits of what the model admits: ν = ½ exactly, ν near -1, no flow, a very stiff solid; both laws.
 
 Run it with:  python -m verification.validation.extremes
 """
@@ -25,7 +25,7 @@ CASES = (
 
 
 def tables(*, mesh: str = "default") -> list[Table]:
-    """Return the table of what came out."""
+    """Return the table of outcomes."""
     rows = []
     for law in LAWS:
         cell = flow_cell(MESHES[mesh], law=law)

@@ -1,4 +1,4 @@
-"""Figure of the outcomes over the study's box."""
+"""Figure of the outcomes in the study's box."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ __all__ = ["draw", "outcomes"]
 
 
 def draw(default: Sequence[RunRecord], fine: Sequence[RunRecord], fold: Callable[[Any], Any], path: Path) -> None:
-    """Write the outcomes on the default mesh, the fold on the fine mesh, and where the two meshes differ."""
+    """Draw the outcomes on the default mesh, the fold on the fine mesh, and the points where the two meshes differ."""
     figure, axes = plt.subplots(figsize=(8, 4.8), layout="constrained")
     outcomes(axes, default)
     ratios = np.linspace(*BOX[1], 200)
@@ -35,7 +35,7 @@ def draw(default: Sequence[RunRecord], fine: Sequence[RunRecord], fold: Callable
 
 
 def outcomes(ax: Axes, runs: Sequence[RunRecord]) -> None:
-    """Draw solved runs by their largest displacement and failed ones by the load at which their path turned back."""
+    """Draw solved runs coloured by their largest displacement, failed ones by the load at which they turned back."""
     stalled = [run for run in runs if not run.ok and "limit_load" not in run.diagnostics]
     _marks(ax, stalled, c=SKY, marker="X", s=42, label="failed, stalled")
     for figure, factor, name, style in (
@@ -53,7 +53,7 @@ def outcomes(ax: Axes, runs: Sequence[RunRecord]) -> None:
 
 
 def _marks(ax: Axes, runs: Sequence[RunRecord], **style: Any) -> Any:
-    """Draw a mark at each run; None where there are none."""
+    """Draw a mark at each run; return None if there are none."""
     if not runs:
         return None
     places = np.array([(run.inputs["E"], run.inputs["nu"]) for run in runs])

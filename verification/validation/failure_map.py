@@ -1,9 +1,9 @@
 """Where in the study's box no steady state exists, run by run: 1024 points on two meshes, and the fold between them.
 
 Each run is followed around its limit point (no budget). All runs are kept in ledgers in the folder output, so a second
-call computes nothing again; after a change of the model move them away. It takes about half an hour on two cores, so
+call repeats nothing; after a change of the model, move the ledgers away. It takes about half an hour on two cores, so
 `python -m verification.validation` leaves it out. With ``--publish`` the tables go into the page
-docs/explanation/forward-model.md, their raw numbers into failure-map.json beside it, and the figure is drawn again.
+docs/explanation/forward-model.md, their raw numbers into failure-map.json next to it, and the figure is drawn again.
 
 Run it with:  python -m verification.validation.failure_map [--points N] [--publish]
 """
@@ -47,10 +47,10 @@ POINTS = 1024
 WORKERS = 2
 PAIR = ("default", "fine")
 FOLD_RATIOS = (-0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.1, 0.2, 0.3, 0.4, 0.48, 0.5)
-"""ν at which the fold is searched; its line is the cubic spline through them."""
+"""ν at which the fold is searched for; its line is the cubic spline through them."""
 BRACKET = (20.0, 340.0)
 WIDTH = 0.2
-"""E of the fold is searched between the two and until it is known to this, all in Pa."""
+"""E of the fold is searched for in `BRACKET` until it is known to within `WIDTH`, all in Pa."""
 
 Inputs = Mapping[str, float]
 Search = Callable[[Sequence[Inputs]], Sequence[RunRecord]]
@@ -58,7 +58,7 @@ Search = Callable[[Sequence[Inputs]], Sequence[RunRecord]]
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """The largest first-order compression of the solid, by which `steady_state` chooses its way, as a figure of a run.
+    """The largest first-order compression of the solid, by which `steady_state` chooses its path, as a diagnostic.
 
     Args:
         mesh: Name of the mesh.
@@ -68,11 +68,11 @@ class FirstOrder:
 
     @property
     def fingerprint(self) -> str:
-        """What identifies it in a ledger."""
+        """The model's identity in a ledger."""
         return f"first-order compression:{Biofilm(mesh=self.mesh).fingerprint}"
 
     def __call__(self, inputs: Inputs, workdir: Path | None = None) -> Simulation:
-        """Return the undeformed interface with the compression at E [Pa], nu and V_in [mm²/s]."""
+        """Return the undeformed interface and the compression at E [Pa], nu and V_in [mm²/s]."""
         cell = _cell(self.mesh)
         cell.system.set_material([inputs["E"] / STRESS_SCALE], [inputs["nu"]])
         load = inputs["V_in"] / VELOCITY_SCALE
@@ -83,7 +83,7 @@ class FirstOrder:
 
 @dataclass(frozen=True)
 class Runs:
-    """Makes runs that its ledgers lack, one ledger a model.
+    """Makes the runs that its ledgers lack, with one ledger per model.
 
     Args:
         folder: Folder of the ledgers.
@@ -111,7 +111,7 @@ def critical_moduli(search: Search, ratios: Sequence[float]) -> Float[np.ndarray
     """Return the smallest E [Pa] with a steady state at each ν, by bisection at all of them at once.
 
     Raises:
-        ValueError: the fold does not lie inside `BRACKET`.
+        ValueError: The fold does not lie inside `BRACKET`.
     """
     low, high = (np.full(len(ratios), end) for end in BRACKET)
     while (high - low).max() > WIDTH:
@@ -126,7 +126,7 @@ def critical_moduli(search: Search, ratios: Sequence[float]) -> Float[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """All that was run.
+    """The results of all runs.
 
     Args:
         records: Records of the points of the box, by mesh.
@@ -144,7 +144,7 @@ class Survey:
         return CubicSpline(FOLD_RATIOS, self.critical[PAIR[1]])
 
     def tables(self) -> list[Table]:
-        """Return everything for the page."""
+        """Return all tables for the page."""
         default, fine = (self.records[mesh] for mesh in PAIR)
         return [
             failures_table(self.records),

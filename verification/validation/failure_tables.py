@@ -1,4 +1,4 @@
-"""Tables of the runs over the study's box: how they ended, what two meshes say of the same point, where the fold is."""
+"""Tables of the runs in the study's box: how they ended, how two meshes differ at the same point, where the fold is."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -30,13 +30,13 @@ Fold = Callable[[Any], Any]
 """ν → E below which there is no steady state, Pa."""
 
 BAND = 5.0
-"""Width of the band about the fold, %, outside which two meshes have to agree."""
+"""Half width of the band around the fold, %, outside which two meshes have to agree."""
 PROTOTYPE_FOLD = {-0.6: 83.0, -0.3: 133.0, 0.0: 197.0, 0.2: 234.0, 0.3: 250.0, 0.4: 258.0, 0.48: 256.0}
 """E of the fold by ν, Pa, from an early prototype: another program, mesh and resampling of the outline."""
 
 
 def failures_table(records: Mapping[str, Records]) -> Table:
-    """Return how many runs ended how on each mesh, and what they cost."""
+    """Return how many runs ended in each way on each mesh, and their cost."""
     kinds = sorted({_kind(run) for runs in records.values() for run in runs if not run.ok})
     rows = []
     for mesh, runs in records.items():
@@ -54,7 +54,7 @@ def failures_table(records: Mapping[str, Records]) -> Table:
 
 
 def evidence_table(records: Mapping[str, Records]) -> Table:
-    """Return the loads of the limit points, and how far the solutions are from inverted elements."""
+    """Return the loads of the limit points, and the smallest J of solved runs, 0 for an inverted element."""
     rows = []
     for mesh, runs in records.items():
         loads = _figures(runs, "limit_load", ok=False)
@@ -69,7 +69,7 @@ def evidence_table(records: Mapping[str, Records]) -> Table:
 
 
 def band_table(default: Records, fine: Records, fold: Fold) -> Table:
-    """Return on how many points two meshes agree, and how far from the fold on the fine mesh those lie where not."""
+    """Return at how many points two meshes agree, and how far the others lie from the fold on the fine mesh."""
     count = Counter((a.ok, b.ok) for a, b in zip(default, fine, strict=True))
     away = distances(default, fold)
     differ = np.array([a.ok != b.ok for a, b in zip(default, fine, strict=True)])
@@ -107,7 +107,7 @@ def differing_table(default: Records, fine: Records, fold: Fold) -> Table:
 
 
 def interfaces_table(default: Records, fine: Records, fold: Fold) -> Table:
-    """Return how far apart the interfaces of two meshes are where both solve, with and without the band."""
+    """Return how far apart the interfaces of two meshes are if both solve, with and without the band."""
     both = np.array([a.ok and b.ok for a, b in zip(default, fine, strict=True)])
     apart = np.array([_apart(a, b) for a, b in zip(default, fine, strict=True) if a.ok and b.ok])
     share = 100 * apart / np.array([1e3 * b.diagnostics["max_displacement"] for b in np.array(fine, object)[both]])
@@ -123,7 +123,7 @@ def interfaces_table(default: Records, fine: Records, fold: Fold) -> Table:
 
 
 def fold_table(ratios: Sequence[float], critical: Mapping[str, Float[np.ndarray, " ratio"]]) -> Table:
-    """Return E of the fold by ν on each mesh, beside that of an early prototype."""
+    """Return E of the fold by ν on each mesh, and that of an early prototype."""
     at = {ratio: k for k, ratio in enumerate(ratios)}
     rows = tuple(
         (ratio, *(float(values[k]) for values in critical.values()), PROTOTYPE_FOLD.get(ratio))
@@ -176,7 +176,7 @@ def differing(default: Records, fine: Records) -> list[Differing]:
 
 
 def distances(runs: Records, fold: Fold) -> Float[np.ndarray, " run"]:
-    """Return E / E of the fold - 1 of each run, %."""
+    """Return E of each run relative to E of the fold, minus 1, %."""
     young, poisson = np.array([(run.inputs["E"], run.inputs["nu"]) for run in runs]).T
     return np.asarray(100 * (young / fold(poisson) - 1))
 
@@ -186,17 +186,17 @@ def _kind(run: RunRecord) -> str:
 
 
 def _figures(runs: Records, key: str, *, ok: bool) -> Float[np.ndarray, " run"]:
-    """Return a figure of those runs that ended so and have it."""
+    """Return a diagnostic of the runs, successful or not as `ok` says, that have it."""
     return np.array([run.diagnostics[key] for run in runs if run.ok == ok and key in run.diagnostics])
 
 
 def _of(function: Callable[[Float[np.ndarray, " run"]], float], values: Float[np.ndarray, " run"]) -> Cell:
-    """Return a figure of some values; None where there are none."""
+    """Return a function of some values; None if there are none."""
     return float(function(values)) if len(values) else None
 
 
 def _apart(a: RunRecord, b: RunRecord) -> float:
-    """Return the largest distance between equal nodes of two interfaces, µm."""
+    """Return the largest distance between corresponding nodes of two interfaces, µm."""
     if a.interface is None or b.interface is None:
         raise ValueError("a run without an interface")
     return float(1e3 * np.linalg.norm(a.interface.points - b.interface.points, axis=1).max())

@@ -1,8 +1,8 @@
-"""What a user installs works: the wheel, alone, in empty environments outside the checkout.
+"""Check that what a user installs works: the wheel alone, in empty environments outside the checkout.
 
 Builds the source distribution and the wheel, compares their files with those under version control, builds the wheel
 from the source distribution too, and installs it without extras for the Python that runs this and for the newest one
-of the machine. In each it makes a study, a few runs and a report, and reads the posterior with ArviZ as documented.
+on the machine. In each it makes a study, a few runs and a report, and reads the posterior with ArviZ as documented.
 
 Run it with:  python -m verification.validation.installed
 """
@@ -25,7 +25,7 @@ from verification.validation.interpreters import Interpreter, find_interpreters
 
 ROOT = Path(__file__).parents[2]
 STUDY = "studies/biofilm-uniform"
-"""As the documented programs have it."""
+"""The same folder as in the documented programs."""
 SMALL = {
     "design": "{sobol: {runs: 16}}",
     "surrogate": "{log_likelihood: {kernel: matern32}}",
@@ -40,7 +40,7 @@ LINK = re.compile(r"\]\((?!https?://)[^)]*\)")
 
 
 class Failed(Exception):
-    """A step did not do what it must."""
+    """A step has failed."""
 
 
 def require(condition: object, message: str) -> None:
@@ -50,7 +50,7 @@ def require(condition: object, message: str) -> None:
 
 
 def command(*words: str | Path, folder: Path, **variables: str) -> str:
-    """Run a command in `folder`, apart from this checkout's Python; return what it printed."""
+    """Run a command in `folder`, independent of this checkout's Python; return what it printed."""
     kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
     done = subprocess.run(
         words,
@@ -74,13 +74,13 @@ def tracked() -> set[str]:
 
 
 def wheel_files(wheel: Path) -> Mapping[str, bytes]:
-    """Return the content of each file of a wheel but its list of checksums."""
+    """Return the content of each file of a wheel except its list of checksums."""
     with zipfile.ZipFile(wheel) as archive:
         return {name: archive.read(name) for name in archive.namelist() if not name.endswith("/RECORD")}
 
 
 def compare_wheel(files: Mapping[str, bytes], known: set[str]) -> None:
-    """Refuse a wheel that has not exactly the package, its licence and its metadata, or links that lead nowhere."""
+    """Require a wheel to have exactly the package, its licence and its metadata, and no links that lead nowhere."""
     package = {name.removeprefix("src/") for name in known if name.startswith("src/")}
     (folder,) = {name.partition("/")[0] for name in files if ".dist-info/" in name}
     information = {"METADATA", "WHEEL", "entry_points.txt", "licenses/LICENSE", "licenses/NOTICE.md"}
@@ -91,7 +91,7 @@ def compare_wheel(files: Mapping[str, bytes], known: set[str]) -> None:
 
 
 def compare_sdist(sdist: Path, known: set[str]) -> None:
-    """Refuse a source distribution that has not exactly the files under version control."""
+    """Require a source distribution to have exactly the files under version control."""
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     wanted = {name for name in known if not name.startswith(LEFT_OUT)} | {"PKG-INFO"}
@@ -113,7 +113,7 @@ def build(folder: Path) -> Path:
 
 
 def environment(python: Interpreter, wheel: Path, folder: Path) -> Path:
-    """Return the folder of programs of a new environment that has the wheel and what it depends on."""
+    """Return the folder of programs of a new environment with the wheel and its dependencies."""
     command(python.path, "-m", "venv", folder / "venv", folder=folder)
     programs = folder / "venv" / "bin"
     install(programs, str(wheel), folder)
@@ -124,13 +124,13 @@ def environment(python: Interpreter, wheel: Path, folder: Path) -> Path:
 
 
 def install(programs: Path, what: str, folder: Path) -> None:
-    """Install wheels alone: a package that must be compiled is one that strangers cannot install."""
+    """Install wheels only: not every user can install a package that must be compiled."""
     pip = (programs / "python", "-m", "pip", "install", "--quiet", "--only-binary", ":all:", "--no-compile")
     command(*pip, what, folder=folder)
 
 
 def small(text: str) -> str:
-    """Return the study that `init` wrote with few runs and few particles."""
+    """Return the study that `init` wrote, with few runs and few particles."""
     for key, value in SMALL.items():
         text, number = re.subn(rf"^{key}: .*$", f"{key}: {value}", text, flags=re.MULTILINE)
         require(number == 1, f"no {key} in the study that init writes")
@@ -138,7 +138,7 @@ def small(text: str) -> str:
 
 
 def study(programs: Path, folder: Path) -> None:
-    """Make a study, its runs, and its report once more."""
+    """Make a study and its runs, and its report a second time."""
     home = {"XDG_CACHE_HOME": str(folder / "cache")}
     command(programs / "strandline", "init", STUDY, folder=folder)
     file = folder / STUDY / "study.yaml"
@@ -184,7 +184,7 @@ def job(python: Interpreter, wheel: Path, folder: Path) -> str:
 
 
 def newest_with_wheels(pythons: Sequence[Interpreter], wheel: Path, folder: Path) -> Iterator[str | Interpreter]:
-    """Yield a line for each Python that a dependency has no wheel for, and then the first that all have one for."""
+    """Yield a line for each Python for which a dependency lacks a wheel, then the first one for which none does."""
     for python in pythons:
         try:
             command(python.path, "-m", "venv", folder / python.name, folder=folder)
@@ -199,7 +199,7 @@ def newest_with_wheels(pythons: Sequence[Interpreter], wheel: Path, folder: Path
 
 
 def main() -> None:
-    """Build, compare, and do the jobs of both Pythons side by side."""
+    """Build, compare, and run the jobs of both Pythons in parallel."""
     own = Interpreter((sys.version_info[0], sys.version_info[1], sys.version_info[2]), Path(sys.executable))
     newer = [p for p in find_interpreters(os.environ, Path.home()) if p.version[:2] > own.version[:2]]
     with tempfile.TemporaryDirectory(prefix="strandline-installed-") as name:

@@ -1,4 +1,4 @@
-"""The Pythons of this machine: on PATH, and those that pyenv and uv have installed."""
+"""The Pythons of this machine: those on PATH and those that pyenv and uv have installed."""
 
 import os
 import re
@@ -10,7 +10,7 @@ from pathlib import Path
 __all__ = ["OVERRIDE", "Interpreter", "find_interpreters"]
 
 OVERRIDE = "STRANDLINE_PYTHONS"
-"""Environment variable with the interpreters to use instead, separated as in PATH."""
+"""Environment variable that lists the interpreters to use instead, separated as in PATH."""
 OLDEST = (3, 11)
 NAME = re.compile(r"python3(\.\d+)?")
 VERSION = "import sys, ensurepip, venv; print(sys.implementation.name, *sys.version_info[:4])"
@@ -57,7 +57,7 @@ def _candidates(environment: Mapping[str, str], home: Path) -> Iterator[Path]:
 
 
 def _asked(path: Path) -> Interpreter | None:
-    """Return what the program says of itself; None where it does not run, or is not suitable."""
+    """Return the interpreter at a path; None if it does not run or is not suitable."""
     try:
         done = subprocess.run([path, "-c", VERSION], capture_output=True, text=True, timeout=30, check=True)
         kind, *version, level = done.stdout.split()

@@ -1,8 +1,8 @@
-"""kill -9 of the driver and of workers at random moments: nothing finished is repeated or lost, the end is the same.
+"""kill -9 of the driver and of workers at random moments: no finished run is repeated or lost, the result is the same.
 
 A study (real biofilm model, coarse mesh) is run once undisturbed. A copy of it is run again and again: first its driver
-is killed at random moments, then single workers, until it has finished. The finished runs before and after each kill,
-and the content of posterior.nc at the end, are compared bit by bit.
+is killed at random moments, then single workers, until it has finished. The finished runs before and after each kill
+and the content of posterior.nc at the end are compared bit by bit.
 
 Run it with:  python -m verification.validation.kill_and_resume [DRIVER_KILLS WORKER_KILLS]
 """
@@ -29,11 +29,11 @@ COMMAND = [sys.executable, "-m", "strandline", "run", "--quiet"]
 
 
 OWN_ACCOUNT = ("ok", "failed")
-"""How a run ends that nobody has killed."""
+"""How runs end that were not killed."""
 
 
 def finished(folder: Path, states: Sequence[str] = OWN_ACCOUNT) -> dict[str, str]:
-    """Return key → attempt and state of every run that has ended in one of `states`."""
+    """Return attempt and state of every run that has ended in one of `states`, by key."""
     if not (folder / "ledger.sqlite").is_file():
         return {}
     sql = f"SELECT key, attempt, state FROM starts JOIN outcomes USING (attempt) WHERE state IN ({_marks(states)})"
@@ -92,7 +92,7 @@ def kill_driver(folder: Path, after: float) -> str:
 
 
 def kill_workers(folder: Path, number: int, rng: random.Random) -> list[str]:
-    """Run the study to its end and kill `number` workers on the way."""
+    """Run the study to its end, and kill `number` workers meanwhile."""
     process = subprocess.Popen([*COMMAND, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     lines = []
     while len(lines) < number and process.poll() is None:
@@ -125,7 +125,7 @@ def same_content(first: Path, second: Path) -> bool:
 
 
 def main(driver_kills: int = 5, worker_kills: int = 3, seed: int = 0) -> None:
-    """Print the table; end with an error where anything was repeated, lost or different."""
+    """Print the table; end with an error if anything was repeated, lost or different."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="strandline-kill-") as base:
         undisturbed, disturbed = Path(base) / "undisturbed", Path(base) / "disturbed"

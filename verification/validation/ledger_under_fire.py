@@ -1,7 +1,7 @@
 """What the ledger survives: a full disk, torn and corrupted files, two drivers, a read-only folder, clocks, size.
 
-Each line says what was done, what happened, and whether that is right. Mounting a small disk takes the rights of root;
-without them that line only says that it was left out.
+Each line reports what was done, what happened, and whether that is right. Mounting a small disk requires root; without
+it, that line only reports that the disk was not tried.
 
 Run it with:  python -m verification.validation.ledger_under_fire [RECORDS]
 """
@@ -48,13 +48,13 @@ def design(number: int) -> list[dict[str, float]]:
 
 
 def campaign(path: Path, number: int) -> tuple[RunRecord, ...]:
-    """Make the runs that the ledger lacks."""
+    """Make the runs that the ledger does not have."""
     with Ledger.open(path, model=MODEL) as ledger:
         return run_campaign(MODEL, design(number), ledger=ledger, executor=InProcess())
 
 
 def finished(path: Path) -> dict[str, bytes]:
-    """Return the points of every run that is ok, by key."""
+    """Return the points of every successful run, by key."""
     with Ledger.open(path, model=None, read_only=True) as ledger:
         return {record.key: record.interface.points.tobytes() for record in ledger if record.interface is not None}
 
@@ -117,7 +117,7 @@ def torn_log(base: Path, rng: random.Random) -> Finding:
 
 
 def corrupted(base: Path, rng: random.Random) -> Finding:
-    """Overwrite a stretch of the file at 200 places; what is read must be right, or refused."""
+    """Overwrite 64 bytes of the file at 200 places; the ledger must read correctly or be refused."""
     path = base / "sound.sqlite"
     campaign(path, 60)
     sound, complete = path.read_bytes(), finished(path)
@@ -159,7 +159,7 @@ def two_drivers(base: Path) -> Finding:
 
 
 def read_only_folder(base: Path) -> Finding:
-    """Read and write a ledger in a folder that may not be written, as a user without root's rights."""
+    """Read and write a ledger in a folder without write permission, as a user who is not root."""
     folder = base / "protected"
     folder.mkdir()
     campaign(folder / "ledger.sqlite", 5)
@@ -195,7 +195,7 @@ def _protected(folder: Path) -> Iterator[None]:
 
 
 def clock_jumps(base: Path, rng: random.Random) -> Finding:
-    """Let the clock jump by up to a year, both ways, at every look at it."""
+    """Let the clock jump by up to a year, both ways, each time it is read."""
     path = base / "clock.sqlite"
     real = time.time
     with mock.patch("time.time", side_effect=lambda: real() + rng.uniform(-3e7, 3e7)):
@@ -246,7 +246,7 @@ def _timed(task: Callable[[], object]) -> float:
 
 
 def main(records: int = RECORDS) -> None:
-    """Print what happened; end with an error where something is not right."""
+    """Print what happened; end with an error if something is not right."""
     rng = random.Random(0)
     base = Path(tempfile.mkdtemp(prefix="strandline-fire-"))
     wrong = 0

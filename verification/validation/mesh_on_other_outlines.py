@@ -1,6 +1,6 @@
-"""What `strandline check` says of the meshes' error on outlines that are not the study's, against the true error.
+"""The mesh error that `strandline check` estimates on outlines other than the study's, against the true error.
 
-The estimate is the difference to the next finer mesh, the true error that to a much finer one; both are the largest
+The estimate is the difference from the next finer mesh, the true error that from a much finer one; both are the largest
 distance of corresponding nodes of the interface.
 
 Run it with:  python -m verification.validation.mesh_on_other_outlines [OUTLINE ...]
@@ -24,7 +24,7 @@ from strandline.models.biofilm.sizes import MESHES, MeshSize
 __all__ = ["CASES", "REFERENCE", "table"]
 
 REFERENCE = MeshSize(far=0.03, interface=0.006, foot=0.0028, grading=0.2)
-"""Finer than the mesh that ``fine`` is compared with."""
+"""Mesh of the truth, finer than the one that ``fine`` is compared with."""
 
 CASES: Mapping[str, tuple[Biofilm, Mapping[str, float]]] = {
     "layer, gap 0.4 mm, neo-Hookean": (
@@ -50,11 +50,11 @@ CASES: Mapping[str, tuple[Biofilm, Mapping[str, float]]] = {
         {"E": 1500.0, "nu": 0.3, "V_in": 40.0},
     ),
 }
-"""Model on any mesh and inputs, by the outline's name."""
+"""Model, whose mesh is replaced, and inputs, by the name of the outline."""
 
 
 def rows(name: str) -> list[tuple[object, ...]]:
-    """Return a row for each mesh: elements, the estimate and the truth in µm, shares, seconds of CPU a run."""
+    """Return a row for each mesh: elements, estimated and true error in µm, share in %, CPU seconds per run."""
     model, inputs = CASES[name]
     truth = _interface_on(model, REFERENCE, inputs)
     moved = 1e3 * float(np.linalg.norm(truth - model.undeformed().points, axis=1).max())
@@ -71,7 +71,7 @@ def rows(name: str) -> list[tuple[object, ...]]:
 
 
 def table(names: Sequence[str] = tuple(CASES)) -> Table:
-    """Return estimate and truth of each mesh on each outline."""
+    """Return the estimated and the true error of each mesh on each outline."""
     columns = (
         "outline", "mesh", "elements", "estimate by check, µm", "true error, µm", "true error, %",
         "largest displacement, µm", "CPU seconds, mesh and run",

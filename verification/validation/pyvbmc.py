@@ -1,16 +1,16 @@
 """Active designs on a surrogate of the field compared with PyVBMC: runs of the model until the posterior is right.
 
-Both start from nothing and ask the same model, `validation.pyvbmc_problems`. After each batch (ours) or iteration
-(theirs) the posterior is compared with the true one; reaching a level means the first time that the total variation is
-below it. Overhead is the method's own processor time, without the model's. PyVBMC runs at its defaults, its plausible
-bounds the central 68 % of each prior. It boosts the posterior that it returns; to be fair to it, those of its
-iterations (on the outline of every fourth) are boosted too, as if it had ended there. A failed run has log L = -inf,
-which PyVBMC refuses, so a number must be invented for it.
+Both start from nothing and call the same model, `validation.pyvbmc_problems`. After each batch (ours) or iteration
+(theirs) the posterior is compared with the true one; a level is reached when the total variation is below it for the
+first time. Overhead is the method's own processor time, without the model's. PyVBMC runs with its defaults; its
+plausible bounds enclose the central 68 % of each prior. It boosts the posterior that it returns; for a fair comparison,
+those of its iterations (of every fourth on the outline) are boosted too, as if it had ended there. A failed run has
+log L = -inf, which PyVBMC refuses, so it needs an invented number.
 
 Writes verification/validation/output/pyvbmc.md and .json; with ``--publish`` the tables also go into the page
-docs/explanation/pyvbmc.md and their raw numbers beside it. PyVBMC needs `make pyvbmc-env`; without it, a message says
-so. An hour on one core; finished runs are kept in output/pyvbmc and not repeated. With ``--at-hand`` nothing is run,
-and the tables are of what is kept.
+docs/explanation/pyvbmc.md and their raw numbers next to it. PyVBMC needs `make pyvbmc-env`; without it, a message says
+so. It takes an hour on one core; finished runs are kept in output/pyvbmc and not repeated. With ``--at-hand`` nothing
+is run, and the tables show only kept runs.
 
 Run it with:  OMP_NUM_THREADS=1 python -m verification.validation.pyvbmc [--publish] [--at-hand]
 """
@@ -48,16 +48,16 @@ SETTINGS = Active(runs=200)
 PLAUSIBLE = 0.16
 """Probability below and above the plausible bounds."""
 HELD = 3
-"""Our side ends when it has been below the last level after this many batches in a row."""
+"""Our side ends when it is below the last level after this many batches in a row."""
 FAILED = {"biofilm": ("-1000", "lowest", "-inf"), "outline": ("-1000",)}
-"""Log-likelihoods of a failed run as given to PyVBMC; no run of the outline fails."""
+"""Log-likelihoods given to PyVBMC for failed runs; no run of the outline fails."""
 
 Problem = Biofilm | Outline
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A posterior on the way.
+    """An intermediate posterior.
 
     Args:
         runs: Number of runs of the model so far.
@@ -77,12 +77,12 @@ class Trace:
     Args:
         method: ``strandline`` or ``PyVBMC``.
         problem: Key of the problem.
-        failed: Log L of a failed run as given to PyVBMC; empty for ours.
+        failed: Log L given to PyVBMC for failed runs; empty for ours.
         seed: Seed of the random numbers.
         marks: Marks after each batch or iteration.
         runs: Total number of runs.
         failures: Number of failed runs.
-        error: Error with which it ended, or None.
+        error: Error that ended the run, or None.
         final: Total variation of the posterior that PyVBMC returns, after its own choice and boost; None for ours.
         version: Version of the method.
         boosted: Marks of the boosted posteriors that PyVBMC would have returned if it had ended there.
@@ -106,7 +106,7 @@ class Trace:
 
 
 def ours(problem: Problem, seed: int) -> Trace:
-    """Make an active design of fixed batches, without the check that would end it, until it has held the last level."""
+    """Make an active design of fixed batches, without the check that ends it, until it stays below the last level."""
     space, batch, most = problem.space, problem.batch, problem.most[0]
     marks, overhead = list[Mark](), 0.0
     x = space.to_physical(sobol(4 + 2 * space.dim, space.dim, scramble=seed))
@@ -142,7 +142,7 @@ def ours(problem: Problem, seed: int) -> Trace:
 
 
 def theirs(problem: Problem, seed: int, failed: str) -> Trace:
-    """Let PyVBMC ask for values until it stops by itself or has made its evaluations."""
+    """Answer PyVBMC's requests until it stops by itself or has used up its evaluations."""
     space, out = problem.space, OUTPUT / "pyvbmc" / "peer.npz"
     ends = [space.prior_quantiles(np.full((1, space.dim), p))[0].tolist() for p in (PLAUSIBLE, 1 - PLAUSIBLE)]
     task = {
@@ -180,7 +180,7 @@ def theirs(problem: Problem, seed: int, failed: str) -> Trace:
 
 
 def answering(problem: Problem) -> Callable[[Sequence[float]], Mapping[str, float | None]]:
-    """Return a function that answers with log prior and, where the run does not fail, log joint density."""
+    """Return a function that answers with the log prior and, unless the run fails, the log joint density."""
     likelihood = InterfaceLikelihood(problem.observations, problem.discrepancy)
 
     def answer(x: Sequence[float]) -> Mapping[str, float | None]:
@@ -196,7 +196,7 @@ def conversation(
     answer: Callable[[Sequence[float]], Mapping[str, float | None]],
     python: Path = PEER / "bin" / "python",
 ) -> Mapping[str, Any]:
-    """Start the peer's process, answer what it asks, and return its last message."""
+    """Start the peer's process, answer its requests, and return its last message."""
     limited = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(
         [str(python), str(WORKER)],
@@ -217,11 +217,11 @@ def conversation(
                 return done
             process.stdin.write(json.dumps(answer(said["x"])) + "\n")
             process.stdin.flush()
-    raise RuntimeError(f"PyVBMC's process ended without a last word, exit status {process.returncode}")
+    raise RuntimeError(f"PyVBMC's process ended without its last message, exit status {process.returncode}")
 
 
 def kept(name: str, make: Callable[[], Trace], *, at_hand: bool) -> list[Trace]:
-    """Return a finished run of either method; where it is not at hand it is made, or left out."""
+    """Return a kept run of either method; if there is none, make it, or leave it out with `at_hand`."""
     path = OUTPUT / "pyvbmc" / f"{name}.json"
     if not path.exists() and at_hand:
         return []
@@ -244,7 +244,7 @@ def traces(problem: Problem, *, peer: bool, at_hand: bool) -> list[Trace]:
 
 
 def compared(problem: Problem, found: Sequence[Trace]) -> list[tuple[Cell, ...]]:
-    """Return a row for each level and each value that PyVBMC was given for failed runs."""
+    """Return a row for each level and each value given to PyVBMC for failed runs."""
     mine = [trace for trace in found if trace.method == "strandline"]
     peers = sorted({trace.failed for trace in found if trace.method == "PyVBMC"} - {"-inf"}) or [""]
     rows: list[tuple[Cell, ...]] = []
@@ -262,7 +262,7 @@ def compared(problem: Problem, found: Sequence[Trace]) -> list[tuple[Cell, ...]]
 
 @dataclass(frozen=True)
 class Figures:
-    """Runs until a level over several seeds; None where too few seeds reached it."""
+    """Runs until a level is reached, over several seeds; None if too few seeds reached it."""
 
     text: str
     median: float | None
@@ -285,7 +285,7 @@ def figures(found: Sequence[Trace], level: float, *, boosted: bool = False) -> F
 
 
 def endings(problem: Problem, found: Sequence[Trace]) -> list[tuple[Cell, ...]]:
-    """Return how PyVBMC's runs ended, and how close the posterior it returned is."""
+    """Return how PyVBMC's runs ended, and how close the returned posterior is to the truth."""
     rows: list[tuple[Cell, ...]] = []
     for failed in FAILED[problem.key]:
         of_them = [trace for trace in found if trace.method == "PyVBMC" and trace.failed == failed]
@@ -310,7 +310,7 @@ def endings(problem: Problem, found: Sequence[Trace]) -> list[tuple[Cell, ...]]:
 
 
 def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) -> list[Table]:
-    """Return the comparison and how PyVBMC ended."""
+    """Return the comparison, how PyVBMC ended, and the accuracy of the true posteriors."""
     comparison = [row for problem in problems for row in compared(problem, found[problem.key])]
     ends = [row for problem in problems for row in endings(problem, found[problem.key])]
     accuracy = [(p.title, what, value) for p in problems for what, value in p.accuracy().items()]
@@ -320,7 +320,7 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
             "Runs of the model until the total variation to the true posterior is below a level: median / worst",
             (
                 "problem",
-                "log L told of a failure",
+                "log L given for a failure",
                 "below",
                 "seeds",
                 "strandline, runs",
@@ -338,7 +338,7 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
         Table(
             "pyvbmc-end",
             "How PyVBMC ended, and the total variation of what it returned: median / worst",
-            ("problem", "log L told of a failure", "ended by an exception", "evaluations", "failed runs", "returned"),
+            ("problem", "log L given for a failure", "ended by an exception", "evaluations", "failed runs", "returned"),
             ("s",) * 6,
             tuple(ends),
         ),
@@ -360,7 +360,7 @@ def missing_peer() -> str | None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run everything that is not at hand; see the module's docstring."""
+    """Run everything that is not kept; see the module's docstring."""
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
     folder = OUTPUT / "pyvbmc"
     folder.mkdir(parents=True, exist_ok=True)
@@ -383,7 +383,7 @@ def main(arguments: Sequence[str]) -> None:
     shown = "\n".join(f"## {table.title}\n\n{table.markdown()}\n" for table in made)
     said = "".join(f"\nException: `{error}`\n" for error in errors)
     (OUTPUT / "pyvbmc.json").write_text(text, "utf-8")
-    (OUTPUT / "pyvbmc.md").write_text(f"# Active designs beside PyVBMC\n\n{shown}{said}", "utf-8")
+    (OUTPUT / "pyvbmc.md").write_text(f"# Active designs compared with PyVBMC\n\n{shown}{said}", "utf-8")
     if "--publish" in arguments:
         PAGE.with_suffix(".json").write_text(text, "utf-8")
         PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), made), "utf-8")

@@ -1,4 +1,4 @@
-"""The two problems on which active designs and PyVBMC meet: the built-in biofilm, and an outline with seven inputs."""
+"""The two problems of the comparison with PyVBMC: the built-in biofilm, and an outline with seven inputs."""
 
 import pickle
 import tempfile
@@ -39,9 +39,9 @@ INTERVALS = (16, 8, 0)
 
 @dataclass(frozen=True, eq=False)
 class Biofilm:
-    """(E, ν) of the built-in biofilm, observed without noise; its posterior by quadrature.
+    """(E, ν) of the built-in biofilm, observed without noise; the true posterior comes from quadrature.
 
-    Within its range, a table of the model replaces its runs; beyond it the model itself is run.
+    Within its range, a table of the model replaces runs; outside it the model itself is run.
 
     Args:
         folder: Folder that keeps the table between calls.
@@ -70,7 +70,7 @@ class Biofilm:
 
     @cached_property
     def known(self) -> tuple[FieldTable, TruePosterior]:
-        """The table and the true posterior; made where they are not at hand."""
+        """The table and the true posterior; computed if they are not kept."""
         kept = self.folder / "biofilm.pkl"
         if not kept.exists():
             model: Any = self.study.model
@@ -89,12 +89,12 @@ class Biofilm:
 
     @property
     def discrepancy(self) -> Discrepancy:
-        """Currents, refined."""
+        """The currents measure with refined quadrature."""
         return Currents(0.005, quadrature="refined")
 
     @cached_property
     def observations(self) -> tuple[Observation, ...]:
-        """The table at the truth."""
+        """The interface of the table at the true inputs."""
         return self._observed(self.known[0])
 
     def run(self, x: Float[np.ndarray, " dim"]) -> RunRecord:
@@ -109,12 +109,12 @@ class Biofilm:
         return self.beyond[x.tobytes()]
 
     def ours(self, known: Knowledge) -> float:
-        """Return the total variation between what `known` leads to and the truth."""
+        """Return the total variation between the posterior from `known` and the truth."""
         found = posterior_on_grid(lambda x: known.expected(np.ascontiguousarray(x[:, :2])), self.space, self._grid)
         return total_variation(found, self._truth)
 
     def asked(self) -> Mapping[str, object]:
-        """Return what the peer is to report on its posteriors: their densities at the points of a file."""
+        """Return what the peer must report on its posteriors: their densities at the points in a file."""
         path = self.folder / "grid.npz"
         np.savez(path, points=self._grid.plane(RATE)[:, :2])
         return {"at": str(path)}
@@ -125,7 +125,7 @@ class Biofilm:
         return float(0.5 * np.sum(np.abs(density / (density @ area) - self._truth.density.ravel()) * area))
 
     def accuracy(self) -> dict[str, float]:
-        """Return how accurate the truth is: how far the posteriors of halved discretisations are from it."""
+        """Return the accuracy of the truth: how far the posteriors of halved discretisations are from it."""
         true = self.known[1]
         return {
             "runs of the table": float(self.known[0].runs),
@@ -146,14 +146,14 @@ class Biofilm:
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A half circle of radius ½ mm, pushed outwards by c V Σ φᵢ(s) (1 + νᵢ/2)/Eᵢ: seven inputs, three of them seen.
+    """A half circle of radius ½ mm, pushed outwards by c V Σ φᵢ(s) (1 + νᵢ/2)/Eᵢ: seven inputs, three quantities seen.
 
-    The data know aᵢ = V (1 + νᵢ/2)/Eᵢ alone: four directions in the space of inputs are ridges, held by the priors.
-    With tracked points log L is a quadratic form of a, so that 10⁷ draws of the prior are weighted in seconds.
+    The data inform only aᵢ = V (1 + νᵢ/2)/Eᵢ: four directions in the space of inputs are ridges, bounded by the priors.
+    With tracked points log L is a quadratic form in a, so that 10⁷ draws from the prior are weighted in seconds.
 
     Args:
         folder: Folder that keeps the truth between calls.
-        draws: Number of draws of the prior, for the truth.
+        draws: Number of draws from the prior for the truth.
     """
 
     folder: Path
@@ -204,7 +204,7 @@ class Outline:
 
     @cached_property
     def observations(self) -> tuple[Observation, ...]:
-        """The outline at the truth."""
+        """The outline at the true inputs."""
         return (Observation(self.interface(np.array(self.truth)), NOISE),)
 
     def log_likelihood(self, x: Float[np.ndarray, "point 7"]) -> Float[np.ndarray, " point"]:
@@ -215,7 +215,7 @@ class Outline:
 
     @cached_property
     def known(self) -> Mapping[str, np.ndarray]:
-        """Edges of bins, marginals of the truth in them, of its two halves, and draws of L^¼ p at which to compare."""
+        """Edges of bins, marginals of the truth and of its two halves, and draws from L^¼ p at which to compare."""
         kept = self.folder / "outline.npz"
         if not kept.exists():
             self._agree()
@@ -225,7 +225,7 @@ class Outline:
             return dict(content)
 
     def _agree(self) -> None:
-        """Compare the closed form with the measure on outlines."""
+        """Check the closed form against the measure on outlines."""
         x = self.space.prior_quantiles(np.random.default_rng(3).random((20, self.space.dim)))
         likelihood = InterfaceLikelihood(self.observations, self.discrepancy)
         np.testing.assert_allclose(self.log_likelihood(x), [likelihood(self.interface(row)) for row in x], rtol=1e-9)
@@ -243,7 +243,7 @@ class Outline:
             weight = np.exp(log)
             halves[k % 2] += marginals(x, weight, edges)
             squares += float(weight @ weight)
-            picked = rng.random(len(x)) < np.exp(0.25 * log)  # draws of L^¼ p, one by one
+            picked = rng.random(len(x)) < np.exp(0.25 * log)  # draws from L^¼ p by rejection
             some.append((x[picked], log[picked]))
         total = halves[:, 0].sum()
         x, log = (np.concatenate(parts) for parts in zip(*some, strict=True))
@@ -258,14 +258,14 @@ class Outline:
         }
 
     def ours(self, known: Knowledge) -> float:
-        """Return the mean marginal variation, both posteriors as weights of the same draws."""
+        """Return the mean marginal variation, with both posteriors as weights of the same draws."""
         truth = self.known
         weights = [np.exp(value - 0.25 * truth["log"]) for value in (truth["log"], known.expected(truth["x"]))]
         a, b = (marginals(truth["x"], w / w.sum(), truth["edges"]) for w in weights)
         return mean_variation(a, b)
 
     def asked(self) -> Mapping[str, object]:
-        """Return what the peer is to report on its posteriors: draws."""
+        """Return what the peer must report on its posteriors: draws."""
         return {"draws": 100_000}
 
     def theirs(self, answer: Float[np.ndarray, "draw 7"]) -> float:
@@ -274,7 +274,7 @@ class Outline:
         return mean_variation(found, self.known["marginals"])
 
     def accuracy(self) -> dict[str, float]:
-        """Return how accurate the truth is."""
+        """Return the accuracy of the truth."""
         halves = self.known["halves"]
         return {
             "draws of the prior": float(self.draws),

@@ -20,7 +20,7 @@ __all__ = ["POINTS", "Inputs", "relative_differences", "tables"]
 
 Points = Float[np.ndarray, "node 2"]
 STEPS = (2e-3, 1e-3, 5e-4)
-"""Relative steps of E and V_in; those of ν are as large in absolute terms, or smaller where ½ is near."""
+"""Relative steps of E and V_in; the steps of ν are absolute, and smaller near ½."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _extrapolated(cell: FlowCell, at: Inputs, k: int) -> Points:
 
 
 def cost(cell: FlowCell, at: Inputs, *, repeats: int = 5) -> float:
-    """Return the time of all sensitivities as a share of that of the solve before them; medians."""
+    """Return the median time of all sensitivities as a share of the median time of a solve."""
     solves, derivatives = [], []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -106,7 +106,7 @@ def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[
 
 
 def partition_of(parts: int) -> Partition:
-    """Return the study's specimen of one or of three parts."""
+    """Return the partition of the study's specimen into one or three parts."""
     return Partition.PRESETS["three_parts"] if parts == 3 else Partition()
 
 

@@ -1,8 +1,8 @@
-"""What campaigns on a real SLURM survive: a fault is injected after the first run, and the campaign watched.
+"""What campaigns on a real SLURM survive: a fault is injected after the first run, and the campaign is watched.
 
 A SLURM of three virtual nodes with two CPUs each is started for it. Each campaign has twelve runs of three seconds
-(Dask: six). The seconds run from the fault until the last run that it hit has ended well, including three for the run
-itself; if it hit none, until the next run has ended well.
+(Dask: six). The seconds count from the fault until the last run that it hit has ended well, including three for the run
+itself; if it hit none, until the next run ends.
 
 Run it with:  python -m verification.validation.slurm_faults
 """
@@ -37,7 +37,7 @@ JOBS = {"cores": 1, "memory": "400MB", "walltime": "00:30:00", "interface": "lo"
 
 @dataclass(frozen=True)
 class Seen:
-    """Outcome of a campaign: how often each end occurred, the seconds until it went on and in all."""
+    """Outcome of a campaign: how often each end occurred, the seconds until it went on, and the total seconds."""
 
     fault: str
     ends: Counter[str]
@@ -46,14 +46,14 @@ class Seen:
     complete: bool
 
     def row(self) -> str:
-        """Return it as a line of the table."""
+        """Return the outcome as a row of the table."""
         told = ", ".join(f"{count} {end}" for end, count in self.ends.most_common())
         told += "; complete" if self.complete else "; NOT COMPLETE"
         return f"| {self.fault} | {told} | {self.seconds:.1f} | {self.total:.0f} |"
 
 
 def main() -> None:
-    """Print the table, a line as soon as it is known."""
+    """Print the table, each row as soon as it is known."""
     if missing_programs():
         sys.exit(f"no {', '.join(missing_programs())}: apt-get install slurmctld slurmd slurm-client munge")
     os.environ["PYTHONPATH"] = f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def array(folder: Path, target: str = "slow_beam", **options: Any) -> tuple[PythonModel, SlurmArray]:
-    """Return a model of this file and the executor whose jobs find it by its name."""
+    """Return a model from this file and the executor whose jobs find it by its name."""
     name = f"verification.validation.slurm_faults:{target}"
     command = (sys.executable, "-m", "strandline.runs.array_task", name)
     return PythonModel(name), SlurmArray(folder / "slurm", command, poll=POLL, **options)
@@ -78,7 +78,7 @@ def array(folder: Path, target: str = "slow_beam", **options: Any) -> tuple[Pyth
 def watched(
     fault: str, folder: Path, model: Any, executor: Executor, disturb: Callable[[], object], *, number: int = RUNS
 ) -> Seen:
-    """Run a campaign that `disturb` meets after its first run."""
+    """Run a campaign and call `disturb` after its first run."""
     began, ends, hit = time.monotonic(), list[tuple[float, RunRecord]](), [0.0]
 
     def note(record: RunRecord, progress: object) -> None:
@@ -94,7 +94,7 @@ def watched(
 
 
 def seen(fault: str, ends: list[tuple[float, RunRecord]], hit: float, began: float, *, complete: bool) -> Seen:
-    """Return what the ends of a campaign amount to."""
+    """Return the outcome of a campaign from the ends of its attempts."""
     lost = {record.key for _, record in ends if record.state == "killed"}
     mended = [at for at, record in ends if record.ok and record.key in lost and at > hit]
     others = [at for at, record in ends if at > hit]
@@ -104,7 +104,7 @@ def seen(fault: str, ends: list[tuple[float, RunRecord]], hit: float, began: flo
 
 
 def running(slurm: TemporarySlurm) -> list[list[str]]:
-    """Return number and node of the jobs that run, a moment later: those that ended with the first are gone then."""
+    """Return number and node of the running jobs, after a moment: by then, jobs that ended with the first are gone."""
     time.sleep(2.0)
     text = slurm.command("squeue", "--noheader", "--array", "--states=RUNNING", "--format=%i|%N")
     return [line.split("|") for line in text.split()]
@@ -125,7 +125,7 @@ def cancelled(slurm: TemporarySlurm, folder: Path) -> Seen:
 
 
 def node_down(slurm: TemporarySlurm, folder: Path) -> Seen:
-    """Take a node out of service on which runs are being made."""
+    """Take a node with running jobs out of service."""
 
     def disturb() -> None:
         slurm.command("scontrol", "update", f"nodename={running(slurm)[-1][1]}", "state=down", "reason=test")
@@ -146,21 +146,21 @@ def controller(slurm: TemporarySlurm, folder: Path) -> Seen:
 
 
 def walltime(slurm: TemporarySlurm, folder: Path) -> Seen:
-    """Let a run come to the end of its job's walltime."""
+    """Let a run exceed its job's walltime."""
 
     model, executor = array(folder, "hanging_beam", walltime="00:01:00")
     return watched("array: one run of 12 hangs, walltime 1 min", folder, model, executor, lambda: None)
 
 
 def inside_timeout(slurm: TemporarySlurm, folder: Path) -> Seen:
-    """Let a run come to its own timeout."""
+    """Let a run exceed its own timeout."""
 
     model, executor = array(folder, "hanging_beam", timeout=4.0)
     return watched("array: one run of 12 hangs, timeout 4 s", folder, model, executor, lambda: None)
 
 
 def driver_killed(slurm: TemporarySlurm, folder: Path) -> Seen:
-    """Kill the driver of a campaign; the seconds are those from the next driver's start until its first record."""
+    """Kill the driver of a campaign; the seconds count from the next driver's start until its first record."""
     model, executor = array(folder)
     code = (
         "import sys; from pathlib import Path; import verification.validation.slurm_faults as faults\n"
@@ -211,7 +211,7 @@ def dask_node_down(slurm: TemporarySlurm, folder: Path) -> Seen:
 
 
 def ok_runs(folder: Path) -> int:
-    """Return how many runs the ledger has."""
+    """Return how many successful runs the ledger has."""
     if not (folder / "ledger.sqlite").is_file():
         return 0
     with Ledger.open(folder / "ledger.sqlite", model=None, read_only=True) as ledger:

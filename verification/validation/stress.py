@@ -1,11 +1,11 @@
-"""kill -9 of drivers, workers and simulators at random moments, dozens of times, of a study with an external simulator.
+"""kill -9 of drivers, workers and simulators at random moments, dozens of times, in a study with an external simulator.
 
-The study `examples/command`, with a simulator that takes a moment. It is run once undisturbed. A copy of it is run
-again and again: its driver, one of its workers, or one of the simulators is killed. The finished runs before and after
-each kill, and the content of posterior.nc at the end, are compared bit by bit.
+The study is `examples/command` with a slower simulator. It is run once undisturbed. A copy of it is run again and
+again: its driver, one of its workers, or one of the simulators is killed. The finished runs before and after each kill
+and the content of posterior.nc at the end are compared bit by bit.
 
 With `--active` the study has two unknown inputs and chooses its runs in batches. With `--journal delete` its ledger has
-the rollback journal that it would have on a network disk.
+a rollback journal, as on a network disk.
 
 Run it with:  python -m verification.validation.stress [--active] [--journal delete|wal] [DRIVERS WORKERS SIMULATORS]
 """
@@ -30,13 +30,13 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "command"
 RUNS, ACTIVE_RUNS = 400, 220
 OK = ("ok",)
 POLICY = "failures: {kinds: {killed: {retry: 20}}, stop: never}\n"
-"""What is killed is tried again, twice by default; here it may be the same run more often."""
+"""Killed runs are tried again: twice by default, but here the same run may be killed more often."""
 ACTIVE = f"{{active: {{runs: {ACTIVE_RUNS}, initial: 40, batch: 40, change: 1.0e-9, check: 20, patience: 1000}}}}"
-"""Batches until there are no runs left: no posterior moves as little as that; none goes on without a slow run."""
+"""Batches until no runs are left: no posterior moves as little as `change`, and each batch waits for slow runs."""
 
 
 def prepare(folder: Path, *, active: bool = False) -> None:
-    """Copy the example, with more runs, a simulator that takes a moment, and the policy."""
+    """Copy the example, with more runs, a slower simulator, and the policy."""
     shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("*.sqlite*", "*.lock", "*.json", "*.nc", "runs"))
     study, simulator = folder / "study.yaml", folder / "beam.py"
     changes = {"{sobol: {runs: 24}}": ACTIVE if active else f"{{sobol: {{runs: {RUNS}}}}}"}
@@ -52,7 +52,7 @@ def prepare(folder: Path, *, active: bool = False) -> None:
 
 
 def descendants(pid: int) -> list[tuple[int, str]]:
-    """Return process numbers and command lines of all that a process has started."""
+    """Return process numbers and command lines of all descendants of a process."""
     found = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
@@ -70,7 +70,7 @@ def descendants(pid: int) -> list[tuple[int, str]]:
 
 
 def victims(driver: int, kind: str) -> list[int]:
-    """Return the processes of a kind that a driver has at work."""
+    """Return the running processes of a kind that belong to a driver."""
     if kind == "driver":
         return [driver]
     mark = "beam.py" if kind == "simulator" else "strandline.runs.worker"
@@ -78,7 +78,7 @@ def victims(driver: int, kind: str) -> list[int]:
 
 
 def start(folder: Path) -> subprocess.Popen[bytes]:
-    """Return a driver at work on the study."""
+    """Start a driver on the study and return its process."""
     return subprocess.Popen([*COMMAND, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
@@ -90,7 +90,7 @@ def wait_for_two_more(driver: subprocess.Popen[bytes], folder: Path) -> None:
 
 
 def left_behind() -> int:
-    """Return how many folders of runs are left in the folder for temporary files."""
+    """Return how many folders of runs are left in the temporary folder."""
     return len(list(Path(os.environ["TMPDIR"]).glob(f"{PREFIX}*")))
 
 
@@ -103,7 +103,7 @@ def main(
     journal: str | None = None,
     seed: int = 0,
 ) -> None:
-    """Print the table; end with an error where anything was repeated, lost or different."""
+    """Print the table; end with an error if anything was repeated, lost or different."""
     rng, longest_wait = random.Random(seed), 1.5 if active else 0.3
     kinds = ["driver"] * drivers + ["worker"] * workers + ["simulator"] * simulators
     rng.shuffle(kinds)

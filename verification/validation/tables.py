@@ -1,4 +1,4 @@
-"""Tables of a verification: numbers for a machine, Markdown for a reader, and the place in a page where one belongs."""
+"""Tables of a verification: as numbers, as Markdown, and in their place on a page."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -17,11 +17,11 @@ class Table:
     """Rows of numbers.
 
     Args:
-        name: Name in a page, whose table stands between ``<!-- table: name -->`` and ``<!-- end -->``.
+        name: Name on a page, where the table is between ``<!-- table: name -->`` and ``<!-- end -->``.
         title: Title, one line.
         columns: Headings with units.
         formats: Format specification of each column, ``s`` for text.
-        rows: Raw values; None stands for a cell without a value.
+        rows: Raw values; None for a cell without a value.
     """
 
     name: str
@@ -58,7 +58,7 @@ def put_into_page(page: str, tables: Sequence[Table]) -> str:
     """Return the text of a page with each table in its place.
 
     Raises:
-        ValueError: a table has no place, or more than one.
+        ValueError: A table has no place, or more than one.
     """
     for table in tables:
         place = re.compile(rf"<!-- table: {table.name} -->\n.*?<!-- end -->", re.DOTALL)
@@ -71,6 +71,6 @@ def put_into_page(page: str, tables: Sequence[Table]) -> str:
 
 
 def observed_orders(sizes: Sequence[float], errors: Sequence[float]) -> list[float | None]:
-    """Return log(eₖ₋₁/eₖ)/log(hₖ₋₁/hₖ) for each mesh but the first, for which it is None."""
+    """Return log(eₖ₋₁/eₖ)/log(hₖ₋₁/hₖ) for each mesh; None for the first."""
     contraction = np.log(np.abs(np.divide(errors[:-1], errors[1:])))
     return [None, *map(float, contraction / np.log(np.divide(sizes[:-1], sizes[1:])))]

@@ -30,13 +30,13 @@ SETTINGS = newton.NewtonSettings(tolerance=1e-8, maximum_jacobians=30, smallest_
 
 @dataclass(frozen=True)
 class Benchmark:
-    """One of the four: what it consists of, and the published values.
+    """One of the four benchmarks: its parts and the published values.
 
     Args:
-        name: Name as published.
-        reference: Displacement ux, uy of the beam's tip (m), drag and lift of cylinder and beam (N/m).
+        name: Published name.
+        reference: Published displacement ux, uy of the beam's tip (m), drag and lift of cylinder and beam (N/m).
         fluid: Whether there is a fluid.
-        young: Young's modulus of the beam, Pa; None for a rigid one.
+        young: Young's modulus of the beam, Pa; None for a rigid beam.
         gravity: Gravity, m/s², downwards.
     """
 
@@ -61,12 +61,12 @@ RUNS = (
     ("CFD1", 2, 3), ("CFD1", 3, 2), ("CSM1", 2, 3), ("CSM1", 3, 3),
     ("CSM2", 2, 3), ("CSM2", 3, 3), ("FSI1", 2, 3), ("FSI1", 3, 2),
 )  # fmt: skip
-"""Those whose finest mesh takes less than half a minute."""
+"""Benchmark, order and number of meshes, such that the finest mesh takes less than half a minute."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was computed, by the names of the reference, and what it took."""
+    """Computed values, by the names of the reference, and their cost."""
 
     values: dict[str, float]
     elements: int
@@ -75,7 +75,7 @@ class Outcome:
 
 
 def solve(benchmark: Benchmark, level: int, *, order: int) -> Outcome:
-    """Return the steady state of a benchmark, mesh generation included in the seconds."""
+    """Return the steady state of a benchmark; its seconds include mesh generation."""
     start = time.perf_counter()
     mesh = mesh_turek_hron(COARSEST, level, order=order, fluid=benchmark.fluid, solid=benchmark.young is not None)
     system = CoupledSystem(
@@ -97,7 +97,7 @@ def solve(benchmark: Benchmark, level: int, *, order: int) -> Outcome:
 
 
 def _steady_state(system: CoupledSystem, benchmark: Benchmark) -> np.ndarray:
-    """Return the unknowns; from the state of a stiffer body, a million times in a flow."""
+    """Return the unknowns, starting from a stiffer body: a million times stiffer in a flow, otherwise 8 times."""
     if benchmark.fluid:
         profile = 1.5 * MEAN_VELOCITY * 4 * ng.y * (HEIGHT - ng.y) / HEIGHT**2
         system.state.components[0].Set(ng.CF((profile, 0)), definedon=system.mesh.Boundaries("inlet"))
@@ -114,7 +114,7 @@ def _steady_state(system: CoupledSystem, benchmark: Benchmark) -> np.ndarray:
 
 
 def _force(system: CoupledSystem) -> tuple[float, float]:
-    """Force on cylinder and beam: the residual tested with a field that is 1 there, i.e. the sum over vertices."""
+    """Return the force on cylinder and beam: the residual tested with a field that is 1 there, a sum over vertices."""
     part = system.space.Range(0)
     residual = system.full_residual()[part.start : part.stop]
     boundary = [e for e in system.mesh.Elements(ng.BND) if e.mat in ("cylinder", "interface")]
@@ -124,7 +124,7 @@ def _force(system: CoupledSystem) -> tuple[float, float]:
 
 
 def family(benchmark: Benchmark, *, order: int, levels: int) -> list[Outcome]:
-    """Return the outcomes on meshes of which each has the elements of the one before, quartered."""
+    """Return the outcomes on successive meshes, each with the elements of the one before quartered."""
     return [solve(benchmark, level, order=order) for level in range(levels)]
 
 
@@ -143,7 +143,7 @@ def tables(runs: Sequence[tuple[str, int, int]] = RUNS) -> list[Table]:
 
 
 def _rows(references: Mapping[str, float], order: int, outcomes: Sequence[Outcome]) -> list[tuple[Cell, ...]]:
-    """Return values, errors against the published ones, orders of these errors, and of the values' differences."""
+    """Return values, errors against the published ones, and orders of these errors and of the values' differences."""
     rows: list[tuple[Cell, ...]] = []
     for key, reference in references.items():
         values = [o.values[key] for o in outcomes]
@@ -157,7 +157,7 @@ def _rows(references: Mapping[str, float], order: int, outcomes: Sequence[Outcom
 
 
 def _own_orders(values: Sequence[float]) -> list[float | None]:
-    """Return log₂ of the ratio of successive differences (Richardson): it needs no reference, but three meshes."""
+    """Return log₂ of the ratio of successive differences (Richardson); this needs three meshes but no reference."""
     steps = np.abs(np.diff(values))
     return [None, None, *(float(np.log2(a / b)) for a, b in pairwise(steps))][: len(values)]
 

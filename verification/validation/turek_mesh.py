@@ -1,4 +1,4 @@
-"""Meshes of Turek and Hron's channel with a cylinder and a beam behind it: both regions, or just one of them. SI units.
+"""Meshes of Turek and Hron's channel with a cylinder and a beam behind it: both regions or just one. SI units.
 
 Arcs are rational quadratic splines; the mesh is curved to the order of the elements. Elements are smallest at the four
 corners where the solution is singular: the beam's root and tip.
@@ -29,7 +29,7 @@ class Size:
 
 
 def mesh_turek_hron(size: Size, refinements: int, *, order: int, fluid: bool = True, solid: bool = True) -> Any:
-    """Return the NGSolve mesh, all its elements quartered `refinements` times; a region left out is a hole."""
+    """Return the NGSolve mesh with all elements quartered `refinements` times; a region left out is a hole."""
     geometry = SplineGeometry()
     inside, outside = (2 if solid else 0), (1 if fluid else 0)
     lower, upper = _beam(geometry, size, inside, outside)
@@ -56,7 +56,7 @@ def _channel(geometry: Any) -> None:
 
 
 def _beam(geometry: Any, size: Size, inside: int, outside: int) -> tuple[int, int]:
-    """Append the beam's free sides; return its two points on the cylinder."""
+    """Append the beam's free sides; return the numbers of its two points on the cylinder."""
     root = CENTRE + np.sqrt(RADIUS**2 - HALF**2)
     (x, y), sharp = TIP, {"maxh": size.corner}
     lower = geometry.AppendPoint(root, CENTRE - HALF, **sharp)

@@ -1,4 +1,4 @@
-"""The command line, one file a command; a command's imports happen when it is called."""
+"""The command line, one file per command; a command's imports run when it is called."""
 
 from strandline.cli.main import main
 

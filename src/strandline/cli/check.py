@@ -1,4 +1,4 @@
-"""`strandline check`: validate everything, make one forward run and say what it shows."""
+"""`strandline check`: validate everything, make one forward run and report what it shows."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -47,12 +47,12 @@ def command(study: Path, plot: bool) -> None:
         click.echo(f"  observed conditions: {', '.join(conditions)}")
     for condition in loaded.turned:
         of = f" of {condition}" if condition else ""
-        click.echo(f"  the observed points{of} run against the model's interface and will be turned round")
+        click.echo(f"  the observed points{of} run opposite to the model's interface and will be turned round")
     click.echo(f"  {told}")
     for line in lines:
         click.echo(f"  {line}")
     for kind in loaded.runs.unheard_kinds:
-        click.echo(f"  warning: failures.kinds.{kind}: no run has ended so yet; is the word the model's own?")
+        click.echo(f"  warning: failures.kinds.{kind}: no run has ended with it yet; does the model use it?")
     refine = loaded.settings.refine
     rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
     most = "at most " if loaded.settings.active is not None else ""
@@ -127,7 +127,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
 
 
 def _measured(study: "Study", record: "RunRecord") -> dict[str, float]:
-    """Return the log-likelihood of the run by measure; none where the observation is still to be made."""
+    """Return the log-likelihood of the run by measure; empty if the observation has not been made yet."""
     from strandline.likelihood import InterfaceLikelihood
 
     observations = study.observations(study.observed or record.interfaces)

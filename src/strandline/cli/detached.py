@@ -1,4 +1,4 @@
-"""Runs that go on without a driver: handing them over, and saying so when the driver is stopped."""
+"""Runs that continue without a driver: submit them, and report them when the driver is stopped."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,10 +17,10 @@ __all__ = ["submit", "told_what_goes_on"]
 
 
 def submit(study: Study, executor: Executor, observer: Observer) -> None:
-    """Submit all runs of `study` that are known to be needed, and say what to do next.
+    """Submit all runs that `study` is known to need, and print what to do next.
 
     Raises:
-        InvalidInput: its executor cannot go on without a driver.
+        InvalidInput: The executor's runs cannot continue without a driver.
     """
     from strandline.studies.run import submit_study
 
@@ -44,7 +44,7 @@ def submit(study: Study, executor: Executor, observer: Observer) -> None:
 
 @contextmanager
 def told_what_goes_on(study: Study, executor: Executor) -> Iterator[None]:
-    """Say, where the driver is interrupted, that its runs are not."""
+    """Report the runs that continue in SLURM if the driver is interrupted."""
     try:
         yield
     except KeyboardInterrupt:

@@ -14,14 +14,14 @@ option = click.option(
 
 
 def use(device: str | None) -> None:
-    """Have JAX compute there; to be called before anything imports JAX. None leaves JAX as the environment has it.
+    """Make JAX compute on `device`; call this before anything imports JAX. None keeps the environment's setting.
 
     Raises:
         InvalidInput: JAX finds no such device.
     """
     if device is None:
         return
-    os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else ""  # empty: the best that there is
+    os.environ["JAX_PLATFORMS"] = "cpu" if device == "cpu" else ""  # empty: the best device available
     import jax
 
     try:

@@ -84,7 +84,7 @@ def command(
 
 
 def show_remains(record: "RunRecord") -> None:
-    """Print where the folder of a failed run is kept and how its log ends, where the simulator is a program."""
+    """Print where the folder of a failed run is kept and how its log ends, if the simulator is a program."""
     from strandline.runs.record import told_folder
 
     folder = told_folder(record)
@@ -103,14 +103,14 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
     from strandline.studies.folder import require_temporary
 
     require_temporary()
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small for threads to pay
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small to benefit from threads
 
     with tempfile.TemporaryDirectory(prefix="strandline-") as folder:
         return attempt(model, RunRequest("", dict(inputs)), Path(folder))
 
 
 def _require_fields(model: Any) -> None:
-    """Refuse pictures of a model that has no fields to show."""
+    """Refuse to draw a model that has no fields to show."""
     if not hasattr(model, "fields"):
         raise InvalidInput(
             "--vtu and --plot",
@@ -121,7 +121,7 @@ def _require_fields(model: Any) -> None:
 
 
 def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, *, plot: bool) -> list[Path]:
-    """Write the solved state for ParaView and as a picture, of each condition; return what was written."""
+    """Write the solved state of each condition for ParaView and as a picture; return the paths."""
     from strandline.models.biofilm.paraview import write_vtu
     from strandline.models.protocol import declared_conditions
     from strandline.report.plots import plot_flow
@@ -167,7 +167,7 @@ def _parsed(settings: tuple[str, ...]) -> dict[str, float]:
 
 
 def _require_target(path: Path) -> None:
-    """Refuse a place where the file cannot be made, before the run is."""
+    """Refuse a path where no file can be created, before the run is made."""
     if path.is_dir():
         problem = "a folder"
     elif not path.parent.is_dir():
@@ -200,7 +200,7 @@ def _told(record: "RunRecord", model: "ForwardModel", *, sensitivities: bool) ->
 
 
 def _per(unit: str | None) -> str:
-    """Return how a slope by an input of that unit goes on."""
+    """Return what follows mm in the unit of a derivative by an input of this unit."""
     if unit is None:
         return " per unit of the input"
     return "" if unit in ("", "1") else f" per {unit}"

@@ -1,4 +1,4 @@
-"""What is said, once, of a ledger on a network disk."""
+"""The note on a ledger that has a rollback journal, printed once."""
 
 import click
 
@@ -8,10 +8,10 @@ __all__ = ["say_journal"]
 
 
 def say_journal(study: Study, *, quiet: bool) -> None:
-    """Say on standard error that the ledger of `study` has a rollback journal, and why.
+    """Print on standard error that the ledger of `study` has a rollback journal, and why.
 
     Raises:
-        InvalidInput: the environment asks for a journal that there is not.
+        InvalidInput: The environment asks for an unknown kind of journal.
     """
     from strandline.runs.journal import note
 

@@ -43,10 +43,10 @@ def reasons(run: "Run", folder: Path) -> Iterator[str]:
 
 
 def change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
-    """Exclude the run with this key, or include it again, and say so.
+    """Exclude the run with this key, or include it again, and print what was done.
 
     Raises:
-        InvalidInput: No reason for an exclusion.
+        InvalidInput: An exclusion has no reason.
         LedgerError: The ledger is locked or cannot be written, or the run is excluded (or included) already.
     """
     from strandline.runs import Ledger
@@ -57,7 +57,7 @@ def change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
         raise InvalidInput(
             "--exclude",
             value="no reason",
-            expected="--why REASON beside it",
+            expected="--why REASON too",
             remedy='Add --why "the mesh folded over".',
         )
     path = folder / LEDGER

@@ -16,7 +16,7 @@ from strandline.version import __version__
 __all__ = ["environment", "main"]
 
 MOST_DEVICES = 8
-"""Cores that the sampler's particles are spread over at most."""
+"""Largest number of cores over which the sampler's particles are spread."""
 COMMANDS = {
     "init": "Write a commented study folder that runs.",
     "check": "Validate a study and make one forward run.",
@@ -34,7 +34,7 @@ COMMANDS = {
 
 
 class _Interrupted(BaseException):
-    """Ctrl-C, or another signal, kept from click, which would write an empty line of its own."""
+    """Ctrl-C or another signal, hidden from click, which would print an extra empty line."""
 
     def __init__(self, cause: KeyboardInterrupt) -> None:
         self.cause = cause
@@ -42,7 +42,7 @@ class _Interrupted(BaseException):
 
 
 class _LazyGroup(click.Group):
-    """Knows the commands by name and imports only the one that is called."""
+    """A group that knows its commands by name and imports only the one that is called."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -75,11 +75,11 @@ def _group() -> None:
 
 
 def main(arguments: list[str] | None = None, *, command: click.Command | None = None) -> None:
-    """Run the command line; exit code 0 done, 1 numerics failed, 2 bad input, 128 + n ended by the signal n.
+    """Run the command line; exit codes: 0 done, 1 numerics failed, 2 bad input, 128 + n ended by signal n.
 
     Args:
         arguments: Words after the program's name; those of this process if omitted.
-        command: A program of its own that ends in the same way.
+        command: Another click command to run in the same way; the group `strandline` by default.
     """
     end_as_ctrl_c()
     for name, value in environment().items():
@@ -100,9 +100,9 @@ def main(arguments: list[str] | None = None, *, command: click.Command | None = 
 
 
 def environment() -> dict[str, str]:
-    """Return defaults of the libraries' environment variables; JAX reads them when it is first imported.
+    """Return defaults for the libraries' environment variables; JAX reads them when it is first imported.
 
-    Compiled programs are kept, so that the second analysis of a study does not compile again.
+    Compiled programs are cached, so that the second analysis of a study does not compile again.
     """
     home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     return {

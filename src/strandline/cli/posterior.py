@@ -1,4 +1,4 @@
-"""`strandline posterior`: what can be asked of the posterior of a finished study."""
+"""`strandline posterior`: checks of the posterior of a finished study."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`strandline report`: the results once more from finished runs."""
+"""`strandline report`: write the results again from finished runs."""
 
 from pathlib import Path
 

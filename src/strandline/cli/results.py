@@ -15,7 +15,7 @@ __all__ = ["show", "shown_also_if_incomplete"]
 
 @contextmanager
 def shown_also_if_incomplete() -> Iterator[None]:
-    """Print what was found before an error ends the command, where files of the results could not be written."""
+    """Print the results even if the command ends with an error because some result files could not be written."""
     try:
         yield
     except ResultsNotWritten as error:
@@ -56,7 +56,7 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
 
 
 def _certified(certificate: Mapping[str, Any]) -> str:
-    """Return what the last check of an active design has found, in a line."""
+    """Return a line on the last check of an active design."""
     check = certificate["check"]
     shift = max(abs(value) for value in check["shift"].values())
     if check["by"] == "left-out runs":
@@ -73,7 +73,7 @@ def _certified(certificate: Mapping[str, Any]) -> str:
 def _show_readings(readings: Mapping[str, Any]) -> None:
     """Print the posterior of the calibrated inputs in both readings."""
     for reading, content in readings.items():
-        click.echo(f"under uncertainty, {reading} reading (MAP: fullest of {content['map_bins']} bins an input):")
+        click.echo(f"under uncertainty, {reading} reading (MAP: fullest of {content['map_bins']} bins per input):")
         for name, item in content["inputs"].items():
             mean, sd, *rest = (f"{item[k]:.4g}" for k in ("mean", "sd", "median", "q05", "q95", "map"))
             click.echo(f"{name:>10} {'':>7} {mean:>10} {sd:>9} " + " ".join(f"{text:>10}" for text in rest))

@@ -1,4 +1,4 @@
-"""`strandline retry`: failed runs once more."""
+"""`strandline retry`: make failed runs again."""
 
 from pathlib import Path
 

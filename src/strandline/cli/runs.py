@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 SHORT = 12
-"""Characters of a key in the list; a key may be given by so few of its first ones as are unique."""
+"""Characters of a key in the list; as few of its first characters as are unique identify a run."""
 SUFFIXES = (".csv", ".nc")
 
 
@@ -85,7 +85,7 @@ def _require_known(state: str | None) -> None:
 
 
 def _require_kind(kind: str | None, runs: Sequence["Run"]) -> None:
-    """Refuse a reason for which no run ever failed."""
+    """Refuse a kind of failure that no run has had."""
     present = sorted({attempt.kind for run in runs for attempt in run.attempts if attempt.kind})
     if kind is not None and kind not in present:
         raise InvalidInput(
@@ -97,7 +97,7 @@ def _require_kind(kind: str | None, runs: Sequence["Run"]) -> None:
 
 
 def _require_target(export: Path | None) -> None:
-    """Refuse a file that cannot be made, before anything is read."""
+    """Refuse a file that cannot be created, before anything is read."""
     if export is None:
         return
     if export.suffix not in SUFFIXES:
@@ -120,14 +120,14 @@ def _require_alone(*others: object) -> None:
     if any(other is not None for other in others):
         raise InvalidInput(
             "--show",
-            value="another option beside it",
+            value="another option with it",
             expected="--show KEY alone",
             remedy="Leave out --state, --kind, --limit and --export.",
         )
 
 
 def _require_one_change(exclude: str | None, include: str | None, *others: object) -> str:
-    """Return the option that was given; refuse both at once, --why alone, or other options beside them."""
+    """Return the option that was given; refuse both at once, --why alone, or other options with them."""
     if (exclude is None) == (include is None) or any(other is not None for other in others):
         raise InvalidInput(
             "--exclude, --include and --why",
@@ -168,7 +168,7 @@ def _table(runs: Sequence["Run"]) -> Iterator[str]:
 
 
 def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
-    """Yield all that is known of a run but its interface; of its last end where it is open again."""
+    """Yield everything known about a run except its interface; if it is open again, about its last outcome."""
     ended = run.outcome
     started = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.last.started_at))
     yield f"key: {run.key}"
@@ -191,7 +191,7 @@ def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
 
 
 def _without_log(details: "Details") -> str:
-    """Return the message without the end of the log, where that follows whole."""
+    """Return the message without the last lines of the log if the whole log is printed after it."""
     from strandline.runs.tables import LOG_TITLE
 
     message, _, lines = details.message.rpartition(f"\n{LOG_TITLE}\n")
@@ -199,7 +199,7 @@ def _without_log(details: "Details") -> str:
 
 
 def _export(path: Path, runs: Sequence["Run"], ledger: "Overview") -> None:
-    """Write the runs to `path` and say so."""
+    """Write the runs to `path` and print a line about it."""
     from strandline.studies.export import write_csv, write_netcdf
 
     if not runs:

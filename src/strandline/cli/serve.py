@@ -64,7 +64,7 @@ def command(
 
 
 def _solvers(study: "Study", workers: int) -> list["Solver"]:
-    """Return what makes plain runs, and what makes those with sensitivities where the model has them."""
+    """Return a solver for plain runs and, if the model has sensitivities, one for runs with them."""
     from strandline.studies.serve import Solver, differentiating
 
     model: Any = study.model

@@ -1,4 +1,4 @@
-"""SIGTERM and SIGHUP end a command as Ctrl-C does: everything is put in order first."""
+"""SIGTERM and SIGHUP end a command as Ctrl-C does: it cleans up first."""
 
 import contextlib
 import signal
@@ -9,7 +9,7 @@ __all__ = ["Ended", "end_as_ctrl_c"]
 
 
 class Ended(KeyboardInterrupt):
-    """A signal that ends the command; `number` is its own."""
+    """A signal that ends the command; `number` is the signal's number."""
 
     def __init__(self, number: int) -> None:
         self.number = signal.Signals(number)
@@ -17,9 +17,9 @@ class Ended(KeyboardInterrupt):
 
 
 def end_as_ctrl_c() -> None:
-    """Have SIGTERM and SIGHUP raise `Ended`, where they are not ignored, as by ``nohup``.
+    """Make SIGTERM and SIGHUP raise `Ended` unless they are ignored, as under ``nohup``.
 
-    The first one counts; those that follow it, as they do when a terminal closes, do not disturb the end.
+    Only the first signal counts: later ones, such as those when a terminal closes, do not disturb the cleanup.
     """
     if threading.current_thread() is not threading.main_thread():
         return

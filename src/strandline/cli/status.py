@@ -1,4 +1,4 @@
-"""`strandline status`: how far a study is."""
+"""`strandline status`: how far a study has got."""
 
 import json
 from collections.abc import Iterator
@@ -59,7 +59,7 @@ def lines_of(state: "StudyProgress") -> Iterator[str]:
 
 
 def _driver(state: "StudyProgress") -> str:
-    """Return who is at work, and how quickly."""
+    """Return a line on the driver and its pace."""
     driver = state.driver
     if driver is None:
         return "no driver yet"

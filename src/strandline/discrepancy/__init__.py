@@ -1,4 +1,4 @@
-"""Discrepancies d² between a simulated and an observed interface, one measure a file."""
+"""Discrepancies d² between a simulated and an observed interface, one measure per file."""
 
 from strandline.discrepancy.closest_point import ClosestPoint
 from strandline.discrepancy.currents import Currents

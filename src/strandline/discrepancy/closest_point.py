@@ -22,19 +22,19 @@ WEIGHTINGS = ("sum", "length")
 class ClosestPoint:
     """d² from the distances between the nodes of one interface and the closest points of the other, mm²; Eq. (7).
 
-    With δ_i the distance of node i to the closest point of the other polyline or surface (on its segments or
-    triangles, not its nodes):
+    δ_i is the distance from node i to the closest point of the other polyline or surface (anywhere on its segments or
+    triangles, not only at its nodes):
 
-    - weighting ``sum``: d² = Σ_i δ_i², mm². The study's; it grows with the number of nodes.
-    - weighting ``length``: d² = Σ_i w_i δ_i² / Σ_i w_i, mm², with w_i half the length of the segments at node i (the
-      trapezoidal rule), on a surface a third of the area of the triangles there: the mean over the length (area) of
-      the squared distance, independent of the number of nodes as the mesh is refined. Against the noise variance σ_N²
-      it weighs as *one* distance; to let it weigh as n, give σ_N²/n.
+    - weighting ``sum``: d² = Σ_i δ_i², mm². As in the study; d² grows with the number of nodes.
+    - weighting ``length``: d² = Σ_i w_i δ_i² / Σ_i w_i, mm². w_i is half the length of the segments at node i (the
+      trapezoidal rule); on a surface, a third of the area of the triangles there. This is the mean of the squared
+      distance over the length (area); it does not depend on the number of nodes as the mesh is refined. Relative to
+      the noise variance σ_N² it counts as *one* distance; to make it count as n, set σ_N²/n.
 
     Args:
         direction: Which nodes are projected: ``to_observed`` projects the simulated nodes onto the observed interface
-            (the study's), ``to_simulated`` the observed nodes onto the simulated one; ``symmetric`` takes the mean of
-            the two d².
+            (as in the study), ``to_simulated`` the observed nodes onto the simulated one; ``symmetric`` averages the
+            two d².
         weighting: ``sum`` or ``length``.
 
     Raises:
@@ -70,9 +70,9 @@ class ClosestPoint:
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
-        """Return d² of interfaces of the same cells, all of them together.
+        """Return d² of many interfaces with the same cells.
 
-        None for surfaces that the observed nodes are projected onto, and for a few polylines only.
+        Return None if the observed nodes are projected onto surfaces, or onto only a few polylines.
         """
         require_alike(template, observed)
         if self.direction == "to_observed":
@@ -104,21 +104,21 @@ class ClosestPoint:
     def _weights(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface
     ) -> Float[np.ndarray, "#run point"]:
-        """Return what the squared distance of each node counts; one row where that is the same in all runs."""
+        """Return the weight of each node's squared distance; one row if it is the same in all runs."""
         if self.weighting == "sum":
             return np.ones((1, points.shape[1]))
         weights = _weights_of_many(points, template)
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def terms(self, observed: Interface) -> int | None:
-        """Return the number of observed nodes where each gives one distance.
+        """Return the number of observed nodes if each contributes one distance.
 
-        None for the other directions, whose number of distances is the simulation's, and for a mean.
+        None for the other directions, whose number of distances depends on the simulation, and for a mean.
         """
         return len(observed.points) if (self.direction, self.weighting) == ("to_simulated", "sum") else None
 
     def distances(self, simulated: Interface, observed: Interface) -> float:
-        """Return how many distances d² sums: one for a mean, half the nodes of both where both ways are averaged."""
+        """Return how many distances d² sums: one for a mean, half of all nodes if both directions are averaged."""
         if self.weighting == "length":
             return 1.0
         nodes = {"to_observed": len(simulated.points), "to_simulated": len(observed.points)}
@@ -139,12 +139,12 @@ def node_weights(interface: Interface) -> Float[np.ndarray, " point"]:
 
 
 def _weights_of_many(points: Float[np.ndarray, "run point xyz"], template: Interface) -> Float[np.ndarray, "run point"]:
-    """Return `node_weights` of each of the interfaces with these points and the cells of `template`."""
+    """Return `node_weights` of each interface with these points and the cells of `template`."""
     if template.dim == 3:
         return np.stack([node_weights(Interface(row, template.cells)) for row in points])
     i, j = template.cells.T
     steps = points[:, j] - points[:, i]
     halves, weights = 0.5 * np.hypot(steps[..., 0], steps[..., 1]), np.zeros(points.shape[:2])
     weights[:, i] += halves
-    weights[:, j] += halves  # a polyline is a chain: a node begins one segment at most and ends one at most
+    weights[:, j] += halves  # a polyline is a chain: a node begins at most one segment and ends at most one
     return weights

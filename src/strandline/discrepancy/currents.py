@@ -22,25 +22,26 @@ _FINEST = 1e-14
 _THINNEST, _WIDEST = 1e-9, 1e9
 """Widths beyond which squares overflow or vanish, mm."""
 _SAFETY = 1 / 50
-"""Share of the tolerance that a single inner product may use up: d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ adds up four."""
+"""Share of the tolerance that one inner product may use up: d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ adds up four."""
 
 
 @dataclass(frozen=True)
 class Currents:
-    """d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of the simulated S and the observed T, mm² (of surfaces mm⁴); Eqs. (10)-(11).
+    """d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of the simulated S and the observed T, mm² (mm⁴ for surfaces); Eqs. (10)-(11).
 
     ⟨S,T⟩ = ∫_S ∫_T exp(-|x-y|²/2σ_W²) n(x)·m(y) dy dx with unit normals n, m, over polylines or surfaces. (The other
-    convention in the literature, exp(-r²/σ²), is this one with width σ/√2.) It needs no correspondence of nodes and no
-    projection, but the same orientation: a simulated interface that runs against the observed one is refused.
+    convention in the literature, exp(-r²/σ²), is this one with width σ/√2.) Nodes need not correspond and nothing is
+    projected, but both interfaces must have the same orientation: a simulated interface that runs against the observed
+    one is refused.
 
     Args:
         width: Width σ_W of the kernel, mm.
-        quadrature: Rule: ``refined`` (default) integrates both interfaces, whatever their nodes, to `tolerance`.
-            ``centre`` takes one point a segment or triangle as the study does: cheap, and wrong where these are longer
+        quadrature: Rule: ``refined`` (default) integrates both interfaces to `tolerance`, whatever their nodes.
+            ``centre`` takes one point per segment or triangle, as the study does: cheap, but wrong if these are longer
             than the width, since d² then depends on where the nodes lie along the interface.
         tolerance: Largest error of d² with ``refined``, relative to ⟨T,T⟩.
 
-    ⟨T,T⟩ is kept for the observed interfaces used last.
+    ⟨T,T⟩ is kept for the most recently used observed interfaces.
 
     Raises:
         InvalidInput: a width not above 0, an unknown quadrature, a tolerance outside (0, 0.1].
@@ -63,7 +64,7 @@ class Currents:
             _refuse("tolerance", self.tolerance, "a number in (0, 0.1]", "Leave it out for 1e-6.")
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
-        """Return d² ≥ 0, mm² (mm⁴); a difference below rounding counts as 0."""
+        """Return d² ≥ 0, mm² (mm⁴); a value below 0 from rounding counts as 0."""
         require_alike(simulated, observed)
         if simulated.runs_against(observed):
             raise InvalidInterface(
@@ -85,7 +86,7 @@ class Currents:
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
-        """Return d² of polylines of the same segments, mm², to `tolerance`; None for surfaces and for few runs."""
+        """Return d² of polylines with the same segments, mm², to `tolerance`; None for surfaces and for few runs."""
         if template.dim == 3:
             return None
         bound = _bound(self, Snapshot.of(observed))
@@ -95,7 +96,7 @@ class Currents:
         return currents_of_many(*polylines, width=self.width, square=bound.square, rule=rule)
 
     def terms(self, observed: Interface) -> None:
-        """Return None: the norm is no sum of independent distances."""
+        """Return None: the norm is not a sum of independent distances."""
         return
 
     def _product(self, a: Interface, b: Interface, share: float) -> float:
@@ -107,7 +108,7 @@ class Currents:
 
 @dataclass(frozen=True)
 class _Bound:
-    """What is known of an observed interface once for all: ⟨T,T⟩ and the tolerance of a product with it."""
+    """Values computed once per observed interface: ⟨T,T⟩ and the tolerance of a product with it."""
 
     square: float
     share: float
@@ -115,7 +116,7 @@ class _Bound:
 
 @lru_cache(maxsize=64)
 def _bound(measure: Currents, snapshot: Snapshot) -> _Bound:
-    """Return ⟨T,T⟩; where normals cancel and it is small, integrate more finely, for an error relative to it."""
+    """Return ⟨T,T⟩; if it is small because normals cancel, integrate more finely to keep its relative error."""
     observed, share = snapshot.interface, _SAFETY * measure.tolerance
     square = measure._product(observed, observed, share)
     cancelled = square / natural_scale(observed, measure.width)

@@ -1,4 +1,4 @@
-"""The direction in which an observed interface is run through, taken from forward runs."""
+"""The direction of an observed interface, taken from forward runs."""
 
 from collections.abc import Sequence
 
@@ -9,17 +9,17 @@ from strandline.interface import Interface, Oriented
 __all__ = ["oriented_like_runs"]
 
 NEAREST = 5
-"""Runs that decide, those nearest to the observation: the further off a run is, the less its direction says."""
+"""Number of runs that decide, those nearest to the observation: a distant run's direction means little."""
 SHARES = 33
 LARGEST = 1e100
 
 
 def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Oriented:
-    """Return `observed` run through as most of the runs nearest to it, and whether it had to be turned round.
+    """Return `observed` in the direction of most of its nearest runs, and whether it had to be turned round.
 
     Args:
         observed: The observed interface.
-        runs: Simulated interfaces; those of another kind (open, closed, surface) are passed over.
+        runs: Simulated interfaces; those of another kind (open, closed, surface) are ignored.
     """
     apart = [(_distance(observed, run), k) for k, run in enumerate(runs) if _alike(observed, run)]
     votes = [observed.runs_against(runs[k]) for _, k in sorted(apart)[:NEAREST]]
@@ -28,13 +28,13 @@ def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Orient
 
 
 def _alike(observed: Interface, run: Interface) -> bool:
-    """Return whether a run can be compared: of the same kind, with coordinates whose squares are numbers."""
+    """Return whether a run can be compared: it is of the same kind and the squares of its coordinates are finite."""
     same = run.dim == observed.dim and run.closed == observed.closed
     return same and float(np.abs(run.points).max()) < LARGEST
 
 
 def _distance(observed: Interface, run: Interface) -> float:
-    """Return how far a run is from the observation, whichever way it is run through; for an order alone."""
+    """Return how far a run is from the observation, whatever its direction; used only for sorting."""
     if observed.dim == 3 or observed.closed:
         return float(np.linalg.norm(observed.points.mean(axis=0) - run.points.mean(axis=0)))
     mine, theirs = observed.resampled(SHARES).points, run.resampled(SHARES).points

@@ -1,4 +1,4 @@
-"""Sizes of two interfaces side by side: what shows a wrong unit."""
+"""Comparison of the sizes of two interfaces, which reveals a wrong unit."""
 
 import math
 
@@ -9,10 +9,10 @@ from strandline.interface import Interface
 __all__ = ["LARGEST_RATIO", "extent", "extent_ratio", "unit_mistake"]
 
 LARGEST_RATIO = 10.0
-"""An observed interface that is larger or smaller than the model's by this factor has another unit."""
+"""An observed interface this many times larger or smaller than the model's is taken to have another unit."""
 
 _FACTORS = {1: ("mm", "cm"), 3: ("µm", "mm"), 6: ("µm", "m")}
-"""Decimal logarithm of a factor → the two units that it lies between."""
+"""Decimal logarithm of a factor → two units that differ by this factor."""
 
 
 def extent(interface: Interface) -> float:
@@ -26,7 +26,7 @@ def extent_ratio(observed: Interface, simulated: Interface) -> float:
 
 
 def unit_mistake(ratio: float) -> str:
-    """Return a clause, "perhaps …", on the unit that was probably mistaken; empty where the extents are of one size.
+    """Return a clause, "perhaps …", on the unit that was probably mistaken; empty if the extents are similar.
 
     Args:
         ratio: The extent of the observed interface divided by that of the simulated one.

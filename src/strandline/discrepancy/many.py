@@ -1,4 +1,4 @@
-"""A measure on very many simulated interfaces of the same cells at once: what a sampler asks for."""
+"""A measure evaluated on very many simulated interfaces with the same cells at once, as a sampler needs it."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,9 +12,9 @@ __all__ = ["squared_discrepancies"]
 def squared_discrepancies(
     measure: Discrepancy, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
 ) -> Float[np.ndarray, " run"]:
-    """Return d² of each of the interfaces with these points and the cells of `template`.
+    """Return d² of each interface with these points and the cells of `template`.
 
-    Orientation is that of the template.
+    The orientation is that of the template.
 
     Raises:
         InvalidInterface: as the measure does.

@@ -20,19 +20,19 @@ __all__ = ["LineReadings", "MeasurementLines"]
 REACH = 0.25
 """Default reach of a measurement line, as a share of the length of the observed interface."""
 
-_BLOCK = 256  # interfaces worked on together by `many`
+_BLOCK = 256  # interfaces that `many` processes together
 MOST_LINES = 100_000
-"""Lines of a measure; each costs memory and time in every comparison."""
+"""Largest number of lines in a measure; each costs memory and time in every comparison."""
 Bases = Float[np.ndarray, "line 4"]
 
 
 @dataclass(frozen=True, eq=False)
 class LineReadings:
-    """What the measurement lines read off one simulated interface.
+    """Readings of the measurement lines on one simulated interface.
 
     Args:
-        distances: signed distance along each line from the observed to the simulated interface, mm; positive to the
-            side of the line's direction; `reach` where the line misses.
+        distances: signed distance along each line from the observed to the simulated interface, mm; positive in
+            the line's direction; `reach` if the line misses.
         missed: which lines do not meet the simulated interface within their reach.
     """
 
@@ -46,14 +46,14 @@ class MeasurementLines:
 
     Args:
         lines: Number of lines, or the lines themselves as rows (x, y, dx, dy) in mm: a point and a direction of any
-            length, running to both sides. A number n places them on the observed interface at the fractions (i + ½)/n,
-            i = 0 … n-1, of its arclength, so that every line stands for an equal share of it and none for an end; the
-            direction is the normal of the segment there.
+            length; a line extends to both sides. A number n places them on the observed interface at the fractions
+            (i + ½)/n, i = 0 … n-1, of its arc length, so each line represents an equal share of it and none lies at an
+            end; the direction is the normal of the segment there.
         reach: Largest distance along a line that is considered, mm; by default a quarter of the observed length.
 
-    A line that does not meet the simulated interface within its reach counts reach²: the measure is bounded by
-    n · reach², and continuous where a crossing moves out of reach. Of several crossings the one nearest the observed
-    point counts. A given line starts from its crossing with the observed interface nearest to (x, y).
+    A line that does not meet the simulated interface within its reach contributes reach²: the measure is bounded
+    by n · reach² and stays continuous when a crossing moves out of reach. If there are several crossings, the one
+    nearest the observed point counts. A given line starts at its crossing with the observed interface nearest (x, y).
 
     Raises:
         InvalidInput: fewer than one line, a line without direction, a reach that is not above 0; on evaluation, a
@@ -92,7 +92,7 @@ class MeasurementLines:
     def many(
         self, points: Float[np.ndarray, "run point 2"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"]:
-        """Return d² of polylines of the same segments, mm²."""
+        """Return d² of polylines with the same segments, mm²."""
         require_polylines(template, observed)
         reach, lines = self.reach_on(observed), _placed(self, Snapshot.of(observed))
         out = np.empty(len(points))
@@ -111,7 +111,7 @@ class MeasurementLines:
         return _placed(self, Snapshot.of(observed)).copy()
 
     def terms(self, observed: Interface) -> int:
-        """Return the number of independent distances: one a line."""
+        """Return the number of independent distances: one per line."""
         return self.lines if isinstance(self.lines, int) else len(self.lines)
 
 
@@ -147,7 +147,7 @@ def _equally_spaced(observed: Interface, number: int) -> Bases:
 def _nearest_crossings(
     points: Float[np.ndarray, "point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases
 ) -> Float[np.ndarray, " line"]:
-    """Return the signed distance from each line's point to its nearest crossing with a polyline; inf where none."""
+    """Return the signed distance from each line's point to its nearest crossing with a polyline; inf if none."""
     along, side = _components(points, lines[:, None])
     i, j = cells.T
     place = _crossings(along[:, i], along[:, j], side[:, i], side[:, j])
@@ -158,9 +158,9 @@ def _nearest_crossings(
 def _least_distances(
     points: Float[np.ndarray, "run point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases, reach: float
 ) -> Float[np.ndarray, "run line"]:
-    """Return the distance from each line's point to its nearest crossing with each polyline; `reach` at most.
+    """Return the distance from each line's point to its nearest crossing with each polyline; at most `reach`.
 
-    It looks only at segments that may cross the line, within its reach, in some run.
+    Only segments that may cross the line within its reach in some run are considered.
     """
     line, cell = np.nonzero(_may_cross(points, cells, lines, reach))
     out = np.full((len(points), len(lines)), reach)
@@ -191,7 +191,7 @@ def _may_cross(
 def _components(
     points: Float[np.ndarray, "*#place 2"], lines: Float[np.ndarray, "*#line 4"]
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Return how far points are along lines, from the lines' points, and how far to the left of them."""
+    """Return how far points lie along lines, measured from the lines' points, and how far to their left."""
     x, y = np.moveaxis(points - lines[..., :2], -1, 0)
     dx, dy = np.moveaxis(lines[..., 2:], -1, 0)
     return x * dx + y * dy, dx * y - dy * x
@@ -203,14 +203,14 @@ def _crossings(
     side_i: Float[np.ndarray, "*place"],
     side_j: Float[np.ndarray, "*place"],
 ) -> Float[np.ndarray, "*place"]:
-    """Return where along a line the segment from i to j crosses it; inf where it does not."""
+    """Return where along a line the segment from i to j crosses it; inf if it does not."""
     span = side_i - side_j
     share = np.divide(side_i, span, out=_foot(along_i, along_j), where=span != 0)
     return np.where(side_i * side_j <= 0, along_i + share * (along_j - along_i), np.inf)
 
 
 def _foot(start: Float[np.ndarray, "*place"], end: Float[np.ndarray, "*place"]) -> Float[np.ndarray, "*place"]:
-    """Return where on a segment that lies *in* the line, as a share of it, the line's point is nearest."""
+    """Return the share of a segment lying *in* the line at which it is nearest to the line's point."""
     span = end - start
     return np.asarray(np.clip(np.divide(-start, span, out=np.zeros_like(span), where=span != 0), 0.0, 1.0))
 

@@ -1,4 +1,4 @@
-"""Recognise an observed interface by its content, so that what was computed for it once serves every simulation."""
+"""Recognise an observed interface by its content, to reuse what was computed for it in every simulation."""
 
 from dataclasses import dataclass, field
 
@@ -11,7 +11,7 @@ __all__ = ["Snapshot"]
 class Snapshot:
     """An interface that equals another with the same points and cells: a key for `functools.lru_cache`.
 
-    Neither a copy in another process nor an array written to afterwards is taken for what it is not.
+    A copy in another process is recognised as the same interface; an array that was modified is not.
     """
 
     content: bytes

@@ -1,4 +1,4 @@
-"""What a discrepancy is."""
+"""Protocols of discrepancies."""
 
 from typing import Protocol, runtime_checkable
 
@@ -24,9 +24,9 @@ __all__ = [
 class Discrepancy(Protocol):
     """A measure of how far a simulated interface is from the observed one: d² ≥ 0, finite.
 
-    A plain function of this signature works. A measure may also state its `unit`, e.g. ``mm²``, and its `surface_unit`
-    if d² of surfaces has another one; the noise variance σ_N² has the same. `HasTerms`, `CountsDistances` and
-    `ComparesMany` say what else it may offer.
+    A plain function with this signature works. A measure may also state its `unit`, e.g. ``mm²``, and `surface_unit`
+    if d² of surfaces has another one; the noise variance σ_N² has the same unit. `HasTerms`, `CountsDistances`
+    and `ComparesMany` describe what else it may offer.
     """
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
@@ -39,13 +39,13 @@ class HasTerms(Protocol):
     """A measure that knows whether its d² is a sum of independent Gaussian residuals."""
 
     def terms(self, observed: Interface) -> int | None:
-        """Return the number of residuals; None if d² is no such sum."""
+        """Return the number of residuals; None if d² is not such a sum."""
         ...
 
 
 @runtime_checkable
 class CountsDistances(Protocol):
-    """A measure that sums squared distances, of which there are other than independent residuals."""
+    """A measure whose number of squared distances is not the number of independent residuals."""
 
     def distances(self, simulated: Interface, observed: Interface) -> float:
         """Return the number of distances."""
@@ -59,14 +59,14 @@ class ComparesMany(Protocol):
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
-        """Return d² of the interfaces with these points and the cells of `template`; None to be asked one by one."""
+        """Return d² of the interfaces with these points and the cells of `template`; None to be called one by one."""
         ...
 
 
 def unit_of(discrepancy: Discrepancy, observed: Interface | None = None) -> str:
-    """Return the unit of d² that `discrepancy` states; empty where it states none.
+    """Return the unit of d² that `discrepancy` states; empty if it states none.
 
-    Without an observed interface, that of polylines.
+    Without an observed interface, return the unit for polylines.
     """
     unit = str(getattr(discrepancy, "unit", ""))
     if observed is None or observed.dim == 2:
@@ -75,15 +75,15 @@ def unit_of(discrepancy: Discrepancy, observed: Interface | None = None) -> str:
 
 
 def independent_terms(discrepancy: Discrepancy, observed: Interface) -> int | None:
-    """Return of how many independent residuals d² is the sum; None where it is no such sum or does not say."""
+    """Return how many independent residuals d² sums; None if it is not such a sum or this is unknown."""
     return discrepancy.terms(observed) if isinstance(discrepancy, HasTerms) else None
 
 
 def require_polylines(*interfaces: Interface) -> None:
-    """Refuse what is not a polyline in the plane.
+    """Refuse interfaces that are not polylines in the plane.
 
     Raises:
-        InvalidInterface: an interface with other than two coordinates a point.
+        InvalidInterface: an interface whose points do not have two coordinates.
     """
     for interface in interfaces:
         if interface.dim != 2:
@@ -91,7 +91,7 @@ def require_polylines(*interfaces: Interface) -> None:
                 "interface of a discrepancy measure",
                 value=f"points with {interface.dim} coordinates",
                 expected="a polyline in the plane",
-                remedy="This measure knows no surfaces; choose closest_point, currents or tracked_points for them.",
+                remedy="This measure does not support surfaces; choose closest_point, currents or tracked_points.",
             )
 
 

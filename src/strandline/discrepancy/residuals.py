@@ -1,4 +1,4 @@
-"""How far apart two interfaces are, in units of the noise and in mm, whatever the measure."""
+"""The distance between two interfaces, in units of the noise and in mm, for any measure."""
 
 import math
 
@@ -14,8 +14,8 @@ __all__ = ["apart", "count_of_distances", "noise_units"]
 def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Interface) -> float | None:
     """Return how many distances d² sums, so that √(d²/count) is their root mean square.
 
-    Unless the measure counts its distances, its independent terms count. None where d² is no sum of squared distances:
-    then σ_N is no distance either.
+    If the measure does not count its distances, its independent terms count. None if d² is not a sum of squared
+    distances: then σ_N is not a distance either.
     """
     if isinstance(measure, CountsDistances):
         return float(measure.distances(simulated, observed))
@@ -24,7 +24,7 @@ def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Int
 
 
 def noise_units(square: float, variance: float, count: float | None) -> float:
-    """Return a residual in units of σ_N: the root mean square of its distances, or √d² where it is no sum.
+    """Return a residual in units of σ_N: the root mean square of its distances, or √d² if it is not a sum.
 
     Args:
         square: d², in the measure's unit.
@@ -35,9 +35,9 @@ def noise_units(square: float, variance: float, count: float | None) -> float:
 
 
 def apart(one: Interface, other: Interface) -> tuple[float, float]:
-    """Return the distance of two interfaces, mm: root mean square and largest.
+    """Return the distance between two interfaces, mm: root mean square and largest.
 
-    Taken from the nodes of each to the closest points of the other; the larger of the two directions counts.
+    It is measured from the nodes of each to the closest points of the other; the larger of the two directions counts.
     """
     squares = [squared_distances(a.points, b) for a, b in ((one, other), (other, one))]
     return math.sqrt(max(float(s.mean()) for s in squares)), math.sqrt(max(float(np.max(s)) for s in squares))

@@ -1,4 +1,4 @@
-"""Distance between corresponding nodes: for experiments that track material points."""
+"""Distance between corresponding nodes, for experiments that track material points."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -34,13 +34,13 @@ class TrackedPoints:
         return float(np.sum((simulated.points - observed.points) ** 2))
 
     def terms(self, observed: Interface) -> int:
-        """Return the number of independent residuals: one a coordinate of every node."""
+        """Return the number of independent residuals: one per coordinate of every node."""
         return int(observed.points.size)
 
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
-        """Return d² of interfaces of the same cells, mm²; None where the nodes do not correspond, which is refused."""
+        """Return d² of interfaces with the same cells, mm²; None if the nodes do not correspond, which is refused."""
         if points.shape[1:] != observed.points.shape:
             return None
         return np.asarray(np.sum((points - observed.points) ** 2, axis=(1, 2)))

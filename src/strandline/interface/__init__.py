@@ -1,4 +1,4 @@
-"""Interfaces: polylines and triangulated surfaces, run through from one end, and what was observed of them."""
+"""Interfaces: polylines and triangulated surfaces, with a direction, and observations of them."""
 
 from strandline.interface.interface import Interface, Oriented, oriented_like
 from strandline.interface.noise import NOISES, GaussianNoise, Noise

@@ -16,7 +16,7 @@ __all__ = ["Interface", "Oriented", "oriented_like"]
 _ROUNDING = 8 * float(np.finfo(float).eps)
 """Share of an interface's extent below which two of its points count as touching."""
 _PAIRS = 1 << 18
-"""Pairs of segments looked at together."""
+"""Number of pairs of segments examined together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +27,13 @@ class Interface:
         points: node coordinates (point, xyz).
         cells: node numbers of the segments (cell, 2) or triangles (cell, 3).
 
-    Segments run along the interface, each from where the last one ends, with the solid on one constant side; the
+    Segments run along the interface, each from the end of the last one, with the solid always on the same side; the
     order of the two nodes fixes the normal. Triangles may come in any order, all with the solid on the same side: seen
     from the tip of the normal, the corners run counter-clockwise.
 
     Raises:
         InvalidInterface: fewer points than one cell needs, a value that is not finite, segments in space or triangles
-            in the plane, a cell of no extent, a cell with a node that does not exist, segments that are no chain, or
+            in the plane, a cell of zero size, a cell with a node that does not exist, segments that form no chain, or
             a point of a surface that belongs to no triangle.
     """
 
@@ -103,7 +103,7 @@ class Interface:
     @property
     def lengths(self) -> Float[np.ndarray, " cell"]:
         """Segment lengths, mm."""
-        with np.errstate(over="ignore"):  # of coordinates like 1e160, which comparisons of interfaces refuse
+        with np.errstate(over="ignore"):  # coordinates like 1e160, which comparisons of interfaces refuse
             return np.asarray(np.linalg.norm(self.ends - self.starts, axis=1))
 
     @property
@@ -124,14 +124,14 @@ class Interface:
 
     @property
     def normals(self) -> Float[np.ndarray, "cell xyz"]:
-        """Normals times size: of a segment the tangent turned by +90°, mm; of a triangle by the right hand, mm²."""
+        """Normals times size: of a segment the tangent turned by +90°, mm; of a triangle the right-hand normal, mm²."""
         if self.dim == 3:
             return triangles.vector_areas(self.points, self.cells)
         tangent = self.ends - self.starts
         return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
 
     def reversed(self) -> "Interface":
-        """Return the same polyline run through from its other end, the same surface facing the other side."""
+        """Return the same polyline in the other direction, or the same surface facing the other side."""
         if self.dim == 3:
             return Interface(self.points, np.ascontiguousarray(self.cells[:, ::-1]))
         return Interface.polyline(self.points[::-1], closed=self.closed)
@@ -153,7 +153,7 @@ class Interface:
         between the normals of triangles that are near each other.
 
         Raises:
-            InvalidInterface: a polyline and a surface.
+            InvalidInterface: one is a polyline, the other a surface.
         """
         if self.dim != other.dim:
             raise InvalidInterface(
@@ -173,7 +173,7 @@ class Interface:
         """Refuse a polyline that crosses or touches itself.
 
         Raises:
-            InvalidInterface: with the two segments and the place.
+            InvalidInterface: it does; the message names the two segments and the place.
         """
         crossing = self._first_crossing()
         if crossing is not None:
@@ -268,7 +268,7 @@ class Interface:
         return float(0.5 * _cross(self.starts - origin, self.ends - origin).sum())
 
     def _first_crossing(self) -> tuple[int, int, Float[np.ndarray, "2"]] | None:
-        """Return (i, j, place) of the first pair of segments that share a point; neighbours, more than their node."""
+        """Return (i, j, place) of the first pair of segments that share a point; of neighbours, more than a node."""
         fold = self._first_fold()
         if fold is not None:
             return fold
@@ -289,14 +289,14 @@ class Interface:
 
 
 class Oriented(NamedTuple):
-    """An interface, and whether it had to be turned round."""
+    """An interface, and whether it had to be reversed."""
 
     interface: Interface
     flipped: bool
 
 
 def oriented_like(observed: Interface, reference: Interface) -> Oriented:
-    """Return `observed` run through from the same end as `reference`, and whether it had to be turned round."""
+    """Return `observed` in the direction of `reference`, and whether it had to be reversed."""
     flipped = observed.runs_against(reference)
     return Oriented(observed.reversed() if flipped else observed, flipped)
 
@@ -308,9 +308,9 @@ def _cross(a: Float[np.ndarray, "*#pair 2"], b: Float[np.ndarray, "*#pair 2"]) -
 def _meeting(
     starts: Float[np.ndarray, "cell 2"], ends: Float[np.ndarray, "cell 2"], slack: float, *, closed: bool
 ) -> Iterator[tuple[int, int]]:
-    """Yield the pairs of segments, neighbours left out, that share a point: each has its ends on both sides.
+    """Yield the pairs of segments, except neighbours, that share a point: each crosses the line of the other.
 
-    Only pairs are looked at whose bounding boxes overlap; they are found along the longer side of the polyline.
+    Only pairs with overlapping bounding boxes are examined; they are found along the longer side of the polyline.
     """
     low, high, number = np.minimum(starts, ends) - slack, np.maximum(starts, ends), len(starts)
     along = int(np.argmax(np.ptp(starts, axis=0)))
@@ -348,7 +348,7 @@ def _straddle(
 def _shared_point(
     a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"]
 ) -> Float[np.ndarray, "2"]:
-    """Return a point that two segments which meet have in common; where they overlap, the middle of the overlap."""
+    """Return a common point of two segments that meet; if they overlap, the middle of the overlap."""
     d, e = b - a, q - p
     denominator = float(_cross(d, e))
     if abs(denominator) > 1e-12 * math.hypot(*d) * math.hypot(*e):

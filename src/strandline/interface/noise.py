@@ -22,12 +22,12 @@ class Noise(Protocol):
 
     @property
     def scale(self) -> float:
-        """The d² that costs half a unit of log-likelihood, in the unit of d²; σ_N² of a Gaussian."""
+        """The d² that costs half a unit of log-likelihood, in the unit of d²; σ_N² for a Gaussian."""
         ...
 
     @property
     def facts(self) -> dict[str, float]:
-        """Its numbers by name, for summary.json and posterior.nc."""
+        """Its parameters by name, for summary.json and posterior.nc."""
         ...
 
     def log_density(self, squared: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
@@ -35,10 +35,10 @@ class Noise(Protocol):
         ...
 
     def constant(self, terms: int) -> float:
-        """Return what `log_density` leaves out as a density of `terms` residuals whose squares sum to d².
+        """Return the constant that `log_density` omits from the density of `terms` residuals whose squares sum to d².
 
-        With it that density integrates to 1. It is used where the discrepancy is such a sum, to compare models by
-        their evidence.
+        With it, that density integrates to 1. It is used to compare models by their evidence if the discrepancy is
+        such a sum.
         """
         ...
 

@@ -17,10 +17,10 @@ class Observation:
     Args:
         interface: Observed interface, mm.
         noise: Noise model; a number is the variance σ_N² of Gaussian noise, in the unit of the discrepancy d².
-        condition: Experimental condition or time; "" where the model has but one, without a name.
+        condition: Experimental condition or time; "" if the model has only one, without a name.
 
     Raises:
-        InvalidInput: A variance that is not a finite number above 0, or something that is no noise model.
+        InvalidInput: A variance that is not a finite number above 0, or something that is not a noise model.
     """
 
     interface: Interface
@@ -43,5 +43,5 @@ class Observation:
 
 
 def is_condition(name: object) -> bool:
-    """Return whether `name` can be a condition's: "" for the only one, else a short text that file names can hold."""
+    """Return whether `name` can name a condition: "" for the only one, else a short text valid in file names."""
     return isinstance(name, str) and is_label(name) and name == name.strip() and not set(name) & set("/\\")

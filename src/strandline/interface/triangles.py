@@ -17,7 +17,7 @@ def vector_areas(points: Points, cells: Triangles) -> Float[np.ndarray, "cell 3"
 
 
 def shortest_altitudes(points: Points, cells: Triangles) -> Float[np.ndarray, " cell"]:
-    """Return twice the area of each triangle by its longest side, mm; 0 where a corner is repeated."""
+    """Return twice the area of each triangle over its longest side, mm; 0 if a corner is repeated."""
     corners = points[cells]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     twice = 2 * np.linalg.norm(vector_areas(points, cells), axis=1)
@@ -25,14 +25,14 @@ def shortest_altitudes(points: Points, cells: Triangles) -> Float[np.ndarray, " 
 
 
 def encloses(points: Points, cells: Triangles) -> bool:
-    """Return whether the surface is closed: each side of a triangle is that of one other, run through the other way."""
+    """Return whether the surface is closed: each side of a triangle belongs to one other, in the opposite direction."""
     one, two = cells.ravel(), np.roll(cells, -1, axis=1).ravel()
     there, back = np.sort(one * len(points) + two), np.sort(two * len(points) + one)
     return bool(np.array_equal(there, back) and (np.diff(there) > 0).all())
 
 
 def signed_volume(points: Points, cells: Triangles) -> float:
-    """Return the volume that a closed surface encloses, mm³; above 0 where the normals point outwards."""
+    """Return the volume that a closed surface encloses, mm³; above 0 if the normals point outwards."""
     a, b, c = (points[cells[:, k]] - points.mean(axis=0) for k in range(3))
     return float(np.sum(a * np.cross(b, c))) / 6
 
@@ -43,9 +43,9 @@ def agreement(
     other_centres: Float[np.ndarray, "other 3"],
     other_normals: Float[np.ndarray, "other 3"],
 ) -> float:
-    """Return the mean cosine between normals of neighbours, each triangle with the nearest one of the other surface.
+    """Return the mean cosine between normals of each triangle and the nearest one of the other surface.
 
-    Means over the area of either surface, added up: -2 … 2, below 0 where they face opposite sides.
+    The sum of the means over the areas of both surfaces: -2 … 2, below 0 if they face opposite sides.
     """
     there = cKDTree(other_centres).query(centres)[1]
     back = cKDTree(centres).query(other_centres)[1]

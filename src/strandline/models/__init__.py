@@ -6,4 +6,4 @@ MODELS = {
     "python": "strandline.models.python:PythonModel",
     "umbridge": "strandline.models.umbridge.model:UMBridge",
 }
-"""Names in study files → ``module:class``, imported only where it is used."""
+"""Names in study files → ``module:class``, imported only when used."""

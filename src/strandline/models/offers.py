@@ -1,6 +1,6 @@
-"""What a forward model may offer beside its runs: a protocol for each, met by having the method.
+"""What a forward model may offer in addition to its runs: one protocol each, satisfied by having the method.
 
-None is needed. Each adds something: the undeformed interface a check and a figure, `on_finer_mesh` an error in `check`.
+All are optional. `undeformed` adds a check and a figure, `on_finer_mesh` adds the mesh error to `strandline check`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -51,7 +51,7 @@ class DrawsFields(Protocol):
     """A model that knows velocity, pressure and displacement in its domain: the report then draws them."""
 
     def fields(self, inputs: Mapping[str, float]) -> Any:
-        """Return the fields of a run, as `strandline.models.biofilm.FlowFields` has them.
+        """Return the fields of a run, in the form of `strandline.models.biofilm.cell.FlowFields`.
 
         Raises:
             ForwardModelError: The run failed.
@@ -63,7 +63,7 @@ class DrawsFields(Protocol):
 class KeepsFolders(Protocol):
     """A model that keeps the folders of its runs, which are removed otherwise.
 
-    `keep` says which: ``all``, ``failed`` or ``none``.
+    `keep` selects which: ``all``, ``failed`` or ``none``.
     """
 
     @property
@@ -72,7 +72,7 @@ class KeepsFolders(Protocol):
         ...
 
     def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
-        """Move the folder of a run that has ended to where it is kept, and return its new place; None if it is not."""
+        """Move the folder of a finished run to where it is kept and return its new path; None if it is not kept."""
         ...
 
 
@@ -81,7 +81,7 @@ class UsesNames(Protocol):
     """A model that does not declare its inputs but knows which names it uses, from its templates for example."""
 
     def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
-        """Refuse unknown inputs and fixed quantities that it does not use.
+        """Refuse unknown inputs and fixed quantities that the model does not use.
 
         Raises:
             InvalidInput: There is one, or one is missing.
@@ -93,7 +93,7 @@ def undeformed_interface(model: ForwardModel) -> Interface | None:
     """Return the interface before any load, mm; None if `model` does not know it.
 
     Raises:
-        InvalidInput: `undeformed` is no method, or returns no interface.
+        InvalidInput: `undeformed` is not a method, or does not return an interface.
     """
     if not isinstance(model, KnowsUndeformed):
         return None

@@ -26,23 +26,23 @@ __all__ = ["PythonModel"]
 
 @dataclass(frozen=True)
 class PythonModel:
-    """The simulator ``function(inputs, workdir)``, found by the name of its module.
+    """A simulator ``function(inputs, workdir)``, imported by the name of its module.
 
-    It is called with the inputs by name and an empty folder of the run's own, and returns a `Simulation`, an
-    `Interface`, or the points (point, 2) of an open polyline in mm, in order along the interface. A run that fails
-    raises `ForwardModelError`. Any callable object at the top level of a module works.
+    It is called with the inputs by name and an empty folder for the run. It returns a `Simulation`, an `Interface`, or
+    the points (point, 2) of an open polyline in mm, in order along the interface. If a run fails, it raises
+    `ForwardModelError`. Any callable object at the top level of a module works.
 
-    The function may carry four attributes: ``inputs``, a tuple of `ModelInput`, ``fingerprint``, a text,
-    ``conditions``, the names under which a `Simulation` of several interfaces holds them, and ``failure_kinds``, the
-    kinds with which it raises `ForwardModelError`. Without ``inputs`` nothing is known of units and of the values that
-    make sense: the study's unit (optional then) is taken as it stands and no range is checked. Without ``fingerprint``
-    runs belong to the source of the function's file and of the files of the same package, or beside it, that this
-    imports; code that it calls elsewhere can change unnoticed.
+    The function may carry four attributes: ``inputs``, a tuple of `ModelInput`; ``fingerprint``, a text;
+    ``conditions``, the names of the interfaces if a `Simulation` holds several; and ``failure_kinds``, the kinds of
+    `ForwardModelError` that it raises. Without ``inputs``, units and valid ranges are unknown: the study's unit
+    (optional then) is taken as it is and no range is checked. Without ``fingerprint``, runs are identified by the
+    source of the function's file and of the files that it imports from the same package or folder; other code that it
+    calls can change unnoticed.
 
     Args:
         function: ``module:name``; the module must be importable (installed, or on PYTHONPATH).
-        sensitivities: Whether the callable, a dataclass with a field of that name, computes them too.
-        function_alone: Have the fingerprint cover the function's own source alone, as in ledgers of version 0.1.
+        sensitivities: Whether to compute sensitivities too; the callable is then a dataclass with a field of that name.
+        function_alone: Whether the fingerprint covers only the function's own source, as in ledgers of version 0.1.
 
     Raises:
         InvalidInput: there is no such module, or no such callable in it, or it offers no sensitivities.
@@ -57,22 +57,22 @@ class PythonModel:
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """What the function declares of its inputs; empty where it declares nothing."""
+        """The inputs that the function declares; empty if it declares none."""
         return declared_inputs(_found(self.function))
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """The conditions that the function declares; a single unnamed one where it declares none."""
+        """The conditions that the function declares; a single unnamed one if it declares none."""
         return declared_conditions(_found(self.function))
 
     @property
     def failure_kinds(self) -> tuple[str, ...] | None:
-        """The kinds of failure that the function declares; None where it does not say."""
+        """The kinds of failure that the function declares; None if it declares none."""
         return declared_failure_kinds(_found(self.function))
 
     @property
     def fingerprint(self) -> str:
-        """Changes with the source of the function's file and package, or as its own ``fingerprint`` says."""
+        """The function's own ``fingerprint``, or a text that changes with the source of its file and package."""
         try:
             return (earlier_fingerprint if self.function_alone else fingerprint)(_found(self.function))
         except (OSError, TypeError):
@@ -84,7 +84,7 @@ class PythonModel:
             ) from None
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Return what the function returns, points as an `Interface`; anything else makes the run invalid."""
+        """Return the function's result, with points as an `Interface`; any other result makes the run invalid."""
         result = self._target()(inputs, workdir)
         return result if isinstance(result, Simulation | Interface) else _polyline(result)
 
@@ -94,7 +94,7 @@ class PythonModel:
 
 
 def _polyline(points: Any) -> Any:
-    """Return the polyline through (point, 2) numbers, and anything else as it is."""
+    """Return the polyline through points (point, 2); return anything else unchanged."""
     try:
         array = np.asarray(points, float)
     except (TypeError, ValueError):

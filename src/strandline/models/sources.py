@@ -1,4 +1,4 @@
-"""The source that a Python model is made of: its own file, and the files of the same package that it imports."""
+"""The source files of a Python model: its own, and those of the same package that it imports."""
 
 import ast
 import importlib.util
@@ -16,10 +16,10 @@ INSTALLED = frozenset({"site-packages", "dist-packages"})
 
 
 def sources_of(module: str) -> list[tuple[str, str]]:
-    """Return (name, text) of `module` and of neighbouring modules that it imports, directly or not, by name.
+    """Return (name, text) of `module` and the neighbouring modules it imports, directly or not, sorted by name.
 
     Neighbouring modules are those of the same top-level package, and, unless it is installed, those in the same folder
-    as that package or file. What is imported by a computed name is not found; neither are data files.
+    as that package or file. Modules imported under a computed name are not found; neither are data files.
 
     Raises:
         OSError: The module has no file that can be read.
@@ -51,7 +51,7 @@ def _beside(name: str, path: Path, top: str, root: Path) -> bool:
 
 
 def _file(name: str) -> Path | None:
-    """Return the file of a module in Python, loaded or not."""
+    """Return the Python file of a module, loaded or not; None if there is none."""
     module = sys.modules.get(name)
     origin = getattr(module, "__file__", None) if isinstance(module, ModuleType) else _origin(name)
     return Path(origin).resolve() if origin and str(origin).endswith(".py") and Path(origin).is_file() else None

@@ -1,1 +1,1 @@
-"""Numerical tools that several packages share and no user sees: threads, compiled functions, factorised matrices."""
+"""Internal numerical tools shared by several packages: threads, compiled functions, factorised matrices."""

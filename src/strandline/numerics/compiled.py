@@ -1,15 +1,15 @@
-"""What functions compiled by JAX share: few lengths of arrays, the widest registers."""
+"""Settings shared by functions compiled by JAX: few array lengths, the widest registers."""
 
 __all__ = ["WIDEST", "ample"]
 
 WIDEST = {"xla_cpu_prefer_vector_width": 512}
-"""Option of `jax.jit`: registers of 512 bits where the processor has them; the compiler's own choice are 256."""
+"""Option of `jax.jit`: 512-bit registers if the processor has them; the compiler's default is 256 bits."""
 
 
 def ample(length: int) -> int:
-    """Return the length of an array to be handed to a compiled function: few different ones, to compile it rarely.
+    """Return an array length for a compiled function: few different lengths, so that it is rarely recompiled.
 
-    A quarter longer than `length` at most.
+    It exceeds `length` by at most a quarter.
     """
     step = 1 << max(length.bit_length() - 3, 0)
     return -(-max(length, 1) // step) * step

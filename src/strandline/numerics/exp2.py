@@ -1,6 +1,6 @@
-"""Powers of two in compiled loops, in double precision: cheaper than JAX's own.
+"""Powers of two in double precision for compiled loops, cheaper than JAX's own.
 
-The whole part of the exponent goes into the exponent of the result, the rest through a polynomial of degree 9.
+The integer part of the exponent becomes the exponent of the result; a polynomial of degree 9 handles the rest.
 """
 
 from typing import Any
@@ -11,18 +11,18 @@ from numpy.polynomial import Chebyshev, Polynomial
 __all__ = ["WHOLE", "assembled", "exp2_of_minus"]
 
 WHOLE = 1.5 * 2.0**52
-"""Added to a number, it leaves the nearest whole one in the last bits."""
+"""Adding it to a number leaves the nearest integer in the last bits."""
 _POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
-"""Coefficients of 2**t on |t| ≤ 1/2, to 2e-14 of it."""
+"""Coefficients of 2**t on |t| ≤ 1/2, with a relative error of 2e-14."""
 
 
 def exp2_of_minus(x: Any, whole: Any, *, bounded: bool) -> Any:
-    """Return 2**-x, to 2e-14 of it, in half the time of `jnp.exp2`.
+    """Return 2**-x with a relative error of 2e-14, in half the time of `jnp.exp2`.
 
     Args:
         x: Values above -1000.
-        whole: `WHOLE`, handed in so that the compiler cannot cancel it.
-        bounded: Whether all values are below 1000. If not, the result is below 1e-270 wherever it should be less.
+        whole: `WHOLE`, passed in so that the compiler cannot cancel it.
+        bounded: Whether all values are below 1000. If not, the result is below 1e-270 wherever it should be smaller.
     """
     from jax import lax
 
@@ -35,8 +35,8 @@ def assembled(share: Any, shifted: Any) -> Any:
     """Return 2**(share + n).
 
     Args:
-        share: Values of [-1/2, 1/2].
-        shifted: `WHOLE` + n of whole numbers n.
+        share: Values in [-1/2, 1/2].
+        shifted: `WHOLE` + n for integers n.
     """
     from jax import lax
 

@@ -18,7 +18,7 @@ def distances(x: Float[np.ndarray, "run dim"]) -> Matrix:
 
 
 def factorise(K: Matrix) -> None:
-    """Overwrite the lower triangle of K (column-major) by its Cholesky factor and clear the upper one.
+    """Overwrite the lower triangle of K (column-major) with its Cholesky factor and clear the upper one.
 
     Raises:
         NumericsError: K is not positive definite in floating point.
@@ -32,7 +32,7 @@ def factorise(K: Matrix) -> None:
 
 
 def invert(L: Matrix) -> None:
-    """Overwrite the Cholesky factor L (column-major) by the lower triangle of (L Lᵀ)⁻¹."""
+    """Overwrite the Cholesky factor L (column-major) with the lower triangle of (L Lᵀ)⁻¹."""
     lapack.dpotri(L, lower=1, overwrite_c=1)
 
 

@@ -1,4 +1,4 @@
-"""Many small matrices: with several threads of BLAS, those of 150 rows take twice the time."""
+"""BLAS on one thread, for many small matrices: with several threads, matrices of 150 rows take twice the time."""
 
 from contextlib import AbstractContextManager
 from functools import cache

@@ -7,10 +7,10 @@ __all__ = ["use_double"]
 
 
 def use_double() -> None:
-    """Switch JAX to double precision, for the whole process, unless it computes in it already.
+    """Switch JAX to double precision for the whole process, unless it already uses it.
 
     Raises:
-        InvalidInput: It stays in single precision, as inside ``with jax.enable_x64(False)``.
+        InvalidInput: JAX stays in single precision, for example inside ``with jax.enable_x64(False)``.
     """
     import jax
 

@@ -1,7 +1,7 @@
-"""Work in parts, done by several threads where these may compute at once: results in the order of the parts.
+"""Work split into parts and done by several threads, with results in the order of the parts.
 
-NumPy and compiled functions release the interpreter while they compute. There are as many threads as
-``OMP_NUM_THREADS`` says, the limit that BLAS keeps as well; by default, as many as the process has cores.
+Threads compute at the same time because NumPy and compiled functions release the interpreter lock. Their number is
+``OMP_NUM_THREADS``, which limits BLAS as well; by default, it is the number of cores of the process.
 """
 
 import os
@@ -20,10 +20,10 @@ Result = TypeVar("Result")
 
 
 def side_by_side(task: Callable[[Part], Result], parts: Iterable[Part]) -> Iterator[Result]:
-    """Yield `task` of each part in their order; at any time, only as many parts are drawn as two for each thread.
+    """Yield the result of `task` for each part, in order; at most two parts per thread are drawn ahead.
 
-    What a part gives does not depend on the number of threads, as long as the parts do not. Compiled functions may be
-    called: where JAX's float64 is switched on for the calling thread alone, that one does everything. A task must not
+    The result of a part does not depend on the number of threads, as long as the parts do not. Tasks may call compiled
+    functions: if JAX's float64 is enabled for the calling thread only, that thread does all the work. A task must not
     call this function itself.
     """
     workers = threads()
@@ -49,7 +49,7 @@ def side_by_side(task: Callable[[Part], Result], parts: Iterable[Part]) -> Itera
 
 @lru_cache(maxsize=4)
 def _pool(workers: int, process: int) -> ThreadPoolExecutor:
-    """Return the threads of this process, kept: each new one would keep memory of its own that it freed."""
+    """Return the threads of this process; they are reused, since each new thread would hold on to memory it freed."""
     return ThreadPoolExecutor(workers, thread_name_prefix=f"strandline-{process}")
 
 

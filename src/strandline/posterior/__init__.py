@@ -1,4 +1,4 @@
-"""The posterior as weighted draws, and what is read off them."""
+"""The posterior as weighted draws, and what is computed from them."""
 
 from strandline.posterior.gaussian import GaussianApproximation
 from strandline.posterior.importance import Reweighting, reweight, subset
@@ -7,6 +7,7 @@ from strandline.posterior.laplace import LaplaceApproximation, laplace, log_prio
 from strandline.posterior.marginals import Histogram, Histogram2D, histogram, histogram_2d, histogram_mode
 from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
 from strandline.posterior.pareto_smoothing import (
+    NEARLY_EQUAL,
     SmoothedWeights,
     Verdict,
     pareto_smoothed,
@@ -32,6 +33,7 @@ from strandline.posterior.under_uncertainty import (
 )
 
 __all__ = [
+    "NEARLY_EQUAL",
     "Cut",
     "GaussianApproximation",
     "Histogram",

@@ -1,4 +1,4 @@
-"""The slope of a density at its bounds, which a mirrored kernel estimate takes for zero."""
+"""The slope of a density at its bounds, which a mirrored kernel estimate assumes to be zero."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,7 +7,7 @@ from scipy.special import ndtr
 __all__ = ["slope_correction"]
 
 _BLOCK = 256
-"""Points treated at once."""
+"""Points processed at once."""
 
 
 def slope_correction(
@@ -19,18 +19,18 @@ def slope_correction(
 ) -> Float[np.ndarray, " point"]:
     """Return what to add to a mirrored Gaussian kernel estimate of one input so that it follows the slope at a bound.
 
-    Mirrored kernels have no slope at a bound: where the true density falls towards it the estimate overshoots, and
-    where it rises it stays below. The local linear boundary kernel (Jones 1993, Statistics and Computing 3, 135) has
-    no such error but more noise. The difference of the two is therefore shrunk by its own sampling variance, as a
-    James-Stein estimator is: a difference that the draws do not support leaves the mirrored estimate as it is.
-    Away from the bounds both are equal and nothing is added.
+    Mirrored kernels have no slope at a bound: if the true density falls towards it, the estimate is too high; if it
+    rises, the estimate is too low. The local linear boundary kernel (Jones 1993, Statistics and Computing 3, 135) has
+    no such error but more noise. The difference between the two is therefore shrunk by its own sampling variance, as in
+    a James-Stein estimator: if the draws do not support a difference, the mirrored estimate stays as it is. Away from
+    the bounds both are equal and nothing is added.
 
     Args:
-        points: where, inside the bounds (point,).
+        points: evaluation points inside the bounds (point,).
         centres: distinct draws (centre,).
         weights: their weights, which sum to one (centre,).
         width: standard deviation of the kernels.
-        bounds: lower and upper bound; infinite where there is none.
+        bounds: lower and upper bound; infinite if there is none.
     """
     blocks = np.array_split(points, max(1, -(-len(points) // _BLOCK)))
     return np.concatenate([_block(block, centres, weights, width, bounds) for block in blocks])

@@ -1,4 +1,4 @@
-"""A posterior corrected by importance weights at some of its draws, and which draws to take."""
+"""Correction of a posterior by importance weights at some of its draws, and the choice of these draws."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ __all__ = ["Reweighting", "reweight", "subset"]
 
 @dataclass(frozen=True, eq=False)
 class Reweighting:
-    """Moments of draws of equal weight, of the same draws reweighted, and their difference; each (dim,).
+    """Moments of draws of equal weight and of the same draws reweighted, and their difference; each (dim,).
 
     Args:
         smoothed: Smoothed weights of the draws.
@@ -22,7 +22,7 @@ class Reweighting:
         sd: Standard deviation of the draws.
         reweighted_mean: Mean under the weights.
         reweighted_sd: Standard deviation under the weights.
-        shift: Shift of the mean, in `sd`; both means are of the same draws, so their common noise cancels.
+        shift: Shift of the mean, in `sd`; both means use the same draws, so their common noise cancels.
         shift_error: Standard error of `shift`, to first order in the influence of each draw.
     """
 
@@ -36,12 +36,12 @@ class Reweighting:
 
     @property
     def sd_ratio(self) -> Float[np.ndarray, " dim"]:
-        """Reweighted standard deviations over those of the draws (dim,)."""
+        """Reweighted standard deviations divided by those of the draws (dim,)."""
         return np.asarray(self.reweighted_sd / self.sd)
 
 
 def reweight(draws: Float[np.ndarray, "draw dim"], log_ratios: Float[np.ndarray, " draw"]) -> Reweighting:
-    """Return what Pareto-smoothed importance weights make of draws of equal weight.
+    """Return the effect of Pareto-smoothed importance weights on draws of equal weight.
 
     Args:
         draws: Draws (draw, dim) of the proposal, e.g. a surrogate's posterior.
@@ -63,9 +63,10 @@ def reweight(draws: Float[np.ndarray, "draw dim"], log_ratios: Float[np.ndarray,
 
 
 def subset(weights: Float[np.ndarray, " particle"], number: int, seed: int) -> Int[np.ndarray, " draw"]:
-    """Return `number` particle numbers of equal weight, ascending: equal strides through the cumulative weights.
+    """Return the indices of `number` particles, ascending: equal strides through the cumulative weights.
 
-    The seed fixes one of the places, whatever the number: twice as many draws contain the first ones.
+    The draws have equal weight. The seed fixes one of the positions, whatever the number: twice as many draws contain
+    the first ones.
     """
     phase = np.random.default_rng([seed, 2]).random()
     places = np.sort((phase + np.arange(number) / number) % 1.0)

@@ -24,7 +24,7 @@ __all__ = ["KernelDensity"]
 Shape = Literal["covariance", "columns"]
 _INTEGRAL_POINTS = 1025
 _REACH = 6.0
-"""Kernel standard deviations beyond which a kernel counts as zero: it is 1e-8 of its peak there."""
+"""Distance, in kernel standard deviations, beyond which a kernel counts as zero: it is 1e-8 of its peak there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +35,13 @@ class KernelDensity:
         centres: distinct draws (centre, dim); copies are merged and their weights added.
         weights: normalised weights (centre,).
         factor: lower Cholesky factor of the kernel's covariance (dim, dim), bandwidth included.
-        bandwidth: the factor of the draws' standard deviation that `factor` contains.
-        bounds: lower and upper bound (dim, 2); infinite where there is none.
+        bandwidth: kernel width relative to the draws' standard deviation, included in `factor`.
+        bounds: lower and upper bound (dim, 2); infinite if there is none.
 
-    A plain kernel estimate leaks over the bounds of the inputs and shows a decline towards them that the posterior
-    does not have. Here the mass that leaks is folded back by mirroring at every bound, in all inputs at once. One
-    fold is exact as long as kernels are short against the box. The estimate of a single input follows the slope of
-    the density at its bounds, too (`slope_correction`); that of several inputs is mirrored only.
+    A plain kernel estimate leaks across the bounds of the inputs and declines towards them although the posterior does
+    not. Here the leaking mass is folded back by mirroring at every bound, in all inputs at once. One fold is exact as
+    long as the kernels are narrow compared with the box. The estimate of a single input also follows the slope of the
+    density at its bounds (`slope_correction`); that of several inputs is only mirrored.
     """
 
     centres: Float[np.ndarray, "centre dim"]
@@ -67,11 +67,11 @@ class KernelDensity:
             draws: Particles (particle, dim), physical.
             weights: Normalised weights (particle,).
             bounds: (low, high) of each input, at which the kernels are mirrored.
-            shape: Kernels shaped like the weighted covariance, or like its diagonal.
-            bandwidth: Kernel width over the standard deviation of the draws; by default the one of the highest
-                leave-one-out likelihood.
-            loo_points: Largest number of draws in the leave-one-out likelihood; more are thinned by systematic
-                resampling, and the bandwidth is then scaled by n^(-1/(dim+4)) to the full set.
+            shape: Shape of the kernels: the weighted covariance, or its diagonal.
+            bandwidth: Kernel width relative to the standard deviation of the draws; by default the one with the
+                highest leave-one-out likelihood.
+            loo_points: Largest number of draws in the leave-one-out likelihood; a larger set is thinned by
+                systematic resampling, and the bandwidth is then scaled by n^(-1/(dim+4)) to the full set.
 
         Raises:
             NumericsError: the draws have no spread in some direction.
@@ -96,7 +96,7 @@ class KernelDensity:
         return total
 
     def sample(self, number: int) -> Float[np.ndarray, "draw dim"]:
-        """Return quasi-random draws of this density (draw, dim); the same ones at every call."""
+        """Return quasi-random draws from this density (draw, dim); the same ones in every call."""
         if self.dim == 1 and np.isfinite(self.bounds).any():
             uniform = qmc.Sobol(1, rng=0).random_base2(max(number - 1, 1).bit_length())[:number, 0]
             grid, values = self._table
@@ -128,7 +128,7 @@ class KernelDensity:
 
     @cached_property
     def _integral(self) -> float:
-        """The integral of `_raw`: mirrored kernels keep their mass, the correction for the slope does not quite."""
+        """The integral of `_raw`: mirroring keeps the mass of kernels; the slope correction changes it slightly."""
         if self.dim > 1 or not np.isfinite(self.bounds).any():
             return 1.0
         grid, values = self._table
@@ -136,7 +136,7 @@ class KernelDensity:
 
     @cached_property
     def _table(self) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
-        """Places across all kernels of a single input, and `_raw` there."""
+        """A grid across all kernels of a single input, and `_raw` on it."""
         reach = float(_reach(self.factor)[0])
         low = max(float(self.bounds[0, 0]), float(self.centres.min()) - reach)
         high = min(float(self.bounds[0, 1]), float(self.centres.max()) + reach)
@@ -159,7 +159,7 @@ class KernelDensity:
 def _distinct(
     draws: Float[np.ndarray, "particle dim"], weights: Float[np.ndarray, " particle"]
 ) -> tuple[Float[np.ndarray, "centre dim"], Float[np.ndarray, " centre"]]:
-    """Merge copies of a draw: resampling makes them, and each would be its own zero-distance neighbour."""
+    """Merge copies of a draw: resampling makes them, and each would have a neighbour at distance zero."""
     centres, member = np.unique(draws[weights > 0], axis=0, return_inverse=True)
     mass = np.bincount(member.ravel(), weights=weights[weights > 0], minlength=len(centres))
     return centres, mass / mass.sum()
@@ -186,7 +186,7 @@ def _optimal_bandwidth(
     bounds: Float[np.ndarray, "dim 2"],
     loo_points: int,
 ) -> float:
-    """Return the bandwidth of the highest leave-one-out likelihood, within a factor of 10 of the normal rule."""
+    """Return the bandwidth with the highest leave-one-out likelihood, within a factor of 10 of the normal rule."""
     power = -1.0 / (unit.shape[0] + 4)
     points, mass = centres, weights
     if len(points) > loo_points:
@@ -224,7 +224,7 @@ def _pair_squares(
 
 
 def _leave_one_out(squares: Squares, weights: Float[np.ndarray, " centre"], h: float, dim: int) -> float:
-    """Return Σ_i w_i log f_{-i}(x_i): each draw judged by all others, never by its own mirror image."""
+    """Return Σ_i w_i log f_{-i}(x_i): the density at each draw from all others, never from its own mirror image."""
     nearest = np.full(len(weights), np.inf)
     for near, square in squares:
         nearest[near] = np.minimum(nearest[near], square.min(axis=1))
@@ -255,7 +255,7 @@ def _reach(factor: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, " dim"]:
 
 
 def _fold(points: Float[np.ndarray, "point dim"], bounds: Float[np.ndarray, "dim 2"]) -> Float[np.ndarray, "point dim"]:
-    """Mirror points outside the bounds back inside, once at either side."""
+    """Mirror points outside the bounds back inside, once on each side."""
     low, high = bounds[:, 0], bounds[:, 1]
     points = np.where(points < low, 2 * low - points, points)
     return np.clip(np.where(points > high, 2 * high - points, points), low, high)

@@ -20,12 +20,12 @@ class LaplaceApproximation:
     """Second-order expansion of the log posterior about a mode; see `laplace`.
 
     Args:
-        mode: Where the expansion is made (dim,), physical.
+        mode: Point of the expansion (dim,), physical.
         hessian: Second derivatives of the log posterior there (dim, dim).
-        covariance: Minus the inverse of `hessian`; None where that is no covariance.
+        covariance: Minus the inverse of `hessian`; None if that is not a covariance.
         definite: Whether `hessian` is negative definite.
-        eigenvalues: Eigenvalues of `hessian` (dim,), ascending; one above zero marks a direction in which `mode` is no
-            maximum.
+        eigenvalues: Eigenvalues of `hessian` (dim,), ascending; one above zero marks a direction in which `mode` is
+            not a maximum.
     """
 
     mode: Float[np.ndarray, " dim"]
@@ -45,7 +45,7 @@ class LaplaceApproximation:
             raise NumericsError(
                 "the Hessian of the log posterior is not negative definite; its eigenvalues are "
                 f"{self.eigenvalues.tolist()}: "
-                "there is no Laplace approximation. The point may be no mode, or lie on a bound; use the particles."
+                "there is no Laplace approximation. The point may be off the mode or on a bound; use the particles."
             )
         return GaussianApproximation(self.mode, self.covariance)
 
@@ -89,7 +89,7 @@ def log_prior_hessian(space: ParameterSpace, x: Float[np.ndarray, " dim"]) -> Fl
     use_double()
     if not np.isfinite(space.log_prior(np.asarray(x))):
         raise InvalidInput(
-            "log prior where its Hessian is wanted",
+            "log prior at the point of its Hessian",
             value=dict(space.as_mapping(np.asarray(x))),
             expected="a point of positive and finite prior density",
             remedy="Choose a point inside the support of every prior.",
@@ -98,7 +98,7 @@ def log_prior_hessian(space: ParameterSpace, x: Float[np.ndarray, " dim"]) -> Fl
 
 
 def _symmetric(hessian: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, "dim dim"]:
-    """Return the symmetric part; refuse what is far from symmetric or not finite."""
+    """Return the symmetric part; refuse a matrix that is far from symmetric or not finite."""
     size = np.sqrt(np.outer(np.abs(np.diag(hessian)), np.abs(np.diag(hessian)))) + np.abs(hessian)
     skew = np.abs(hessian - hessian.T)
     if not np.isfinite(hessian).all() or (skew > 1e-3 * np.maximum(size, size.T)).any():
@@ -106,6 +106,6 @@ def _symmetric(hessian: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, "dim 
             "Hessian of the log posterior",
             value=hessian.tolist(),
             expected="a finite, symmetric matrix",
-            remedy="Check the derivatives: where finite differences made them, change the step.",
+            remedy="Check the derivatives; if they are finite differences, change the step.",
         )
     return np.asarray(0.5 * (hessian + hessian.T))

@@ -1,4 +1,4 @@
-"""Weighted histograms of one or two inputs, and the mode read off a histogram."""
+"""Weighted histograms of one or two inputs, and the mode of a histogram."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,10 +89,10 @@ def histogram_mode(
     bounds: Sequence[tuple[float, float]],
     bins: int = 30,
 ) -> Float[np.ndarray, " dim"]:
-    """Return the centre of the bin that holds most probability (dim,); the first of several that tie.
+    """Return the centre of the bin with the highest probability (dim,); the first if several tie.
 
-    The MAP estimate under uncertainty (paper, Remark 8): give the columns of the calibrated inputs alone, and leaving
-    the nuisance inputs out integrates over them. The study takes 30 bins an input in 2-D and 10 in 6-D.
+    This is the MAP estimate under uncertainty (paper, Remark 8): pass only the columns of the calibrated inputs, which
+    integrates over the nuisance inputs. The study takes 30 bins per input in 2-D and 10 in 6-D.
     """
     limits = np.array([_limits(column, bound) for column, bound in zip(draws.T, bounds, strict=True)])
     low, width = limits[:, 0], (limits[:, 1] - limits[:, 0]) / bins

@@ -30,20 +30,20 @@ def to_datatree(
 ) -> xr.DataTree:
     """Return the posterior as a tree of data sets.
 
-    Groups: ``posterior`` (chain, draw) holds *equally weighted* draws, on which ArviZ's functions are right as they
-    stand; ``weighted_posterior`` (particle) the particles with their weights, log-likelihood and log prior; ``prior``
-    (chain, draw) draws of the prior; ``observed_data`` the observed interfaces. No time is recorded: the same
-    posterior and seed give the same content.
+    Groups: ``posterior`` (chain, draw) holds *equally weighted* draws, to which ArviZ's functions apply
+    directly; ``weighted_posterior`` (particle) the particles with their weights, log-likelihood and log prior;
+    ``prior`` (chain, draw) draws of the prior; ``observed_data`` the observed interfaces. No time is recorded: the same
+    posterior and seed yield the same content.
 
-    With nuisance inputs the joint reading of the posterior under uncertainty is ``posterior`` without their columns.
+    With nuisance inputs, the joint reading of the posterior under uncertainty is ``posterior`` without their columns.
     The cut reading has ``cut_posterior`` and ``weighted_cut_posterior``, the latter with the values of the nuisance
-    inputs and the log-evidence given each.
+    inputs and the log-evidence for each.
 
     Args:
         posterior: The weighted draws.
         seed: Seed of the resampling and of the draws from the prior.
         attrs: Further attributes of the root, e.g. the study's name.
-        observed: The observations the posterior was made from.
+        observed: The observations that the posterior was computed from.
         number: Number of equally weighted draws; by default as many as there are particles.
         cut: The cut reading, if there are nuisance inputs.
     """
@@ -67,12 +67,12 @@ def to_datatree(
 
 
 def from_datatree(tree: xr.DataTree, space: ParameterSpace) -> Posterior:
-    """Return the weighted posterior that a tree of `to_datatree` holds, for the inputs of `space`."""
+    """Return the weighted posterior in a tree from `to_datatree`, for the inputs of `space`."""
     return _posterior(tree["weighted_posterior"].to_dataset(), space)
 
 
 def cut_from_datatree(tree: xr.DataTree, space: ParameterSpace) -> Cut | None:
-    """Return the cut reading that a tree of `to_datatree` holds, or None where it holds none."""
+    """Return the cut reading in a tree from `to_datatree`, or None if there is none."""
     if "weighted_cut_posterior" not in tree.children:
         return None
     data = tree["weighted_cut_posterior"].to_dataset()
@@ -115,7 +115,7 @@ def write(tree: xr.DataTree, path: Path) -> None:
 
 
 def read(path: Path) -> xr.DataTree:
-    """Return the tree of a netCDF file, all of it in memory and the file closed."""
+    """Return the tree in a netCDF file, loaded into memory; the file is closed."""
     if not path.is_file():
         raise InvalidInput(
             "file of a posterior",

@@ -1,4 +1,4 @@
-"""The posterior as weighted particles, and the numbers read off them: every one of them weighted."""
+"""The posterior as weighted particles, and its summaries, all of them weighted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,12 +21,12 @@ __all__ = ["Posterior", "systematic_indices"]
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Weighted draws of p(x, θ | Y) (paper (3a)) with what the sampler knew of each.
+    """Weighted draws of p(x, θ | Y) (paper (3a)) with the likelihood and prior of each.
 
     Args:
         space: the inputs, in the order of the columns of `draws`.
         draws: physical values (particle, dim).
-        log_weights: normalised log weights (particle,); -inf is a particle of no weight.
+        log_weights: normalised log weights (particle,); -inf is a particle without weight.
         log_likelihood: log-likelihood at each particle.
         log_prior: log prior density at each particle, in physical units.
         log_evidence: log of the integral of likelihood times prior.
@@ -104,7 +104,7 @@ class Posterior:
 
     @property
     def map_index(self) -> int:
-        """Number of the particle with the highest posterior density.
+        """Index of the particle with the highest posterior density.
 
         With nuisance inputs among the columns this is the mode of the *joint* density; for the posterior under
         uncertainty see `histogram_mode` (paper, Remark 8).
@@ -132,8 +132,8 @@ class Posterior:
     def equally_weighted(self, seed: Any, number: int | None = None) -> Float[np.ndarray, "draw dim"]:
         """Return draws of equal weight by systematic resampling, in the order of the particles.
 
-        Copies of one particle stand next to each other, so that an autocorrelation-based effective sample size (such
-        as ArviZ's) sees them.
+        Copies of one particle are adjacent, so that an autocorrelation-based effective sample size (such as ArviZ's)
+        takes them into account.
 
         Args:
             seed: Integer, NumPy generator or JAX key.
@@ -153,7 +153,7 @@ class Posterior:
 def systematic_indices(
     weights: Float[np.ndarray, " particle"], number: int, rng: np.random.Generator
 ) -> Int[np.ndarray, " draw"]:
-    """Return `number` particle numbers, ascending, by systematic resampling: one uniform number, equal strides."""
+    """Return `number` particle indices, ascending, by systematic resampling: one uniform number, equal strides."""
     positions = (rng.random() + np.arange(number)) / number
     cumulative = np.cumsum(weights)
     found = np.searchsorted(cumulative, positions * cumulative[-1], side="right")
@@ -183,7 +183,7 @@ def _require_shapes(posterior: Posterior) -> None:
             "sizes of the posterior's arrays",
             value=f"draws {posterior.draws.shape}, weights, likelihoods and priors {lengths}",
             expected=f"(particle, {posterior.space.dim}) and three times (particle,)",
-            remedy="Pass one value a particle and one column an input.",
+            remedy="Pass one value per particle and one column per input.",
         )
     if not np.isfinite(posterior.draws).all():
         bad = int(np.argmax(~np.isfinite(posterior.draws).all(axis=1)))

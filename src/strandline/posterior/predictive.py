@@ -23,7 +23,7 @@ class InterfaceBand:
 
 @dataclass(frozen=True, eq=False)
 class Offsets:
-    """Signed distances from a polyline, mm, positive to the left of its direction, at places along it, mm."""
+    """Signed distances from a polyline, mm, positive to the left of its direction, at positions along it, mm."""
 
     arc_length: Float[np.ndarray, " point"]
     offset: Float[np.ndarray, "*draw point"]
@@ -35,7 +35,7 @@ def interface_band(points: Float[np.ndarray, "draw point xyz"]) -> InterfaceBand
 
 
 def normal_offsets(points: Float[np.ndarray, "draw point 2"], centre: Interface) -> Offsets:
-    """Return how far each node lies from the same node of `centre`, along the normal there; one row a draw."""
+    """Return how far each node lies from the same node of `centre`, along the normal there; one row per draw."""
     normals = np.zeros_like(centre.points)
     for corner in centre.cells.T:
         np.add.at(normals, corner, centre.normals)

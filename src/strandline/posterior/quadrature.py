@@ -1,8 +1,8 @@
-"""Evidence and moments of a density in one to three dimensions by adaptive cubature: the truth check of a sampler.
+"""Evidence and moments of a density in one to three dimensions by adaptive cubature, to check a sampler.
 
-The box is cut into equal cells with a tensor Gauss-Legendre rule in each. Cells are halved in every direction where
-that can still move the evidence, a mean or a standard deviation. The difference between a cell and its halves is
-their error estimate, so an estimate is always that of the coarser rule.
+The box is cut into equal cells with a tensor Gauss-Legendre rule in each. Cells are halved in every direction if
+that can still change the evidence, a mean or a standard deviation. The difference between a cell and its halves is
+their error estimate, so it is always the error of the coarser rule.
 """
 
 import math
@@ -19,7 +19,7 @@ __all__ = ["LogDensity", "Marginal", "QuadratureResult", "integrate", "mixture"]
 
 LogDensity = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
 
-_CELLS = {1: 256, 2: 32, 3: 16}  # cells per direction to begin with
+_CELLS = {1: 256, 2: 32, 3: 16}  # initial cells per direction
 _NODES = {1: 4, 2: 4, 3: 3}  # nodes per direction and cell
 _LEFT_ALONE = 0.1  # cells that together carry less than this share of the tolerance are not refined
 
@@ -41,9 +41,9 @@ class QuadratureResult:
         mean: posterior mean, physical.
         covariance: posterior covariance, physical.
         sd: posterior standard deviations, physical.
-        evaluations: points evaluated, padding of the last batch left out.
+        evaluations: number of points evaluated, without the padding of the last batch.
         converged: whether the estimated errors are below their tolerances.
-        levels: refinements made.
+        levels: number of refinements made.
         error_log_evidence: estimated error of the log evidence.
         error_mean: largest estimated error of a mean, in standard deviations.
         error_sd: largest estimated relative error of a standard deviation.
@@ -128,7 +128,7 @@ class _Errors:
 
 
 class _Rule:
-    """The tensor Gauss-Legendre rule of a box, and the counter of its evaluations."""
+    """The tensor Gauss-Legendre rule of a box, and a counter of its evaluations."""
 
     def __init__(
         self, log_density: LogDensity, low: Float[np.ndarray, " dim"], high: Float[np.ndarray, " dim"], batch: int
@@ -141,7 +141,7 @@ class _Rule:
         self.evaluations = 0
 
     def cells(self, low: Float[np.ndarray, "cell dim"], width: Float[np.ndarray, " cell"]) -> _Cells:
-        """Integrate over the cells; their difference is the integral itself: nothing is known of the error yet."""
+        """Integrate over the cells; their difference is the integral itself, as the error is not known yet."""
         u = low[:, None, :] + width[:, None, None] * self.nodes
         log_values = self._evaluate(u.reshape(-1, self.dim)).reshape(u.shape[:2])
         log_unit = float(log_values.max())
@@ -152,7 +152,7 @@ class _Rule:
         return _Cells(low, width, integral, integral, log_unit)
 
     def halved(self, parents: _Cells) -> _Cells:
-        """Return the 2^dim halves of each cell with the difference that they brought, shared equally."""
+        """Return the 2^dim halves of each cell, each with an equal share of the change that they brought."""
         number = 2**self.dim
         corners = np.array(list(product([0.0, 0.5], repeat=self.dim)))
         low = (parents.low[:, None, :] + parents.width[:, None, None] * corners).reshape(-1, self.dim)
@@ -163,7 +163,7 @@ class _Rule:
         return _Cells(low, halves.width, halves.integral, np.repeat(change / number, number, axis=0), log_unit)
 
     def _evaluate(self, u: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return the log density at points of the unit cube, in batches of one constant size."""
+        """Return the log density at points of the unit cube, in batches of constant size."""
         x = self.low + u * (self.high - self.low)
         padded = np.concatenate([x, np.repeat(x[-1:], -len(x) % self.batch, axis=0)])
         batches = [self.log_density(padded[i : i + self.batch]) for i in range(0, len(padded), self.batch)]
@@ -191,23 +191,23 @@ def integrate(
 ) -> QuadratureResult:
     """Integrate an unnormalised density over a box, refining until evidence and moments have converged.
 
-    A ridge is found if its width (four standard deviations) is 1/50 of the box or more. Not converging within the
-    evaluations allowed is reported, not raised.
+    A ridge is found if its width (four standard deviations) is 1/50 of the box or more. If it does not
+    converge within the evaluations allowed, this is reported, not raised.
 
     Args:
         log_density: log density of physical points; -inf allowed. Called with exactly `batch` points each time, so
             a jitted function is compiled once.
         low: lower corner, physical.
         high: upper corner, physical.
-        rtol: tolerance of the evidence, relative.
+        rtol: relative tolerance of the evidence.
         mean_tolerance: tolerance of the means, in standard deviations.
-        sd_tolerance: tolerance of the standard deviations, relative.
-        maximum_evaluations: no refinement goes beyond this number of points.
+        sd_tolerance: relative tolerance of the standard deviations.
+        maximum_evaluations: largest number of points that refinement may reach.
         batch: points per call of `log_density`.
 
     Raises:
         InvalidInput: more than three dimensions or a box without extent.
-        NumericsError: a log density of NaN or +inf, or no point of the first grid above -inf.
+        NumericsError: a log density of NaN or +inf, or -inf at all points of the first grid.
     """
     _require_box(low, high)
     rule = _Rule(log_density, np.asarray(low, float), np.asarray(high, float), batch)
@@ -227,9 +227,9 @@ def integrate(
 
 
 def mixture(parts: Sequence[QuadratureResult]) -> QuadratureResult:
-    """Return moments and marginals of the mixture of normalised densities over one box, each with the same weight.
+    """Return moments and marginals of the mixture of normalised densities over one box, with equal weights.
 
-    The evidence is the mean of those of the parts. Evaluations add up; levels and errors are the largest.
+    The evidence is the mean of the parts' evidences. Evaluations are summed; levels and errors are the largest.
     """
     means = np.array([part.mean for part in parts])
     mean, apart = means.mean(axis=0), means - means.mean(axis=0)
@@ -272,7 +272,7 @@ def _moments(cells: _Cells, dim: int) -> _Moments:
 
 
 def _errors(cells: _Cells, moments: _Moments) -> _Errors:
-    """Return what the differences do to the standardised moments: the absolute values add up, no cancellation."""
+    """Return the effect of the differences on the standardised moments, as absolute values that cannot cancel."""
     dim, m = len(moments.mean), moments.mean
     change = cells.difference / moments.mass
     sd = np.maximum(moments.sd, np.finfo(float).eps)
@@ -288,7 +288,7 @@ def _errors(cells: _Cells, moments: _Moments) -> _Errors:
 
 
 def _to_refine(sizes: Float[np.ndarray, " cell"], affordable: int) -> Bool[np.ndarray, " cell"]:
-    """Choose the largest errors, all but a small remainder, as far as evaluations last."""
+    """Choose the cells with the largest errors, all but a small remainder, as far as evaluations allow."""
     order = np.argsort(-sizes, kind="stable")
     remainder = sizes.sum() - np.cumsum(sizes[order])
     wanted = int(np.searchsorted(-remainder, -_LEFT_ALONE)) + 1
@@ -317,7 +317,7 @@ def _result(
 
 
 def _marginal(rule: _Rule, cells: _Cells, axis: int) -> Marginal:
-    """Return the masses of slabs half as thick as the first cells; a cell still unrefined fills two of them."""
+    """Return the masses of slabs half as thick as the first cells; an unrefined cell fills two of them."""
     number = 2 * _CELLS[rule.dim]
     halves = cells.low[:, axis, None] + cells.width[:, None] * np.array([0.25, 0.75])
     slab = np.minimum((halves * number).astype(int), number - 1)

@@ -21,7 +21,7 @@ class SobolIndices:
         first: The share that an input explains alone.
         first_low: Lower end of its bootstrap interval.
         first_high: Upper end of its bootstrap interval.
-        total: The share that an input is part of, alone or together with others.
+        total: The share that involves an input, alone or together with others.
         total_low: Lower end of its bootstrap interval.
         total_high: Upper end of its bootstrap interval.
         evaluations: Number of evaluations of the function.
@@ -48,15 +48,15 @@ def sobol_indices(
     """Return first-order and total indices of `function` under the prior, by the estimators of Saltelli et al. (2010).
 
     For a log-likelihood they show what the data distinguish over the *whole* prior, above all in its far tail. The
-    indices of the likelihood itself, a narrow peak, would be near 0 and 1, since only interactions are left. What the
-    data say about an input is seen from its marginal, not from these indices.
+    indices of the likelihood itself, a narrow peak, would be near 0 and 1, since only interactions are left. To see
+    what the data say about an input, look at its marginal, not at these indices.
 
     Args:
         function: Function of physical points (point, dim).
         space: Inputs with their independent priors.
         number: Number of points in each of the two Sobol' samples, a power of 2; the function is called (dim + 2) times
             on that many points.
-        seed: Seed of their scrambling and of the bootstrap.
+        seed: Seed of the scrambling and of the bootstrap.
         level: Probability of the bootstrap intervals.
         resamples: Number of resamples of the bootstrap.
 

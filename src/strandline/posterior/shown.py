@@ -1,4 +1,4 @@
-"""A posterior at a prompt and in a notebook: one line, or one table."""
+"""Display of a posterior at a prompt and in a notebook: one line or one table."""
 
 import html
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +25,7 @@ def moments_line(space: ParameterSpace, mean: Float[np.ndarray, " dim"], sd: Flo
 
 
 def moments_table(space: ParameterSpace, columns: Mapping[str, Float[np.ndarray, " dim"]]) -> str:
-    """Return an HTML table with a row for each input, of its numbers by name."""
+    """Return an HTML table with one row per input and one column per named quantity."""
     rows = [
         (html_text(parameter.name), html.escape(unit_text(parameter.unit)), *(f"{c[i]:.4g}" for c in columns.values()))
         for i, parameter in enumerate(space)

@@ -25,7 +25,7 @@ __all__ = ["Conditional", "Cut", "Reading", "UnderUncertainty", "mode_bins", "nu
 
 @runtime_checkable
 class Conditional(Protocol):
-    """Weighted draws of p(x | θ, Y) for one θ, its evidence Z(θ) included; the sampler's result is one."""
+    """Weighted draws of p(x | θ, Y) for one θ, with its evidence Z(θ); the sampler's result is an example."""
 
     @property
     def positions(self) -> Float[np.ndarray, "particle x"]: ...
@@ -39,7 +39,7 @@ class Conditional(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The posterior under uncertainty in one of its readings: draws of x and θ, seen by their columns of x alone.
+    """One reading of the posterior under uncertainty: draws of x and θ, of which only the columns of x are used.
 
     Args:
         extended: weighted draws of all inputs; leaving out the columns of θ integrates over it.
@@ -49,7 +49,7 @@ class Reading:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the calibrated inputs, the order of all arrays here."""
+        """Names of the calibrated inputs, in the order of all arrays here."""
         return self.extended.space.calibrated_space.names
 
     @property
@@ -78,7 +78,7 @@ class Reading:
 
     @property
     def map_bins(self) -> int:
-        """Bins an input of the histogram that `map_estimate` is read off."""
+        """Bins per input of the histogram that yields `map_estimate`."""
         return mode_bins(len(self._columns))
 
     @property
@@ -95,7 +95,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Cut(Reading):
-    """The cut reading, with the θ that stand for p(θ).
+    """The cut reading, with the values of θ that represent p(θ).
 
     Args:
         extended: The pooled draws. Its likelihood is L(x, θ)/Z(θ), so that its evidence is 1.
@@ -110,20 +110,20 @@ class Cut(Reading):
 
     @property
     def joint_log_evidence(self) -> float:
-        """Log of the mean of Z(θ): the log-evidence of the joint reading, found another way."""
+        """Log of the mean of Z(θ): the log-evidence of the joint reading, computed in another way."""
         return float(logsumexp(self.log_evidence) - np.log(len(self.log_evidence)))
 
 
 @dataclass(frozen=True, eq=False)
 class UnderUncertainty:
-    """Both readings."""
+    """Both readings of the posterior under uncertainty."""
 
     joint: Reading
     cut: Cut
 
 
 def mode_bins(dim: int) -> int:
-    """Return the bins an input of a histogram whose fullest bin is the MAP: the study's 30 in 2-D and 10 in 6-D."""
+    """Return the bins per input of a histogram whose fullest bin is the MAP: the study's 30 in 2-D and 10 in 6-D."""
     return 30 if dim <= 2 else 20 if dim == 3 else 10
 
 

@@ -1,4 +1,4 @@
-"""What meshio reads: STL, PLY and legacy VTK files."""
+"""Files that meshio reads: STL, PLY and legacy VTK files."""
 
 import contextlib
 import importlib
@@ -16,11 +16,11 @@ __all__ = ["converted", "imported", "read_by_meshio"]
 
 MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk"}
 READS_AT_END = 100
-"""Attempts to read past the end after which a PLY file counts as cut off; its reader would go on for ever."""
+"""Attempts to read past the end after which a PLY file counts as cut off; its reader would go on forever."""
 
 
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
-    """Return what a file of one time holds."""
+    """Return the contents of a file with a single time."""
     meshio = imported(name)
     if how.suffix == ".stl":
         _require_end(path.read_bytes())
@@ -30,13 +30,13 @@ def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
 
 
 def _require_end(content: bytes) -> None:
-    """Refuse an STL file in ASCII that is cut off; meshio would read what is left of it."""
+    """Refuse an STL file in ASCII that is cut off; meshio would read the rest of it."""
     if content.startswith(b"solid") and b"facet" in content[:1000] and b"endsolid" not in content[-1000:]:
         raise EOFError("the file is cut off")
 
 
 class _Whole(io.BytesIO):
-    """The bytes of a file, which refuses to be read past its end again and again."""
+    """The bytes of a file; too many reads past the end raise an error."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__(content)
@@ -75,7 +75,7 @@ def imported(name: str) -> Any:
 
 
 def converted(mesh: Any) -> Contents:
-    """Return a mesh of meshio as contents."""
+    """Return a meshio mesh as contents."""
     blocks = tuple(
         Block(
             block.type,

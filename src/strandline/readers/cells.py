@@ -46,12 +46,12 @@ PIECES: dict[int, tuple[tuple[int, int, int], ...]] = {
 
 
 def dimension(kind: str) -> int | None:
-    """Return how many dimensions cells of a kind have; None where it is not known."""
+    """Return the number of dimensions of a kind of cells; None if unknown."""
     return next((k for k, known in enumerate((set(LINES), set(RINGS), set(FACES)), 1) if kind in known), None)
 
 
 def line_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
-    """Return the edges of line cells, those of quadratic ones through their middle node."""
+    """Return the edges of line cells; quadratic ones have two edges, through their middle node."""
     found = []
     for block in blocks:
         chain = block.nodes[:, LINES[block.kind]]
@@ -60,7 +60,7 @@ def line_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
 
 
 def boundary_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
-    """Return the edges that belong to one of the plane cells only, the cell on their left if it is well numbered."""
+    """Return the edges that belong to only one plane cell, with the cell on their left if it is well numbered."""
     found = []
     for block in blocks:
         ring = block.nodes[:, RINGS[block.kind]]
@@ -75,7 +75,7 @@ def surface_triangles(blocks: Sequence[Block]) -> Int[np.ndarray, "cell 3"]:
 
 
 def boundary_triangles(blocks: Sequence[Block]) -> Int[np.ndarray, "cell 3"]:
-    """Return the faces that belong to one of the solid cells only, as triangles that face outwards."""
+    """Return the faces that belong to only one solid cell, as triangles that face outwards."""
     rings: dict[int, list[Int[np.ndarray, "face node"]]] = {}
     for block in blocks:
         for face in FACES[block.kind]:

@@ -17,8 +17,8 @@ class Chain:
     """Nodes in their order along a polyline.
 
     Args:
-        nodes: their numbers, each once.
-        closed: whether the last is joined to the first.
+        nodes: node numbers, each once.
+        closed: whether the last node is joined to the first.
     """
 
     nodes: Int[np.ndarray, " node"]
@@ -26,10 +26,10 @@ class Chain:
 
 
 def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"], name: str) -> list[Chain]:
-    """Return the polylines that `edges` form, each run through as most of its edges are given.
+    """Return the polylines that `edges` form, each in the direction of most of its edges.
 
     Raises:
-        Unreadable: three edges or more meet in a point.
+        Unreadable: three or more edges meet at a point.
     """
     edges = edges[edges[:, 0] != edges[:, 1]]
     _, first = np.unique(np.sort(edges, axis=1), axis=0, return_index=True)
@@ -82,7 +82,7 @@ def chosen_chain(
 
 
 def _walked(neighbours: dict[int, list[int]]) -> list[Chain]:
-    """Return the open chains, each from its end of the lower number, then the closed ones."""
+    """Return the open chains, each from its end with the lower number, then the closed ones."""
     left = dict.fromkeys(sorted(neighbours))
     ends = [node for node in left if len(neighbours[node]) == 1]
     result = []

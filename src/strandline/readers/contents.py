@@ -1,4 +1,4 @@
-"""What a file holds, whatever its format: points, cells in blocks, and data on both."""
+"""The contents of a file, whatever its format: points, cells in blocks, and data on both."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ class Contents:
         points: Points (point, xyz) as in the file.
         blocks: Blocks of cells.
         data: Arrays by name, one row per point.
-        displacement: Displacement to be added to the points, if the reader knows it.
+        displacement: Displacement to add to the points, if the reader knows it.
     """
 
     points: Float[np.ndarray, "point xyz"]

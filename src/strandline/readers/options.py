@@ -1,4 +1,4 @@
-"""How a file is to be read: the options of `observation` and of a command's `result`."""
+"""How to read a file: the options of `observation` and of a command's `result`."""
 
 import dataclasses
 import math
@@ -36,17 +36,17 @@ class Reading:
         decimal: Decimal mark of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or
             blanks.
         sort: Coordinate, ``x`` or ``y``, that sorts the points of a table if they are not in order along the interface.
-        field: Displacement to be added: the name of point data of a mesh, or two columns of a table.
+        field: Displacement to add: the name of point data of a mesh, or two columns of a table.
         time: Time of a series: ``last``, ``{index: 3}`` or ``{value: 0.5}``.
         block: Block of cells, by number from 0 or by kind.
         cells: Cell data, ``{name: value}``, of the cells that are read.
         points: Point data, ``{name: value}``, of all points of the cells that are read.
-        select: Box, ``{x: [low, high], y: …}``, of what is read.
-        near: Place; of several pieces the one that comes nearest to it is read.
-        keep: ``longest``: of several pieces the longest is read.
+        select: Box, ``{x: [low, high], y: …}``, that limits what is read.
+        near: Place; of several pieces, the one nearest to it is read.
+        keep: ``longest``: of several pieces, the longest is read.
         start: Place; an open polyline begins at its end nearest to it, a closed one at its nearest node.
         plane: The two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
-        count: Number of points that there must be.
+        count: Required number of points.
         reader: Function that reads the file, ``module:name``; by default the suffix determines it.
 
     Raises:
@@ -108,11 +108,11 @@ class Reading:
 
     @property
     def given(self) -> dict[str, Any]:
-        """The options that are not left at their defaults, as plain data."""
+        """The options that differ from their defaults, as plain data."""
         return {f.name: v for f in dataclasses.fields(self) if (v := getattr(self, f.name)) != f.default}
 
     def require_sound(self, place: str) -> None:
-        """Refuse options that contradict the format."""
+        """Refuse options that do not fit the format."""
         if self.unit not in TO_MM:
             raise _unfit(f"{place}.unit", self.unit, f"one of {', '.join(TO_MM)}")
         if self.plane not in PLANES:

@@ -24,7 +24,7 @@ def require_no_picture(path: Path, name: str) -> None:
 
     Args:
         path: The file, which exists.
-        name: What messages call the file.
+        name: Name of the file in messages.
 
     Raises:
         Unreadable: The file begins as a PNG, JPEG, TIFF or GIF picture does.
@@ -33,7 +33,7 @@ def require_no_picture(path: Path, name: str) -> None:
         with path.open("rb") as file:
             begin = file.read(max(map(len, _BEGINNINGS)))
     except OSError:
-        return  # the reader says why
+        return  # the reader reports why
     for beginning, kind in _BEGINNINGS.items():
         if begin.startswith(beginning):
             raise refused(

@@ -1,4 +1,4 @@
-"""What is wrong with a file that yields no interface."""
+"""The error of a file that yields no interface."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ def refused(
     *,
     kind: str = "result_unreadable",
 ) -> Unreadable:
-    """Return the error of a file that cannot be used."""
+    """Return the error for a file that cannot be used."""
     return Unreadable(what, value=value, expected=expected, remedy=remedy, kind=kind)
 
 

@@ -43,7 +43,7 @@ READERS: dict[str, str] = {
 }
 """Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
 Reader = Callable[[Path, Reading, str], Contents]
-"""(path, how to read it, its name in messages) → what is in the file."""
+"""(path, how to read it, its name in messages) → contents of the file."""
 
 
 def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = False) -> Interface:
@@ -53,7 +53,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
         path: Path of the file.
         how: How to read the file.
         name: Name of the file in messages.
-        ended: Whether a text table without a `count` must end with a line break, as what a program writes does.
+        ended: Whether a text table without a `count` must end with a line break, as programs write it.
 
     Raises:
         Unreadable: the file is missing, cut off, garbage, not finite, or holds no recognisable interface.
@@ -80,7 +80,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
 
 
 def _contents(path: Path, how: Reading, name: str) -> Contents:
-    """Return what is in the file; whatever its reader raises on a damaged one becomes `Unreadable`."""
+    """Return the contents of the file; any error of its reader on a damaged file becomes `Unreadable`."""
     reader: Reader = imported(_reader(how), f"reader of {name}")
     try:
         with warnings.catch_warnings():
@@ -112,14 +112,14 @@ def _require_file(path: Path, name: str) -> None:
     except OSError as error:
         raise refused(f"{name} cannot be read", str(error), "a readable file") from None
     if not stat.S_ISREG(mode):
-        raise refused(f"{name} cannot be read", f"{path} is no file", "a readable text file")
+        raise refused(f"{name} cannot be read", f"{path} is not a file", "a readable text file")
 
 
 def _require_contents(found: object, how: Reading) -> None:
-    """Refuse what a reader of somebody else's returns in place of contents."""
+    """Refuse anything but contents from a reader of the user's own."""
     if isinstance(found, Contents) and isinstance(found.points, np.ndarray):
         return
-    what = f"a {type(found).__name__}" if not isinstance(found, Contents) else "points that are no NumPy array"
+    what = f"a {type(found).__name__}" if not isinstance(found, Contents) else "points that are not a NumPy array"
     raise InvalidInput(
         f"what the reader {_reader(how)} returns",
         value=what,
@@ -135,8 +135,8 @@ def _require_whole(contents: Contents) -> None:
         if block.nodes.min() < 0 or block.nodes.max() >= number:
             raise ValueError("cells with points that do not exist")
         if any(len(values) != len(block.nodes) for values in block.data.values()):
-            raise ValueError("cell data that are not one row a cell")
+            raise ValueError("cell data without one row per cell")
     if any(len(values) != number for values in contents.data.values()):
-        raise ValueError("point data that are not one row a point")
+        raise ValueError("point data without one row per point")
     if contents.points.ndim != 2 or not np.issubdtype(contents.points.dtype, np.floating):
-        raise ValueError("points that are no table of numbers")
+        raise ValueError("points that are not a table of numbers")

@@ -1,4 +1,4 @@
-"""Files of several times: PVD, and the choice of one time."""
+"""Files with several times: PVD, and the choice of one time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ __all__ = ["chosen_time", "read_pvd"]
 
 
 def read_pvd(path: Path, how: Reading, name: str) -> Contents:
-    """Return what the files hold that a PVD file names for one time, its parts joined."""
+    """Return the joined contents of the files that a PVD file names for one time."""
     found = [
         (float(item.get("timestep", "0")), item.attrib["file"])
         for item in ElementTree.fromstring(path.read_bytes()).iter("DataSet")

@@ -18,7 +18,7 @@ __all__ = ["interface_of"]
 FLATNESS = 1e-9
 """Share of the extent by which points may leave a plane."""
 SURFACES = (".stl", ".ply")
-"""Suffixes of files that hold surfaces, even if these are plane."""
+"""Suffixes of files that hold surfaces, even plane ones."""
 
 
 def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
@@ -32,7 +32,7 @@ def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
     found = _of_cells(contents, places, moved, how, name) if contents.blocks else _of_table(places, moved, how, name)
     if how.count is not None and len(found.points) != how.count:
         raise refused(
-            f"{name}: number of points", len(found.points), f"{how.count}", "Look at what writes the file, or `count`."
+            f"{name}: number of points", len(found.points), f"{how.count}", "Check what writes the file, or `count`."
         )
     return found
 
@@ -40,12 +40,12 @@ def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
 def _places(
     contents: Contents, how: Reading, name: str
 ) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, "point xyz"]]:
-    """Return the points as they lie in the file and with the displacement, mm."""
+    """Return the points as they are in the file and with the displacement added, mm."""
     places, displacement = contents.points, contents.displacement
     if isinstance(how.field, str):
         displacement = np.asarray(_data(contents.data, how.field, f"{name} has no point data", how.field), float)
         if displacement.ndim != 2 or not 2 <= displacement.shape[1] <= 3:
-            raise refused(f"{name}: point data {how.field}", f"the shape {displacement.shape}", "a vector a point")
+            raise refused(f"{name}: point data {how.field}", f"the shape {displacement.shape}", "one vector per point")
     if displacement is None:
         return places * how.factor, places * how.factor
     width = places.shape[1]
@@ -107,7 +107,7 @@ def _of_cells(
 
 
 def _chosen(contents: Contents, how: Reading, name: str) -> list[Block]:
-    """Return the cells that block, cell data and dimension leave: those of the lowest dimension."""
+    """Return the cells that `block` and `cells` select, and of these the ones of the lowest dimension."""
     blocks = list(contents.blocks)
     if isinstance(how.block, int):
         if how.block >= len(blocks):
@@ -158,7 +158,7 @@ def _kept(
     how: Reading,
     name: str,
 ) -> Int[np.ndarray, "kept node"]:
-    """Return the edges or triangles all of whose nodes are in the box and have the point data asked for."""
+    """Return the edges or triangles all of whose nodes are in the box and have the requested point data."""
     good = np.ones(len(places), dtype=bool)
     for key, wanted in (how.points or {}).items():
         good &= _is_one_of(_data(contents.data, key, f"{name} has no point data", key), wanted)
@@ -181,7 +181,7 @@ def _inside(places: Float[np.ndarray, "point xyz"], box: Mapping[str, Sequence[f
 def _merged(
     parts: Int[np.ndarray, "part node"], places: Float[np.ndarray, "point xyz"]
 ) -> Int[np.ndarray, "part node"]:
-    """Return the parts with points that coincide under one number."""
+    """Return the parts with a single number for points that coincide."""
     _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
     return np.asarray(first[inverse.reshape(-1)][parts])
 
@@ -189,7 +189,7 @@ def _merged(
 def _polyline(
     chain: Chain, places: Float[np.ndarray, "point 2"], moved: Float[np.ndarray, "point 2"], start: Any
 ) -> Interface:
-    """Return a chain as an interface, from `start` on; a closed one counter-clockwise."""
+    """Return a chain as an interface that begins at `start`; a closed one runs counter-clockwise."""
     nodes = chain.nodes
     if chain.closed and _area(places[nodes]) < 0:
         nodes = nodes[::-1]

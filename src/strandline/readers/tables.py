@@ -1,4 +1,4 @@
-"""Points in their order: text of two columns or more, and arrays of NumPy."""
+"""Points in their order: text with two or more columns, and NumPy arrays."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,13 +13,13 @@ from strandline.readers.problems import Unreadable, refused
 __all__ = ["missing", "read_npy", "read_text", "require_end"]
 
 Row = tuple[int, list[str]]
-"""Number of a line, and its fields."""
+"""Number of a line and its fields."""
 
 
 def read_text(path: Path, how: Reading, name: str) -> Contents:
-    """Return the points of a text file, one a line.
+    """Return the points of a text file, one per line.
 
-    A line of column names and lines that begin with # are passed over. Without `columns` each line holds x and y.
+    A line of column names and lines that begin with # are skipped. Without `columns` each line holds x and y.
     """
     lines = _lines(path, name)
     separator = _separator(lines, how, name)
@@ -33,7 +33,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     if rows and not any(_is_number(field) for field in rows[0][1]):
         header, rows = [names], rows[1:]
     if not rows:
-        raise refused(f"{name} holds no points", None, "two columns x, y with one point a line")
+        raise refused(f"{name} holds no points", None, "two columns x, y with one point per line")
     titles = header[0] if header else []
     if how.columns is None and titles is names and [title.lower() for title in titles[:2]] == ["y", "x"]:
         raise refused(
@@ -104,7 +104,7 @@ def _place(name: str, column: str | int, titles: Sequence[str], fields: Sequence
 
 
 def _with_points(name: str, rows: Sequence[Row]) -> list[Row]:
-    """Return rows with decimal points for decimal commas."""
+    """Return rows with decimal commas replaced by decimal points."""
     for number, fields in rows:
         odd = next((field for field in fields if _is_number(field) and "." in field), None)
         if odd is not None:
@@ -132,7 +132,7 @@ def _require_one_width(name: str, rows: Sequence[Row], titles: Sequence[str]) ->
 
 
 def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
-    """Return the characters between fields: one, or several of which each separates.
+    """Return the characters that separate fields: one, or several of which any one separates.
 
     Raises:
         Unreadable: a line has semicolons and commas, and no option says which are decimal.
@@ -162,7 +162,7 @@ def _lines(path: Path, name: str) -> list[str]:
 
 
 def missing(path: Path, name: str) -> Unreadable:
-    """Return the error of a file that is not there."""
+    """Return the error for a missing file."""
     return refused(f"{name} is missing", str(path), "a file with two columns x, y", kind="result_missing")
 
 
@@ -170,7 +170,7 @@ def require_end(path: Path, name: str) -> None:
     """Refuse a program's result whose last line has no line break: its last number may be cut off.
 
     Raises:
-        Unreadable: There is no line break; the message holds the last line.
+        Unreadable: There is no line break; the message shows the last line.
     """
     try:
         content = path.read_bytes()
@@ -201,7 +201,7 @@ def _point(name: str, number: int, fields: list[str], titles: Sequence[str]) -> 
 
 
 def _say_columns(titles: Sequence[str], number: int) -> str:
-    """Return the remedy for a table of which it must be said where x and y stand, with what to write."""
+    """Return the remedy for a table whose columns x and y must be named, with an example."""
     named = {title.lower(): title for title in titles if len(titles) == number and titles.count(title) == 1}
     pair = f"{named['x']}, {named['y']}" if {"x", "y"} <= named.keys() else "1, 2"
     return f"Say which of the {number} columns to take, by name or by number from 1, e.g. `columns: [{pair}]`."

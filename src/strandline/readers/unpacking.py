@@ -1,4 +1,4 @@
-"""Compressed data, unpacked up to a limit: a few megabytes of a file can stand for as many gigabytes."""
+"""Compressed data, unpacked up to a limit: a file of a few megabytes can unpack to as many gigabytes."""
 
 import lzma
 import zlib
@@ -12,7 +12,7 @@ PER_BYTE = 20
 
 
 class Allowance:
-    """Bytes that the data of one file may still take.
+    """Number of bytes that the data of one file may still take.
 
     Args:
         packed: Size of the file.
@@ -36,12 +36,12 @@ class Allowance:
             )
 
     def unzlib(self, data: bytes) -> bytes:
-        """Return what zlib has compressed."""
+        """Return data that zlib compressed, unpacked."""
         unpacker = zlib.decompressobj()
         return self._whole(unpacker.decompress(data, self._left + 1), lambda: unpacker.eof)
 
     def unlzma(self, data: bytes) -> bytes:
-        """Return what lzma has compressed."""
+        """Return data that lzma compressed, unpacked."""
         unpacker = lzma.LZMADecompressor(memlimit=4 * ALWAYS_BYTES)
         return self._whole(unpacker.decompress(data, self._left + 1), lambda: unpacker.eof)
 

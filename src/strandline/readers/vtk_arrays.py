@@ -61,15 +61,15 @@ class Encoding:
         return cls(order, TYPES[root.get("header_type", "UInt32")], unpack, appended, raw)
 
     def dtype(self, name: str) -> np.dtype[Any]:
-        """Return a type of numbers in this file."""
+        """Return the NumPy type of a VTK type in this file."""
         return np.dtype(self.order + TYPES[name])
 
 
 def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
-    """Return the root of a file and its encoding; appended data are no XML and are taken out first.
+    """Return the root of a file and its encoding; appended data are not XML and are taken out first.
 
     Raises:
-        ValueError: (also ElementTree.ParseError, a SyntaxError) no such file.
+        ValueError: (also ElementTree.ParseError, a SyntaxError) not a file of this kind.
     """
     head, mark, rest = content.partition(b"<AppendedData")
     appended, raw = b"", False
@@ -86,7 +86,7 @@ def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
 
 
 def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray, "..."]:
-    """Return what a DataArray holds, (row, component) where it has several components.
+    """Return the numbers of a DataArray; (row, component) if it has several components.
 
     Raises:
         ValueError: it is damaged, or of an unknown type.
@@ -107,7 +107,7 @@ def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray
 
 
 class _Bytes:
-    """Decoded bytes from the beginning of a stream, of which only as many are decoded as are asked for."""
+    """Bytes from the beginning of a stream; only as many as requested are decoded."""
 
     def __init__(self, stream: bytes, *, raw: bool) -> None:
         self.stream, self.raw = stream, raw
@@ -120,7 +120,7 @@ class _Bytes:
         return found
 
     def behind(self, number: int) -> "_Bytes":
-        """Return the stream behind a part of `number` bytes that was encoded on its own."""
+        """Return the stream after a part of `number` bytes that was encoded separately."""
         return _Bytes(self.stream[number if self.raw else 4 * -(-number // 3) :], raw=self.raw)
 
     def _unpacked(self, characters: int) -> bytes:
@@ -131,12 +131,12 @@ class _Bytes:
 
 
 def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
-    """Return the bytes of one array: counts in front, then the data, compressed in blocks where they are."""
+    """Return the bytes of one array: counts first, then the data, possibly compressed in blocks."""
     count, size = np.dtype(encoding.order + encoding.header), int(encoding.header[1])
     source = _Bytes(stream, raw=raw)
     if encoding.decompress is None:
         length = int(np.frombuffer(source.first(size), count)[0])
-        if not raw and b"=" in stream[: 4 * -(-size // 3)]:  # the count was encoded on its own
+        if not raw and b"=" in stream[: 4 * -(-size // 3)]:  # the count was encoded separately
             return source.behind(size).first(length)
         return source.first(size + length)[size:]
     blocks = int(np.frombuffer(source.first(size), count)[0])

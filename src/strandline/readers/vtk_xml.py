@@ -30,16 +30,16 @@ KINDS = {
     25: "hexahedron20",
     28: "quad9",
 }
-"""VTK's numbers of cells."""
+"""VTK's numbers of cell types → their names."""
 OF_ORDER = {(68, 2): "line", (68, 3): "line3", (69, 3): "triangle", (69, 6): "triangle6", (70, 4): "quad"}
 OF_ORDER |= {(70, 9): "quad9", (71, 4): "tetra", (71, 10): "tetra10"}
-"""Lagrange cells by VTK's number and their nodes."""
+"""Lagrange cells by VTK's number and number of nodes."""
 POLYLINE, POLYGON = 4, 7
 POINT_LIKE = (0, 1, 2)
 
 
 def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
-    """Return what a VTU, VTP, PVTU or PVTP file holds, its pieces joined.
+    """Return the contents of a VTU, VTP, PVTU or PVTP file, its pieces joined.
 
     Raises:
         ValueError: (also KeyError, IndexError, SyntaxError) a damaged file, or one of another kind.
@@ -48,7 +48,7 @@ def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
 
 
 def _read(path: Path, *, parallel: bool) -> Contents:
-    """Return what a file holds; one that lists files is read where it may be `parallel`."""
+    """Return the contents of a file; one that lists other files is read only if `parallel`."""
     root, encoding = split(path.read_bytes())
     form = root.get("type", "")
     (data,) = [child for child in root if child.tag == form] or [root]
@@ -76,14 +76,14 @@ def beside(path: Path, source: str) -> Path:
 
 
 def require_each_once(files: Sequence[str]) -> None:
-    """Refuse a list of files that names one of them again, which costs memory and adds nothing."""
+    """Refuse a list that names a file more than once, which costs memory and adds nothing."""
     again = next((file for file in files if files.count(file) > 1), None) if len(set(files)) < len(files) else None
     if again is not None:
         raise ValueError(f"it names {again} more than once")
 
 
 def joined(parts: Sequence[Contents]) -> Contents:
-    """Return several pieces as one, points that coincide merged; data that not all of them have are left out."""
+    """Return several pieces as one, with coincident points merged; data that some pieces lack are left out."""
     if len(parts) == 1:
         return parts[0]
     shifts = np.cumsum([0, *(len(part.points) for part in parts)])
@@ -155,7 +155,7 @@ def _blocks(
     data: dict[str, Shaped[np.ndarray, "..."]],
     visible: Shaped[np.ndarray, "..."] | None,
 ) -> tuple[Block, ...]:
-    """Return the cells by kind; polylines become lines, polygons of other than three corners fans of triangles."""
+    """Return the cells by kind; polylines become lines, polygons with more than three corners fans of triangles."""
     nodes: dict[str, list[Any]] = {}
     owners: dict[str, list[int]] = {}
     for number, (kind, corners) in enumerate(cells):
@@ -172,7 +172,7 @@ def _blocks(
 
 
 def _parts(kind: int, nodes: Any) -> tuple[str, list[Any]]:
-    """Return one cell as one or several of a kind."""
+    """Return the kind and the nodes of the cells that one cell becomes."""
     if kind == POLYLINE:
         return "line", [nodes[k : k + 2] for k in range(len(nodes) - 1)]
     if kind == POLYGON:

@@ -1,7 +1,7 @@
-"""XDMF by way of meshio, after a look at what the file refers to.
+"""XDMF through meshio, after a check of what the file refers to.
 
-An XDMF file names the HDF5 files that hold its numbers, and those can refer to others. Whatever lies outside the folder
-of the XDMF file is not opened.
+An XDMF file names the HDF5 files that hold its numbers, and those can refer to others. Nothing outside the folder of
+the XDMF file is opened.
 """
 
 from importlib import import_module
@@ -20,7 +20,7 @@ __all__ = ["read_xdmf"]
 
 
 def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
-    """Return what an XDMF file, or one time of it, holds."""
+    """Return the contents of an XDMF file, or of one of its times."""
     meshio = imported(name)
     root = ElementTree.fromstring(path.read_bytes())
     _require_own_data(path, root)
@@ -37,7 +37,7 @@ def _require_own_data(path: Path, root: ElementTree.Element) -> None:
     """Refuse data outside the folder of the file, and data that unpack to far more than the files that hold them.
 
     Raises:
-        ValueError: (also KeyError, OSError) There are such data; the message holds the place.
+        ValueError: (also KeyError, OSError) There are such data; the message shows the place.
     """
     allowances: dict[Path, Allowance] = {}
     for item in root.iter("DataItem"):
@@ -52,7 +52,7 @@ def _require_own_data(path: Path, root: ElementTree.Element) -> None:
 
 
 def _require_dataset(file: Path, place: str, allowance: Allowance) -> None:
-    """Refuse what is no plain array of numbers within the file itself."""
+    """Refuse anything but a plain array of numbers within the file itself."""
     h5py: Any = import_module("h5py")
     with h5py.File(file, "r") as found:
         inner: Any = found

@@ -41,7 +41,7 @@ _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.s
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is asked for: reading the state of a ledger needs no numerics."""
+    """Import a public name when it is requested, so that reading the state of a ledger loads no numerics."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,7 +1,7 @@
-"""What one job of a SLURM array does: one run of a batch, in a fresh folder, its record written next to the others.
+"""What one job of a SLURM array does: make one run of a batch in a fresh folder, and write its record to the batch.
 
-As a command, for a model that can be imported:
-``python -m strandline.runs.array_task my_model:simulate BATCH NUMBER``; for the model of a study there is
+The command for a model that can be imported is
+``python -m strandline.runs.array_task my_model:simulate BATCH NUMBER``; for the model of a study, use
 `strandline.studies.array_task`.
 """
 
@@ -32,10 +32,10 @@ def main(arguments: list[str]) -> None:
 
 
 def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None:
-    """Make one run of the batch in `folder` and write its record; nothing happens if it has one already.
+    """Make one run of the batch in `folder` and write its record; do nothing if it has one already.
 
-    The run is made in a process of its own: a crash, a hang and the end of the walltime, which SLURM announces by
-    SIGUSR1, become records.
+    The run is made in its own process: a crash, a hang and the end of the walltime, which SLURM announces with SIGUSR1,
+    become records.
 
     Args:
         folder: Folder of the batch.
@@ -47,7 +47,7 @@ def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None
     try:
         batch = Batch.read(folder)
     except FileNotFoundError:
-        return  # given up meanwhile
+        return  # the batch was given up meanwhile
     if index in batch.present()[0] or index in batch.present()[1]:
         return
     request, began = batch.requests[index], time.monotonic()
@@ -66,7 +66,7 @@ def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None
 
 
 def _fitting(model: ForwardModel, batch: Batch) -> ForwardModel:
-    """Return the model as the batch wants it, refusing one that has changed since."""
+    """Return the model as the batch needs it; refuse one that has changed since."""
     if batch.sensitivities and not asks_sensitivities(model):
         model = with_sensitivities(model)
     if fingerprint(model) != batch.fingerprint:
@@ -80,7 +80,7 @@ def _fitting(model: ForwardModel, batch: Batch) -> ForwardModel:
 
 
 def _out_of_walltime(record: RunRecord | None, request: RunRequest, seconds: float) -> RunRecord:
-    """Return the record of a run that was stopped shortly before SLURM would have done it."""
+    """Return the record of a run that was stopped shortly before SLURM would have stopped it."""
     if record is not None and record.state != "timeout":
         return record
     message = "still running at the end of its job's walltime, and killed"
@@ -90,6 +90,6 @@ def _out_of_walltime(record: RunRecord | None, request: RunRequest, seconds: flo
 
 
 if __name__ == "__main__":
-    from strandline.runs.array_task import main as imported_main  # a model must not be pickled as one of __main__
+    from strandline.runs.array_task import main as imported_main  # a model must not be pickled as part of __main__
 
     imported_main(sys.argv[1:])

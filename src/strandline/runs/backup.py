@@ -1,4 +1,4 @@
-"""Copies of a ledger, made by SQLite while a driver may be writing it; standard library alone."""
+"""Copies of a ledger, made by SQLite while a driver may be writing to it; standard library only."""
 
 import contextlib
 import os
@@ -10,10 +10,10 @@ __all__ = ["backup_before_upgrade", "copied"]
 
 
 def copied(connection: sqlite3.Connection, target: Path) -> None:
-    """Write a copy of the database behind `connection` to `target`, whole or not at all.
+    """Copy the database of `connection` to `target`, completely or not at all.
 
     Raises:
-        FileExistsError: There is such a file.
+        FileExistsError: The file exists already.
         sqlite3.Error: The copy cannot be written, or is not sound.
     """
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
@@ -30,7 +30,7 @@ def copied(connection: sqlite3.Connection, target: Path) -> None:
 
 
 def _moved(partial: Path, target: Path) -> None:
-    """Give the finished copy its name, and never overwrite a file; some disks have no hard links."""
+    """Give the finished copy its name without overwriting a file; some disks have no hard links."""
     try:
         os.link(partial, target)
     except FileExistsError:

@@ -1,4 +1,4 @@
-"""A campaign in batches: what is run next is chosen from what the runs before it returned."""
+"""A campaign in batches: each batch is chosen from what earlier runs returned."""
 
 import math
 import time
@@ -19,7 +19,7 @@ Batch = Sequence[Mapping[str, float]]
 Choose = Callable[[tuple[RunRecord, ...]], Batch]
 """Returns the batch that follows from these records; an empty one ends the campaign."""
 SHORTEST_PATIENCE_SECONDS = 1.0
-"""No run is slow before: a busy machine may take as long to pass on a run that takes no time."""
+"""No run counts as slow before: a busy machine may take this long to hand over a run that takes no time."""
 
 
 def run_batches(
@@ -36,27 +36,27 @@ def run_batches(
 ) -> tuple[RunRecord, ...]:
     """Return one record per run, in the order of the design: `batches`, then those that `choose` adds, one by one.
 
-    Whenever the last batch is closed and there is a worker for a further run, `choose` is asked for the next batch,
-    once. It is given the settled records of all batches, failed runs among them, in the order of the design; runs still
-    under way are left out. When it returns an empty batch, the campaign waits for the runs under way and ends.
+    Whenever the last batch is closed and a worker is free, `choose` is called once for the next batch. It gets the
+    settled records of all batches, including failed runs, in the order of the design, but not the runs still under way.
+    When it returns an empty batch, the campaign waits for the runs under way and ends.
 
-    A batch is closed when all of its runs are settled. So that one slow run does not hold up the others, it is closed
-    as well when at least half of its distinct runs are settled and each of the others is slow: its present attempt has
-    been under way for longer than `patience` times the longest time (`RunRecord.seconds`) that any settled run of this
-    campaign took, whatever its end, and for longer than a second. Runs found in the ledger count like those made now.
+    A batch is closed when all of its runs are settled. So that one slow run does not hold up the others, it is also
+    closed when at least half of its distinct runs are settled and all others are slow. A run is slow if its present
+    attempt has taken longer than a second and longer than `patience` times the longest time (`RunRecord.seconds`) of
+    any settled run of this campaign, however it ended. Runs found in the ledger count like those made now.
 
-    As long as no run is slow (never, with a `patience` of ``inf``), the batches depend on nothing but the records and
-    `choose`: not on the number of workers, and not on the order in which runs end. A campaign that was killed and is
-    started again with the batches that had been chosen then, however many of them were noted, goes on as it would
-    have, to the bit, provided that `choose` looks only at what a run yields and not at how long it took. Note a batch
-    inside `choose`, before it is returned.
+    As long as no run is slow (no run is, with a `patience` of ``inf``), the batches depend only on the records and
+    `choose`, not on the number of workers or the order in which runs end. If a campaign is killed and started again
+    with the batches chosen before, however many of them were saved, it goes on exactly as it would have, bit for bit,
+    provided that `choose` looks only at what a run yields and not at how long it took. Save a batch inside `choose`,
+    before returning it.
 
     An executor that `asks_again` keeps its workers from batch to batch. Any other is called for each batch and makes
-    all of its runs: slow ones are waited for, whatever `patience` says.
+    all of its runs: the campaign waits for slow ones, whatever `patience` is.
 
     Failed runs, runs whose process vanished, runs that go on without a driver and the ledger are as in `run_campaign`,
-    but a run that deserves another attempt is tried again at once, after those that wait already. `Progress.total`
-    grows with each batch.
+    but a run that deserves another attempt is tried again at once, after those already waiting. `Progress.total` grows
+    with each batch.
 
     Args:
         model: The simulator.
@@ -65,14 +65,14 @@ def run_batches(
             slow.
         ledger: Ledger of this model, opened for writing; only the caller of this function writes to it.
         executor: Executor that makes the runs.
-        on_record: Function called with each record as it comes, including killed runs that will be tried again.
-        policy: What is done about failed runs; None leaves them out, however many there are.
-        patience: Multiple of the longest time of a run beyond which a run is slow.
+        on_record: Function called with each record as it arrives, including killed runs that will be tried again.
+        policy: What to do about failed runs; None leaves them out, however many there are.
+        patience: Multiple of the longest run time beyond which a run is slow.
         maximum_attempts: Number of times that a run may take its process down.
 
     Raises:
-        CampaignStopped: The `policy` ends the campaign; what is finished is in the ledger.
-        InvalidInput: No first batch, or an empty one; a `patience` that is not above 0.
+        CampaignStopped: The `policy` ends the campaign; finished runs are in the ledger.
+        InvalidInput: there is no first batch, a batch is empty, or `patience` is not above 0.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
     _require_batches(batches)
@@ -96,13 +96,13 @@ class _Course:
             campaign.pending += self._begun(batch)
 
     def goes_on(self) -> bool:
-        """Return whether there are runs to make; choose them where all runs are settled."""
+        """Return whether there are runs to make; choose new ones if all runs are settled."""
         while not self.campaign.pending and not self.ended:
             self.campaign.pending = self._next()
         return bool(self.campaign.pending)
 
     def further(self, starts: Starts) -> Sequence[RunRequest] | None:
-        """Return the runs of the next batch: none as long as the last one is open; None where there will be none."""
+        """Return the runs of the next batch: none as long as the last one is open; None if there are no more."""
         while not self.ended and self._closed(starts):
             if requests := self._next():
                 return requests
@@ -130,7 +130,7 @@ class _Course:
         return requests
 
     def _closed(self, starts: Starts) -> bool:
-        """Return whether the last batch, all of which is started, is settled except for slow runs."""
+        """Return whether the last batch, all of whose runs are started, is settled except for slow runs."""
         settled = self.campaign.settled
         others = self.last - settled.keys()
         if not others:
@@ -148,7 +148,7 @@ def _require_batches(batches: Sequence[Batch]) -> None:
             "batches to begin with",
             value=[len(batch) for batch in batches],
             expected="at least one, none of them empty",
-            remedy="Choose the first batch before the campaign begins; leave out the empty one that ended an earlier.",
+            remedy="Choose the first batch before the campaign; leave out the empty one that ended an earlier one.",
         )
 
 

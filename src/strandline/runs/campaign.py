@@ -1,4 +1,4 @@
-"""A campaign: make the runs of a design that the ledger does not hold yet, and keep every outcome as it comes."""
+"""A campaign: make the runs of a design that the ledger does not hold yet, and keep every outcome as it arrives."""
 
 import contextlib
 import time
@@ -19,7 +19,7 @@ __all__ = ["Campaign", "Progress", "Starts", "run_campaign"]
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a campaign is; counts are of distinct runs.
+    """How far a campaign has come; counts are of distinct runs.
 
     Args:
         total: Runs that the design asks for.
@@ -56,24 +56,24 @@ def run_campaign(
 ) -> tuple[RunRecord, ...]:
     """Return one record per entry of `inputs`, in that order; only what the ledger lacks is run.
 
-    A run whose process vanished, or that was lost with its driver, is tried again up to `maximum_attempts` times in
-    all; every other end is final, unless `policy` says otherwise. Equal inputs are run once. A run that does not end
-    ``ok`` is data: look at `state`.
-    Runs that an executor makes without a driver (its `outstanding` says which) are waited for, not started again.
-    Where the model is asked for sensitivities, a run that the ledger holds without them is run again, and its new
-    outcome replaces the old one.
+    A run whose process vanished, or that was lost with its driver, is tried up to `maximum_attempts` times in total;
+    every other end is final, unless `policy` says otherwise. Equal inputs are run once. A run that does not end ``ok``
+    is data: look at `state`.
+    If an executor makes runs without a driver (its `outstanding` says which), the campaign waits for them and does not
+    start them again. If the model must return sensitivities, a run that the ledger holds without them is run again, and
+    its new outcome replaces the old one.
 
     Args:
         model: The simulator.
         inputs: Design: one mapping of inputs by name per run.
         ledger: Ledger of this model, opened for writing; only the caller of this function writes to it.
         executor: Executor that makes the runs.
-        on_record: Function called with each record as it comes, including killed runs that will be tried again.
+        on_record: Function called with each record as it arrives, including killed runs that will be tried again.
         maximum_attempts: Number of times that a run may take its process down.
-        policy: What is done about failed runs; None leaves them out, however many there are.
+        policy: What to do about failed runs; None leaves them out, however many there are.
 
     Raises:
-        CampaignStopped: The `policy` ends the campaign; what is finished is in the ledger.
+        CampaignStopped: The `policy` ends the campaign; finished runs are in the ledger.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
     policy = policy or FailurePolicy(stop_share=2.0)
@@ -111,7 +111,7 @@ class Campaign:
         self.pending = self.add(inputs)
 
     def add(self, inputs: Sequence[Mapping[str, float]]) -> list[RunRequest]:
-        """Add runs at the end of the design; return those that must be made for it."""
+        """Add runs to the end of the design; return those that must be made."""
         keys = [run_key(self.identity, entry) for entry in inputs]
         new = {
             key: RunRequest(key, dict(entry))
@@ -138,8 +138,8 @@ class Campaign:
         """Run what is pending once, then plan what must be tried again.
 
         Args:
-            further: Function asked for more runs when none waits to be started; with it, runs that deserve another
-                attempt are tried again at once.
+            further: Function that returns more runs when none is waiting; with it, runs that deserve another attempt
+                are tried again at once.
         """
         starts = Starts(self.ledger, self.pending, self.outstanding, further)
         try:
@@ -175,11 +175,11 @@ class Campaign:
                 self._heed(record)
 
     def _require_answer(self, record: object, starts: "Starts") -> None:
-        """Refuse what is no record of a run that was started and has no record yet."""
+        """Refuse anything but the record of a run that was started and has no record yet."""
         if not isinstance(record, RunRecord):
             raise self._misused(f"a {type(record).__name__}", "a RunRecord for each request")
         if record.key not in starts.running:
-            raise self._misused(f"a record of the run {record.key}", "a run that was started, and each of them once")
+            raise self._misused(f"a record of the run {record.key}", "one record for each run that was started")
 
     def _misused(self, value: str, expected: str) -> InvalidInput:
         what = f"what the executor {type(self.executor).__name__} yields"
@@ -197,7 +197,7 @@ class Campaign:
         self.policy.require_worth_going_on(self.made)
 
     def _plan(self, candidates: Iterable[RunRequest]) -> list[RunRequest]:
-        """Return what may be tried (again); settle what has used up its attempts."""
+        """Return the runs that may be tried (again); settle those that have used up their attempts."""
         pending = []
         for request in candidates:
             if request.key in self.settled:
@@ -216,7 +216,7 @@ class Campaign:
         return not record.ok and self._attempts(record.key, since_final=record.state == "killed") < allowed
 
     def _attempts(self, key: str, *, since_final: bool) -> int:
-        """Return how often a run was tried since it last ended for good, or in all; zero for one that is made again."""
+        """Return how often a run was tried since it last ended for good, or in total; a repeated run starts at zero."""
         before = self.before.get(key, (0, 0))
         if since_final:
             return max(self.ledger.open_attempts(key) - before[1], 0)
@@ -231,14 +231,14 @@ class Campaign:
         return attempts >= allowed
 
     def _still_out(self, keys: frozenset[str]) -> frozenset[str]:
-        """Return those of the started runs `keys` that go on without a driver, where the executor makes such runs."""
+        """Return the started runs in `keys` that go on without a driver, if the executor makes such runs."""
         ask = getattr(self.executor, "outstanding", None)
         return frozenset() if ask is None or not keys else frozenset(ask(self.model, keys))
 
     def _given_up(self, request: RunRequest) -> RunRecord:
         """Return the record of a run that was killed or lost too often, in this campaign or before."""
         known = self.ledger.latest([request.key]).get(request.key)
-        if known is not None and known.ok:  # it lacks its sensitivities only
+        if known is not None and known.ok:  # it only lacks its sensitivities
             return known
         times = f"{self.ledger.open_attempts(request.key)} attempts"
         advice = "Look for what stops the process (memory?), or raise maximum_attempts."
@@ -255,11 +255,12 @@ class Campaign:
 
 
 class Starts:
-    """Hands out requests and records each as STARTED in that moment; knows which are running, and since when.
+    """Hands out requests and records each as STARTED at that moment; knows which are running, and since when.
 
-    Runs in `outstanding` were started by an earlier driver and are only waited for. When no request waits any more,
-    `further` may give some; if it gives none now, `NOT_NOW` is handed out. The first caller who finds none waiting gets
-    `NOT_NOW` before `further` is asked: until all records are handed over, `further` might not know what has ended.
+    Runs in `outstanding` were started by an earlier driver and only need waiting for. When no request is waiting,
+    `further` may return some; if it returns none for now, `NOT_NOW` is handed out. The first call that finds none
+    waiting gets `NOT_NOW` before `further` is called: until all records are handed over, `further` might not know which
+    runs have ended.
     """
 
     def __init__(
@@ -291,19 +292,19 @@ class Starts:
         return len(self.waiting) if self.further is None else NotImplemented
 
     def put_back(self, request: RunRequest) -> None:
-        """Let a run that has ended be started once more by the same call of the executor, where that goes on."""
+        """Let the same call of the executor start a run that has ended once more, if that call goes on."""
         if self.further is not None:
             self.outstanding.discard(request.key)
             self.waiting.append(request)
 
     def _filled(self, further: "Further") -> bool:
-        """Return whether the next step is known: requests that wait now, or the end."""
+        """Return whether the next step is known: requests are waiting, or this is the end."""
         requests = further(self) if self.told_to_wait else ()
         self.waiting.extend(requests or ())
         return requests is None or bool(self.waiting)
 
     def interrupt(self, still_out: frozenset[str]) -> None:
-        """Record the runs that were stopped together with the campaign: they are no attempts of their own.
+        """Record the runs that were stopped together with the campaign; they do not count as attempts.
 
         Those in `still_out` go on without it.
         """
@@ -315,7 +316,7 @@ class Starts:
 
 
 Further = Callable[[Starts], Sequence[RunRequest] | None]
-"""Returns what to start next when nothing waits any more: an empty sequence for nothing now, None for the end."""
+"""Returns what to start next when nothing is waiting: an empty sequence for nothing now, None for the end."""
 
 
 def _at_least_one(maximum_attempts: int) -> int:

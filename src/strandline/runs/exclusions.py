@@ -1,4 +1,4 @@
-"""Runs that somebody has excluded by hand, as the ledger keeps it; standard library alone."""
+"""Runs excluded by hand, as stored in the ledger; standard library only."""
 
 import sqlite3
 from collections.abc import Mapping
@@ -38,10 +38,10 @@ def read_exclusions(connection: sqlite3.Connection) -> Mapping[str, Exclusion]:
 
 
 def require_reason(why: str) -> str:
-    """Return a reason on one line.
+    """Return the reason on one line.
 
     Raises:
-        LedgerError: There is none.
+        LedgerError: The reason is empty.
     """
     if not why.strip():
         raise LedgerError(
@@ -66,7 +66,7 @@ def write_exclusion(
     if not connection.execute(ended, (key,)).fetchone()[0]:
         raise _refused(key, "no outcome yet", "a run that has ended")
     if excluded == (key in known):
-        raise _refused(key, "excluded already" if excluded else "not excluded", "a run whose use is to change")
+        raise _refused(key, "excluded already" if excluded else "not excluded", "a run in the opposite state")
     sql = "INSERT INTO exclusions (session, key, excluded, why, decided_at) VALUES (?, ?, ?, ?, ?)"
     connection.execute(sql, (session, key, int(excluded), why, at))
 

@@ -1,8 +1,7 @@
-"""What a campaign does about runs that fail, by the kind of the failure.
+"""What a campaign does about runs that fail, by kind of failure.
 
-The words are those of the field (Dakota's failure capturing): `abort` ends the campaign, `retry` tries again,
-`continue` leaves the run out. Its fourth, `recover`, would put a number in the place of an interface; it is not
-available.
+The words are those of Dakota's failure capturing: `abort` ends the campaign, `retry` tries again, `continue` leaves the
+run out. Dakota's fourth word, `recover`, would replace an interface by a number; it is not available.
 """
 
 from collections import Counter
@@ -35,15 +34,15 @@ COMMON_KINDS = (
     "flipped",
     "no_common_points",
 )
-"""What can happen to a run of any model, in addition to the kinds of failure that the model itself has."""
+"""Kinds of failure of any model, in addition to those that the model itself defines."""
 
 
 @dataclass(frozen=True)
 class Retry:
-    """Try again, up to `times` times more.
+    """Try again, up to `times` more times.
 
     Raises:
-        InvalidInput: fewer than one.
+        InvalidInput: `times` is less than one.
     """
 
     times: int = 1
@@ -57,7 +56,7 @@ class Retry:
 
 @dataclass(frozen=True)
 class FailurePolicy:
-    """What is done about failed runs: by default they are data, and only a vanished process is tried again, twice.
+    """What to do about failed runs: by default they are data, and only a vanished process is tried again, twice.
 
     Args:
         actions: Action by failure kind (``timeout``, ``exit_code``, …) or, for kinds without an entry, by state
@@ -93,32 +92,32 @@ class FailurePolicy:
             )
 
     def attempts(self, record: RunRecord, *, killed: int) -> int:
-        """Return how often a run that ended like `record` may be tried in all; `killed` where its process vanished."""
+        """Return how often a run that ended like `record` may be tried in total; `killed` if its process vanished."""
         action = self._action(record)
         if isinstance(action, Retry):
             return 1 + action.times
         return killed if action is None and record.state == "killed" else 1
 
     def aborts(self, record: RunRecord) -> bool:
-        """Return whether this end of a run ends the campaign."""
+        """Return whether this outcome ends the campaign."""
         return not record.ok and self._action(record) == "abort"
 
     def tries_again(self, record: RunRecord) -> bool:
-        """Return whether a failure of an earlier campaign is not taken as final: it ended that, or it is asked for."""
+        """Return whether to repeat a failure of an earlier campaign: it ended that campaign, or `again` names it."""
         if record.state == EXCLUDED:
             return False
         wanted = bool(self.again & {record.failure_kind, record.state})
         return not record.ok and (wanted or self.aborts(record))
 
     def require_worth_going_on(self, made: Sequence[RunRecord]) -> None:
-        """Stop a campaign nearly all of whose runs fail.
+        """Stop a campaign if nearly all of its runs fail.
 
         Args:
             made: Runs that this campaign has settled so far.
 
         Raises:
-            CampaignStopped: Nearly all runs fail; the message holds the commonest kind and the last lines of one of its
-                logs.
+            CampaignStopped: Nearly all runs fail; the message contains the most common kind and the last lines of one
+                of its logs.
         """
         failed = [record for record in made if not record.ok]
         if len(made) >= self.stop_after and len(failed) >= self.stop_share * len(made):
@@ -129,7 +128,7 @@ class FailurePolicy:
 
 
 def counted(kinds: Mapping[str, int]) -> str:
-    """Return how many runs failed for which reason, so that no number reads as a code: ``2 × exit_code``."""
+    """Return how many runs failed for each reason, so that no number looks like a code: ``2 × exit_code``."""
     return ", ".join(f"{number} × {kind}" for kind, number in kinds.items())
 
 
@@ -137,10 +136,10 @@ def aborted(record: RunRecord) -> CampaignStopped:
     """Return the error that ends a campaign with `record`."""
     kind = record.failure_kind or record.state
     return CampaignStopped(
-        f"a run ended with {kind}, upon which this study is to stop (failures.kinds.{kind}: abort)\n"
+        f"a run ended with {kind}, which stops this study (failures.kinds.{kind}: abort)\n"
         f"{_told(record)}\n"
         "All finished runs are kept. Fix the cause and start again: this run is tried again, and so are those that "
-        "were under way beside it."
+        "were under way at the same time."
     )
 
 
@@ -150,14 +149,14 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
     example = next(record for record in failed if (record.failure_kind or record.state) == commonest)
     shown = counted(dict(kinds.most_common(4)))
     return CampaignStopped(
-        f"stopped, for {len(failed)} of {made} runs failed ({shown})\n{_told(example)}\n"
-        "All runs are kept. Fix the cause; `strandline retry` runs failed ones again, `strandline run` goes on with "
+        f"stopped because {len(failed)} of {made} runs failed ({shown})\n{_told(example)}\n"
+        "All runs are kept. Fix the cause; `strandline retry` repeats failed runs, `strandline run` continues with "
         "the others. `failures: {stop: never}` lets the study go on by itself."
     )
 
 
 def _told(record: RunRecord) -> str:
-    """Return inputs and reason of a run, and how its log ends."""
+    """Return the inputs of a run, the reason why it failed, and the end of its log."""
     inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
     lines = (record.message or "no message").splitlines()
     return "\n".join([f"at {inputs}: {lines[0]}", *(f"  {line}" for line in _last(lines[1:]))])
@@ -168,10 +167,10 @@ def _last(lines: Iterable[str]) -> list[str]:
 
 
 def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse to try again kinds of failure that no run has ended with.
+    """Refuse to try again a kind of failure that no run ended with.
 
     Raises:
-        InvalidInput: There is such a kind; the message lists those of the runs.
+        InvalidInput: No run ended with one of the kinds; the message lists those that occurred.
     """
     present = sorted(set(known))
     for kind in again:
@@ -180,5 +179,5 @@ def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
                 "kind of failure to run again",
                 value=kind,
                 expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
-                remedy="`strandline status` tells the kinds and how many there are.",
+                remedy="`strandline status` lists the kinds and how many there are.",
             )

@@ -1,4 +1,4 @@
-"""A driver's hold on its ledger: that the file is still in its place, and that no other driver has come in."""
+"""A driver's hold on its ledger: the file is still in its place, and no other driver has taken over."""
 
 import os
 import sqlite3
@@ -13,10 +13,10 @@ __all__ = ["Hold", "locked"]
 
 
 def locked(path: Path) -> BaseFileLock:
-    """Return the driver's lock on the ledger at `path`, taken.
+    """Acquire and return the driver's lock on the ledger at `path`.
 
     Raises:
-        LedgerError: another driver holds it, or the folder cannot be written.
+        LedgerError: another driver holds the lock, or the folder is not writable.
     """
     lock = FileLock(path.with_suffix(".lock"))
     try:
@@ -27,23 +27,23 @@ def locked(path: Path) -> BaseFileLock:
             f"{path} is locked",
             value=f"another run is using it, {last_driver(path)}",
             expected="one driver at a time",
-            remedy="Wait for the other run to end, or stop it; finished runs stay.",
+            remedy="Wait for the other run to end, or stop it; finished runs are kept.",
         ) from None
     except OSError as error:
         raise LedgerError(
             f"folder of {path} cannot be written",
             value=str(error),
-            expected="an existing folder with the right to write",
+            expected="an existing, writable folder",
             remedy="Create the folder or correct its permissions; read_only=True reads without writing.",
         ) from error
     return lock
 
 
 class Hold:
-    """The lock of the driver that has opened the ledger at `path`, and the two files as they were then.
+    """The lock of the driver that opened the ledger at `path`, and the identity of both files at that time.
 
-    A lock keeps others out only as long as its file is there: whoever deletes it lets a second driver in, which locks
-    a new file of that name. A database file that is deleted or moved can still be written, but nobody finds it again.
+    A lock keeps others out only as long as its file exists: if somebody deletes it, a second driver can lock a new file
+    of that name. A database file that is deleted or moved can still be written to, but nobody will find it again.
     """
 
     def __init__(self, path: Path, lock: BaseFileLock) -> None:
@@ -52,7 +52,7 @@ class Hold:
         self._file, self._lock_file = _identity(path), _identity(self._lock_path)
 
     def require(self, connection: sqlite3.Connection, session: int) -> None:
-        """Refuse to write where the ledger is not this driver's any more.
+        """Refuse to write if the ledger no longer belongs to this driver.
 
         Args:
             connection: Connection to the ledger.
@@ -71,7 +71,7 @@ class Hold:
         self._lock.release()
 
     def _lock_again(self, connection: sqlite3.Connection, session: int) -> None:
-        """Lock the file that has the lock's name now; refuse where another driver has been quicker."""
+        """Lock the file that now has the lock's name; refuse if another driver was quicker."""
         lock = FileLock(self._lock_path)
         try:
             lock.acquire(timeout=0)
@@ -86,7 +86,7 @@ class Hold:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Return device and number of a file; None where it is not there."""
+    """Return the device and inode number of a file; None if it does not exist."""
     try:
         found = os.stat(path)  # noqa: PTH116
     except OSError:
@@ -99,13 +99,13 @@ def _moved(path: Path) -> LedgerError:
         f"ledger {path} is not the file that this run opened",
         value="deleted, moved or replaced" if path.exists() else "deleted or moved",
         expected="the ledger in its place until the run ends",
-        remedy="Put it back and run again; it has the runs that ended before.",
+        remedy="Put it back and run again; it holds the runs that ended before.",
     )
 
 
 def _taken_over(path: Path) -> LedgerError:
     return LedgerError(
-        f"another driver took the ledger {path} over",
+        f"another driver took over the ledger {path}",
         value=f"its lock file was deleted, and {last_driver(path)} opened it",
         expected="one driver at a time, and its lock file in its place",
         remedy="Let the other run go on, or stop it and run again: finished runs are in the ledger.",

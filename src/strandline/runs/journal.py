@@ -1,8 +1,8 @@
-"""Which journal of SQLite a ledger has: a write-ahead log on a local disk, a rollback journal on a network disk.
+"""The SQLite journal of a ledger: a write-ahead log on a local disk, a rollback journal on a network disk.
 
-A write-ahead log needs memory that all processes share, which those on several machines do not have, and which network
-file systems do not offer reliably. A rollback journal needs file locks alone. Linux says what a folder lies on;
-elsewhere `STRANDLINE_JOURNAL` does. Standard library alone.
+A write-ahead log needs memory shared by all processes, which processes on several machines do not have and network file
+systems do not offer reliably. A rollback journal only needs file locks. Linux reports which file system a folder is on;
+elsewhere `STRANDLINE_JOURNAL` decides. Standard library only.
 """
 
 import contextlib
@@ -19,15 +19,15 @@ __all__ = ["VARIABLE", "Journal", "file_system", "has_rollback_journal", "is_net
 
 Journal = Literal["wal", "delete"]
 VARIABLE = "STRANDLINE_JOURNAL"
-"""Environment variable: ``wal`` or ``delete``, whatever disk the ledger lies on."""
+"""Environment variable: ``wal`` or ``delete``, whatever disk the ledger is on."""
 MOUNTS = Path("/proc/self/mountinfo")
 NETWORK = re.compile(
     r"nfs4?|lustre|gpfs|mmfs|cifs|smb2|smb3|smbfs|ncpfs|davfs|9p|virtiofs|vboxsf|afs|acfs|coda|ceph|glusterfs|gfs2?|ocfs2|"
     r"beegfs|fhgfs|panfs|pvfs2|orangefs|wekafs|fuse(\..*)?"
 )
-"""Types of file systems that several machines may write; all of FUSE counts, since sshfs and rclone use it."""
+"""Types of file systems that several machines may write to; all of FUSE counts, since sshfs and rclone use it."""
 BUSY_SECONDS = 120.0
-"""How long a driver waits for readers, which keep a ledger with a rollback journal from being written."""
+"""Seconds that a driver waits for readers, which block writes to a ledger with a rollback journal."""
 ROLLBACK = 1
 FORMAT_BYTE = 18
 """Byte of a database file: 1 with a rollback journal, 2 with a write-ahead log."""
@@ -37,7 +37,7 @@ def journal_for(path: Path, *, environment: Mapping[str, str] | None = None) -> 
     """Return which journal the ledger at `path` should have.
 
     Raises:
-        InvalidInput: A word other than ``wal`` or ``delete`` in the environment.
+        InvalidInput: The environment variable is neither ``wal`` nor ``delete``.
     """
     asked = (os.environ if environment is None else environment).get(VARIABLE, "")
     if asked in ("wal", "delete"):
@@ -47,27 +47,27 @@ def journal_for(path: Path, *, environment: Mapping[str, str] | None = None) -> 
             f"{VARIABLE} in the environment",
             value=asked,
             expected="wal or delete",
-            remedy="Leave it out, and the file system decides.",
+            remedy="Unset it to let the file system decide.",
         )
     return "delete" if is_network(file_system(path)) else "wal"
 
 
 def note(path: Path) -> str | None:
-    """Return a line for whoever runs a study, where its ledger at `path` has a rollback journal; else None."""
+    """Return a line for the user of a study if its ledger at `path` has a rollback journal; else None."""
     if journal_for(path) == "wal":
         return None
     kind = file_system(path)
-    why = f"lies on a network file system ({kind})" if is_network(kind) else f"is to have one ({VARIABLE}=delete)"
+    why = f"lies on a network file system ({kind})" if is_network(kind) else f"follows {VARIABLE}=delete"
     return f"the ledger {why}: a rollback journal keeps it safe there; each write takes a little longer"
 
 
 def is_network(kind: str | None) -> bool:
-    """Return whether several machines may write a file system of this type."""
+    """Return whether several machines may write to a file system of this type."""
     return kind is not None and NETWORK.fullmatch(kind) is not None
 
 
 def file_system(path: Path, *, mounts: Path | None = None) -> str | None:
-    """Return the type of the file system that `path` lies on; None where the system does not say."""
+    """Return the type of the file system that `path` is on; None if the system does not report it."""
     try:
         lines = (mounts or MOUNTS).read_text("utf-8", "surrogateescape").splitlines()
     except OSError:
@@ -78,23 +78,23 @@ def file_system(path: Path, *, mounts: Path | None = None) -> str | None:
         columns = before.split(" ")
         if len(columns) > 4 and after:
             point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), columns[4]))
-            if place.is_relative_to(point) and len(point.parts) >= longest:  # of equal ones, the last covers the others
+            if place.is_relative_to(point) and len(point.parts) >= longest:  # if equal, the last covers the others
                 found, longest = after.split(" ")[0], len(point.parts)
     return found
 
 
 def settle(connection: sqlite3.Connection, path: Path) -> None:
-    """Give the ledger at `path` the journal that it should have; `connection` has not read it yet.
+    """Give the ledger at `path` the journal that it should have; `connection` must not have read it yet.
 
     Raises:
-        LedgerError: others read a ledger that must be converted.
+        LedgerError: other programs are reading a ledger that must be converted.
     """
     if journal_for(path) == "wal":
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         return
     connection.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_SECONDS)}")
-    connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # a write-ahead log is read without shared memory then
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # to read a write-ahead log without shared memory
     try:
         connection.execute("PRAGMA journal_mode = DELETE")
     except sqlite3.OperationalError as error:
@@ -103,7 +103,7 @@ def settle(connection: sqlite3.Connection, path: Path) -> None:
         raise
     connection.execute("PRAGMA locking_mode = NORMAL")
     connection.execute("PRAGMA synchronous = EXTRA")
-    connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()  # gives the lock back
+    connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()  # releases the lock
 
 
 def has_rollback_journal(path: Path) -> bool:
@@ -118,6 +118,6 @@ def _is_read(path: Path) -> LedgerError:
     return LedgerError(
         f"ledger {path} cannot be given a rollback journal, which it needs on this disk",
         value="a ledger that another program is reading",
-        expected="no other program at it, for a moment",
-        remedy="Let it end, and run again.",
+        expected="no other program using it for a moment",
+        remedy="Wait until it ends, and run again.",
     )

@@ -1,11 +1,11 @@
 """The ledger: an append-only SQLite file that keeps every run of one model, durably, as it ends.
 
-A run is STARTED before it is handed out and gets an outcome when it ends; STARTED without an outcome means running
-while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each write is
-on the disk when the call returns (full synchronisation; see `journal`). Arrays are stored as raw little-endian
-numbers and each outcome carries a checksum; nothing is pickled. A ledger of an earlier version is read as it is and
-becomes one of the present version, in one transaction that touches none of its rows, when a driver opens it. The file
-must lie on a disk of the driving machine or on a file system with working locks.
+A run is STARTED before it is handed out and gets an outcome when it ends. A run that is STARTED without an outcome is
+running while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each
+write is on the disk when the call returns (full synchronisation; see `journal`). Arrays are stored as raw little-endian
+numbers, and each outcome has a checksum; nothing is pickled. A ledger of an earlier version can be read as it is. When
+a driver opens it, it is upgraded to the present version in one transaction that leaves its rows as they are. The file
+must be on a disk of the driving machine or on a file system with working locks.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ from strandline.runs.tables import INTERRUPTED, translated
 __all__ = ["INTERRUPTED", "Counts", "Ledger"]
 
 COPIED_STATES = frozenset({"ok", "failed", "invalid"})
-"""What the model itself decided; a timeout or a vanished process says something about the other machine only."""
+"""Outcomes that the model decided; a timeout or a vanished process only says something about the other machine."""
 KEYS_PER_QUERY = 500
 RECORDS_PER_READING = 100
 LAST_OUTCOMES = "SELECT max(attempt) FROM outcomes JOIN starts USING (attempt)"
@@ -44,7 +44,7 @@ LAST_OUTCOMES = "SELECT max(attempt) FROM outcomes JOIN starts USING (attempt)"
 class Counts:
     """Distinct runs of a ledger by the outcome of their last start.
 
-    `open` are those started without an outcome: running while a driver holds the ledger, lost otherwise.
+    `open` counts runs started without an outcome: running while a driver holds the ledger, lost otherwise.
     """
 
     ok: int = 0
@@ -75,7 +75,7 @@ class Ledger:
     def open(
         cls, path: Path | str, *, model: ForwardModel | str | None, description: str = "", read_only: bool = False
     ) -> "Ledger":
-        """Return the ledger at `path`, created where there is none yet.
+        """Return the ledger at `path`; create it if it does not exist yet.
 
         Args:
             path: SQLite file; its lock lies next to it, with the suffix ``.lock``.
@@ -84,8 +84,8 @@ class Ledger:
             read_only: Whether to take no lock and write nothing; this works while a driver is writing.
 
         Raises:
-            LedgerError: locked, of another model, of a newer version, damaged, missing (read-only), or in a folder
-                that cannot be written.
+            LedgerError: the ledger is locked, of another model, of a newer version, damaged, missing (read-only), or in
+                a folder that is not writable.
         """
         path = Path(path)
         identity = model if model is None or isinstance(model, str) else fingerprint(model)
@@ -175,10 +175,10 @@ class Ledger:
         return self._start(request, time.time())
 
     def finished(self, record: RunRecord) -> None:
-        """Record the outcome of the last start of the run that has none yet.
+        """Record the outcome of the run's last start that has none yet.
 
         Raises:
-            LedgerError: the run was not started, or already has its outcome; see `Hold.require` too.
+            LedgerError: the run was not started, or already has its outcome; see also `Hold.require`.
         """
         self._writing_session()
         sql = "SELECT max(attempt) FROM starts WHERE key = ? AND attempt NOT IN (SELECT attempt FROM outcomes)"
@@ -193,7 +193,7 @@ class Ledger:
         self._finish(number, record)
 
     def latest(self, keys: Iterable[str]) -> dict[str, RunRecord]:
-        """Return the last outcome of each of the runs `keys` that has one; of an excluded run, that it is excluded.
+        """Return the last outcome of each run in `keys` that has one; an excluded run counts as excluded instead.
 
         Raises:
             LedgerError: a stored outcome does not match its checksum.
@@ -209,21 +209,21 @@ class Ledger:
         return {key: excluded(one, left_out[key].why) if key in left_out else one for key, one in found.items()}
 
     def __iter__(self) -> Iterator[RunRecord]:
-        """Yield the last outcome of every run, in the order in which they were started; of an excluded run, that."""
+        """Yield the last outcome of every run, in starting order; an excluded run counts as excluded instead."""
         left_out = self.exclusions()
         for record in self._records(f"{LAST_OUTCOMES} GROUP BY key"):
             yield excluded(record, left_out[record.key].why) if record.key in left_out else record
 
     def exclusions(self) -> Mapping[str, Exclusion]:
-        """Return the runs that are excluded by hand, by key."""
+        """Return the runs excluded by hand, by key."""
         with translated(self.path):
             return read_exclusions(self._connection)
 
     def exclude(self, key: str, why: str) -> None:
-        """Stop using this run, and do not make it again; its outcome stays as it is.
+        """Stop using this run, and do not make it again; its outcome is kept.
 
         Raises:
-            LedgerError: no reason, no outcome, or excluded already.
+            LedgerError: no reason is given, or the run has no outcome or is excluded already.
         """
         self._decide(key, why, exclude=True)
 
@@ -231,7 +231,7 @@ class Ledger:
         """Use an excluded run again.
 
         Raises:
-            LedgerError: it is not excluded.
+            LedgerError: the run is not excluded.
         """
         self._decide(key, why or "included again", exclude=False)
 
@@ -253,7 +253,7 @@ class Ledger:
         return int(self._rows(sql, (key, INTERRUPTED))[0][0])
 
     def open_runs(self, keys: Iterable[str]) -> frozenset[str]:
-        """Return those of the runs `keys` whose last start has no outcome."""
+        """Return the runs in `keys` whose last start has no outcome."""
         sql = """SELECT key FROM starts LEFT JOIN outcomes USING (attempt)
             WHERE state IS NULL AND attempt IN (SELECT max(attempt) FROM starts GROUP BY key)"""
         return frozenset(keys) & {row[0] for row in self._rows(sql)}
@@ -265,13 +265,13 @@ class Ledger:
         return Counts(**dict(self._rows(sql)))
 
     def copy_from(self, other: Path | str, keys: Iterable[str], *, sensitivities: bool = False) -> int:
-        """Copy from another ledger of the same model those of the runs `keys` that are missing here.
+        """Copy the runs in `keys` that are missing here from another ledger of the same model.
 
-        Copied is what the model itself decided (ok, failed, invalid), with the place it came from as `origin`. Where
-        `sensitivities` are asked for, a successful run without them counts as missing, here and there.
+        Only outcomes that the model decided (ok, failed, invalid) are copied; `origin` says where they came from. If
+        `sensitivities` are requested, a successful run without them counts as missing in both ledgers.
 
         Returns:
-            How many runs were copied.
+            The number of runs copied.
 
         Raises:
             LedgerError: the other ledger is missing, unreadable, or of another model.
@@ -290,9 +290,9 @@ class Ledger:
         return len(taken)
 
     def plan(self, plan: Plan) -> None:
-        """Note which runs a study asks for; nothing is written where that is known already.
+        """Record which runs a study asks for; write nothing if that is known already.
 
-        Rounds of refinement that follow from runs not made yet are added by a later call.
+        Rounds of refinement that depend on runs not made yet are added by a later call.
         """
         session = self._writing_session()
         with translated(self.path):
@@ -338,7 +338,7 @@ class Ledger:
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[None]:
-        """Make all writes inside one: all of them last, or none."""
+        """Combine all writes inside into one transaction: either all of them last, or none."""
         with translated(self.path):
             self._connection.execute("BEGIN IMMEDIATE")
         try:
@@ -354,7 +354,7 @@ class Ledger:
         columns = f"key, inputs, {rows.OUTCOME_COLUMNS}"
         sql = f"SELECT {columns} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
         for first in range(0, len(numbers), RECORDS_PER_READING):
-            with self._reading():  # it ends before the caller goes on: a driver cannot write meanwhile
+            with self._reading():  # ends before the caller goes on: a driver cannot write meanwhile
                 extended = tables.has_table(self._connection, "arrays")
                 records = [
                     rows.record_of(self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else [])
@@ -364,7 +364,7 @@ class Ledger:
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
-        """Take the lock of a reader once for all that is read inside."""
+        """Take a reader's lock once for everything that is read inside."""
         with translated(self.path):
             alone = not self._connection.in_transaction
             if alone:

@@ -1,6 +1,6 @@
-"""What a ledger says about its runs without reading their interfaces: standard library alone, and quick.
+"""A quick overview of the runs in a ledger that does not read their interfaces; standard library only.
 
-It can read while a driver is at work, and takes no lock. Checksums are not compared: to get the interfaces, open the
+It works while a driver is at work, and takes no lock. Checksums are not compared: to get the interfaces, open the
 ledger with `Ledger.open`.
 """
 
@@ -27,7 +27,7 @@ STATES = ("ok", "failed", "timeout", "killed", "invalid", OPEN)
 
 @dataclass(frozen=True)
 class Attempt:
-    """One start of a run and how it ended; `seconds` and `finished_at` are None where it has not.
+    """One start of a run and how it ended; `seconds` and `finished_at` are None if it has not ended.
 
     Args:
         number: Number of this start among all starts of the ledger.
@@ -35,7 +35,7 @@ class Attempt:
         inputs: Inputs by name, as JSON.
         started_at: Seconds since 1970.
         state: One of `STATES`.
-        kind: Short reason where it did not end ``ok``.
+        kind: Short reason if it did not end ``ok``.
         seconds: Wall-clock time of the run.
         origin: The ledger that it was copied from.
         finished_at: Seconds since 1970.
@@ -56,7 +56,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Run:
-    """A run with all its starts, in their order, and why it is excluded, if somebody has done that by hand."""
+    """A run with all its starts, in order, and the exclusion if somebody has excluded it by hand."""
 
     key: str
     attempts: tuple[Attempt, ...]
@@ -64,7 +64,7 @@ class Run:
 
     @property
     def last(self) -> Attempt:
-        """Its last start."""
+        """The last start."""
         return self.attempts[-1]
 
     @property
@@ -74,12 +74,12 @@ class Run:
 
     @property
     def inputs(self) -> Mapping[str, float]:
-        """Its inputs by name."""
+        """Inputs by name."""
         inputs: dict[str, float] = json.loads(self.last.inputs)
         return inputs
 
     def settled(self, *, sensitivities: bool) -> bool:
-        """Return whether it will not be tried again, given whether `sensitivities` are wanted."""
+        """Return whether the run will not be tried again, given whether `sensitivities` are requested."""
         ended = self.outcome
         if ended is None:
             return False
@@ -89,7 +89,7 @@ class Run:
         return (ended.state != "killed" and not lacking) or self._tries() >= ATTEMPTS
 
     def _tries(self) -> int:
-        """Return how often it was tried since it last ended for good; what its driver interrupted is no try."""
+        """Return how often it was tried since it last ended for good, without tries that the driver interrupted."""
         ends = [attempt.number for attempt in self.attempts if attempt.state not in ("killed", OPEN)]
         since = max(ends, default=0)
         return sum(attempt.number > since and attempt.kind != INTERRUPTED for attempt in self.attempts)
@@ -106,7 +106,7 @@ class Details:
 
 @dataclass(frozen=True)
 class Driver:
-    """Who opened the ledger last to make runs; `at_work` is None where that cannot be found out from here."""
+    """The process that last opened the ledger to make runs; `at_work` is None if it cannot be found out from here."""
 
     session: int
     pid: int
@@ -116,13 +116,13 @@ class Driver:
 
 
 class Overview:
-    """A ledger, opened for a look at its runs; a context manager."""
+    """A ledger opened to look at its runs; a context manager."""
 
     def __init__(self, path: Path, *, model: str | None = None) -> None:
-        """Open the ledger at `path`, of `model` where one is given.
+        """Open the ledger at `path`; it must be of `model` if one is given.
 
         Raises:
-            LedgerError: missing, damaged, of a newer version, or of another model.
+            LedgerError: the ledger is missing, damaged, of a newer version, or of another model.
         """
         self.path = path
         self._connection = tables.opened_for_reading(path)
@@ -148,7 +148,7 @@ class Overview:
         self.close()
 
     def plan(self, study_sha256: str) -> Plan | None:
-        """Return what the study with this digest asks for; None where no driver has noted it."""
+        """Return what the study with this digest asks for; None if no driver has recorded it."""
         with translated(self.path):
             return read_plan(self._connection, study_sha256)
 
@@ -169,7 +169,7 @@ class Overview:
         return sorted(runs, key=lambda run: run.last.number)
 
     def details(self, numbers: Iterable[int]) -> dict[int, Details]:
-        """Return message, log and figures of these starts, as far as they have ended."""
+        """Return message, log and diagnostics of those starts that have ended."""
         sql = "SELECT message, log, diagnostics FROM outcomes WHERE attempt = ?"
         found = {}
         with translated(self.path):
@@ -179,7 +179,7 @@ class Overview:
         return found
 
     def driver(self) -> Driver | None:
-        """Return who opened the ledger last to make runs; None where nobody has."""
+        """Return the process that last opened the ledger to make runs; None if there was none."""
         sql = "SELECT session, pid, host, opened_at FROM sessions ORDER BY session DESC LIMIT 1"
         with translated(self.path):
             row = self._connection.execute(sql).fetchone()
@@ -190,7 +190,7 @@ class Overview:
 
     def _attempts(self) -> Iterator[tuple[str, Attempt]]:
         with_plans = tables.has_table(self._connection, "plans")
-        hint = "INDEXED BY outcomes_told" if with_plans else ""  # or each row is read past its interface
+        hint = "INDEXED BY outcomes_told" if with_plans else ""  # otherwise each row is read past its interface
         sql = f"""SELECT key, attempt, session, inputs, started_at, state, kind, seconds, origin, finished_at
             FROM starts LEFT JOIN outcomes {hint} USING (attempt) ORDER BY attempt"""
         slopes = self._with_sensitivities()
@@ -211,8 +211,8 @@ class Overview:
 def is_at_work(pid: int, host: str, lock: Path) -> bool | None:
     """Return whether the process `pid` on `host` holds the file `lock`, without touching it; None from another host.
 
-    The lock is held as long as the file is open. Where the system does not say who has it open, a process that is alive
-    counts.
+    The lock is held as long as the file is open. If the system does not report who has it open, a process that is alive
+    counts as holding it.
     """
     if host != socket.gethostname() or os.name != "posix":
         return None

@@ -1,4 +1,4 @@
-"""What a study asks of its ledger, as its driver noted it there: enough to see its progress without loading it."""
+"""Runs that a study asks for, as its driver recorded them in the ledger, to show progress without loading the study."""
 
 import json
 import sqlite3
@@ -21,7 +21,7 @@ class Plan:
         model: Fingerprint of its model.
         inputs: Names of the unknown inputs.
         sensitivities: Whether the runs are to yield sensitivities.
-        planned: Number of runs of the design and of all rounds of refinement, those to come included.
+        planned: Number of runs of the design and of all rounds of refinement, including those to come.
         parts: Keys of the runs of the design, then of each round of refinement that has begun.
     """
 
@@ -40,9 +40,9 @@ class Plan:
 
 
 def read_plan(connection: sqlite3.Connection, study_sha256: str) -> Plan | None:
-    """Return the plan of the study with this digest; None where no driver has noted one.
+    """Return the plan of the study with this digest; None if no driver has recorded one.
 
-    Each row holds one part and replaces that part and those after it.
+    Each row holds one part and replaces that part and all later ones.
     """
     if not has_table(connection, "plans"):
         return None
@@ -55,7 +55,7 @@ def read_plan(connection: sqlite3.Connection, study_sha256: str) -> Plan | None:
 
 
 def rows_to_write(plan: Plan, known: Plan | None) -> list[tuple[object, ...]]:
-    """Return the rows, values of `COLUMNS`, that make `plan` of the `known` one; none where it is part of that."""
+    """Return the rows, values of `COLUMNS`, that turn the `known` plan into `plan`; none if it is part of `known`."""
     first = 0
     if known is not None and _facts(known) == _facts(plan):
         first = _equal_parts(plan, known)
@@ -66,7 +66,7 @@ def rows_to_write(plan: Plan, known: Plan | None) -> list[tuple[object, ...]]:
 
 
 def _equal_parts(plan: Plan, known: Plan) -> int:
-    """Return how many parts the two have in common, from the first on."""
+    """Return how many parts, from the first on, both plans have in common."""
     for number, (one, other) in enumerate(zip(plan.parts, known.parts, strict=False)):
         if one != other:
             return number

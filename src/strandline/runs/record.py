@@ -1,4 +1,4 @@
-"""One forward run: its request, its outcome, and the one place where a simulator is called."""
+"""One forward run: its request, its outcome, and the only place where a simulator is called."""
 
 import contextlib
 import errno
@@ -35,9 +35,9 @@ __all__ = [
 
 State = Literal["ok", "failed", "timeout", "killed", "invalid", "excluded"]
 STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
-"""How a run ends: with an interface | failed by itself | out of time | its process vanished | with no interface.
+"""How a run ends: with an interface | failed by itself | out of time | its process vanished | with an unusable result.
 
-In addition a ledger gives ``excluded``, whatever the end, for a run that somebody has excluded by hand.
+In addition, a ledger reports ``excluded`` for a run excluded by hand, however it ended.
 """
 
 MESSAGE_CHARACTERS = 4000
@@ -55,7 +55,7 @@ class RunRequest:
 
 
 NOT_NOW = RunRequest("", {})
-"""Stands where a request would: there is nothing to start now, but there may be later; see `Executor`."""
+"""Stands in for a request: there is nothing to start now, but there may be later; see `Executor`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +66,15 @@ class RunRecord:
         key: Content address of the run, see `run_key`.
         inputs: Inputs by name.
         state: One of `STATES`, or ``excluded``.
-        interfaces: The predicted interfaces by condition where `state` is ``ok``, else empty.
-        diagnostics: Figures about the run; the evidence of the failure where it failed.
+        interfaces: The predicted interfaces by condition if `state` is ``ok``, else empty.
+        diagnostics: Numbers about the run; if it failed, the evidence of the failure.
         seconds: Wall-clock time of the run.
-        failure_kind: Short machine-readable reason where the run did not end ``ok``.
+        failure_kind: Short machine-readable reason if the run did not end ``ok``.
         message: The reason in words, with the last lines of the log.
-        log: Tail of what the run wrote to its standard output and error, kept where it did not end ``ok``.
+        log: End of the run's standard output and error, kept if the run did not end ``ok``.
         origin: The ledger it was copied from; None for a run made here.
         sensitivities: Derivatives d(points)/d(input) by condition and input, mm per unit of the input; empty if not
-            asked for.
+            requested.
     """
 
     key: str
@@ -91,7 +91,7 @@ class RunRecord:
 
     @property
     def interface(self) -> Interface | None:
-        """The only interface, or that of the first condition; None where the run did not end ``ok``."""
+        """The only interface, or that of the first condition; None if the run did not end ``ok``."""
         return next(iter(self.interfaces.values()), None)
 
     @property
@@ -101,16 +101,16 @@ class RunRecord:
 
     @property
     def final(self) -> bool:
-        """Whether a repetition would be pointless; only a run whose process vanished deserves another try."""
+        """Whether repeating the run would be pointless; only a run whose process vanished deserves another try."""
         return self.state != "killed"
 
     def settles(self, *, sensitivities: bool) -> bool:
-        """Return whether the run need not be made again, where `sensitivities` are (or are not) asked for."""
+        """Return whether the run need not be made again, given whether `sensitivities` are requested."""
         return self.final and (not sensitivities or not self.ok or bool(self.sensitivities))
 
 
 def excluded(record: RunRecord, why: str) -> RunRecord:
-    """Return the record that stands for a run excluded by hand: the run is not used, and not made again."""
+    """Return the record of a run excluded by hand: the run is not used, and not made again."""
     return RunRecord(record.key, record.inputs, EXCLUDED, failure_kind=EXCLUDED, message=f"excluded by hand: {why}")
 
 
@@ -127,7 +127,7 @@ def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:
 def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecord:
     """Call `model` in the empty folder `workdir` and return its outcome; exceptions of the model become records.
 
-    Only `KeyboardInterrupt`, which is the driver's own, is passed on.
+    Only `KeyboardInterrupt`, which is meant for the driver, is passed on.
     """
     begin, log = time.perf_counter(), ""
     try:
@@ -150,7 +150,7 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
 
 
 def with_log(record: RunRecord, log: str) -> RunRecord:
-    """Return `record` with the tail of its log; the last lines also end its message. Unchanged where it is ok."""
+    """Return `record` with the end of its log, whose last lines also end its message; unchanged if it is ok."""
     log = _clean(log).strip()
     if record.ok or not log:
         return record
@@ -159,7 +159,7 @@ def with_log(record: RunRecord, log: str) -> RunRecord:
 
 
 def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecord:
-    """Let a model that keeps folders keep that of the run; where it does, the message says where."""
+    """Let a model that keeps folders keep the one of this run; if it does, the message says where."""
     if not isinstance(model, KeepsFolders):
         return record
     try:
@@ -172,14 +172,14 @@ def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecor
 
 
 def told_folder(record: RunRecord) -> str:
-    """Return the line of the message that says where the folder of the run is kept; empty where it is not."""
+    """Return the line of the message that says where the folder of the run is kept; empty if it is not kept."""
     reason, _, _ = (record.message or "").partition(f"\n{LOG_TITLE}\n")
     return next((line for line in reason.splitlines() if line.startswith(FOLDER_TITLE)), "")
 
 
 @contextlib.contextmanager
 def _working_directory_kept() -> Iterator[None]:
-    """Return to the present working directory afterwards: the model may have changed it."""
+    """Restore the present working directory afterwards: the model may change it."""
     try:
         home = Path.cwd()
     except FileNotFoundError:
@@ -191,7 +191,7 @@ def _working_directory_kept() -> Iterator[None]:
 
 
 def _accepted(request: RunRequest, result: object, model: ForwardModel) -> RunRecord:
-    """Return the record of a `model` that returned `result`."""
+    """Return the record of a run of `model` that returned `result`."""
     asked = asks_sensitivities(model)
     good = checked(result, conditions=declared_conditions(model), inputs=request.inputs, sensitivities=asked)
     return RunRecord(
@@ -213,12 +213,12 @@ def _ended(
 
 
 def _is_want_of_memory(error: BaseException) -> bool:
-    """Return whether the machine, not the simulator, is the cause: at the next attempt it may be less busy."""
+    """Return whether the machine, not the simulator, is the cause: it may be less busy at the next attempt."""
     return isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
 
 
 def _figures(given: Mapping[str, object]) -> dict[str, float]:
-    """Return the entries that are numbers: a text among the diagnostics must not cost the run its interface."""
+    """Return the entries that are numbers, since a text in the diagnostics must not cost the run its interface."""
     numbers = {}
     for name, value in given.items():
         with contextlib.suppress(TypeError, ValueError):
@@ -250,6 +250,6 @@ def _clean(text: str) -> str:
 
 
 def _short(text: str) -> str:
-    """Return `text`, its middle left out where it is too long: reason and last lines stay."""
+    """Return `text` without its middle if it is too long: the reason and the last lines stay."""
     half = MESSAGE_CHARACTERS // 2
     return text if len(text) <= MESSAGE_CHARACTERS else f"{text[:half]}\n[…]\n{text[-half:]}"

@@ -1,4 +1,4 @@
-"""What a model returned, looked at closely: nothing is kept that is not what the model promises."""
+"""Checks of what a model returned: only what the model promises is kept."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -12,7 +12,7 @@ __all__ = ["InvalidResult", "checked"]
 
 
 class InvalidResult(Exception):
-    """What a model returned cannot be kept; `kind` becomes the failure kind of the run, the message its own."""
+    """What a model returned cannot be kept; `kind` and message become the failure kind and message of the run."""
 
     def __init__(self, kind: str, message: str) -> None:
         self.kind = kind
@@ -20,17 +20,17 @@ class InvalidResult(Exception):
 
 
 def checked(result: object, *, conditions: Collection[str], inputs: Collection[str], sensitivities: bool) -> Simulation:
-    """Return a copy of `result` that shares no memory with the model.
+    """Check `result` and return a copy that shares no memory with the model.
 
     Args:
         result: what the model returned.
-        conditions: those that the model declares.
+        conditions: conditions that the model declares.
         inputs: names of the run's inputs.
-        sensitivities: whether they were asked for.
+        sensitivities: whether sensitivities were requested.
 
     Raises:
-        InvalidResult: no interface, another set of conditions, a number that is not finite, or sensitivities that are
-            missing or do not belong to the interfaces.
+        InvalidResult: there is no interface, the conditions differ from those declared, a number is not finite, or
+            sensitivities are missing or do not belong to the interfaces.
     """
     simulation = Simulation.of(result) if isinstance(result, Interface) else result
     if not isinstance(simulation, Simulation) or not _holds_interfaces(simulation.interfaces):
@@ -66,8 +66,8 @@ def _require_conditions(given: Mapping[str, Interface], declared: Collection[str
     if set(given) != set(declared):
         raise InvalidResult(
             "conditions",
-            f"the model returned interfaces of {_listed(given)}; expected {_listed(declared)}. Let its attribute "
-            "`conditions`, a tuple, name those that it returns.",
+            f"the model returned interfaces of {_listed(given)}; expected {_listed(declared)}. Its attribute "
+            "`conditions`, a tuple, must name those that it returns.",
         )
 
 
@@ -99,7 +99,7 @@ def _derivative(condition: str, name: str, value: Any, interfaces: Mapping[str, 
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError):
-        raise _unfit(f"d/d{name}{_of(condition)} is no array of numbers") from None
+        raise _unfit(f"d/d{name}{_of(condition)} is not an array of numbers") from None
     if array.shape != expected:
         raise _unfit(f"d/d{name}{_of(condition)} has the shape {array.shape}; expected {expected}, that of the points")
     if not np.isfinite(array).all():

@@ -25,7 +25,7 @@ ARRAY_MARKS = ",".join("?" * (ARRAY_COLUMNS.count(",") + 2))
 
 
 def inputs_text(inputs: Mapping[str, float]) -> str:
-    """Return inputs as JSON; every float survives the way there and back."""
+    """Return inputs as JSON; every float survives the round trip."""
     return json.dumps({name: float(value) for name, value in inputs.items()})
 
 
@@ -70,7 +70,7 @@ def record_of(path: Path, row: tuple[Any, ...], arrays: Sequence[tuple[Any, ...]
 
 
 def _arrays(record: RunRecord) -> Iterator[tuple[str, str, str, str, bytes]]:
-    """Yield the rows of all that the columns of an outcome do not hold: named conditions, sensitivities."""
+    """Yield rows for what the columns of an outcome do not hold: named conditions, sensitivities."""
     if set(record.interfaces) != {""}:
         for condition, interface in record.interfaces.items():
             yield "points", condition, "", *_row(interface.points.astype("<f8"))
@@ -111,7 +111,7 @@ def _unpacked(data: bytes, shape: str, kind: str) -> Shaped[np.ndarray, "..."]:
 
 
 def _checksum(key: str, inputs: str, values: tuple[Any, ...], arrays: Sequence[tuple[Any, ...]]) -> str:
-    """Return sha256 over everything the rows say, each value with its length so that none can flow into the next."""
+    """Return the sha256 of all values in the rows, each after its length so that none can run into the next."""
     digest = hashlib.sha256()
     for value in (key, inputs, *values, *(value for row in arrays for value in row)):
         part = value if isinstance(value, bytes) else repr(value).encode()

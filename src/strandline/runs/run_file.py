@@ -1,7 +1,7 @@
-"""One record in a file of its own: written on one machine, read on another, whole or not at all.
+"""One record in its own file, written on one machine and read on another, completely or not at all.
 
-A line with the version and the sha256 of what follows, then an NPZ archive: the arrays, and the rest as JSON. Nothing
-is pickled.
+The file holds a line with the version and the sha256 of what follows, then an NPZ archive with the arrays, and the rest
+as JSON. Nothing is pickled.
 """
 
 import hashlib
@@ -45,11 +45,11 @@ def read_run(path: Path) -> RunRecord:
     """Return the record in `path`.
 
     Raises:
-        InvalidInput: its content is not what was written.
+        InvalidInput: the content is not what was written.
     """
     header, _, content = path.read_bytes().partition(b"\n")
     if header != HEADER + hashlib.sha256(content).hexdigest().encode():
-        raise _damaged(path, "a checksum that does not fit")
+        raise _damaged(path, "a checksum that does not match")
     try:
         return _read(content)
     except (ValueError, KeyError, TypeError, BadZipFile, StrandlineError) as error:
@@ -57,7 +57,7 @@ def read_run(path: Path) -> RunRecord:
 
 
 def put_durably(path: Path, content: bytes) -> None:
-    """Write a file that is there whole or not at all, and on the disk when this returns."""
+    """Write a file completely or not at all; it is on the disk when this returns."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     with partial.open("wb") as stream:
         stream.write(content)
@@ -86,5 +86,5 @@ def _read(content: bytes) -> RunRecord:
 
 def _damaged(path: Path, how: str) -> InvalidInput:
     return InvalidInput(
-        f"the result of a run in {path}", value=how, expected="what was written", remedy="It is made again."
+        f"the result of a run in {path}", value=how, expected="what was written", remedy="The run is made again."
     )

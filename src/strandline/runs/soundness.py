@@ -1,4 +1,4 @@
-"""Whether a ledger is sound: SQLite's own check, and the checksum of every outcome, the earlier ones included."""
+"""Checks whether a ledger is sound: SQLite's own check, and the checksum of every outcome, including earlier ones."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -14,18 +14,18 @@ from strandline.runs.tables import translated
 __all__ = ["outcome_digest", "unsound"]
 
 MOST = 5
-"""Damaged runs that are named."""
+"""Maximum number of damaged runs to name."""
 
 
 def unsound(path: Path) -> Iterator[str]:
-    """Yield what is wrong with the ledger at `path`, in a sentence each; nothing where it is sound."""
+    """Yield a sentence for each thing wrong with the ledger at `path`; nothing if it is sound."""
     try:
         with closing(tables.opened_for_reading(path)) as connection, translated(path):
             tables.require_version(path, connection)
             checked = connection.execute(f"PRAGMA integrity_check({MOST})")
             yield from (f"SQLite says: {found}" for (found,) in checked if found != "ok")
             for table, *_ in connection.execute("PRAGMA foreign_key_check"):
-                yield f"a row of {table} refers to one that is not there"
+                yield f"a row of {table} refers to a row that does not exist"
                 break
             yield from _damaged_outcomes(path, connection)
     except LedgerError as error:

@@ -1,4 +1,4 @@
-"""The ledger's file: its tables and versions, how it is made, opened and brought up to date; standard library alone."""
+"""The ledger's file: its tables and versions, and how it is created, opened and upgraded; standard library only."""
 
 import contextlib
 import os
@@ -36,13 +36,13 @@ VERSION = 4
 """1: one unnamed interface per outcome. 2: a table of further arrays: named conditions, sensitivities. 3: plans.
 4: runs excluded by hand."""
 EXCLUDED: Final = "excluded"
-"""State of a run that somebody has excluded by hand, whatever its outcome."""
+"""State of a run excluded by hand, whatever its outcome."""
 INTERRUPTED = "interrupted"
-"""Failure kind of a run that its own driver stopped, by Ctrl-C or for another run's end: it is no attempt."""
+"""Failure kind of a run that its driver stopped, after Ctrl-C or because of another run; it is not an attempt."""
 LOG_TITLE = "last lines of its log:"
-"""Line of a message that is followed by the end of the run's log."""
+"""Line of a message that introduces the end of the run's log."""
 ATTEMPTS = 3
-"""Starts after which a campaign gives up a run whose process vanishes each time."""
+"""Starts after which a campaign gives up on a run whose process vanishes each time."""
 APPEND_ONLY = ("sessions", "starts", "outcomes")
 TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -101,7 +101,7 @@ CREATE TABLE plans (
 CREATE INDEX plans_by_study ON plans (study_sha256);
 CREATE INDEX outcomes_told ON outcomes (attempt, state, kind, seconds, origin, finished_at);
 """
-"""What version 3 adds: which runs a study asks for, and how runs ended without a look past their interfaces."""
+"""What version 3 adds: which runs a study asks for, and an index to see how runs ended without reading interfaces."""
 EXCLUSIONS = """
 CREATE TABLE exclusions (
     exclusion INTEGER PRIMARY KEY,
@@ -114,11 +114,11 @@ CREATE TABLE exclusions (
 """
 """What version 4 adds: the last row of a key says whether that run is excluded by hand."""
 ADDED = {"arrays": ARRAYS, "plans": PLANS, "exclusions": EXCLUSIONS}
-"""The tables that came after version 1, in order, with what makes them."""
+"""Tables added after version 1, in order, with the statements that create them."""
 
 
 def create(path: Path, *, model: str, description: str) -> None:
-    """Write an empty ledger at `path`: it appears there complete or not at all."""
+    """Create an empty ledger at `path`, completely or not at all."""
     draft = path.with_name(path.name + ".new")
     try:
         for stale in (draft, *(draft.with_name(draft.name + end) for end in ("-journal", "-wal", "-shm"))):
@@ -148,10 +148,10 @@ def connect(path: Path) -> sqlite3.Connection:
 def connect_read_only(path: Path) -> sqlite3.Connection:
     """Return a connection that cannot write.
 
-    If the write-ahead log of a ledger that uses one is missing, nobody is writing the ledger, and it is read as it is:
-    SQLite would otherwise make a log's index that a reader cannot remove, or fail in a folder that cannot be written.
-    With a rollback journal, readers and the driver wait for each other. Where a driver was killed while it wrote, the
-    reader undoes what that had begun, as SQLite prescribes; this takes the right to write.
+    If a ledger uses a write-ahead log and the log is missing, nobody is writing to the ledger, and it is read as it is:
+    SQLite would otherwise create an index of the log that a reader cannot remove, or fail in a folder that is not
+    writable. With a rollback journal, readers and the driver wait for each other. If a driver was killed while writing,
+    the reader rolls back the unfinished write, as SQLite prescribes; this needs write permission.
     """
     may_be_written = path.with_name(path.name + "-wal").exists() or journal.has_rollback_journal(path)
     try:
@@ -202,9 +202,9 @@ def last_driver(path: Path) -> str:
 
 
 def require_sound(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a damaged file: SQLite skips rows that it cannot find any more, without a warning.
+    """Refuse a damaged file: SQLite silently skips rows that it can no longer find.
 
-    Each run's contents have a checksum of their own, but a run that is not found has none.
+    Each run's contents have a checksum, but that does not help if the run is not found.
     """
     (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if found != "ok":
@@ -212,7 +212,7 @@ def require_sound(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def require_version(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a file of a newer version, or one that is no ledger."""
+    """Refuse a file of a newer version, or one that is not a ledger."""
     found = fact(path, connection, "schema_version")
     version = int(found) if found.isascii() and found.isdigit() and len(found) < 10 else None
     if version is None or version > VERSION:
@@ -251,10 +251,10 @@ def has_table(connection: sqlite3.Connection, name: str) -> bool:
 
 
 def upgrade(path: Path, connection: sqlite3.Connection) -> Path | None:
-    """Make a ledger of an earlier version one of this, in one transaction; no row that it holds is touched.
+    """Upgrade a ledger of an earlier version to this one, in one transaction, without changing any run.
 
     Returns:
-        The backup made before; None where there was nothing to upgrade.
+        The backup made beforehand; None if there was nothing to upgrade.
     """
     missing = [table for table in ADDED if not has_table(connection, table)]
     if not missing:
@@ -278,20 +278,20 @@ def translated(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.OperationalError, OSError) as error:
-        if "decode" in str(error):  # a text that is none any more
+        if "decode" in str(error):  # a text that is no longer valid
             raise _damaged(path, str(error)) from error
         raise LedgerError(
             f"ledger {path} cannot be read or written",
             value=str(error),
             expected="a readable file in a folder that can be written, with room on the disk",
-            remedy="Correct permissions or disk space and run again: finished runs stay.",
+            remedy="Correct permissions or disk space and run again: finished runs are kept.",
         ) from error
     except sqlite3.IntegrityError as error:
         raise LedgerError(
             f"ledger {path} does not take this row",
             value=str(error),
             expected="rows that are added once and never changed, by one driver at a time",
-            remedy="See that no other program writes to it, and run again: finished runs stay.",
+            remedy="Make sure that no other program writes to it, and run again: finished runs are kept.",
         ) from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise _damaged(path, str(error)) from error
@@ -299,7 +299,7 @@ def translated(path: Path) -> Iterator[None]:
 
 def _damaged(path: Path, how: str) -> LedgerError:
     return LedgerError(
-        f"ledger {path} is damaged or no ledger",
+        f"ledger {path} is damaged or not a ledger",
         value=how,
         expected="a SQLite file written by strandline",
         remedy="Restore it from a backup, or move it away and run again.",
@@ -307,12 +307,12 @@ def _damaged(path: Path, how: str) -> LedgerError:
 
 
 def _added(tables: Sequence[str]) -> str:
-    """Return the statements that make these tables and guard their rows."""
+    """Return the statements that create these tables and guard their rows."""
     return "".join(ADDED[table] + _guards([table]) for table in tables)
 
 
 def _guards(tables: Sequence[str]) -> str:
-    """Return the triggers that keep rows of these tables as they are."""
+    """Return the triggers that prevent changes to the rows of these tables."""
     return "".join(
         f"CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table} "
         f"BEGIN SELECT RAISE(ABORT, 'the ledger is append-only'); END;\n"
@@ -329,7 +329,7 @@ def _fill(connection: sqlite3.Connection, model: str, description: str) -> None:
 
 
 def _synchronise(folder: Path) -> None:
-    """Put the folder's own entries on the disk, where the platform can."""
+    """Put the folder's own entries on the disk, if the platform can."""
     if os.name == "posix":
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""What a worker process does: load the model once, then answer one request after the other until its pipe closes."""
+"""What a worker process does: load the model once, then answer one request after another until its pipe closes."""
 
 import contextlib
 import ctypes
@@ -22,7 +22,7 @@ _loading = threading.Event()
 
 
 def loads_main_module() -> bool:
-    """Return whether this process is a worker that is running the user's script in search of the model."""
+    """Return whether this process is a worker that is running the user's script to find the model."""
     return _loading.is_set()
 
 
@@ -53,7 +53,7 @@ def _serve(connection: Connection, model: ForwardModel) -> None:
 
 
 def _load(setup: Path) -> ForwardModel:
-    """Return the model; where it is defined in the driver's script, run that script as ``__mp_main__`` first."""
+    """Return the model; if it is defined in the driver's script, run that script as ``__mp_main__`` first."""
     preparation, model = pickle.loads(setup.read_bytes())
     if preparation is not None:
         _loading.set()
@@ -64,11 +64,11 @@ def _load(setup: Path) -> ForwardModel:
 
 
 def _die_with_driver() -> None:
-    """Have this process and its children killed when the driver is gone.
+    """Arrange for this process and its children to be killed when the driver is gone.
 
-    The driver holds the other end of the standard input and never writes to it, so all that can happen there is its
-    closing. On Linux the kernel then kills the process group, whatever the simulator is doing; elsewhere a thread does
-    so when it next gets to run.
+    The driver holds the other end of the standard input and never writes to it, so the only thing that can happen there
+    is that it closes. On Linux the kernel then kills the process group, whatever the simulator is doing; elsewhere a
+    thread does so when it next gets to run.
     """
     lifeline = os.dup(0)
     empty = os.open(os.devnull, os.O_RDONLY)
@@ -90,13 +90,13 @@ def _kill_after(lifeline: int) -> None:
 
 
 def _empty_log() -> None:
-    """Let the log begin with this run: it is opened for appending, so it may be cut from outside or here."""
+    """Empty the log before this run; it is opened for appending, so it can be truncated here or from outside."""
     with contextlib.suppress(OSError):
         os.ftruncate(1, 0)
 
 
 def _flush() -> None:
-    """Write out what Python and C still hold back, so that it lands in the log of its own run."""
+    """Flush the buffers of Python and C, so that the output lands in the log of its own run."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):
             stream.flush()

@@ -26,7 +26,7 @@ LOG_TAIL_BYTES = 8192
 
 @dataclass(eq=False)
 class Worker:
-    """A worker process; `request` is the run that it is making."""
+    """A worker process; `request` is the run that it is making now."""
 
     process: subprocess.Popen[bytes]
     connection: Connection
@@ -39,7 +39,7 @@ class Worker:
 
     @classmethod
     def launch(cls, folder: Path, number: int, setup: Path) -> "Worker":
-        """Return a worker that is starting: a fresh interpreter in a session and process group of its own."""
+        """Start and return a worker: a fresh interpreter in its own session and process group."""
         ours, theirs = Pipe()
         log = folder / f"worker-{number}.log"
         with theirs, log.open("ab") as output, interrupts_held_back():
@@ -56,7 +56,7 @@ class Worker:
 
     @property
     def busy(self) -> bool:
-        """Whether it is making a run."""
+        """Whether the worker is making a run."""
         return self.request is not None
 
     def send(self, request: RunRequest, workdir: Path, timeout: float | None) -> None:
@@ -66,11 +66,11 @@ class Worker:
         self.connection.send((request, str(workdir)))
 
     def receive(self) -> RunRecord | None:
-        """Return the record that it sent; None where it only said that it is ready.
+        """Return the record that the worker sent; None if it only said that it is ready.
 
         Raises:
-            InvalidInput: it cannot load the model.
-            EOFError: it is gone.
+            InvalidInput: the worker cannot load the model.
+            EOFError: the worker is gone.
         """
         if self.ready:
             record: RunRecord = self.connection.recv()
@@ -83,7 +83,7 @@ class Worker:
         return None
 
     def overdue(self) -> bool:
-        """Return whether its run has used up its time."""
+        """Return whether the run has used up its time."""
         return self.deadline is not None and time.monotonic() >= self.deadline
 
     def gone(self) -> bool:
@@ -91,15 +91,15 @@ class Worker:
         return self.process.poll() is not None
 
     def out_of_time(self, timeout: float) -> RunRecord | None:
-        """Kill it and return the record of its run, which took too long."""
+        """Kill the worker and return the record of its run, which took too long."""
         self._kill()
         return self._lost("timeout", "timeout", f"still running after {timeout:g} s, and killed")
 
     def vanished(self) -> RunRecord | None:
-        """Return the record of the run that took the process down; None where it had none.
+        """Return the record of the run that took the process down; None if there was no run.
 
         Raises:
-            InvalidInput: it went before it had loaded the model, and nobody killed it.
+            InvalidInput: the process ended before it had loaded the model, and nobody killed it.
         """
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(1.0)
@@ -110,13 +110,13 @@ class Worker:
         return self._lost("killed", "worker_died", f"the worker process of this run ended with {how}")
 
     def hang_up(self) -> None:
-        """Let an idle worker go by itself; kill a busy one, or one that is still starting."""
+        """Let an idle worker end by itself; kill one that is busy or still starting."""
         if self.busy or not self.ready:
             self._kill()
         self.connection.close()
 
     def end(self, deadline: float = 0.0) -> None:
-        """Make sure that it is gone, at the latest at `deadline` (monotonic seconds), and release what it held."""
+        """End the process by `deadline` (monotonic seconds) at the latest, and release what it held."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(max(0.0, deadline - time.monotonic()))
         self._kill()
@@ -125,7 +125,7 @@ class Worker:
             self.process.stdin.close()
 
     def _kill(self) -> None:
-        """Kill the process and all that it started in its group, then collect it."""
+        """Kill the process and everything that it started in its group, then reap it."""
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
@@ -141,7 +141,7 @@ class Worker:
         return with_log(record, self._log_tail())
 
     def _log_tail(self) -> str:
-        """Return the end of what the current run has printed."""
+        """Return the end of the current run's output."""
         with self.log.open("rb") as stream:
             size = stream.seek(0, os.SEEK_END)
             stream.seek(max(0, size - LOG_TAIL_BYTES))
@@ -164,7 +164,7 @@ def _environment(own: Mapping[str, str]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def interrupts_held_back() -> Iterator[None]:
-    """Let a process that is started inside ignore Ctrl-C from the start; this process gets it afterwards."""
+    """Make processes started inside ignore Ctrl-C from the start; this process receives it afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -182,13 +182,13 @@ def _how_it_ended(code: int | None) -> str:
 
 def _unusable(text: str) -> InvalidInput:
     """Return the error of a model that no worker can load."""
-    last = text.strip().splitlines()[-1] if text.strip() else "no word of it"
+    last = text.strip().splitlines()[-1] if text.strip() else "no output"
     error = InvalidInput(
         "a worker process could not load the model",
         value=last,
         expected="a model that a fresh interpreter can import",
-        remedy="Where the model is defined in a script, start the runs under `if __name__ == '__main__':`; "
+        remedy="If the model is defined in a script, start the runs under `if __name__ == '__main__':`; "
         "in a notebook, put the model into a module of its own. InProcess() needs neither.",
     )
-    error.add_note(f"What the worker said:\n{text.strip()[-4000:]}")
+    error.add_note(f"Output of the worker:\n{text.strip()[-4000:]}")
     return error

@@ -1,4 +1,4 @@
-"""Several posteriors that differ by given values alone, sampled side by side in one compiled program."""
+"""Several posteriors that differ only in given values, sampled side by side in one compiled program."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 
 from strandline.errors import InvalidInput, NumericsError
+from strandline.numerics.compiled import WIDEST
 from strandline.numerics.precision import use_double
-from strandline.smc.devices import COMPILER_OPTIONS
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
 from strandline.smc.on_host import advance_each_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo
@@ -40,23 +40,23 @@ def sample_each(
     *,
     settings: SMCSettings,
 ) -> tuple[SMCResult, ...]:
-    """Draw weighted particles of p(x | θ, Y) ∝ L(x | θ) p(x) for each row θ of `given`.
+    """Draw weighted particles from p(x | θ, Y) ∝ L(x | θ) p(x) for each row θ of `given`.
 
-    Each case is what `sample` does with the key ``fold_in(key, case)`` and θ fixed: it has temperatures of its own, and
-    stands still once it has reached 1. θ is an argument of the compiled step, so there is one program for all.
+    Each case does what `sample` does with the key ``fold_in(key, case)`` and θ fixed: it has its own temperatures and
+    stops once it reaches 1. θ is an argument of the compiled step, so one program serves all cases.
 
     Args:
         key: Random key; do not use it again.
-        log_likelihood: log L of physical points for one θ, batched over the points and jittable; -inf allowed. One with
-            an attribute `on_host` that is true gets NumPy arrays, points of all cases and as many θ, in rows.
+        log_likelihood: log L of physical points for one θ, batched over the points and jittable; -inf allowed. If its
+            attribute `on_host` is true, it takes NumPy arrays: the points of all cases and as many rows of θ.
         log_prior: log p of physical points, batched, jittable, normalised.
-        initial: Draws of the prior for each case, physical.
+        initial: Draws from the prior for each case, physical.
         given: Value of θ for each case (value, given).
         settings: The sampler's settings, the same for all.
 
     Raises:
-        InvalidInput: not one set of initial particles for each θ, double precision is off, fewer than two particles,
-            or one outside the prior.
+        InvalidInput: the number of sets of initial particles is not that of θ, double precision is off, there are fewer
+            than two particles, or one lies outside the prior.
         NumericsError: as for `sample`; the message names θ.
     """
     _require_one_each(initial, given)
@@ -87,7 +87,7 @@ def sample_each(
     return tuple(finished(_one(states, i), tuple(done), settings) for i, done in enumerate(steps))
 
 
-@partial(jax.jit, static_argnames=("target", "moves"), compiler_options=COMPILER_OPTIONS)
+@partial(jax.jit, static_argnames=("target", "moves"), compiler_options=WIDEST)
 def _step(
     keys: Key[Array, " case"] | UInt32[Array, "case 2"],
     number: int | Array,
@@ -152,7 +152,7 @@ def _one(tree: Any, case: Any) -> Any:
 
 
 def _told_with(theta: Any, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call the function; where the numerics fail, say for which θ."""
+    """Call the function; if the numerics fail, say for which θ."""
     try:
         return function(*arguments)
     except NumericsError as error:
@@ -165,5 +165,5 @@ def _require_one_each(initial: Float[np.ndarray, "case particle dim"], given: Fl
             "initial particles of conditional posteriors",
             value=f"{len(initial)} sets for {len(given)} given values",
             expected="one set for each given value, and at least one",
-            remedy="Draw a set of the prior for each value.",
+            remedy="Draw a set from the prior for each value.",
         )

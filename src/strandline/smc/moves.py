@@ -26,7 +26,7 @@ Positions = Float[Array, "particle dim"]
 
 OFFSET, SLOPE = 1 / 9, 8 / 9  # a and b of the scale a + b·(mean acceptance)
 _JITTER = 1e-10  # added to the correlation matrix
-NARROWEST = 1e-8  # smallest standard deviation of a proposal, in those of the initial particles
+NARROWEST = 1e-8  # smallest standard deviation of a proposal, relative to that of the initial particles
 
 
 class Moved(NamedTuple):
@@ -36,8 +36,8 @@ class Moved(NamedTuple):
         positions: physical positions.
         log_likelihood: log L there.
         log_prior: log p there.
-        acceptance: accepted proposals over all proposals, particles and moves alike.
-        undefined: proposals inside the support whose log-likelihood was NaN or +inf; they were rejected.
+        acceptance: share of accepted proposals, over all particles and moves.
+        undefined: number of proposals inside the support whose log-likelihood was NaN or +inf; they were rejected.
     """
 
     positions: Positions
@@ -53,7 +53,7 @@ def proposal_scale(acceptance: Scalar) -> Scalar:
 
 
 def proposal_factor(positions: Positions, weights: PerParticle, floor: Float[Array, " dim"]) -> Float[Array, "dim dim"]:
-    """Return a lower factor F of the weighted covariance, F Fᵀ = Σ w (x - m)(x - m)ᵀ.
+    """Return a lower triangular factor F of the weighted covariance, F Fᵀ = Σ w (x - m)(x - m)ᵀ.
 
     Args:
         positions: physical positions.
@@ -81,14 +81,14 @@ def metropolis(
     factor: Float[Array, "dim dim"],
     steps: int,
 ) -> Moved:
-    """Move every particle `steps` times by a kernel that leaves π_γ ∝ L^γ p invariant.
+    """Move every particle `steps` times with a kernel that leaves π_γ ∝ L^γ p invariant.
 
     Args:
-        key: Random key, spent here.
+        key: Random key; do not use it again.
         positions: Physical positions.
         log_likelihood: log L at the positions.
         log_prior: log p at the positions.
-        target: (log L, log p) as batched, jittable functions; a log p of -inf rejects whatever log L says.
+        target: (log L, log p) as batched, jittable functions; where log p is -inf, a proposal is rejected.
         temperature: Exponent γ of the likelihood.
         factor: Factor F of the proposal's covariance F Fᵀ.
         steps: Number of proposals per particle.
@@ -130,7 +130,7 @@ def accepted(
     undefined = jnp.isfinite(prior) & (jnp.isnan(likelihood) | jnp.isposinf(likelihood))
     likelihood = jnp.where(jnp.isneginf(prior) | undefined, -jnp.inf, likelihood)
     gain = _tempered(likelihood, prior, temperature) - _tempered(now.log_likelihood, now.log_prior, temperature)
-    accept = jnp.log(jax.random.uniform(toss, gain.shape, gain.dtype)) < gain  # NaN (-inf - -inf) stays put
+    accept = jnp.log(jax.random.uniform(toss, gain.shape, gain.dtype)) < gain  # NaN (-inf - -inf) is rejected
     return Moved(
         jnp.where(accept[:, None], proposal, now.positions),
         jnp.where(accept, likelihood, now.log_likelihood),

@@ -1,6 +1,6 @@
-"""Tempering steps whose log-likelihood is a function of NumPy arrays: all the rest is compiled around it, in pieces.
+"""Tempering steps for a log-likelihood of NumPy arrays; everything else is compiled around it, in pieces.
 
-The pieces do not contain the function, so that they are kept from one process to the next, whatever it is.
+The pieces do not contain the function, so they can be kept from one process to the next, whatever the function is.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ Keys = Key[Array, " case"] | UInt32[Array, "case 2"]
 
 
 def is_on_host(log_likelihood: Any) -> bool:
-    """Return whether a log-likelihood needs NumPy arrays: it has an attribute `on_host` that is true."""
+    """Return whether a log-likelihood needs NumPy arrays: its attribute `on_host` is true."""
     return bool(getattr(log_likelihood, "on_host", False))
 
 
@@ -35,7 +35,7 @@ def advance_on_host(
     target: tuple[Any, BatchedLogDensity],
     moves: int,
 ) -> tuple[Particles, Info]:
-    """Do what `strandline.smc.steps.advance` does, the same proposals and tosses, with log L outside of it."""
+    """Advance as `strandline.smc.steps.advance` does, with the same proposals and tosses, but log L on the host."""
     log_likelihood, log_prior = target
     for_resampling, for_moves = jax.random.split(key)
     begun = _begin(for_resampling, state, zeta, resample_below)
@@ -57,15 +57,15 @@ def advance_each_on_host(
     target: tuple[Callable[..., Any], BatchedLogDensity],
     moves: int,
 ) -> tuple[Particles, Info]:
-    """Advance every case that has not reached γ = 1; log L is asked for the particles of all of them at once.
+    """Advance every case that has not reached γ = 1; log L is evaluated for the particles of all cases at once.
 
     Args:
         keys: Random keys of the cases.
         states: States, cases on the leading axis.
         given: Value of θ for each case (case, given).
         zeta: Share of the effective sample size to keep.
-        resample_below: Share of the effective sample size from which on to resample.
-        target: log L of points and as many θ, in rows, and log p.
+        resample_below: Share of the particles; resample if the effective sample size falls to it.
+        target: log L, a function of points and as many rows of θ, and log p.
         moves: Number of moves per particle.
     """
     log_likelihood, log_prior = target

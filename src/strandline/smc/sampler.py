@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
+from strandline.numerics.compiled import WIDEST
 from strandline.numerics.precision import use_double
-from strandline.smc.devices import COMPILER_OPTIONS, spread
+from strandline.smc.devices import spread
 from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey
 from strandline.smc.on_host import advance_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo, require
@@ -44,24 +45,26 @@ def sample(
     settings: SMCSettings = _DEFAULT,
     on_step: Callable[[StepInfo], None] | None = None,
 ) -> SMCResult:
-    """Draw weighted particles of the posterior ∝ L p; the same key gives the same bits.
+    """Draw weighted particles from the posterior ∝ L p; the same key reproduces them bit for bit.
 
-    The step is compiled once for each pair of functions, number of moves and shape: keep the function objects
+    The step is compiled once for each pair of functions, number of moves and shape, so reuse the function objects
     between calls.
 
     Args:
         key: Random key; do not use it again.
-        log_likelihood: log L of physical points, batched and jittable; -inf allowed. Where log p is -inf its value
-            is ignored. One with an attribute `on_host` that is true gets and returns NumPy arrays, is never asked
-            where log p is -inf, and is no part of what is compiled.
-        log_prior: log p of physical points, batched, jittable, normalised if the evidence is to mean anything.
-        initial: Draws of the prior, physical.
+        log_likelihood: log L of physical points, batched and jittable; -inf allowed. Its value is ignored where log p
+            is -inf. If its attribute `on_host` is true, it takes and returns NumPy arrays, is never called where log p
+            is -inf, and is not compiled.
+        log_prior: log p of physical points, batched and jittable; it must be normalised if you need the evidence.
+        initial: Draws from the prior, physical.
         settings: The sampler's settings.
         on_step: Function called after every tempering step.
 
     Raises:
-        InvalidInput: double precision is off, fewer than two particles, or an initial particle outside the prior.
-        NumericsError: a log-likelihood of NaN or +inf inside the prior, none above -inf, or no end to the tempering.
+        InvalidInput: double precision is off, there are fewer than two particles, or an initial particle lies outside
+            the prior.
+        NumericsError: the log-likelihood is NaN or +inf inside the prior, or -inf everywhere, or tempering does not
+            end.
     """
     target = hashable(log_likelihood), hashable(log_prior)
     state = _start(*target, initial)
@@ -78,7 +81,7 @@ def sample(
     return finished(state, tuple(steps), settings)
 
 
-_step = partial(jax.jit, static_argnames=("target", "moves"), compiler_options=COMPILER_OPTIONS)(advance)
+_step = partial(jax.jit, static_argnames=("target", "moves"), compiler_options=WIDEST)(advance)
 
 
 def _start(
@@ -101,11 +104,11 @@ def checked_start(
 ) -> Particles:
     """Return the state at γ = 0 of particles whose log L and log p are known.
 
-    Its arrays are spread over the devices as each step leaves them: else the first step would be compiled for itself.
+    Its arrays are spread over the devices as after each step; otherwise the first step would be compiled separately.
     """
     require(len(positions) >= 2, "number of particles", len(positions), "at least 2")
     values, outside = np.asarray(likelihood), int(np.count_nonzero(~np.isfinite(prior)))
-    require(outside == 0, "initial particles outside the prior", outside, "none: draws of the prior itself")
+    require(outside == 0, "initial particles outside the prior", outside, "none: draws from the prior itself")
     undefined = np.isnan(values) | np.isposinf(values)
     if undefined.any():
         where = int(np.argmax(undefined))
@@ -116,7 +119,7 @@ def checked_start(
     if np.isneginf(values).all():
         raise NumericsError(
             f"all {len(values)} initial particles have a likelihood of zero. "
-            "Use more particles, a wider noise, or a prior that covers the data."
+            "Use more particles, larger noise, or a prior that covers the data."
         )
     log_weights = jnp.full_like(likelihood, -np.log(len(positions)))
     narrowest = NARROWEST * jnp.std(positions, axis=0)
@@ -125,7 +128,7 @@ def checked_start(
 
 
 def hashable(function: _Function) -> _Function:
-    """Return the function itself where the compiler can remember it, else a stand-in for this call."""
+    """Return the function itself if the compiler can cache it, else a stand-in for this call."""
     try:
         hash(function)
     except TypeError:
@@ -149,7 +152,7 @@ def check(info: Info, before: float, state: Particles) -> None:
 
 
 def require_steps_left(done: int, settings: SMCSettings, state: Particles) -> None:
-    """Give up where the settings say so."""
+    """Give up once the maximum number of steps is reached."""
     if done >= settings.maximum_steps:
         raise NumericsError(
             f"{done} tempering steps reached only temperature {float(state.temperature):.4g}. "

@@ -22,7 +22,7 @@ from strandline.smc.tempering import effective_sample_size, next_temperature, re
 __all__ = ["Begun", "Info", "Particles", "advance", "begin", "end"]
 
 _SLACK = 1e-3
-"""Relative: an effective sample size that was asked for is met from above, and counts as met."""
+"""Relative tolerance: the effective sample size approaches its target from above and, within this, counts as met."""
 
 
 class Particles(NamedTuple):
@@ -66,7 +66,7 @@ def advance(
     target: tuple[BatchedLogDensity, BatchedLogDensity],
     moves: int,
 ) -> tuple[Particles, Info]:
-    """Temper, reweight, resample where needed, rejuvenate: one round of Algorithm 1."""
+    """Temper, reweight, resample if needed, rejuvenate: one iteration of Algorithm 1."""
     for_resampling, for_moves = jax.random.split(key)
     begun = begin(for_resampling, state, zeta, resample_below)
     moved = metropolis(
@@ -81,7 +81,7 @@ def advance(
 
 
 def begin(key: RandomKey, state: Particles, zeta: Scalar, resample_below: Scalar) -> Begun:
-    """Temper, reweight, resample where needed."""
+    """Temper, reweight, resample if needed."""
     number = len(state.log_weights)
     temperature = next_temperature(state.log_weights, state.log_likelihood, state.temperature, zeta)
     log_weights = reweighted(state.log_weights, state.log_likelihood, temperature - state.temperature)

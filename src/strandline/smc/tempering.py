@@ -18,7 +18,7 @@ def effective_sample_size(log_weights: PerParticle) -> Scalar:
 
 
 def reweighted(log_weights: PerParticle, log_likelihood: PerParticle, increment: Scalar) -> PerParticle:
-    """Return log(w L^increment); a particle without likelihood has no weight at any increment, 0 included."""
+    """Return log(w L^increment); a particle of zero likelihood has zero weight at any increment, including 0."""
     dead = jnp.isneginf(log_likelihood)
     return jnp.where(dead, -jnp.inf, log_weights + increment * jnp.where(dead, 0.0, log_likelihood))
 
@@ -26,10 +26,10 @@ def reweighted(log_weights: PerParticle, log_likelihood: PerParticle, increment:
 def next_temperature(
     log_weights: PerParticle, log_likelihood: PerParticle, temperature: Scalar, zeta: Scalar | float
 ) -> Scalar:
-    """Return γ' with ESS(γ') = ζ·ESS(γ) by bisection, or 1 where ESS(1) is at least that.
+    """Return γ' with ESS(γ') = ζ·ESS(γ) by bisection, or 1 if ESS(1) is at least that.
 
-    Particles of zero likelihood die with the first positive increment whatever its size, so ESS(γ) counts the
-    others only.
+    Particles of zero likelihood die at the first positive increment, whatever its size, so ESS(γ) counts only the
+    others.
 
     Args:
         log_weights: current log weights, any normalisation.

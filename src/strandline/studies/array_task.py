@@ -18,12 +18,12 @@ def main(arguments: list[str]) -> None:
 
 
 def _model(study: Path) -> ForwardModel:
-    """Return the model that study.yaml names; whether it is the one of the batch is for the batch to say."""
+    """Return the model that study.yaml names; `run_task` checks that it is the model of the batch."""
     content, _ = parse_study(study)
     return build_model(content.model, study)
 
 
 if __name__ == "__main__":
-    from strandline.studies.array_task import main as imported_main  # a model must not be pickled as one of __main__
+    from strandline.studies.array_task import main as imported_main  # a model must not be pickled as part of __main__
 
     imported_main(sys.argv[1:])

@@ -1,7 +1,7 @@
-"""A finished study's posterior, checked with the true model: runs at some of its draws, and what they make of it.
+"""Check of a finished study's posterior with the true model, by runs at some of its draws.
 
-These runs have a ledger of their own, check.sqlite: that of the design stays as it is to the byte, and each of the two
-can be locked, thrown away or reused without the other.
+These runs have their own ledger, check.sqlite: the design's ledger stays the same to the byte, and each of the two can
+be locked, deleted or reused without the other.
 """
 
 import dataclasses
@@ -37,7 +37,7 @@ FEWEST_DRAWS = 20
 
 @dataclass(frozen=True)
 class PosteriorCheck:
-    """The content of check.json, and where it lies."""
+    """The content of check.json, and its path."""
 
     content: dict[str, Any]
     path: Path
@@ -46,22 +46,22 @@ class PosteriorCheck:
 def check_posterior(
     study: Study, *, draws: int = 200, executor: Executor | None = None, observer: Observer | None = None
 ) -> PosteriorCheck:
-    """Run the true model at draws of the study's posterior, and reweight them by what it says of each.
+    """Run the true model at draws of the study's posterior, and reweight the draws by its likelihood.
 
-    The draws depend on the posterior, the seed and their number alone, and the runs are kept: what was run already is
-    not run again. Writes check.json, figures/check.png and .pdf, and a section of report.html.
+    The draws depend only on the posterior, the seed and their number, and the runs are kept: no run is made twice.
+    Writes check.json, figures/check.png and .pdf, and a section of report.html.
 
     Args:
         study: A finished study, from `load_study`.
         draws: Number of draws; at least 20, at most as many as there are particles.
-        executor: Where forward runs are made, if not where the study says.
+        executor: Where forward runs are made; by default where the study says.
         observer: Receives the progress.
 
     Raises:
-        InvalidInput: `draws` too small or too large.
-        InvalidStudy: a study without results of its present study.yaml, or a folder that cannot be written to.
-        LedgerError: the ledger is locked, belongs to another model, or is damaged.
-        TooFewRuns: the run failed at every draw.
+        InvalidInput: `draws` is too small or too large.
+        InvalidStudy: The study has no results for its present study.yaml, or its folder cannot be written to.
+        LedgerError: The ledger is locked, belongs to another model, or is damaged.
+        TooFewRuns: The run failed at every draw.
     """
     _require_number(draws, None)
     posterior = _finished_posterior(study)
@@ -88,7 +88,7 @@ def check_posterior(
 
 
 def _finished_posterior(study: Study) -> Posterior:
-    """Return the posterior of a study whose results are there and of study.yaml as it is."""
+    """Return the posterior of a study that has results for its present study.yaml."""
     results, path = results_of(study), study.folder / POSTERIOR
     if results != "current" or not path.is_file():
         outdated = results == "outdated"
@@ -111,7 +111,7 @@ def _finished_posterior(study: Study) -> Posterior:
 
 
 def _observations(study: Study) -> tuple[Observation, ...]:
-    """Return what the posterior was made from; a synthetic observation is a run in the study's ledger, and noise."""
+    """Return the observations behind the posterior; a synthetic one is a run in the study's ledger plus noise."""
     observed = study.observed
     if study.truth is not None:
         identity = study.runs.identity
@@ -122,7 +122,7 @@ def _observations(study: Study) -> tuple[Observation, ...]:
 
 
 def _oriented(seen: Observation, records: Sequence[RunRecord]) -> Observation:
-    """Return the observation, run through from the same end as the runs."""
+    """Return the observation with its points in the same direction as those of the runs."""
     runs = [record.interfaces[seen.condition] for record in records if record.ok]
     return dataclasses.replace(seen, interface=oriented_like_runs(seen.interface, runs).interface)
 
@@ -130,7 +130,7 @@ def _oriented(seen: Observation, records: Sequence[RunRecord]) -> Observation:
 def _run(
     study: Study, positions: Float[np.ndarray, "draw dim"], executor: Executor, observer: Observer
 ) -> tuple[tuple[RunRecord, ...], int]:
-    """Return the record of each draw, and how many runs were made for them now."""
+    """Return the record of each draw, and the number of new runs."""
     model, identity = _plain(study), study.runs.identity
     inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in positions]
     keys = {run_key(identity, entry) for entry in inputs}
@@ -142,7 +142,7 @@ def _run(
 
 
 def _plain(study: Study) -> ForwardModel:
-    """Return the model without sensitivities, which nobody reads here."""
+    """Return the model without sensitivities, which are not needed here."""
     model: Any = study.model
     plain: ForwardModel = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model
     return plain
@@ -155,7 +155,7 @@ def _require_number(draws: int, particles: int | None) -> None:
             "draws of the check",
             value=draws,
             expected=f"from {FEWEST_DRAWS} to {most}",
-            remedy="200 are a good start; k̂ is the surer the more there are.",
+            remedy="200 are a good start; more draws make k̂ more certain.",
         )
 
 

@@ -1,4 +1,4 @@
-"""check.json: what the true model says of a study's posterior, as plain numbers, and whether it is still true."""
+"""check.json: the check of a study's posterior with the true model, as plain numbers, and whether it still applies."""
 
 import hashlib
 import json
@@ -32,23 +32,23 @@ from strandline.version import __version__
 __all__ = ["Compared", "describe", "read_check"]
 
 SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
-"""A mean off by more than this, in standard deviations, or an sd off by more than this share, is put into words."""
+"""A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""
 VERDICTS: dict[Verdict, str] = {
     "good": "The weights can be trusted, and so can the reweighted figures.",
     "usable": "The surrogate is off where the posterior lies, but the reweighted figures can be used.",
-    "bad": "DO NOT BELIEVE THE SURROGATE where the posterior lies, nor the reweighted figures.",
+    "bad": "DO NOT TRUST THE SURROGATE where the posterior lies, nor the reweighted figures.",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Draws of a posterior with what the true model makes of them, one of each a draw.
+    """Draws of a posterior with the results of the true model, one of each per draw.
 
     Args:
         posterior: The posterior that was checked.
         chosen: Particle numbers of the draws, shape (draw,).
         records: Records of the runs at the draws.
-        true: Log-likelihoods by the true model, shape (draw,); -inf where the run failed.
+        true: Log-likelihoods by the true model, shape (draw,); -inf if the run failed.
         surrogate: Log-likelihoods by the surrogate, shape (draw,).
         result: The reweighted moments.
     """
@@ -62,12 +62,12 @@ class Compared:
 
     @property
     def failed(self) -> list[RunRecord]:
-        """The runs that gave no interface."""
+        """The runs that returned no interface."""
         return [record for record in self.records if not record.ok]
 
 
 def describe(study: Study, found: Compared, observations: Sequence[Observation], *, new_runs: int) -> dict[str, Any]:
-    """Return the content of check.json, all but the seconds."""
+    """Return the content of check.json except the seconds."""
     smoothed, number = found.result.smoothed, len(found.records)
     distinct = len({record.key for record in found.records})
     difference = (found.true - found.surrogate)[np.isfinite(found.true)]
@@ -108,7 +108,7 @@ def describe(study: Study, found: Compared, observations: Sequence[Observation],
 
 
 def read_check(folder: Path, posterior: Posterior) -> dict[str, Any] | None:
-    """Return the check of `posterior` that lies in `folder`; None where there is none, or one of another posterior."""
+    """Return the check of `posterior` in `folder`; None if there is none, or only that of another posterior."""
     try:
         content = json.loads((folder / CHECK).read_text(encoding="utf-8"))
         return content if content["posterior_sha256"] == _digest(posterior) else None
@@ -117,7 +117,7 @@ def read_check(folder: Path, posterior: Posterior) -> dict[str, Any] | None:
 
 
 def _digest(posterior: Posterior) -> str:
-    """Return a digest of the particles, which differs between posteriors that differ in a bit."""
+    """Return a digest of the particles; posteriors that differ in one bit have different digests."""
     parts = (posterior.draws, posterior.log_weights, posterior.log_likelihood)
     return hashlib.sha256(b"".join(np.ascontiguousarray(part, float).tobytes() for part in parts)).hexdigest()
 
@@ -140,7 +140,7 @@ def _inputs(found: Compared) -> dict[str, dict[str, Any]]:
 
 
 def _remarks(study: Study, found: Compared) -> Iterator[str]:
-    """Yield a sentence on k̂ and one on whatever else must be known."""
+    """Yield a sentence on k̂ and one on everything else to know."""
     verdict = verdict_on(found.result.smoothed)
     yield VERDICTS[verdict]
     if verdict != "good":
@@ -198,7 +198,7 @@ def _interfaces(study: Study, observation: Observation, records: Sequence[RunRec
 def _reference(
     study: Study, median: Float[np.ndarray, "point xyz"]
 ) -> tuple[Literal["undeformed", "median"], Float[np.ndarray, "point xyz"]]:
-    """Return from where displacements are counted: the undeformed nodes where the model gives them."""
+    """Return the reference of displacements: the undeformed nodes if the model offers them, else the median."""
     undeformed = undeformed_interface(study.model)
     if undeformed is not None and undeformed.points.shape == median.shape:
         return "undeformed", undeformed.points

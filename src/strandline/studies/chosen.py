@@ -15,7 +15,7 @@ __all__ = ["construct", "entry", "open_entry", "refused_at", "require_parts"]
 
 @contextlib.contextmanager
 def refused_at(place: str = "") -> Iterator[None]:
-    """Say of an `InvalidInput` where in the study file it comes from: before its subject."""
+    """Raise an `InvalidInput` again as `InvalidStudy`, with its place in the study file before its subject."""
     try:
         yield
     except InvalidInput as error:
@@ -28,7 +28,7 @@ PLAIN_TYPES = {float: "a number", int: "a whole number", str: "a text"}
 
 
 def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
-    """Return the entry `name` of a registry of ours alone; one that is not there is refused, with the nearest one."""
+    """Return the entry `name` of one of our own registries; refuse an unknown name and suggest the nearest one."""
     if name not in registry:
         raise InvalidStudy(
             place,
@@ -75,7 +75,7 @@ def require_parts(entry: object, parts: Iterable[str], place: str) -> None:
 def construct(factory: Any, options: Mapping[str, Any] | None, place: str, **given: Any) -> Any:
     """Call a frozen dataclass, or its `from_options`, with options from the study; wrong names are refused.
 
-    What is `given` is no option.
+    Arguments in `given` are not options.
     """
     fields = {f.name: f for f in dataclasses.fields(factory) if f.init and f.name not in given}
     values = {}
@@ -106,7 +106,7 @@ def construct(factory: Any, options: Mapping[str, Any] | None, place: str, **giv
 
 
 def _option(value: Any, annotation: Any, place: str) -> Any:
-    """Return an option as its plain type wants it; other types are left to the class."""
+    """Return an option converted to its plain type; other types are left to the class."""
     kinds = [kind for kind in get_args(annotation) or (annotation,) if kind is not type(None)]
     if kinds == [float]:
         number = decimal(value) if isinstance(value, str) else value

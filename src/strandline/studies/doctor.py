@@ -26,7 +26,7 @@ class Finding:
     """Something that is wrong, or has changed.
 
     Args:
-        what: Fact in a sentence.
+        what: The fact in one sentence.
         remedy: What to do about it.
     """
 
@@ -35,7 +35,7 @@ class Finding:
 
 
 def examine(folder: Path) -> list[Finding]:
-    """Return all that is found in the study folder; an empty list where it is sound."""
+    """Return everything that is wrong in the study folder; an empty list if it is sound."""
     found = list(_ledgers(folder))
     damaged = bool(found)
     try:
@@ -96,7 +96,7 @@ def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
         if (folder / f"{name}-wal").exists() and (folder / f"{name}-wal").stat().st_size > 0:
             yield Finding(
                 f"{name}-wal: the last driver of {name} did not end by itself",
-                f"Leave it where it is, beside {name}: the next `strandline run` takes what is in it.",
+                f"Leave it where it is, next to {name}: the next `strandline run` recovers its content.",
             )
     if any((folder / "slurm").glob("*/batch.json")):
         yield Finding("results of a SLURM array are not collected", f"Collect them: strandline run {folder}")
@@ -135,7 +135,7 @@ def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
         return
     missing = [name for name in (POSTERIOR, "report.html", "figures") if not (study.folder / name).exists()]
     if missing:
-        yield Finding(f"missing beside {SUMMARY}: {', '.join(missing)}", report)
+        yield Finding(f"missing next to {SUMMARY}: {', '.join(missing)}", report)
     if summary.get("model") != study.runs.identity:
         yield Finding(f"the results were made with the model {summary.get('model')}", report)
     digest = summary.get("ledger_sha256")

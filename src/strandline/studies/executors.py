@@ -12,14 +12,14 @@ from strandline.studies.keys.executor import ExecutorChoice
 __all__ = ["SLURM", "build_executor"]
 
 SLURM = "slurm"
-"""Folder in the study where the batches of SLURM arrays lie."""
+"""Folder in the study that holds the batches of SLURM arrays."""
 
 
 def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
-    """Return the executor of the study in `folder`; worker processes on this machine where it names none.
+    """Return the executor of the study in `folder`; worker processes on this machine if it names none.
 
     Raises:
-        InvalidStudy: options that do not fit together.
+        InvalidStudy: The options do not fit together.
     """
     if choice.other is not None:
         ((name, options),) = choice.other.items()

@@ -20,13 +20,13 @@ __all__ = ["write_csv", "write_netcdf"]
 
 
 def write_csv(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
-    """Write a row for each run, whole or not at all; return what there is to say of it.
+    """Write a row for each run, whole or not at all; return a remark, here always empty.
 
     Columns: key, state, kind, seconds, message (its first line), then ``input.NAME`` and ``diagnostic.NAME``; empty
-    where a run has none.
+    if a run has none.
 
     Raises:
-        InvalidInput: the file cannot be written.
+        InvalidInput: The file cannot be written.
     """
     details = _details(runs, ledger)
     inputs, figures = [run.inputs for run in runs], [_figures(run, details) for run in runs]
@@ -43,15 +43,15 @@ def write_csv(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
 
 
 def write_netcdf(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
-    """Write the runs with their interfaces, whole or not at all; return what there is to say of it.
+    """Write the runs with their interfaces, whole or not at all; return a remark on what was left out.
 
     Variables by run: state, kind, message, seconds, inputs (run, input), diagnostics (run, diagnostic) and for each
-    condition the interface (run, point, xyz) in mm, NaN where the run is not ok. It is left out where the runs have
-    different numbers of points; the cells are there where they are those of all runs.
+    condition the interface (run, point, xyz) in mm, NaN if the run is not ok. The interface is left out if the runs
+    have different numbers of points; the cells are included if all runs have the same.
 
     Raises:
-        InvalidInput: the file cannot be written.
-        LedgerError: a stored outcome does not match its checksum.
+        InvalidInput: The file cannot be written.
+        LedgerError: A stored outcome does not match its checksum.
     """
     content, missing = _dataset(runs, ledger)
     with _told(path), whole_file(path) as partial:
@@ -63,7 +63,7 @@ def write_netcdf(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
 
 
 def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[str]]:
-    """Return all as one data set, and the conditions whose interfaces do not fit into one array."""
+    """Return the runs as one data set, and the conditions whose interfaces do not fit into one array."""
     import numpy as np
     import xarray as xr
 
@@ -89,7 +89,7 @@ def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[
 
 
 def _by_name(dim: str, rows: Sequence[Mapping[str, float]]) -> "xr.DataArray":
-    """Return a table of rows, NaN where a row lacks a name."""
+    """Return a table of rows; NaN if a row lacks a name."""
     import numpy as np
     import xarray as xr
 
@@ -116,7 +116,7 @@ def _with_interfaces(content: "xr.Dataset", runs: Sequence[Run], ledger: Path) -
 def _interfaces(
     condition: str, runs: Sequence[Run], found: Mapping[str, "Interface"]
 ) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Yield the points of one condition, and the cells where they are the same in all runs."""
+    """Yield the points of one condition, and the cells if they are the same in all runs."""
     import numpy as np
 
     end, first = f"_{condition}" if condition else "", next(iter(found.values()))

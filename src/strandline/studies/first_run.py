@@ -59,7 +59,7 @@ class NoiseLength:
 def noise_of(study: Study, interface: Interface, condition: str = "") -> NoiseLength:
     """Return the noise of the first measure as a length.
 
-    σ_N where the measure sums squared distances; otherwise the shift of `interface` for which d² = σ_N².
+    σ_N if the measure sums squared distances; otherwise the shift of `interface` for which d² = σ_N².
     """
     measure = _measure(study)
     if count_of_distances(measure, interface, interface) is not None:
@@ -68,7 +68,7 @@ def noise_of(study: Study, interface: Interface, condition: str = "") -> NoiseLe
 
 
 def observations_of(study: Study) -> Mapping[str, Interface]:
-    """Return the observed interfaces; a synthetic one where the ledger has its run, else nothing."""
+    """Return the observed interfaces; a synthetic one if the ledger has its run, else nothing."""
     if study.truth is None or not study.ledger_path.is_file():
         return study.observed
     identity = study.runs.identity
@@ -82,7 +82,7 @@ def require_same_size(study: Study, record: RunRecord) -> None:
     """Refuse an observed interface ten times larger or smaller than that of the run.
 
     Raises:
-        InvalidStudy: With the ratio and the unit that was probably mistaken.
+        InvalidStudy: The sizes differ; the message has the ratio and the unit that was probably mistaken.
     """
     for condition, observed in study.observed.items():
         name = f"observation ({condition})" if condition else "observation"
@@ -91,7 +91,7 @@ def require_same_size(study: Study, record: RunRecord) -> None:
 
 
 def facing(study: Study, record: RunRecord) -> Study:
-    """Return the study with its observed interfaces run through from the same end as those of the run."""
+    """Return the study with its observed interfaces in the same direction as those of the run."""
     found = {name: oriented_like_runs(seen, [record.interfaces[name]]) for name, seen in study.observed.items()}
     turned = tuple(name for name, one in found.items() if one.flipped)
     observed = {name: one.interface for name, one in found.items()}
@@ -139,7 +139,7 @@ def _doubts(observed: Interface, run: Interface, of: str) -> Iterator[str]:
 
 
 def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
-    """Yield the largest displacement of the run in µm and in units of the noise; nothing without undeformed state."""
+    """Yield the largest displacement of the run in µm and in units of the noise, if the undeformed state is known."""
     undeformed, measure = undeformed_interface(study.model), _measure(study)
     if undeformed is None:
         return
@@ -150,7 +150,7 @@ def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
         moved = _largest_displacement(run, undeformed)
         yield f"largest displacement{of}: {_length(moved)}, {noise.times(moved)}"
         if _hidden(measure, run, undeformed, study.noise_of(condition).scale):
-            yield f"warning{of}: the displacement is below the noise: the data cannot tell"
+            yield f"warning{of}: the displacement is below the noise: the data cannot show it"
 
 
 def _largest_displacement(run: Interface, undeformed: Interface) -> float:
@@ -168,7 +168,7 @@ def _hidden(measure: Discrepancy, run: Interface, undeformed: Interface, varianc
 
 
 def known_range(study: Study) -> str | None:
-    """Return a line on the log-likelihoods of the runs that the ledger has; None where there are none to compare."""
+    """Return a line on the log-likelihoods of the runs in the ledger; None if there are none to compare."""
     observed = observations_of(study)
     if not observed or not study.ledger_path.is_file():
         return None
@@ -193,7 +193,7 @@ def known_range(study: Study) -> str | None:
 
 
 def _value(likelihood: InterfaceLikelihood, record: RunRecord) -> float | None:
-    """Return the log-likelihood of a run; None where the measure refuses its interface."""
+    """Return the log-likelihood of a run; None if the measure refuses its interface."""
     try:
         return likelihood(record.interfaces)
     except (InvalidInput, NumericsError):
@@ -201,9 +201,9 @@ def _value(likelihood: InterfaceLikelihood, record: RunRecord) -> float | None:
 
 
 def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
-    """Yield how far the run's interfaces move on the next finer mesh; nothing for a model that offers none.
+    """Yield how far the run's interfaces move on the next finer mesh, if the model offers one.
 
-    Too large a difference is worth a warning, but not where the model itself makes the observation, on the same mesh.
+    Too large a difference gives a warning, unless the model itself makes the observation on the same mesh.
     """
     if not isinstance(study.model, SolvesOnFinerMesh):
         return
@@ -224,7 +224,7 @@ def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
 
 
 def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
-    """Yield a warning where choosing each batch of an active design would take long, and how to shorten it."""
+    """Yield a warning if choosing each batch of an active design would take long, and how to shorten it."""
     if study.settings.active is None:
         return
     observed = dict(observations_of(study)) or dict(record.interfaces)
@@ -232,7 +232,7 @@ def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
     try:
         seconds = seconds_of_a_batch(observations, _measure(study), record.interfaces, study.space.dim)
     except (InvalidInput, NumericsError):
-        return  # what the measure refuses is said elsewhere
+        return  # what the measure refuses is reported elsewhere
     if seconds > SLOW_BATCH:
         number = max(len(seen.points) for seen in observed.values())
         every = math.ceil(seconds / SLOW_BATCH)

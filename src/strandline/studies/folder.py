@@ -38,12 +38,12 @@ CHECK_LEDGER = "check.sqlite"
 
 
 def require_writable(folder: Path) -> None:
-    """Refuse a folder in which no file can be made; where the system can, the try leaves no trace.
+    """Refuse a folder in which no file can be created; if the system allows it, the trial leaves no trace.
 
-    Temporary folders are tried as well, for runs are made in them.
+    Temporary folders are tried as well, because runs are made in them.
 
     Raises:
-        InvalidStudy: with the system's reason.
+        InvalidStudy: No file can be created; the message has the system's reason.
     """
     require_temporary()
     try:
@@ -59,12 +59,12 @@ def require_writable(folder: Path) -> None:
 
 
 def require_temporary() -> None:
-    """Refuse an environment in which runs cannot have folders of their own: TMPDIR is not there, or nothing else is.
+    """Refuse an environment without temporary folders for the runs: TMPDIR is wrong, or no folder can be used.
 
-    Python itself would pass over a wrong TMPDIR and fill another disk.
+    Python itself would skip a wrong TMPDIR and fill another disk.
 
     Raises:
-        InvalidStudy: with the folder.
+        InvalidStudy: No temporary folder can be made; the message names the folder.
     """
     named = next((name for name in ("TMPDIR", "TEMP", "TMP") if os.environ.get(name)), None)
     place = os.environ[named] if named else None
@@ -82,7 +82,7 @@ def require_temporary() -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary name and move the finished file to `path`: it is there whole or not at all."""
+    """Yield a temporary path and move the finished file to `path`, which is written whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         yield partial
@@ -96,7 +96,7 @@ def told_if_unwritable(folder: Path) -> Iterator[None]:
     """Turn the system's refusal to write a result into one clear line.
 
     Raises:
-        InvalidStudy: with the file and the system's reason.
+        InvalidStudy: A result cannot be written; the message has the file and the system's reason.
     """
     try:
         yield
@@ -110,14 +110,14 @@ def told_if_unwritable(folder: Path) -> Iterator[None]:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write `content`, whole or not at all, with null for each number that JSON does not know."""
+    """Write `content`, whole or not at all, with null for each number that is not finite."""
     text = json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
     with whole_file(path) as partial:
         partial.write_text(text + "\n", encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:
-    """Return `value` with null for each number that JSON does not know."""
+    """Return `value` with None for each number that is not finite."""
     if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

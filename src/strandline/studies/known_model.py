@@ -1,4 +1,4 @@
-"""Ledgers of Python models that were begun when a fingerprint covered the named function alone."""
+"""Ledgers of Python models from the time when a fingerprint covered the named function alone."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,9 +13,9 @@ __all__ = ["as_in_ledgers"]
 
 
 def as_in_ledgers(model: ForwardModel, ledgers: Sequence[Path]) -> ForwardModel:
-    """Return `model`, known by its function alone where the first of the ledgers there is knows it so.
+    """Return `model`, identified by its function alone if the first existing ledger identifies it that way.
 
-    The function must be unchanged since; what it calls may have changed unseen, as before.
+    The function must not have changed since; a change of what it calls goes unnoticed, as before.
     """
     if not isinstance(model, PythonModel):
         return model
@@ -27,5 +27,5 @@ def as_in_ledgers(model: ForwardModel, ledgers: Sequence[Path]) -> ForwardModel:
             kept = ledger.model()
         earlier = replace(model, function_alone=True)
         return earlier if kept not in (None, fingerprint(model)) and kept == fingerprint(earlier) else model
-    except LedgerError:  # damaged: said when it is opened for use
+    except LedgerError:  # damaged: reported when it is opened for use
         return model

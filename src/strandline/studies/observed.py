@@ -35,7 +35,7 @@ def noisy(interfaces: Mapping[str, Interface], noise: SyntheticNoise | None) -> 
     The random numbers of a condition depend on its name and the seed alone. Without `noise` nothing changes.
 
     Raises:
-        InvalidStudy: noise so large that an interface touches itself.
+        InvalidStudy: The noise is so large that an interface touches itself.
     """
     if noise is None:
         return dict(interfaces)
@@ -60,10 +60,10 @@ def _disturbed(interface: Interface, condition: str, noise: SyntheticNoise) -> I
 def read_points(
     path: Path, unit: str, *, what: str = "observation", options: Mapping[str, Any] | None = None
 ) -> Interface:
-    """Return the interface in a file, in mm; of a text file without `options`, the open polyline of its points.
+    """Return the interface in a file, in mm; for a text file without `options`, the open polyline of its points.
 
     Each line of such a file holds x and y, separated by a comma, a semicolon or blanks; a first line of column names
-    and lines that begin with # are passed over. The points stand in order along the interface.
+    and lines that begin with # are skipped. The points are in order along the interface.
 
     Args:
         path: Path of the file.
@@ -72,7 +72,7 @@ def read_points(
         options: How to read the file, see `strandline.readers.Reading`.
 
     Raises:
-        InvalidStudy: the file is missing, empty or damaged, or holds no simple interface.
+        InvalidStudy: The file is missing, empty or damaged, or holds no simple interface.
     """
     try:
         reading = Reading.from_options({**(options or {}), "file": path.name, "unit": unit}, what)
@@ -90,13 +90,13 @@ def require_plausible(name: str, observed: Interface, simulated: Interface, *, u
     """Refuse an interface ten times larger or smaller than the model's: a wrong unit.
 
     Args:
-        name: What messages call the observation.
+        name: Name of the observation in messages.
         observed: The observed interface, mm.
-        simulated: The model's, deformed or not, mm.
-        unit: The unit in which the observation was read, where it is known.
+        simulated: The model's interface, deformed or not, mm.
+        unit: The unit in which the observation was read, if known.
 
     Raises:
-        InvalidStudy: The extents differ by a factor of 10 or more; with both, and the likely mistake.
+        InvalidStudy: The extents differ by a factor of 10 or more; the message has both, and the likely mistake.
     """
     ratio = extent_ratio(observed, simulated)
     mistake = unit_mistake(ratio)

@@ -1,4 +1,4 @@
-"""A prior of somebody else's: whether it has what a study needs, said before the first run."""
+"""Check before the first run that a user's own prior has what a study needs."""
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ def require_prior(prior: Prior, place: str) -> None:
     """Refuse a prior that lacks a part, has no interval as support, or whose density JAX cannot compile.
 
     Raises:
-        InvalidStudy: One of these; the conformance suite says more.
+        InvalidStudy: The prior cannot be used; the conformance suite says more.
     """
     require_parts(prior, PARTS, place)
     support = prior.support

@@ -1,4 +1,4 @@
-"""study.yaml → `StudyFile`, with one clear line for whatever is wrong in it."""
+"""study.yaml → `StudyFile`, with one clear line for any mistake in it."""
 
 from difflib import get_close_matches
 from pathlib import Path
@@ -33,16 +33,16 @@ WORDS = {
     "too_long": "exactly one entry",
     "too_short": "at least one entry",
 }
-"""What was expected, for a person, by pydantic's name of the mistake; else pydantic's own words."""
+"""What was expected, in plain words, by pydantic's name of the mistake; pydantic's own words otherwise."""
 INTERNAL = {ONE, SEVERAL, "[key]", "float", "Quantity", "dict"}
-"""pydantic's own names of places that are no keys of the file."""
+"""pydantic's own names in locations that are not keys of the file."""
 
 
 def parse_study(folder: Path) -> tuple[StudyFile, str]:
     """Return the validated content of `folder`/study.yaml and its text.
 
     Raises:
-        InvalidStudy: no folder, no file, not YAML, or content that does not fit the schema.
+        InvalidStudy: The folder or the file does not exist, or its content is not YAML or does not fit the schema.
     """
     text = _read(folder)
     content = _load(folder / STUDY, text)
@@ -132,7 +132,7 @@ def _unknown_key(location: tuple[int | str, ...], place: str, more: str) -> Inva
 
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys allowed at `location`, following nested models by name."""
+    """Return the keys allowed at `location` by following nested models by name."""
     current: Any = model
     for part in location:
         if part == SEVERAL:

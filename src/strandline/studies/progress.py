@@ -1,6 +1,6 @@
-"""How far a study is, read from its ledger while it may be running.
+"""How far a study has got, read from its ledger while it may be running.
 
-What a driver has noted of the study in the ledger is enough: then no model is loaded and nothing numerical imported.
+If a driver has noted the study's plan in the ledger, no model is loaded and nothing numerical is imported.
 """
 
 import hashlib
@@ -24,13 +24,13 @@ __all__ = ["Failures", "RunReported", "StudyProgress", "progress_in", "progress_
 
 Results = Literal["none", "current", "outdated"]
 RATE_RUNS = 50
-"""The pace is that of so many runs, the last to end."""
+"""Number of runs, the last to end, that give the pace."""
 LOG_LINES = 2
 
 
 @dataclass(frozen=True)
 class RunReported:
-    """A run to be shown: its key, its unknown inputs, its seconds, the first line of its message, its log's last."""
+    """A run to show: key, unknown inputs, seconds, first line of its message, last lines of its log."""
 
     key: str
     inputs: Mapping[str, float]
@@ -41,7 +41,7 @@ class RunReported:
 
 @dataclass(frozen=True)
 class Failures:
-    """The failures of one kind: their number, and the first to be started."""
+    """The failures of one kind: their number, and the first one started."""
 
     count: int
     example: RunReported
@@ -49,25 +49,25 @@ class Failures:
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """Counts of the planned runs by what came of them, each in one of ok, failed, open, to do.
+    """Counts of the planned runs by outcome; each run counts once, as ok, failed, open or to do.
 
     Args:
         name: Name of the study.
         planned: Number of runs of the design and of all rounds of refinement.
-        ok: Number of runs that gave an interface.
-        failed: Number of runs that gave none and will not be tried again.
-        open: Number of runs started and not ended, of a driver that is at work or may be.
-        lost: Number of runs started and not ended whose driver is gone; they are to do.
-        detached: Whether jobs of a SLURM array are out, which go on without a driver; `open` may be with them.
+        ok: Number of runs that returned an interface.
+        failed: Number of runs that returned none and will not be tried again.
+        open: Number of runs started and not ended whose driver is, or may be, at work.
+        lost: Number of runs started and not ended whose driver is gone; they count as to do.
+        detached: Whether jobs of a SLURM array are out, which go on without a driver; `open` runs may be among them.
         failures: Failures by kind, the commonest first.
-        rate: Runs per minute, of the last driver that ended any.
-        seconds_left: Estimated time to the last run that is planned, s, where a driver is at work.
+        rate: Runs per minute of the last driver that finished any.
+        seconds_left: Estimated time to the last planned run, s, if a driver is at work.
         median_seconds: Median duration of the finished runs, s.
         slowest: Slowest of the finished runs.
         driver: Process that opened the ledger last, and whether it is at work.
         active: Whether an active design is under way, which may stop before `planned` runs.
-        last_batch: Outcome of the last batch of an active design, in a line; empty where there is none.
-        results: Whether summary.json is there, and of study.yaml as it is now.
+        last_batch: Outcome of the last batch of an active design, in a line; empty if there is none.
+        results: Whether summary.json exists and belongs to the present study.yaml.
     """
 
     name: str
@@ -127,13 +127,13 @@ class StudyProgress:
 
 
 def progress_in(folder: Path) -> StudyProgress:
-    """Return how far the study in `folder` is: by the plan in its ledger if there is one, else by loading the study.
+    """Return the progress of the study in `folder`: from the plan in its ledger if there is one, else by loading it.
 
-    A model that has changed since, study.yaml being the same, is not noticed by the plan.
+    The plan does not show that a model has changed while study.yaml stayed the same.
 
     Raises:
-        InvalidStudy: no plan, and a study that cannot be loaded.
-        LedgerError: a ledger that cannot be used.
+        InvalidStudy: There is no plan, and the study cannot be loaded.
+        LedgerError: The ledger cannot be used.
     """
     plan = recorded_plan(folder)
     if plan is not None:
@@ -144,13 +144,13 @@ def progress_in(folder: Path) -> StudyProgress:
 
 
 def progress_of(study: "Study") -> StudyProgress:
-    """Return how far `study` is; reads the ledger without the lock of its driver."""
+    """Return the progress of `study`; reads the ledger without the lock of its driver."""
 
     return _progress(study.folder, study.runs.plan)
 
 
 def recorded_plan(folder: Path) -> Plan | None:
-    """Return what a driver has noted of study.yaml as it is; None where none has, or where there is no such file."""
+    """Return the plan that a driver has noted for the present study.yaml; None if there is no plan or no study.yaml."""
     try:
         text = (folder / STUDY).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
@@ -162,7 +162,7 @@ def recorded_plan(folder: Path) -> Plan | None:
 
 
 def results_of(study: "Study") -> Results:
-    """Return whether the study has results, and whether they are of study.yaml as it is."""
+    """Return whether the study has results, and whether they belong to the present study.yaml."""
     return _results(study.folder, study.text_digest)
 
 
@@ -180,7 +180,7 @@ def _progress(folder: Path, plan: Plan) -> StudyProgress:
 
 
 def _noted(folder: Path, study_sha256: str) -> dict[str, Any]:
-    """Return what refinement.json says of study.yaml as it is; nothing where it belongs to another."""
+    """Return the content of refinement.json; empty if it belongs to another study.yaml."""
     try:
         found = json.loads((folder / REFINEMENT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -189,7 +189,7 @@ def _noted(folder: Path, study_sha256: str) -> dict[str, Any]:
 
 
 class _Counted:
-    """The planned runs that were started, sorted by what came of them."""
+    """The planned runs that were started, sorted by outcome."""
 
     def __init__(self, plan: Plan, driver: Driver | None, runs: Sequence[Run], *, detached: bool) -> None:
         self.plan, self.driver, self.runs, self.detached = plan, driver, runs, detached
@@ -254,7 +254,7 @@ class _Counted:
         return self._shown(attempt, next(iter(details.message.splitlines()), ""), tuple(log))
 
     def _pace(self) -> tuple[float | None, float | None]:
-        """Return the runs per minute of the last driver that ended any, and the seconds left at its pace."""
+        """Return the runs per minute of the last driver that finished any, and the seconds left at its pace."""
         made = [
             attempt
             for run in self.runs
@@ -269,9 +269,9 @@ class _Counted:
 
 
 def _per_minute(made: Sequence[Attempt]) -> float | None:
-    """Return the pace of the last `RATE_RUNS` of the runs that one driver has made.
+    """Return the pace of the last `RATE_RUNS` runs that one driver has made.
 
-    The time of the first ones begins with the first start: runs side by side may all end at once.
+    If there are no earlier ones, time counts from the first start: parallel runs may all end at once.
     """
     ends = sorted(attempt.finished_at or 0.0 for attempt in made)
     if not ends:
@@ -286,6 +286,8 @@ def _results(folder: Path, study_sha256: str) -> Results:
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return "none"
+    if not isinstance(summary, dict):
+        return "none"
     return "current" if summary.get("study_sha256") == study_sha256 else "outdated"
 
 
@@ -294,7 +296,7 @@ def _seconds(attempt: Attempt) -> float:
 
 
 def _detached(folder: Path) -> bool:
-    """Return whether batches of a SLURM array are out: they have a folder as long as nobody has collected them."""
+    """Return whether batches of a SLURM array are out: each has a folder until it is collected."""
     return any((folder / "slurm").glob("*/batch.json"))
 
 

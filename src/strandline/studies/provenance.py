@@ -1,4 +1,4 @@
-"""Results belong to the text of study.yaml that stands beside them."""
+"""Results must belong to the study.yaml in their folder."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,11 +10,11 @@ from strandline.studies.study import Study
 __all__ = ["replaced", "require_its_own_text"]
 
 FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"})
-"""Fields that change no result, and those that are looked at by themselves."""
+"""Fields that change no result, and those that are compared separately."""
 
 
 def replaced(study: Study) -> Iterator[str]:
-    """Yield the names of the fields that say something else than the study.yaml that `study` was loaded from."""
+    """Yield the names of the fields that differ from the study.yaml that `study` was loaded from."""
     loaded = study.as_loaded
     if loaded is None:
         return
@@ -26,25 +26,25 @@ def replaced(study: Study) -> Iterator[str]:
 
 
 def require_its_own_text(study: Study) -> None:
-    """Refuse a study that was changed after it was loaded: its results would stand under a text that says otherwise.
+    """Refuse a study that was changed after it was loaded: its results would not match its study.yaml.
 
-    Where forward runs are made, what is done about failed ones and which ledgers are reused may be changed.
+    The executor, the policy for failed runs and the reused ledgers may be changed.
 
     Raises:
-        InvalidStudy: With the fields that were changed.
+        InvalidStudy: Other fields were changed; the message lists them.
     """
     changed = list(replaced(study))
     if changed and study.as_loaded is not None and study.text == study.as_loaded.text:
         raise InvalidStudy(
             "the study was changed after it was loaded",
             value=", ".join(changed),
-            expected="the values of its study.yaml, under which the results would stand",
-            remedy="Write the change into a study.yaml, in a folder of its own if both are wanted, and load that.",
+            expected="the values of its study.yaml, since the results are stored with that file",
+            remedy="Write the change into a study.yaml, in a separate folder to keep both, and load that.",
         )
 
 
 def _same(one: object, other: object) -> bool:
-    """Return whether two values are the same object or equal; False where they cannot be compared."""
+    """Return whether two values are the same object or equal; False if they cannot be compared."""
     if one is other:
         return True
     try:

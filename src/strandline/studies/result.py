@@ -30,7 +30,7 @@ class Result:
     """A finished study.
 
     Args:
-        study: The study, as its folder has it now.
+        study: The study as its folder now has it.
         posterior: Posterior that its last `strandline run` or `report` wrote.
         summary: Content of summary.json.
     """
@@ -51,14 +51,14 @@ class Result:
         return PosteriorPlots(self.posterior)
 
     def with_noise(self, *, sd: float | None = None, variance: float | None = None) -> Calibration:
-        """Return the posterior under another noise, from the runs that are there; nothing is written.
+        """Return the posterior under another noise, from the existing runs; nothing is written.
 
         Args:
             sd: Standard deviation σ_N, in the unit of the discrepancy d.
             variance: Variance σ_N² instead, in the unit of d².
 
         Raises:
-            InvalidInput: Both or none are given, or no number above 0.
+            InvalidInput: Both or neither are given, or the number is not above 0.
         """
         if (sd is None) == (variance is None):
             raise InvalidInput(
@@ -70,23 +70,23 @@ class Result:
         return self._calibrated(noise=GaussianNoise(float(variance if sd is None else sd**2)), noises={})  # type: ignore[arg-type]
 
     def with_measure(self, measure: str | Discrepancy, **options: Any) -> Calibration:
-        """Return the posterior under another measure, from the runs that are there; nothing is written.
+        """Return the posterior under another measure, from the existing runs; nothing is written.
 
         Args:
-            measure: A discrepancy, or its name in study files, with its options.
-            options: Options of the measure that is named.
+            measure: A discrepancy, or its name in study files.
+            options: Options of a measure given by its name.
 
         Raises:
-            InvalidInput: No such measure, or an option that it does not have.
+            InvalidInput: There is no such measure, or it has no such option.
         """
         if isinstance(measure, str):
             factory = open_entry(DISCREPANCIES, measure, "measure", "a discrepancy")
             return self._calibrated(discrepancies={measure: construct(factory, options, f"measure {measure}")})
         if options:
             raise InvalidInput(
-                "options beside a measure that is an object",
+                "options of a measure that is an object",
                 value=", ".join(options),
-                expected="options beside a name only",
+                expected="options with a name only",
                 remedy="Give them where the measure is made.",
             )
         return self._calibrated(discrepancies={type(measure).__name__: measure})
@@ -128,7 +128,7 @@ def load_result(folder: Path | str) -> Result:
         posterior = from_datatree(read(study.folder / POSTERIOR), study.space)
     except (OSError, ValueError, InvalidInput) as error:
         raise _no_results(study, str(error)) from None
-    if summary.get("study_sha256") != study.text_digest:
+    if not isinstance(summary, dict) or summary.get("study_sha256") != study.text_digest:
         raise _no_results(study, "results of an earlier study.yaml")
     return Result(study, posterior, summary)
 

@@ -1,4 +1,4 @@
-"""The files of the results: whether they can be written at all, and what is left where one of them cannot."""
+"""The result files: whether they can be written at all, and what happens if one of them cannot."""
 
 import io
 import shutil
@@ -15,10 +15,10 @@ __all__ = ["Results", "require_writers"]
 
 
 def require_writers() -> None:
-    """Refuse to begin where the libraries that write posterior.nc, the figures or the report do not work.
+    """Refuse to start if the libraries that write posterior.nc, the figures or the report do not work.
 
     Raises:
-        InvalidInput: with the library's reason.
+        InvalidInput: A library does not work; the message has its reason.
     """
     for name, trial in {POSTERIOR: _try_netcdf, FIGURES: _try_figures, REPORT: _try_page}.items():
         try:
@@ -42,14 +42,14 @@ class Results:
 
     @contextmanager
     def writing(self, name: str) -> Iterator[None]:
-        """Note the failure of what is done inside as that of the file `name`, and go on."""
+        """Note an error inside the block as a failure to write the file `name`, and go on."""
         try:
             yield
         except Exception as error:
             self.failed(name, error)
 
     def failed(self, name: str, error: Exception) -> None:
-        """Note why `name` is missing; an older one of that name does not belong to these results and is removed."""
+        """Note why `name` is missing, and remove an older file of that name: it does not belong to these results."""
         self.missing[name] = reason(error)
         self._first = self._first or error
         with suppress(OSError):
@@ -65,7 +65,7 @@ class Results:
         """Raise if anything is missing.
 
         Raises:
-            ResultsNotWritten: with `outcome`, what was found.
+            ResultsNotWritten: Something is missing; the error carries `outcome`.
         """
         if self.missing:
             raise ResultsNotWritten(self.folder, self.missing, outcome) from self._first

@@ -32,12 +32,12 @@ from strandline.version import __version__
 __all__ = ["Outcome", "run_study", "submit_study"]
 
 TELLING_RUNS = 4
-"""First successful runs, all ten times larger or smaller than the observation, that end a study."""
+"""A study ends if this many first successful runs are all ten times larger or smaller than the observation."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished study: the calibration, its summary, and where the report lies."""
+    """A finished study: the calibration, its summary, and the path of the report."""
 
     calibration: Calibration
     summary: dict[str, Any]
@@ -51,21 +51,21 @@ class Outcome:
 
 
 def run_study(study: Study, *, executor: Executor | None = None, observer: Observer | None = None) -> Outcome:
-    """Do the whole of a study; what the ledger holds already is not run again.
+    """Run a whole study; forward runs that the ledger already holds are not made again.
 
     Args:
         study: A study, from `load_study`.
-        executor: Where forward runs are made, if not where the study says.
+        executor: Where forward runs are made; by default where the study says.
         observer: Receives the progress.
 
     Raises:
-        InvalidStudy: the folder cannot be written to, the synthetic observation cannot be made, or the study was
+        InvalidStudy: The folder cannot be written to, the synthetic observation cannot be made, or the study was
             changed after it was loaded.
-        LedgerError: the ledger is locked, belongs to another model, or is damaged.
-        InvalidInput: a measure that cannot be evaluated on the observed interface, or a library that writes the
-            results does not work.
-        TooFewRuns: too few forward runs succeeded.
-        ResultsNotWritten: some files of the results could not be written; the others were.
+        LedgerError: The ledger is locked, belongs to another model, or is damaged.
+        InvalidInput: A measure cannot be evaluated on the observed interface, or a library that writes the results
+            does not work.
+        TooFewRuns: Too few forward runs succeeded.
+        ResultsNotWritten: Some result files could not be written; the others were.
     """
     require_its_own_text(study)
     require_writers()
@@ -96,17 +96,17 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
 
 
 def submit_study(study: Study, *, executor: Executor, observer: Observer | None = None) -> None:
-    """Hand the runs that are known to be needed and not yet made to an executor that does not wait for them.
+    """Submit the runs that are known to be needed and not yet made to an executor that does not wait for them.
 
     Args:
         study: A study, from `load_study`.
-        executor: Makes the runs; it raises when all of them are on their way.
-        observer: Receives the runs that were collected meanwhile.
+        executor: Makes the runs; it raises when all of them have been submitted.
+        observer: Receives the runs that have been collected in the meantime.
 
     Raises:
-        InvalidStudy: the folder cannot be written to.
-        LedgerError: the ledger is locked, belongs to another model, or is damaged.
-        InvalidInput: a library that writes the results does not work.
+        InvalidStudy: The folder cannot be written to.
+        LedgerError: The ledger is locked, belongs to another model, or is damaged.
+        InvalidInput: A library that writes the results does not work.
     """
     require_its_own_text(study)
     require_writers()
@@ -126,7 +126,7 @@ def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Ite
     """Name the cause of an analysis that fails because no run comes near the observation.
 
     Raises:
-        NumericsError: With the best run, and what may be the reason.
+        NumericsError: The analysis failed; the message has the best run and the likely reason.
     """
     try:
         yield
@@ -144,7 +144,7 @@ def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Ite
 
 
 def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer:
-    """Return the observer, each round of refinement written down and taken over where another study has made it."""
+    """Return an observer that also notes each round of refinement and takes over its runs from other studies."""
     numbers = count()
 
     def draws(inputs: Sequence[Mapping[str, float]]) -> None:
@@ -161,10 +161,10 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
 
 
 def _checking_sizes(observer: Observer, study: Study) -> Observer:
-    """Return the observer, which ends the study where its first runs all have another size than the observation.
+    """Return an observer that ends the study if none of its first runs has the size of the observation.
 
     Raises:
-        InvalidStudy: From a run's record; with the ratio and the unit that was probably mistaken.
+        InvalidStudy: None has; raised by the observer, with the ratio and the unit that was probably mistaken.
     """
     first: list[RunRecord] = []
 
@@ -179,7 +179,7 @@ def _checking_sizes(observer: Observer, study: Study) -> Observer:
 
 
 def _require_some_size(study: Study, records: Sequence[RunRecord]) -> None:
-    """Refuse the study where none of the runs has the observation's size; one that is odd alone is set aside later."""
+    """Refuse the study if no run has the size of the observation; a single run that has not is set aside later."""
     for record in records:
         try:
             require_same_size(study, record)
@@ -191,7 +191,7 @@ def _require_some_size(study: Study, records: Sequence[RunRecord]) -> None:
 
 
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:
-    """Return the observed interfaces by condition; synthetic ones are a run of the model, and noise."""
+    """Return the observed interfaces by condition; synthetic ones are a run of the model plus noise."""
     if study.truth is None:
         return study.observed
     observer.stage("observation")
@@ -208,7 +208,7 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
 
 
 def _try_measures(problem: Problem) -> None:
-    """Evaluate each measure once, on each observed interface itself: what it refuses, it refuses before the runs."""
+    """Evaluate each measure once on each observed interface against itself, so that errors come before the runs."""
     for discrepancy in problem.discrepancies.values():
         for observation in problem.observations:
             discrepancy(observation.interface, observation.interface)
@@ -217,7 +217,7 @@ def _try_measures(problem: Problem) -> None:
 def _write_results(study: Study, calibration: Calibration, new_runs: int, observer: Observer) -> Outcome:
     """Write every result whole or not at all; one that fails does not keep the others from being written.
 
-    The summary comes last. Where it stands, all that it does not name as missing stands too and belongs to it.
+    The summary comes last: if it exists, everything that it does not name as missing exists too and belongs to it.
     """
     observer.stage("report")
     begun = time.perf_counter()
@@ -258,7 +258,7 @@ def _tree(study: Study, calibration: Calibration) -> DataTree:
 
 
 class _Made:
-    """Notes which of the planned runs were made; one that was tried twice counts once."""
+    """The planned runs that were made; a run that was tried twice counts once."""
 
     def __init__(self) -> None:
         self.keys: set[str] = set()

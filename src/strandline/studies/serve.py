@@ -34,7 +34,7 @@ Solve = Callable[[Mapping[str, float]], RunRecord]
 class Solver:
     """Makes runs of a model for several threads, each run in one of `workers` processes; the last runs are remembered.
 
-    A crash, or more than `timeout` seconds, costs the one run. The processes start when they are needed.
+    A crash, or a run of more than `timeout` seconds, costs only that run. The processes start when they are needed.
     """
 
     def __init__(self, model: ForwardModel, *, workers: int = 1, timeout: float | None = None) -> None:
@@ -46,10 +46,10 @@ class Solver:
         self._lock = threading.Lock()
 
     def __call__(self, inputs: Mapping[str, float]) -> RunRecord:
-        """Return the record of the run: made now, being made for another caller, or remembered where it ended well.
+        """Return the record of the run: made now, being made for another caller, or remembered if it ended well.
 
         Raises:
-            InvalidInput: the model cannot be loaded in a process of its own.
+            InvalidInput: The model cannot be loaded in its own process.
         """
         request = RunRequest(run_key("", inputs), dict(inputs))
         with self._lock:
@@ -92,7 +92,7 @@ class _Served:
     outside: bool
 
     def models(self, example: RunRecord) -> Iterator[ServedModel]:
-        """Yield a model of each condition's interface, of the sizes of `example`, and the likelihood."""
+        """Yield a model of each condition's interface, with the sizes of `example`, and one of the likelihood."""
         dim = (self.study.space.dim,)
         for condition, interface in example.interfaces.items():
             sizes = tuple(len(block) for block in flattened(interface))
@@ -148,18 +148,18 @@ def served_models(
     """Return the models `interface`, or ``interface:CONDITION`` for each condition, and `log_likelihood`.
 
     One run is made at the medians of the priors, which gives the sizes of the outputs, and one for a synthetic
-    observation. All take one block, the study's unknown inputs in its order. `interface` yields the coordinates x0,
-    y0, x1, y1, … of the points, mm, and of a surface its triangles as a second block; `log_likelihood` log L of the
-    first measure by the true model, without the constant.
+    observation. All models take one block, the study's unknown inputs in its order. `interface` returns the
+    coordinates x0, y0, x1, y1, … of the points, mm, and for a surface its triangles as a second block;
+    `log_likelihood` returns log L of the first measure by the true model, without the constant.
 
     Args:
         study: A study, from `load_study`.
         solve: Makes a run; called by several threads at once.
-        differentiate: Makes a run with sensitivities; None where the model has none.
+        differentiate: Makes a run with sensitivities; None if the model has none.
         outside: Whether inputs outside the boxes of the priors are answered too.
 
     Raises:
-        InvalidStudy: one of these runs fails.
+        InvalidStudy: One of these runs fails.
     """
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
@@ -168,7 +168,7 @@ def served_models(
 
 
 def differentiating(model: ForwardModel) -> ForwardModel | None:
-    """Return `model` asked for sensitivities; None where it has none."""
+    """Return `model` with sensitivities switched on; None if it has none."""
     try:
         asked: ForwardModel = with_sensitivities(model)
     except InvalidInput:
@@ -190,7 +190,7 @@ def _check_box(values: Mapping[str, float], space: ParameterSpace) -> None:
 
 
 def _observations(study: Study, solve: Solve, example: RunRecord) -> tuple[Observation, ...]:
-    """Return the observations, run through from the same end as an example."""
+    """Return the observations with their points in the same direction as those of an example."""
     observed: Mapping[str, Interface] = study.observed
     if study.truth is not None:
         observed = noisy(

@@ -1,4 +1,4 @@
-"""The forward runs that a study needs, and what its ledgers hold of them."""
+"""The forward runs that a study needs, and which of them its ledgers hold."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,7 +27,7 @@ __all__ = ["Asks", "StudyRuns", "report_backup", "settled"]
 
 @runtime_checkable
 class Asks(Protocol):
-    """What a study asks for, as far as its runs are concerned."""
+    """The part of a study that concerns its runs."""
 
     @property
     def folder(self) -> Path: ...
@@ -55,10 +55,10 @@ class Asks(Protocol):
 
 @dataclass(frozen=True)
 class StudyRuns:
-    """The runs of a study: which ones it needs, where they are kept, and how far they are.
+    """The runs of a study: which ones it needs, where they are kept, and how far they have got.
 
-    Where later batches and rounds make their runs follows from the runs before them: refinement.json holds those that
-    have begun, as long as study.yaml does not change.
+    The inputs of later batches and rounds depend on the runs before them: refinement.json holds those that have begun,
+    as long as study.yaml does not change.
 
     Args:
         study: The study, as loaded or with parts of it replaced.
@@ -77,7 +77,7 @@ class StudyRuns:
 
     @property
     def design(self) -> list[dict[str, float]]:
-        """Inputs of the first design in their order: the Sobol design, or given runs to begin with."""
+        """Inputs of the first design in their order: the Sobol design, or the given runs of an active design."""
         study, given = self.study, self.given
         if given is not None:
             return given
@@ -97,13 +97,13 @@ class StudyRuns:
 
     @property
     def given(self) -> list[dict[str, float]] | None:
-        """Inputs of the runs that an active design was given to begin with; None where there are none."""
+        """Inputs of the existing runs that an active design starts with; None if there are none."""
         given = self._noted.get("given")
         return [dict(entry) for entry in given] if isinstance(given, list) and given else None
 
     @property
     def needed_keys(self) -> list[str]:
-        """Ledger keys of all runs needed, as far as they are known: the synthetic one, the design, the rounds."""
+        """Ledger keys of all runs known to be needed: the synthetic one, the design, the rounds."""
         synthetic = [] if self.study.truth is None else [self.key(self.study.truth)]
         rounds = [key for keys in self.rounds for key in keys]
         return list(dict.fromkeys([*synthetic, *self.design_keys, *rounds]))
@@ -112,7 +112,7 @@ class StudyRuns:
     def planned(self) -> int:
         """Number of runs of the design and of all rounds of refinement.
 
-        For an active design, all that it may make until it has ended; then those that it made.
+        For an active design: the most that it may make; once it has ended, those that it made.
         """
         settings, begun = self.study.settings, self.rounds
         first, made = len(self.design), sum(len(keys) for keys in begun)
@@ -124,7 +124,7 @@ class StudyRuns:
 
     @property
     def plan(self) -> Plan:
-        """What the study asks of its ledger, as far as it is known."""
+        """What the study is known to need from its ledger."""
         study = self.study
         return Plan(
             study_sha256=study.text_digest,
@@ -138,7 +138,7 @@ class StudyRuns:
 
     @property
     def known(self) -> int:
-        """Number of planned runs in the study's ledger, or in one that it may take runs from."""
+        """Number of planned runs in the study's ledger or in a reused one."""
         keys = [*self.design_keys, *(key for some in self.rounds for key in some)]
         known: set[str] = set()
         for ledger in self._own_and_reused():
@@ -157,7 +157,7 @@ class StudyRuns:
 
     @property
     def unheard_kinds(self) -> list[str]:
-        """Words under ``failures.kinds`` with which no run has ended, where the model does not name its own."""
+        """Words under ``failures.kinds`` that the model does not declare and with which no run has ended."""
         named = self.study.settings.failures.actions
         known = {*failure_words(self.study.model), *(self.failure_kinds if named else ())}
         return [kind for kind in named if kind not in known]
@@ -175,16 +175,16 @@ class StudyRuns:
         return Ledger.open(self.study.ledger_path, model=self.identity, description=self.study.name)
 
     def require_sound_ledgers(self) -> None:
-        """Refuse a ledger of another model, a damaged one, or one of a newer strandline; own and reused.
+        """Refuse a ledger, own or reused, that is damaged or belongs to another model or to a newer strandline.
 
         Raises:
-            LedgerError: The ledger that cannot be used.
+            LedgerError: A ledger cannot be used.
         """
         for _ in self._own_and_reused():
             pass
 
     def require_finished(self) -> None:
-        """Refuse a study that needs runs which are not made yet.
+        """Refuse a study that needs runs that have not been made yet.
 
         Raises:
             InvalidStudy: The number of runs done is too small.
@@ -198,7 +198,7 @@ class StudyRuns:
             raise InvalidStudy(
                 "the study is not finished",
                 value=f"{done} of {needed} forward runs done{', the synthetic one included' if study.truth else ''}",
-                expected="all runs done, for results to be made of them",
+                expected="all runs done before results are made",
                 remedy=f"Run it first: strandline run {study.folder}",
             )
 
@@ -212,14 +212,14 @@ class StudyRuns:
                 ledger.copy_from(other, missing, sensitivities=self.study.sensitivities)
 
     def begin_round(self, number: int, inputs: Sequence[Mapping[str, float]]) -> None:
-        """Note the runs of round `number`, counted from 0; later rounds are forgotten."""
+        """Note the runs of round `number`, counted from 0; drop later rounds."""
         self._note(rounds=[*self.rounds[:number], [self.key(entry) for entry in inputs]], finished=False)
 
     def begin_active(self, ledger: Ledger) -> Float[np.ndarray, "run dim"] | None:
-        """Return the inputs of the runs that an active design begins with; None for its Sobol design.
+        """Return the inputs of the existing runs that an active design starts with; None for its Sobol design.
 
-        They are those that the ledgers, its own and the reused ones, hold of another study.yaml, at least as many as
-        the design would begin with. What is found the first time is noted, so that the study goes on with the same.
+        They are the runs that the study's own and the reused ledgers hold from another study.yaml, if there are at
+        least as many as the design would start with. The first answer is noted, so that the study goes on with it.
         """
         settings = self.study.settings
         if settings.active is None:
@@ -249,7 +249,7 @@ class StudyRuns:
                     yield ledger
 
     def _at_hand(self, ledger: Ledger) -> list[dict[str, float]]:
-        """Return the inputs of settled runs in the box and with the study's known inputs, in a fixed order."""
+        """Return the inputs of settled runs in the box that have the study's known inputs, in a fixed order."""
         truth = None if self.study.truth is None else run_key(ledger.model, self.study.truth)
         found: dict[str, dict[str, float]] = {}
         for path in (None, *(path for path in self.study.reuse if path.is_file())):
@@ -273,7 +273,7 @@ class StudyRuns:
 
     @property
     def _noted(self) -> dict[str, Any]:
-        """What refinement.json holds of study.yaml as it is; nothing where it belongs to another."""
+        """Content of refinement.json; empty if it belongs to another study.yaml."""
         try:
             found = json.loads((self.study.folder / REFINEMENT).read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -295,6 +295,6 @@ def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False)
 
 
 def report_backup(ledger: Ledger, note: Callable[[str], None]) -> None:
-    """Report where the copy of a ledger is that was upgraded when it was opened."""
+    """Report the backup of a ledger that was upgraded when it was opened."""
     if ledger.backup is not None:
         note(f"{ledger.path.name} was of an earlier version; a copy of it is {ledger.backup}")

@@ -1,4 +1,4 @@
-"""What summary.json says of a surrogate of the field: what it is, what certifies its posterior, the other way."""
+"""The entries of summary.json on a surrogate of the field: the surrogate, its certificate, and a comparison."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ TO_MICROMETRES = 1e3
 
 
 def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, Any]:
-    """Return what the surrogate is, its errors along the interface, and what they do to the posterior."""
+    """Return a description of the surrogate, its errors along the interface, and their effect on the posterior."""
     surrogate, names = found.knowledge.surrogate, calibration.problem.space.names
     at_draws = surrogate.predicted_error(calibration.posterior.draws)
     return {
@@ -38,7 +38,7 @@ def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, 
 
 
 def certificate(calibration: Calibration) -> dict[str, Any] | None:
-    """Return what speaks for the posterior of an active design; None for a fixed one."""
+    """Return the certificate of the posterior of an active design; None for a fixed design."""
     found = calibration.field
     if found is None or found.certificate is None:
         return None
@@ -57,7 +57,7 @@ def certificate(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def comparison(calibration: Calibration) -> dict[str, Any] | None:
-    """Return the posterior that the study's own surrogate makes of the same runs; None where it makes none."""
+    """Return the posterior from the published study's surrogate of the same runs; None if there is none."""
     found = calibration.field
     if found is None or found.compared is None:
         return None

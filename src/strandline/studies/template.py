@@ -47,10 +47,10 @@ seed: 1
 
 
 def write_template(folder: Path) -> Path:
-    """Write a commented study.yaml into `folder`, made if needed, and return its path.
+    """Write a commented study.yaml into `folder`, created if needed, and return its path.
 
     Raises:
-        InvalidStudy: there is one already, or the folder cannot be made.
+        InvalidStudy: There is one already, or the folder cannot be created.
     """
     path = folder / STUDY
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", folder.resolve().name).strip("-._") or "study"

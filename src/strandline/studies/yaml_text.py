@@ -12,16 +12,16 @@ from strandline.studies.folder import STUDY
 __all__ = ["load_yaml"]
 
 DEEPEST = 40
-"""Lists and mappings within each other."""
+"""Largest depth of nested lists and mappings."""
 LARGEST = 100_000
-"""Values in all, those that an alias repeats counted each time."""
+"""Largest number of values; those that an alias repeats count each time."""
 DIGITS = 300
-"""Of a whole number; a float has no more before the point."""
+"""Most digits of a number; a float has no more before the point."""
 CORE = {f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map", "merge")}
 DATE = "tag:yaml.org,2002:timestamp"
 NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 UNUSABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ud800-\udfff\ufffe\uffff]")
-"""Characters that no file name, no name and no command can hold, and that a terminal may act upon."""
+"""Characters that cannot be in a file name, a name or a command, and that a terminal may act upon."""
 
 
 def load_yaml(text: str) -> Any:
@@ -30,7 +30,8 @@ def load_yaml(text: str) -> Any:
     Numbers with underscores are texts: YAML 1.1 would read ``1_0`` as 10.
 
     Raises:
-        InvalidStudy: with the line: no YAML, a key twice, a tag, nesting or repetition beyond all use.
+        InvalidStudy: The text is not YAML, or has a key twice, a tag, or too much nesting or repetition; the message
+            has the line.
     """
     try:
         return yaml.load(text, Loader=_Loader)
@@ -43,7 +44,7 @@ def load_yaml(text: str) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses repeated keys, tags of its own and what would take all memory."""
+    """Safe YAML that refuses repeated keys, custom tags and text that would take all memory."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
@@ -52,7 +53,7 @@ class _Loader(yaml.SafeLoader):
         self.extents: dict[int, tuple[int, int]] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Return the next node; the depth is bounded, and an anchor cannot hold an alias of itself."""
+        """Return the next node; its depth is bounded, and an anchor cannot contain an alias of itself."""
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
         name: str | None = getattr(event, "anchor", None)
         if self.depth >= DEEPEST:
@@ -75,7 +76,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def _require_bearable(self, node: yaml.Node, mark: Any) -> None:
-        """Refuse a node that aliases, each counted as what it stands for, make too deep or too large."""
+        """Refuse a node that is too deep or too large with its aliases expanded."""
         below = [self.extents[id(child)] for child in _children(node)]
         size, height = 1 + sum(size for size, _ in below), 1 + max((height for _, height in below), default=0)
         if height > DEEPEST:
@@ -85,7 +86,7 @@ class _Loader(yaml.SafeLoader):
         self.extents[id(node)] = size, height
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """Return a mapping whose keys are texts or numbers, each there once."""
+        """Return a mapping whose keys are texts or numbers, each present once."""
         node = super().compose_mapping_node(anchor)
         seen = set()
         for key, _ in node.value:
@@ -102,7 +103,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Return the value of a node; one that is not what its tag says is refused with its line."""
+        """Return the value of a node; refuse one that does not match its tag, with its line."""
         if node.tag not in CORE and not (node.tag == DATE and isinstance(node, yaml.ScalarNode)):
             raise _not_yaml(node.start_mark, f"the tag {node.tag}", "plain YAML without tags", "Remove the tag.")
         if node.tag in NUMBERS and len(node.value) > DIGITS:
@@ -147,7 +148,7 @@ def _not_yaml(
 
 
 def _without_underscores() -> dict[Any, Any]:
-    """Return YAML 1.1's rules for plain words, numbers without the underscores that nobody means."""
+    """Return YAML 1.1's rules for plain words, but for numbers without underscores only."""
     changed: dict[Any, Any] = {}
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items():
         changed[first] = [

@@ -383,7 +383,7 @@ class TestInformedPrior:
         claim = self.claim(normal(385.0, 30.0, 0.2, 0.08))
         edges = np.linspace(-0.8, 0.5, 31)
         distance = 0.5 * np.abs(np.diff(stats.norm.cdf(edges, 0.2, 0.08)) - np.diff(self.PRIOR.cdf(edges))).sum()
-        numbers = settled(claim, "differs", f"{distance:.2f} in total variation", "tell of ν")
+        numbers = settled(claim, "differs", f"{distance:.2f} in total variation", "the data inform ν as well")
         assert numbers["nu_distance_to_prior"] == pytest.approx(distance, abs=0.01)
 
     @pytest.mark.parametrize("to", [(420.0, 0.2), (385.0, 0.4), (399.7, 0.299)], ids=["E up", "nu up", "hardly"])

@@ -1,6 +1,6 @@
 """Log evidence and its gradient by (log variance, log lengths) with GPyTorch: product of Matérn 3/2, noise fixed.
 
-Its iterative approximations are off: the factor is that of a Cholesky decomposition.
+Its iterative approximations are switched off: it uses a Cholesky decomposition.
 """
 
 import os

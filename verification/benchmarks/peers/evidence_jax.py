@@ -1,4 +1,4 @@
-"""Log evidence and its gradient by (log variance, log lengths) as one would write it in JAX: autodiff of a Cholesky."""
+"""Log evidence and its gradient by (log variance, log lengths) in plain JAX: autodiff of a Cholesky."""
 
 from collections.abc import Mapping
 from typing import Any

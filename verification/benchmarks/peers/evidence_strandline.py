@@ -1,4 +1,4 @@
-"""Log evidence and its gradient by (log variance, log lengths) as a fit of strandline makes it, dozens of times."""
+"""Log evidence and its gradient by (log variance, log lengths) as a fit of strandline computes it dozens of times."""
 
 import math
 from collections.abc import Mapping

@@ -2,7 +2,7 @@
 
 With the argument ``pyvbmc`` it makes .venv-pyvbmc for `verification.validation.pyvbmc`: ``make pyvbmc-env``.
 
-What cannot be installed is printed, and kept in ``.venv/not-installed.json`` for the benchmark, which goes on without
+What cannot be installed is printed and noted in ``.venv/not-installed.json`` for the benchmark, which goes on without
 it. An environment whose lists have not changed is left as it is, unless something was missing.
 """
 
@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 FOLDER = HERE / ".venv"
 LISTS = ("requirements.txt", "requirements-torch.txt")
 OWN: dict[str, tuple[Path, tuple[str, ...]]] = {"pyvbmc": (HERE / ".venv-pyvbmc", ("requirements-pyvbmc.txt",))}
-"""Peers with an environment of their own, by the argument that asks for it: its folder and its lists."""
+"""Folder and lists of each further environment, by the argument that selects it."""
 NOTE = "not-installed.json"
 
 Runner = Callable[[Sequence[str]], "subprocess.CompletedProcess[str]"]
@@ -29,7 +29,7 @@ def run(command: Sequence[str]) -> "subprocess.CompletedProcess[str]":
 
 
 def install(folder: Path = FOLDER, *, lists: Sequence[Path] | None = None, runner: Runner = run) -> dict[str, str]:
-    """Install each list; return those that could not be, with the reason."""
+    """Install each list; return those that could not be installed, with the reason."""
     wanted = [HERE / name for name in LISTS] if lists is None else lists
     stamp, content = folder / "installed.txt", "\n".join(one.read_text("utf-8") for one in wanted)
     if stamp.exists() and stamp.read_text("utf-8") == content:
@@ -63,7 +63,7 @@ def not_installed(folder: Path = FOLDER) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Install the peers of `make bench`, or those named in `OWN`, and say what is missing."""
+    """Install the peers of `make bench`, or those of the arguments in `OWN`, and print what is missing."""
     for folder, names in [OWN[name] for name in arguments] if arguments else [(FOLDER, LISTS)]:
         for name, why in install(folder, lists=[HERE / one for one in names]).items():
             print(f"benchmarks: the peers of {name} are not measured: {why}", file=sys.stderr)

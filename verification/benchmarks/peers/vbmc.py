@@ -1,13 +1,14 @@
-"""PyVBMC in a process of its own; whoever started it answers what the log joint density is at a point.
+"""PyVBMC in its own process; the process that started it computes the log joint density at each point.
 
-It reads a task, one line of JSON, and writes one line for each evaluation, ``{"x": [...]}``, to be answered by
-``{"y": log joint density}`` or ``{"y": null, "prior": log prior density}`` where the run failed. The last line is
-``{"done": ...}``. What its variational posterior is after each iteration goes into an .npz: its density at given points
-(``at``, an .npz with ``points``) or draws of it (``draws``). It knows nothing of strandline.
+It reads a task, one line of JSON, and writes one line for each evaluation, ``{"x": [...]}``; the answer is
+``{"y": log joint density}``, or ``{"y": null, "prior": log prior density}`` if the run failed. The last line is
+``{"done": ...}``. The variational posterior after each iteration goes into an .npz: its density at given points
+(``at``, an .npz with ``points``) or draws from it (``draws``). It knows nothing about strandline.
 
-Task: ``lower``, ``upper``, ``plausible_lower``, ``plausible_upper``, ``evaluations`` (the most), ``seed``, ``failed``
-(the log-likelihood of a failed run: ``-inf``, a number, or ``lowest`` of those seen), ``at`` or ``draws``, ``out``, and
-``boost``: the posterior of every so many iterations is boosted afterwards, as PyVBMC would have done had it ended then.
+Task: ``lower``, ``upper``, ``plausible_lower``, ``plausible_upper``, ``evaluations`` (largest number), ``seed``,
+``failed`` (the log-likelihood of a failed run: ``-inf``, a number, or ``lowest`` of those seen), ``at`` or ``draws``,
+``out``, and ``boost``: afterwards, the posterior of every ``boost``-th iteration is boosted, as PyVBMC would have done
+if it had ended there.
 """
 
 import json
@@ -18,11 +19,11 @@ from importlib import metadata
 from typing import Any
 
 FIRST_LOWEST = -1e3
-"""Stands for the lowest log-likelihood where a run fails before any has succeeded."""
+"""Used as the lowest log-likelihood if a run fails before any has succeeded."""
 
 
 class Target:
-    """The log joint density, asked for over a pipe; waiting for the answer takes no processor time."""
+    """The log joint density, requested over a pipe; waiting for the answer takes no processor time."""
 
     def __init__(self, failed: str, replies: Any) -> None:
         self.failed, self.replies = failed, replies
@@ -52,9 +53,9 @@ def say(stream: Any, **content: object) -> None:
 
 
 def boosts(vbmc: Any, every: int, marks: dict[int, tuple[int, float]]) -> list[tuple[tuple[int, float], Any]]:
-    """Return (evaluations, seconds until then and of the boost) and the boosted posterior of every so many iterations.
+    """Return the mark and the boosted posterior of each `every`-th iteration; its seconds include the boost.
 
-    A boost knows the iteration's posterior and process, and no later evaluation.
+    A boost uses the iteration's posterior and Gaussian process, but no later evaluation.
     """
     found = []
     for k in sorted(marks)[every - 1 :: every]:
@@ -67,7 +68,7 @@ def boosts(vbmc: Any, every: int, marks: dict[int, tuple[int, float]]) -> list[t
 
 def main() -> None:
     replies = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what a library prints is no reply
+    os.dup2(2, 1)  # keep what libraries print out of the replies
     import numpy as np
     from pyvbmc import VBMC
 

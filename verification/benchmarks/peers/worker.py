@@ -1,8 +1,8 @@
-"""What the program of every peer shares: a task from a file, done on request and timed in its own process.
+"""The part that the programs of all peers share: a task from a file, done on request and timed in its own process.
 
-A program is called with the path of an .npz. It writes one JSON object a line: ``{"ready": versions}`` after a first,
+A program is called with the path of an .npz. It writes one JSON object per line: ``{"ready": versions}`` after a first,
 unmeasured answer, then for each line that it reads ``{"wall": s, "cpu": s, "answer": [...]}``, until its input ends.
-The environment variable PEER_CORES is how many cores it may use. It needs NumPy and knows nothing of strandline.
+The environment variable PEER_CORES limits its number of cores. It needs NumPy and knows nothing about strandline.
 """
 
 import json
@@ -21,7 +21,7 @@ Task = Callable[[], Sequence[float]]
 def serve(packages: Sequence[str], prepare: Callable[[Mapping[str, Any]], Task]) -> None:
     """Answer requests; `prepare` imports the packages, after the cores are limited."""
     replies = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what a library prints is no reply
+    os.dup2(2, 1)  # keep what libraries print out of the replies
     limit_cores(int(os.environ.get(CORES, "1")))
     import numpy as np
 
@@ -37,7 +37,7 @@ def serve(packages: Sequence[str], prepare: Callable[[Mapping[str, Any]], Task])
 
 
 def limit_cores(number: int) -> None:
-    """Keep this process, the threads of its libraries included, on `number` cores, where the system can."""
+    """Keep this process and the threads of its libraries on `number` cores, if the system allows it."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:number])
 

@@ -1,4 +1,4 @@
-"""The inner product of two interfaces as currents by one point a cell, and of polylines integrated to a tolerance.
+"""The inner product of two interfaces as currents: with one point per cell, or of polylines to a tolerance.
 
 ⟨S,T⟩ = ∫_S ∫_T K(x, y) n(x)·m(y) dy dx with the kernel K = exp(-|x-y|²/2σ²) and unit normals n, m; mm² in the plane.
 Eqs. (10)-(11) of the study; σ is its σ_W.
@@ -22,15 +22,16 @@ __all__ = ["PANEL", "centre_product", "gauss_order", "natural_scale", "refined_p
 PANEL = 6.0
 """Longest piece of a segment that one Gauss rule integrates over, in kernel widths."""
 BLOCK = 1 << 16
-"""Pairs of pieces that are worked on at once: bounds the memory."""
+"""Pairs of pieces processed at once; this bounds the memory."""
 _FAR = 1e-12
 _RADII = np.geomspace(1.05, 1e4, 300)
 
 
 def centre_product(a: Interface, b: Interface, width: float) -> float:
-    """Return Σ_i Σ_j K(c_i, d_j) n_i·m_j, mm² (mm⁴): one point a cell, c, d centres; n, m normals times length (area).
+    """Return Σ_i Σ_j K(c_i, d_j) n_i·m_j, mm² (mm⁴), with cell centres c, d and normals n, m times length (area).
 
-    Of very many cells, those too far apart to make 1e-12 of `natural_scale(a)` together are left out.
+    If there are very many cells, pairs so far apart that they add up to less than 1e-12 of `natural_scale(a)` are left
+    out.
     """
     nodes = Nodes(a.centres, a.normals)
     reach = math.inf if len(a.cells) * len(b.cells) <= SMALL else _reach(a, b, width)
@@ -45,7 +46,7 @@ def _reach(a: Interface, b: Interface, width: float) -> float:
 def natural_scale(a: Interface, width: float) -> float:
     """Return size · min(size, (σ√2π)^k), mm² (mm⁴), of an interface of k dimensions.
 
-    ⟨S,S⟩ of a straight line or a plane much larger (or smaller) than the width.
+    This is ⟨S,S⟩ of a straight line or a plane much larger (or smaller) than the width.
     """
     size = float(a.sizes.sum())
     return size * min(size, (width * math.sqrt(2 * math.pi)) ** (a.dim - 1))
@@ -54,16 +55,15 @@ def natural_scale(a: Interface, width: float) -> float:
 def refined_product(a: Interface, b: Interface, width: float, *, tolerance: float) -> float:
     """Return ⟨a,b⟩ of the polylines themselves, mm², whatever their segmentation.
 
-    The integral over a segment of `b` is done in closed form (erf), the one over `a` by Gauss–Legendre rules on
-    pieces no longer than `PANEL` widths, of the order at which their error bound (`gauss_order`) falls below
-    `tolerance`.
+    The integral over a segment of `b` is in closed form (erf). The one over `a` uses Gauss–Legendre rules on pieces no
+    longer than `PANEL` widths, of the order at which their error bound (`gauss_order`) falls below `tolerance`.
     Pairs too far apart to matter at this tolerance are left out.
 
     Args:
         a: polyline of the outer integral.
         b: polyline of the inner integral.
         width: kernel width σ, mm.
-        tolerance: error relative to `natural_scale(a)`, for a `b` that does not crowd around a point many times over.
+        tolerance: error relative to `natural_scale(a)`, if `b` does not pass near one point many times.
     """
     pieces = _Pieces.of(a, PANEL * width)
     longest = float(pieces.lengths.max())
@@ -81,10 +81,10 @@ def refined_product(a: Interface, b: Interface, width: float, *, tolerance: floa
 def gauss_order(ratio: float, tolerance: float) -> int:
     """Return how many Gauss–Legendre points integrate the kernel along a piece `ratio` widths long.
 
-    In the complex plane of the arclength the kernel grows as exp(y²/2σ²), y the imaginary part: on the Bernstein
-    ellipse of radius ρ around the piece by exp(ratio²(ρ - 1/ρ)²/32) at most. So m points, exact for polynomials up to
-    degree 2m-1, err by 4 ρ^(1-2m)/(ρ-1) times that at most, relative to the piece's length times the integral of the
-    kernel. The best ρ is taken.
+    In the complex plane of the arc length the kernel grows as exp(y²/2σ²), where y is the imaginary part. On the
+    Bernstein ellipse of radius ρ around the piece it grows by at most exp(ratio²(ρ - 1/ρ)²/32). So the error of m
+    points, exact for polynomials up to degree 2m-1, is at most 4 ρ^(1-2m)/(ρ-1) times that, relative to the piece's
+    length times the integral of the kernel. The best ρ is used.
 
     Raises:
         NumericsError: no rule of up to 100 points reaches the tolerance.
@@ -141,7 +141,7 @@ def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> _Pa
 
 
 def _pair_integrals(pieces: _Pieces, b: Interface, pairs: _Pairs, width: float, order: int) -> float:
-    """Return Σ over the pairs of n·m ∫∫ K; abscissae along the piece and across it in the frame of the segment."""
+    """Return Σ over the pairs of n·m ∫∫ K; `along` and `across` are the nodes' coordinates in the segment's frame."""
     nodes, weights = _unit_gauss(order)
     scale = 1 / (math.sqrt(2) * width)
     lengths = b.lengths[pairs.column]

@@ -1,8 +1,8 @@
 """The double sum behind every inner product of currents, for few nodes and for very many.
 
-Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j. No matrix of all pairs is ever held: few pairs are summed in blocks; many, by a
-compiled loop over the y of each tile of neighbouring x. Where the kernel is short, a tree finds which y a tile needs.
-Threads share the batches of tiles; which tiles make a batch does not depend on their number, and neither does the sum.
+Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j. The matrix of all pairs is never stored: few pairs are summed in blocks, many
+by a compiled loop over the y of each tile of neighbouring x. If the kernel is short, a tree finds the y a tile needs.
+Threads share the batches of tiles. The batches do not depend on the number of threads, and neither does the sum.
 """
 
 import math
@@ -22,24 +22,24 @@ from strandline.numerics.threads import double, side_by_side
 __all__ = ["Nodes", "kernel_sum"]
 
 BLOCK = 1 << 16
-"""Pairs that NumPy works on at once: bounds the memory."""
+"""Pairs that NumPy processes at once; this bounds the memory."""
 SMALL = 1 << 20
-"""Pairs up to which the blocks are quicker than finding neighbours and compiling."""
+"""Number of pairs up to which blocks are faster than finding neighbours and compiling."""
 _TILE, _FULL_TILE = 128, 5120
-"""Nodes in a tile, where a tree chooses their partners and, at most, where all are."""
+"""Nodes in a tile if a tree chooses their partners, and at most if all nodes are partners."""
 _TILES = 128
-"""Tiles, at most, in one compiled call where a tree chooses the partners."""
+"""Largest number of tiles in one compiled call if a tree chooses the partners."""
 _UNROLLED = 8
-"""Partners that one step of the loop takes."""
+"""Partners processed in one step of the loop."""
 _GATHERED = 1 << 19
-"""Partners, of all tiles together, in one compiled call."""
+"""Partners of all tiles together in one compiled call."""
 _CLOSE = 300.0
-"""|x|² + |y|², times log₂e/2σ², up to which |x - y|² may be had from x·y: to 1e-13 of the kernel, which is no 0 yet."""
+"""Largest |x|² + |y|², times log₂e/2σ², at which x·y yields |x - y|² to 1e-13 of the kernel, which is not 0 yet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Places with a vector each: quadrature points of an interface, mm, and its normals there times length or area."""
+    """Quadrature points of an interface, mm, and its normals there times length or area."""
 
     points: Float[np.ndarray, "node xyz"]
     normals: Float[np.ndarray, "node xyz"]
@@ -60,7 +60,7 @@ def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float) -> float:
         width: Kernel width σ, mm.
         reach: Distance beyond which pairs may be left out, mm.
 
-    Many pairs go through JAX where its float64 is switched on, else through NumPy: slower, and the same to rounding.
+    JAX sums many pairs if its float64 is switched on, else NumPy: slower, with the same result to rounding.
     """
     if len(a) * len(b) <= SMALL:
         return _blocked(a, b, width)
@@ -70,7 +70,7 @@ def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
-    """Tiles of the one side, and which of the `partners` of the other each needs: those from `begin` up to `end`."""
+    """Tiles of one side, and which `partners` on the other side each needs: those from `begin` up to `end`."""
 
     tiles: Int[np.ndarray, "tile node"]
     partners: Int[np.ndarray, " partner"]
@@ -80,9 +80,9 @@ class _Batch:
 
 
 def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
-    """Yield every pair within reach once, some that are farther apart, and blank nodes to fill the rows with.
+    """Yield every pair within reach once, some that are farther apart, and blank nodes that fill the rows.
 
-    Of a sum with itself, every pair of different tiles is yielded one way round only, with weight 2.
+    In a sum of nodes with themselves, every pair of different tiles is yielded only once, with weight 2.
     """
     order = cKDTree(a.points).indices
     tiles = _cut(order, _TILE, blank=len(a))
@@ -137,18 +137,18 @@ def _cut(order: Int[np.ndarray, " node"], size: int, *, blank: int) -> Int[np.nd
 
 
 def _filled_up(partners: Int[np.ndarray, " partner"], *, blank: int) -> Int[np.ndarray, " filled"]:
-    """Return an array as long as the next power of two: few different ones to compile for, none of which costs time."""
+    """Return the array padded to a power of two: few lengths to compile for, and the padding costs no time."""
     length = max(1 << max(len(partners) - 1, 0).bit_length(), _UNROLLED)
     return np.pad(partners, (0, length - len(partners)), constant_values=blank)
 
 
 def _with_blank(nodes: Nodes) -> Nodes:
-    """Return the nodes and a blank one after them, in the place of the last one and without a normal."""
+    """Return the nodes and a blank one after them, at the position of the last one and with normal 0."""
     return Nodes(np.pad(nodes.points, ((0, 1), (0, 0)), mode="edge"), np.pad(nodes.normals, ((0, 1), (0, 0))))
 
 
 def _in_blocks(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
-    """Return what sums a batch with NumPy."""
+    """Return a function that sums a batch with NumPy."""
 
     def sums(batch: _Batch) -> float:
         rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
@@ -170,7 +170,7 @@ def _blocked(a: Nodes, b: Nodes, width: float) -> float:
 
 
 def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
-    """Return what sums a batch by the compiled loop."""
+    """Return a function that sums a batch with the compiled loop."""
     middle, scale = 0.5 * (a.points.min(axis=0) + a.points.max(axis=0)), math.sqrt(0.5 / math.log(2)) / width
     x, y = ((one.points - middle) * scale for one in (a, b))
     squares = (y**2).sum(axis=1)
@@ -187,7 +187,7 @@ def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
 
 @lru_cache(maxsize=1)
 def _tile_sums() -> Callable[..., Any]:
-    """Return the compiled loop: tiles on the minor axis, `_UNROLLED` partners a step, O(nodes) memory."""
+    """Return the compiled loop: tiles on the minor axis, `_UNROLLED` partners per step, O(nodes) memory."""
     import jax
     import jax.numpy as jnp
 
@@ -203,6 +203,7 @@ def _tile_sums() -> Callable[..., Any]:
             return sum((x[i] - y[i]) ** 2 for i in range(dim))
 
         def step(k: jax.Array, sums: jax.Array) -> jax.Array:
+            """Add the next few partners to the sums of the tile's elements."""
             some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim + 1))
             for y in some:
                 sums = sums + exp2_of_minus(square(y), whole, bounded=close) * sum(

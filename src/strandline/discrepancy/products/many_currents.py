@@ -1,8 +1,8 @@
 """The currents measure on a batch of polylines, exact to its tolerance: Gauss rules on the pieces of both sides.
 
-Neighbours in a batch hardly differ, so that most pairs of pieces are too far apart in all of them and are left out
-together. What is left is summed by a compiled loop, a pair a step, with the runs on the last axis. Lengths in it are in
-units of σ_W √(2 ln 2), in which the kernel is 2^-|x - y|².
+Neighbours in a batch hardly differ, so most pairs of pieces are too far apart in all of them and are left out. A
+compiled loop sums the rest, one pair per step, with the runs on the last axis. Its unit of length is σ_W √(2 ln 2), in
+which the kernel is 2^-|x - y|².
 """
 
 import math
@@ -22,9 +22,9 @@ from strandline.numerics.threads import double, side_by_side
 __all__ = ["Rule", "currents_of_many"]
 
 FEWEST = 16
-"""Runs from which it is worth compiling."""
+"""Number of runs from which compiling pays off."""
 BLOCK = 256
-"""Runs worked on together."""
+"""Runs processed together."""
 PROBES = 8
 """Runs of a batch on which the orders of the Gauss rules are tried."""
 MARGIN = 0.1
@@ -35,12 +35,12 @@ _UNIT = math.sqrt(2 * math.log(2))
 
 @dataclass(frozen=True)
 class Rule:
-    """What a batch is integrated to.
+    """Accuracy to which a batch is integrated.
 
     Args:
         tolerance: Largest error of d², mm².
-        share: Error of an inner product, relative to its natural scale, that is small enough by the error bound
-            (`gauss_order`); None for one point a segment.
+        share: Largest error of an inner product by the error bound (`gauss_order`), relative to its natural scale;
+            None for one point per segment.
     """
 
     tolerance: float
@@ -59,8 +59,8 @@ def currents_of_many(
 ) -> Float[np.ndarray, " run"] | None:
     """Return d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of each polyline S, mm²; None for few runs, or with JAX in single precision.
 
-    The orders of the Gauss rules are the lowest for which the error of some runs, as unlike as the batch has them, is
-    a tenth of the tolerance at most. Those of the error bound are the highest.
+    The Gauss rules have the lowest orders at which the error of some runs, as different as the batch contains, is at
+    most a tenth of the tolerance. The orders never exceed those of the error bound.
 
     Args:
         points: Points of the simulated polylines (run, point, 2), mm.
@@ -86,14 +86,14 @@ def currents_of_many(
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
-    """Polylines S of many runs, the more alike the closer, and the one observed, T.
+    """Polylines S of many runs, sorted by similarity, and the observed one, T.
 
     Args:
         points: Points of the simulated polylines.
         own: Division of their segments.
         target: Pieces of the observed polyline.
         longest: Longest piece of S and of T, in kernel widths.
-        reach: Distance beyond which all pairs together make no more than a tenth of the tolerance.
+        reach: Distance beyond which all pairs together contribute at most a tenth of the tolerance.
         rule: Error allowed, in squares of the unit.
     """
 
@@ -113,6 +113,7 @@ class _Batch:
         observed_cells: Int[np.ndarray, "other_cell 2"],
         rule: Rule,
     ) -> "_Batch":
+        """Divide the segments, in units of the width, and find the reach."""
         ours, theirs = lengths(points, cells), lengths(observed, observed_cells)
         panel = PANEL / _UNIT if rule.share else math.inf
         own, target = Division.of(cells, ours.max(axis=1), panel), Division.of(observed_cells, theirs, panel)
@@ -122,7 +123,7 @@ class _Batch:
         return cls(points, own, target.pieces(observed), longest, reach, rule)
 
     def orders(self) -> Orders:
-        """Return the lowest orders with which no probe errs by more than a tenth of the tolerance."""
+        """Return the lowest orders at which no probe's error exceeds a tenth of the tolerance."""
         if self.rule.share is None:
             return 1, 1
         probes = np.unique(np.linspace(0, self.points.shape[2] - 1, PROBES).astype(int))
@@ -139,7 +140,7 @@ class _Batch:
         return self._summed(padded, orders, compiled_sum)[: len(rows)]
 
     def in_numpy(self, rows: Int[np.ndarray, " some"], orders: Orders) -> Float[np.ndarray, " some"]:
-        """Return the same by NumPy: slow, with nothing to compile for new orders."""
+        """Return the same with NumPy: slow, but new orders need no compiling."""
         return self._summed(rows, orders, plain_sum)
 
     def _summed(self, rows: Int[np.ndarray, " some"], orders: Orders, summed: PieceSum) -> Float[np.ndarray, " some"]:
@@ -150,7 +151,7 @@ class _Batch:
 
 
 def _ladder(longest: tuple[float, float], share: float) -> list[Orders]:
-    """Return orders for pieces of these lengths, in kernel widths, up to those that the error bound asks for.
+    """Return orders for pieces of these lengths, in kernel widths, up to those that the error bound requires.
 
     There are few different ones, because each is compiled for: above 4, only even ones.
     """

@@ -1,4 +1,4 @@
-"""Inner products of polylines as currents, many at once, by Gauss rules on their pieces: compiled, and by NumPy.
+"""Inner products of polylines as currents, many at once, by Gauss rules on their pieces: compiled, and with NumPy.
 
 ⟨a,b⟩ = Σ over pairs of pieces of h·g Σ_ξ Σ_η w_ξ w_η K(x + ξh, y + ηg), with middles x, y, halves h, g and
 Gauss–Legendre nodes ξ, η and weights on [-1, 1]. The unit of length is σ_W √(2 ln 2): the kernel K is 2^-|x - y|².
@@ -18,17 +18,17 @@ from strandline.numerics.exp2 import WHOLE, exp2_of_minus
 __all__ = ["Orders", "PieceSum", "compiled_sum", "plain_sum"]
 
 Orders = tuple[int, int]
-"""Points of the Gauss rules on a piece of the one side and of the other."""
+"""Number of Gauss points on a piece of one side and of the other."""
 PieceSum = Callable[[Pieces, Pieces, Pairs, Orders], Float[np.ndarray, " run"]]
 
 _CHUNK = 1 << 15
-"""Numbers that NumPy works on at once."""
+"""Numbers that NumPy processes at once."""
 _FARTHEST, _STEEPEST = 900.0, 200.0
-"""Where exponents are cut, lest they overflow: of pairs so far apart in a run that they count for nothing there."""
+"""Limits of exponents, to avoid overflow; only pairs so far apart that they contribute nothing reach them."""
 
 
 def plain_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np.ndarray, " run"]:
-    """Return ⟨a,b⟩ of each run, in squares of the unit; `b` may be one for all runs."""
+    """Return ⟨a,b⟩ of each run, in squares of the unit; `b` may be the same for all runs."""
     (nodes, weights), (others, other_weights) = (np.polynomial.legendre.leggauss(order) for order in orders)
     total = np.zeros(a.middles.shape[2])
     size = max(1, _CHUNK // len(total))
@@ -54,7 +54,7 @@ def compiled_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np
 
 @lru_cache(maxsize=1)
 def _loop() -> Any:
-    """Return the compiled loop over the pairs, runs on the last axis."""
+    """Return the compiled loop over the pairs, with the runs on the last axis."""
     import jax
     import jax.numpy as jnp
 
@@ -72,6 +72,8 @@ def _loop() -> Any:
         *,
         orders: Orders,
     ) -> Any:
+        """Sum the contributions of the pairs in turn."""
+
         def add(k: Any, total: Any) -> Any:
             i, j = row[k], column[k]
             apart = [middles[i, axis] - others[j, axis] for axis in (0, 1)]
@@ -84,10 +86,10 @@ def _loop() -> Any:
 
 
 def _pair(apart: Any, h: Any, g: Any, whole: Any, orders: Orders) -> Any:
-    """Return the part of one pair of pieces.
+    """Return the contribution of one pair of pieces.
 
-    |d + ξh - ηg|² = |d|² + (ξ²|h|² + 2ξ d·h) + (η²|g|² - 2η d·g) - 2ξη h·g: the kernel is a product of four powers, of
-    which that of h·g alone belongs to a pair of nodes; a node and its opposite share that.
+    |d + ξh - ηg|² = |d|² + (ξ²|h|² + 2ξ d·h) + (η²|g|² - 2η d·g) - 2ξη h·g: the kernel is a product of four powers.
+    Only the one with h·g depends on both nodes; a pair of nodes and the opposite pair share it.
     """
     import jax.numpy as jnp
 

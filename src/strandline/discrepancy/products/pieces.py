@@ -1,4 +1,4 @@
-"""Polylines of many runs in short straight pieces, and which pieces of two sides come near each other in some run."""
+"""Polylines of many runs cut into short straight pieces, and the pairs of pieces that come close in some run."""
 
 from dataclasses import dataclass
 
@@ -64,7 +64,7 @@ class Division:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pieces `row` of one side and `column` of the other, each pair to be counted `times`."""
+    """Pairs of a piece `row` of one side and a piece `column` of the other; each counts `times`."""
 
     row: Int[np.ndarray, " pair"]
     column: Int[np.ndarray, " pair"]
@@ -72,7 +72,7 @@ class Pairs:
 
     @classmethod
     def near(cls, a: Pieces, b: Pieces, reach: float) -> "Pairs":
-        """Return the pairs whose boxes come within `reach` of each other; of a side with itself, each pair once."""
+        """Return the pairs whose boxes come within `reach` of each other; for a side with itself, each pair once."""
         (low_a, high_a), (low_b, high_b) = a.boxes(), b.boxes()
         gap = np.maximum(np.maximum(low_a[:, None] - high_b, low_b - high_a[:, None]), 0.0)
         row, column = np.nonzero(np.hypot(gap[..., 0], gap[..., 1]) <= reach)

@@ -28,11 +28,11 @@ def refined_surface_product(a: Interface, b: Interface, width: float, *, toleran
     bound (`error_bound`) falls below the tolerance. Pairs too far apart to matter at this tolerance are left out.
 
     Args:
-        a: the one surface.
-        b: the other.
+        a: one surface.
+        b: the other surface.
         width: kernel width σ, mm.
         tolerance: error relative to area · min(area, 2πσ²) of `a`, the ⟨a,a⟩ of a plane much larger (or smaller) than
-            the width, for a `b` that does not crowd around a point many times over.
+            the width, if `b` does not pass near one point many times.
 
     Raises:
         NumericsError: no rule reaches the tolerance.
@@ -49,7 +49,7 @@ def refined_surface_product(a: Interface, b: Interface, width: float, *, toleran
 def surface_nodes(surface: Interface, width: float, tolerance: float) -> Nodes:
     """Return quadrature points of a surface, (node, 3) mm, and normals times their shares of the area, (node, 3) mm².
 
-    They integrate the kernel around any place to `tolerance` relative to the area times the kernel's peak.
+    They integrate the kernel around any point to `tolerance` relative to the area times the kernel's peak.
     """
     corners, normals = surface.points[surface.cells], surface.normals
     radii = _enclosing_radii(corners) / width
@@ -71,10 +71,10 @@ def surface_nodes(surface: Interface, width: float, tolerance: float) -> Nodes:
 
 @lru_cache(maxsize=4096)
 def triangle_order(ratio: float, tolerance: float) -> int:
-    """Return the lowest order of a rule whose error bound on a triangle of radius `ratio` widths is in tolerance.
+    """Return the lowest order of a rule whose error bound on a triangle of radius `ratio` widths is within tolerance.
 
     Raises:
-        NumericsError: none up to the highest reaches it.
+        NumericsError: no order up to the highest reaches it.
     """
     for order in range(1, _HIGHEST + 1):
         if error_bound(order, ratio) <= tolerance:
@@ -85,12 +85,12 @@ def triangle_order(ratio: float, tolerance: float) -> int:
 
 
 def error_bound(order: int, ratio: float) -> float:
-    """Return a bound of the error of `triangle_rule(order)`, relative to the area times the kernel's peak.
+    """Return a bound on the error of `triangle_rule(order)`, relative to the area times the kernel's peak.
 
-    The kernel is a mean of plane waves exp(ik·x) with k normal of variance 1/σ² a component. On a disc of radius R
-    around the triangle a polynomial of degree p along k comes within 2 Σ_{n>p} |J_n(|k|R)| ≤ 2 Σ_{n>p} (|k|R/2)ⁿ/n! of
-    such a wave. The rule is exact for p = 2·order-1, and its weights are positive, so that it errs by twice the mean of
-    that: 4 Σ_{n>p} (R/√2σ)ⁿ Γ(1+n/2)/n!, with R = ratio · σ.
+    The kernel is a mean of plane waves exp(ik·x), where k is normal with variance 1/σ² per component. On a disc of
+    radius R around the triangle, a polynomial of degree p along k comes within 2 Σ_{n>p} |J_n(|k|R)| ≤
+    2 Σ_{n>p} (|k|R/2)ⁿ/n! of such a wave. The rule is exact for p = 2·order-1 and its weights are positive, so its
+    error is at most twice the mean of that: 4 Σ_{n>p} (R/√2σ)ⁿ Γ(1+n/2)/n!, with R = ratio · σ.
     """
     n = np.arange(2 * order, 2 * order + 200)
     return float(4 * np.exp(n * math.log(ratio / math.sqrt(2)) + gammaln(1 + n / 2) - gammaln(n + 1)).sum())
@@ -98,9 +98,9 @@ def error_bound(order: int, ratio: float) -> float:
 
 @lru_cache(maxsize=64)
 def triangle_rule(order: int) -> tuple[Float[np.ndarray, "node 3"], Float[np.ndarray, " node"]]:
-    """Return shares of the corners and weights (sum 1) of a rule exact up to degree 2·order-1, of order² points.
+    """Return shares of the corners and weights (sum 1) of a rule with order² points, exact up to degree 2·order-1.
 
-    Gauss–Jacobi along the line from the first corner, Gauss–Legendre across.
+    The rule is Gauss–Jacobi along the line from the first corner and Gauss–Legendre across it.
     """
     s, along = roots_jacobi(order, 0, 1)
     t, across = np.polynomial.legendre.leggauss(order)
@@ -112,7 +112,7 @@ def triangle_rule(order: int) -> tuple[Float[np.ndarray, "node 3"], Float[np.nda
 
 @lru_cache(maxsize=64)
 def _divided_rule(parts: int, order: int) -> tuple[Float[np.ndarray, "node 3"], Float[np.ndarray, " node"]]:
-    """Return the rule on the parts² equal triangles, similar to the whole, that cut each side in `parts`."""
+    """Return the rule on parts² equal triangles, similar to the whole, that cut each side into `parts`."""
     shares, weights = triangle_rule(order)
     rows, columns = np.divmod(np.arange(parts**2), parts)
     upright = rows + columns < parts

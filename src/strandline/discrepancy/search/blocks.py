@@ -1,4 +1,4 @@
-"""A batch of interfaces of the same cells in blocks of similar ones, and how far their nodes move within a block."""
+"""A batch of interfaces with the same cells in blocks of similar ones, and how far nodes move within a block."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,7 +10,7 @@ _LOOKED_AT = 16
 
 
 def similar(points: Float[np.ndarray, "run point xyz"], size: int) -> list[Int[np.ndarray, " some"]]:
-    """Return the numbers of the runs in blocks of at most `size`, those that are alike together.
+    """Return the indices of the runs in blocks of at most `size`, similar runs together.
 
     They are ordered along the direction in which they differ most.
     """
@@ -24,7 +24,7 @@ def similar(points: Float[np.ndarray, "run point xyz"], size: int) -> list[Int[n
 def motion(
     points: Float[np.ndarray, "run point xyz"],
 ) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, " point"]]:
-    """Return the middle of the box that holds each node in all runs, and half its diagonal: no run is farther off."""
+    """Return the middle of the box that holds each node in all runs, and half its diagonal: no run is farther away."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * (high - low)
     return low + half, np.sqrt(np.einsum("pk,pk->p", half, half))

@@ -1,9 +1,9 @@
 """Sums of squared closest distances between points and polylines that move a little from run to run.
 
-The runs of a batch hardly differ, so that only a few segments can be the closest ones to a point in any of them. Bounds
-on how far points and segments move within a block of runs say which; these are compared for all runs of the block
-together, compiled and in double precision. No closest segment is ever left out: the sums equal those of trying all
-segments, except for rounding.
+The runs of a batch hardly differ, so only a few segments can be closest to a point in any of them. Bounds on how far
+points and segments move within a block of runs show which. These are compared for all runs of the block together,
+compiled and in double precision. The closest segment is never left out: the sums equal those of trying all segments,
+except for rounding.
 """
 
 from collections.abc import Iterator
@@ -21,11 +21,11 @@ from strandline.numerics.threads import double, side_by_side
 __all__ = ["FEWEST", "sums_of_squares"]
 
 FEWEST = 16
-"""Runs from which it is worth compiling."""
+"""Number of runs from which compiling pays off."""
 BLOCK = 384
-"""Runs worked on together: what one loop touches fits into a core's cache."""
+"""Runs processed together: the data of one loop fit into a core's cache."""
 ENOUGH = 64
-"""Pairs compared, in all runs, for each that was bounded, from which it pays to bound them again for half the runs."""
+"""Ratio of pairs compared, in all runs, to pairs bounded, from which it pays to bound again for half the runs."""
 ABREAST = 2
 """Segments compared with a point in one step of the loop."""
 _SLACK = 1e-9
@@ -33,7 +33,7 @@ _SLACK = 1e-9
 
 Points = Float[np.ndarray, "#run point 2"]
 Corners = Float[np.ndarray, "#run corner 2"]
-Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the runs where all share it
+Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the run axis if all runs share it
 
 
 def sums_of_squares(
@@ -44,7 +44,7 @@ def sums_of_squares(
 ) -> Float[np.ndarray, " run"] | None:
     """Return Σ w δ² over the points of each run, δ the distance to the closest point of that run's polyline; mm².
 
-    What has one row is the same in all runs. Returns None where it is not worth it, or JAX is in single precision.
+    An array with one row is the same in all runs. Return None for few runs, or if JAX is in single precision.
 
     Args:
         points: Points whose distances are computed (run, point, 2), mm.
@@ -81,12 +81,12 @@ def _tasks(
             yield from _tasks(points, corners, cells, half)
         return
     pairs = _Pairs.of(near)
-    for part in np.array_split(rows, 2 * -(-len(rows) // (2 * BLOCK))):  # as many for each of two threads
+    for part in np.array_split(rows, 2 * -(-len(rows) // (2 * BLOCK))):  # the same number for each of two threads
         yield pairs, part
 
 
 def _rows(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "..."]:
-    """Return these runs, the last one repeated up to one of few lengths; all of it where all runs share it."""
+    """Return these runs, padded with the last one to one of a few lengths; all of the array if all runs share it."""
     if len(array) == 1:
         return array
     length = ample(max(len(rows), FEWEST))
@@ -95,13 +95,13 @@ def _rows(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Fl
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Segments to compare with each point, `ABREAST` of them in a row; rows of one point follow each other.
+    """Segments to compare with each point, `ABREAST` per row; rows of one point are consecutive.
 
     Args:
         segments: Numbers of segments, some repeated to fill the rows.
         points: Number of the point of each row.
         last: Whether a row is the last one of its point.
-        number: Number of rows that count; after them the arrays are filled up to one of few lengths.
+        number: Number of rows that count; the rest pads the arrays to one of a few lengths.
     """
 
     segments: Int[np.ndarray, "row abreast"]
@@ -111,7 +111,7 @@ class _Pairs:
 
     @classmethod
     def of(cls, near: Bool[np.ndarray, "point cell"]) -> "_Pairs":
-        """Return the pairs that `near` marks; each point has one at least."""
+        """Return the pairs that `near` marks; each point has at least one."""
         point, cell = np.nonzero(near)
         counts = np.bincount(point, minlength=len(near))
         rows = -(-counts // ABREAST)
@@ -141,15 +141,15 @@ def _of_block(
 
 
 def _runs_last(values: Float[np.ndarray, "#run point"]) -> Values:
-    """Return values with the runs on the last axis; without that axis where all runs share them."""
+    """Return values with the runs on the last axis; without that axis if all runs share them."""
     return values[0] if len(values) == 1 else np.ascontiguousarray(values.T)
 
 
 def _near(points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:
-    """Return which segments may be the closest ones to which points in some run of the block.
+    """Return which segments may be closest to which points in some run of the block.
 
-    A segment moves at most as far as its corners do. It may be the closest one if it comes, at its best, as near as
-    some other one surely is.
+    A segment moves at most as far as its corners do. It may be the closest one if its least possible distance does not
+    exceed the largest possible distance of any other one.
     """
     middles, moved = motion(points)
     bends, bent = motion(corners)
@@ -160,7 +160,7 @@ def _near(points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"]) ->
 
 
 def _frames(x: Any, y: Any, cells: Any) -> tuple[Any, ...]:
-    """Return of each segment its unit tangent u, its middle m as m·u and m×u, and half its length."""
+    """Return the unit tangent u of each segment, its middle m as m·u and m×u, and half its length."""
     import jax.numpy as jnp
 
     i, j = cells[:, 0], cells[:, 1]
@@ -200,8 +200,8 @@ def _bounds() -> Any:
 def _sums() -> Any:
     """Return the compiled loop over the rows of pairs.
 
-    Runs are on the last axis, which an array that all runs share does not have: numbers instead of vectors of length
-    one make the loop ten times as fast.
+    Runs are on the last axis. An array that all runs share lacks this axis: numbers instead of vectors of length one
+    make the loop ten times as fast.
     """
     import jax
     import jax.numpy as jnp

@@ -1,9 +1,9 @@
-"""The closest points of a polyline or a triangulated surface, found by a tree and as certain as by looking everywhere.
+"""The closest points of a polyline or a triangulated surface, found by a tree as reliably as by trying every cell.
 
-The distance to the cell with the nearest centre is an upper bound of the distance to the interface. A tree of boxes
-around the cells is then gone down for all points at once; a box farther away than the bound holds nothing closer. What
-is left is looked at, so that the answer is that of trying every cell, to the last bit, whatever the sizes of the cells.
-Where a polyline is not very long, a sieve that tries all of its segments is quicker than the tree.
+The distance to the cell with the nearest centre is an upper bound on the distance to the interface. A tree of boxes
+around the cells is then searched for all points at once; a box farther away than the bound contains nothing closer. The
+remaining cells are tried, so the result is that of trying every cell, to the last bit, whatever the sizes of the cells.
+If a polyline is not very long, a sieve that tries all its segments is faster than the tree.
 """
 
 from collections.abc import Iterator
@@ -22,15 +22,15 @@ from strandline.interface import Interface
 __all__ = ["ClosestPoints", "brute_force", "closest_points", "squared_distances"]
 
 BLOCK = 1 << 15
-"""Pairs of a point and a cell that are worked on at once: bounds the memory."""
+"""Pairs of a point and a cell processed at once; this bounds the memory."""
 SMALL = 1 << 14
-"""Pairs of a point and a cell up to which trying all of them is quicker than the tree."""
+"""Number of pairs of a point and a cell up to which trying all of them is faster than the tree."""
 MANY, SHORT = 1 << 20, 1 << 14
-"""Pairs of a point and a segment from which the sieve is worth compiling; segments up to which it beats the tree."""
+"""Pairs of a point and a segment from which compiling the sieve pays off; segments up to which it beats the tree."""
 _LEAF = 3
-"""Cells in the lowest boxes of the tree, at least; less than twice as many at most."""
+"""Smallest number of cells in the lowest boxes of the tree; the largest is less than twice that."""
 _GUESS = 0.02
-"""Error allowed of the first bound, as a share of it: spares points far away most of the search for it."""
+"""Allowed error of the first bound, as a share of it; it saves distant points most of the search for it."""
 _SLACK = 1e-9, 1e-14
 """How much farther than the bound a box may be: far more than rounding, as a share of the bound and of the extent."""
 
@@ -39,11 +39,11 @@ Vectors = Float[np.ndarray, "xyz *#pair"]
 
 @dataclass(frozen=True, eq=False)
 class ClosestPoints:
-    """The point of an interface that is closest to each of some points.
+    """The points of an interface that are closest to given points.
 
     Args:
         points: closest points, mm.
-        cells: the cell that each lies on, the first where several share it.
+        cells: the cell that each lies on, the first if several share it.
         squares: squared distances, mm².
     """
 
@@ -64,7 +64,7 @@ def squared_distances(points: Float[np.ndarray, "point xyz"], target: Interface)
 def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface) -> ClosestPoints:
     """Return the closest points of `target`, on its segments or triangles.
 
-    The search trees are kept for the interfaces searched last.
+    The search trees are kept for the most recently searched interfaces.
 
     Raises:
         InvalidInterface: points with another number of coordinates than `target`.
@@ -99,7 +99,7 @@ def brute_force(points: Float[np.ndarray, "point xyz"], target: Interface) -> Cl
 
 
 def _sift(best: "_Best", snapshot: Snapshot) -> None:
-    """Look at the segments that the sieve lets through; points too far away for it keep none."""
+    """Try the segments that the sieve lets through; points too far away for it get none."""
     size = max(1, BLOCK // GROUP)
     for rows, groups in near_groups(best.points, snapshot):
         for k in range(0, len(rows), size):
@@ -127,11 +127,11 @@ class _Best:
         self.rounding = _SLACK[1] * max(float(np.abs(x).max(initial=0.0)) for x in (points, target.points))
 
     def reach(self, rows: Int[np.ndarray, " pair"]) -> Float[np.ndarray, " pair"]:
-        """Return the square of the distance within which something closer may be found, a little more for rounding."""
+        """Return the square of the distance within which a closer cell may lie, plus a margin for rounding."""
         return np.asarray((np.sqrt(self.squares.take(rows)) * (1 + _SLACK[0]) + self.rounding) ** 2)
 
     def look_at(self, rows: Int[np.ndarray, " pair"], cells: Int[np.ndarray, " pair"]) -> None:
-        """Try these pairs of a point and a cell, `rows` in ascending order; of equal cells, the first is kept."""
+        """Try these pairs of a point and a cell, `rows` in ascending order; if cells tie, the first is kept."""
         if rows.size == 0:
             return
         squares = _squares(self.columns.take(rows, axis=1), _corners(self.target, cells))
@@ -154,10 +154,10 @@ class _Tree:
 
     Args:
         centres: Tree of the cells' centres.
-        order: Number of the cell in each of the lowest boxes; some are repeated to fill all boxes alike.
-        levels: Corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and last of all one for each cell.
-        cylinders: Cylinders around the contents of the lowest boxes above those of single cells. They show how flat the
-            contents lie, which a slanted box does not, and so rule out most boxes for points that are far away.
+        order: Number of the cell in each of the lowest boxes; some are repeated to fill all boxes equally.
+        levels: Corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and finally one for each cell.
+        cylinders: Cylinders around the contents of the lowest boxes above those of single cells. They enclose flat,
+            slanted contents more tightly than boxes, and so rule out most boxes for distant points.
     """
 
     centres: cKDTree
@@ -166,7 +166,7 @@ class _Tree:
     cylinders: "_Cylinders"
 
     def look(self, best: _Best, rows: Int[np.ndarray, " pair"], boxes: Int[np.ndarray, " pair"], level: int) -> None:
-        """Improve the best by the cells in the boxes, each of them paired with the point of its row."""
+        """Improve the best with the cells in the boxes, each box paired with the point of its row."""
         if len(rows) > BLOCK:
             half = len(rows) // 2
             self.look(best, rows[:half], boxes[:half], level)
@@ -193,7 +193,7 @@ class _Tree:
         boxes: Int[np.ndarray, " pair"],
         squares: Float[np.ndarray, " pair"],
     ) -> None:
-        """Look at the cells in the box that seems nearest to each point, for a better bound."""
+        """Try the cells in the box that seems nearest to each point, for a better bound."""
         if rows.size:
             first = np.flatnonzero(np.diff(rows, prepend=-1))
             least = np.repeat(np.minimum.reduceat(squares, first), np.diff(first, append=len(rows)))
@@ -217,7 +217,7 @@ class _Tree:
 
 @dataclass(frozen=True, eq=False)
 class _Cylinders:
-    """Flat cylinders that hold the cells of a box each: (xyz, box) or (box,), mm."""
+    """Flat cylinders, each around the cells of one box: (xyz, box) or (box,), mm."""
 
     centres: Float[np.ndarray, "xyz box"]
     axes: Float[np.ndarray, "xyz box"]
@@ -228,7 +228,7 @@ class _Cylinders:
     def around(
         cls, corners: Float[np.ndarray, "xyz box corner"], normals: Float[np.ndarray, "xyz box"]
     ) -> "_Cylinders":
-        """Return the cylinders around corners, along the normals; where those cancel, along any axis."""
+        """Return the cylinders around corners, along the normals; if those cancel, along any axis."""
         length = np.sqrt(_dot(normals, normals))
         upright = np.eye(len(normals))[0][:, None]
         axes = np.where(length > 0, normals / np.where(length > 0, length, 1.0), upright)
@@ -245,7 +245,7 @@ class _Cylinders:
 
 
 def _split(q: Vectors, axes: Vectors) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Return the component along unit axes and the square of what is left."""
+    """Return the component along unit axes and the square of the rest."""
     up = _dot(q, axes)
     return up, _dot(q - up * axes, q - up * axes)
 
@@ -273,13 +273,13 @@ def _tree(snapshot: Snapshot) -> _Tree:
 
 
 def _corners(target: Interface, which: Int[np.ndarray, "*#pair"]) -> list[Float[np.ndarray, "xyz ..."]]:
-    """Return the corners of these cells; `take` needs a fifth of the time of indexing with lists."""
+    """Return the corners of these cells; `take` takes a fifth of the time of indexing with lists."""
     columns = np.ascontiguousarray(target.points.T)
     return [columns.take(corner.take(which), axis=1) for corner in target.cells.T]
 
 
 def _squares(p: Vectors, corners: list[Vectors]) -> Float[np.ndarray, "..."]:
-    """Return the squared distances of points (xyz, pair) to cells; shapes may differ by what broadcasts."""
+    """Return the squared distances of points (xyz, pair) to cells; shapes may broadcast."""
     return np.asarray(reduce(np.minimum, (_dot(r, r) for r in _residuals(p, corners))))
 
 
@@ -291,7 +291,7 @@ def _closest(p: Vectors, corners: list[Vectors]) -> Vectors:
 
 
 def _residuals(p: Vectors, corners: list[Vectors]) -> Iterator[Vectors]:
-    """Yield p less the closest point of each side, and of a triangle's inside; inf where that is on no inside."""
+    """Yield p minus the closest point of each side, and of a triangle's inside; inf if that lies outside."""
     a, b, *more = corners
     yield _off_segment(p, a, b)
     for c in more:
@@ -306,9 +306,9 @@ def _off_segment(p: Vectors, a: Vectors, b: Vectors) -> Vectors:
 
 
 def _off_inside(p: Vectors, a: Vectors, b: Vectors, c: Vectors) -> Vectors:
-    """Solve for the share of c first, along the altitude, then for that of b: as good for slivers as for others.
+    """Solve for the share of c along the altitude, then for that of b: as accurate for slivers as for others.
 
-    The altitude is made orthogonal twice, since what is left of a sliver after once is rounding.
+    The altitude is made orthogonal twice, because for a sliver only rounding is left after the first time.
     """
     d, e, q = b - a, c - a, p - a
     square = _dot(d, d)
@@ -322,5 +322,5 @@ def _off_inside(p: Vectors, a: Vectors, b: Vectors, c: Vectors) -> Vectors:
 
 
 def _dot(a: Vectors, b: Vectors) -> Float[np.ndarray, "..."]:
-    """Add up in a fixed order, so that a pair gives the same to the last bit wherever it is met."""
+    """Return dot products, summed in a fixed order so that a pair always gives the same result to the last bit."""
     return np.asarray(reduce(np.add, (x * y for x, y in zip(a, b, strict=True))))

@@ -1,7 +1,7 @@
 """Which segments of a polyline may be the closest ones: all are tried, compiled and in single precision.
 
-What the sieve lets through is a few segments for each point, the closest one certainly among them: an error bound of
-single precision is added to the distances. Which of them is the closest is left to the exact formula.
+The sieve lets through a few segments for each point. The closest one is always among them, because an error bound for
+single precision is added to the distances. The exact formula then decides which of them is the closest.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,13 +19,13 @@ from strandline.numerics.threads import side_by_side
 __all__ = ["GROUP", "near_groups"]
 
 GROUP = 8
-"""Consecutive segments that are let through or kept back together."""
+"""Consecutive segments that are let through or held back together."""
 _POINTS = 1024
 """Points in one compiled call."""
 _SLACK = 1e-5
-"""More than the errors of two distances, over the polyline's and the point's extent together: 30 · 2⁻²⁴ each."""
+"""Bound on the errors of two distances, 30 · 2⁻²⁴ each, relative to the polyline's plus the point's extent."""
 _FARTHEST = 100.0
-"""Distance of a point from the polyline's middle, in its extents, from which single precision is of no use."""
+"""Distance of a point from the polyline's middle, in its extents, from which single precision is useless."""
 
 
 def near_groups(
@@ -33,8 +33,8 @@ def near_groups(
 ) -> Iterator[tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]]:
     """Yield pairs of a point and a group of segments `GROUP * k` … `GROUP * k + GROUP - 1`, points in ascending order.
 
-    The closest segments of a point are in its groups, all that share the least distance. Points very far away are left
-    out.
+    A point's groups contain its closest segment, or all segments that share the least distance. Points very far away
+    are left out.
     """
     polyline = _polyline(snapshot)
     scaled = (points - polyline.middle) / polyline.extent
@@ -46,7 +46,7 @@ def near_groups(
 
 @dataclass(frozen=True, eq=False)
 class _Polyline:
-    """Segments in their own frames, lengths over the extent: (constant, segment of the group, group).
+    """Segments in their own frames, lengths relative to the extent: (constant, segment of the group, group).
 
     The constants are the unit tangent u (2), the middle m as m·u and m×u, and half the length.
     """

@@ -156,7 +156,7 @@ class FlowCell:
         return self.system.factorise(x)
 
     def by_load(self) -> Vector:
-        """Return the derivative of the residual by the load, at the last factorised state."""
+        """Return the derivative of the residual with respect to the load, at the last factorised state."""
         return self.system.by_prescribed(self.inflow)
 
     def largest_compression(self, x: Vector) -> float:
@@ -207,16 +207,16 @@ class FlowCell:
         if left > BALANCE * reaction:
             raise ForwardModelError(
                 "unbalanced",
-                f"forces do not balance: residual {left:.2g} beside reactions of {reaction:.2g}",
+                f"forces do not balance: residual {left:.2g} against reactions of {reaction:.2g}",
                 {"residual": float(left), "reaction": float(reaction)},
             )
 
     def distortion(self) -> tuple[float, float]:
-        """Return lower bounds of J over fluid and solid at the present state."""
+        """Return lower bounds of J over fluid and solid at the current state."""
         return jacobian_bound(self.mesh, self.system.state.components[2], self.is_solid)
 
     def fields(self) -> FlowFields:
-        """Return velocity, pressure, displacement and stress of the present state."""
+        """Return velocity, pressure, displacement and stress of the current state."""
         velocity, pressure, displacement, *_ = self.system.state.components
         nodes, count = quadratic_nodes(self.mesh)
         fluid, everywhere = ~self.is_solid, np.ones(self.mesh.ne, bool)
@@ -243,7 +243,7 @@ class FlowCell:
     def _prescribe_inflow(self) -> None:
         """Write the parabola of volume rate 1 over the free height of the inlet into the velocity."""
         at_left = self.channel.inlet == "left"
-        bottom = float(self.outline.points[0 if at_left else -1][1])  # 0 where the outline ends on the floor
+        bottom = float(self.outline.points[0 if at_left else -1][1])  # 0 if the outline ends on the floor
         free = self.channel.height - bottom
         s = (ng.y - bottom) / free
         profile = (1.0 if at_left else -1.0) * 6 * s * (1 - s) / free
@@ -251,7 +251,7 @@ class FlowCell:
         self.system.state.components[0].Set(ng.CF((profile, 0)), definedon=inlet)
 
     def _flow_past_rigid_body(self) -> Vector:
-        """Velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
+        """Return velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
         parts = len(self.parts)
         self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts)
         self.system.values[:] = self.inflow
@@ -284,7 +284,7 @@ def _boundaries(channel: Channel) -> BoundaryNames:
 
 
 def _in_physical_units(error: ForwardModelError) -> ForwardModelError:
-    """Return the failure with loads as inflow rates, and with a message that says where and when."""
+    """Return the failure with loads as inflow rates, and with a message that states where and at which inflow rate."""
     evidence = dict(error.evidence)
     for key in ("load_reached", "limit_load", "load_slope"):
         if key in evidence:
@@ -305,5 +305,5 @@ def _vertices_at(mesh: Any, interface: Interface) -> Int[np.ndarray, " point"]:
     vertices = np.array([v.point for v in mesh.vertices])
     distance = np.linalg.norm(vertices[None, :, :] - interface.points[:, None, :], axis=2)
     if not (np.sum(distance < 1e-9, axis=1) == 1).all():
-        raise ForwardModelError("mesh", "the mesh does not carry each node of the outline exactly once")
+        raise ForwardModelError("mesh", "the mesh does not contain each node of the outline exactly once")
     return np.asarray(distance.argmin(axis=1))

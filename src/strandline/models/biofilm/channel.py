@@ -21,9 +21,9 @@ class Channel:
     """A channel [0, length] × [0, height], mm.
 
     Args:
-        length: mm.
-        height: mm.
-        inlet: the side where the fluid enters with a parabolic profile; it leaves on the other one.
+        length: length, mm.
+        height: height, mm.
+        inlet: the side where the fluid enters with a parabolic profile; it leaves on the other side.
         outlet: ``horizontal``: no vertical velocity, as in the study; ``traction_free``: open.
     """
 
@@ -49,7 +49,7 @@ def check_outline(outline: Interface, channel: Channel) -> None:
     a bump; neither: a layer), runs from left to right, stays inside the channel elsewhere and does not cross itself.
 
     Raises:
-        InvalidInput: The outline is not allowed; the message holds the place, mm.
+        InvalidInput: The outline is not allowed; the message shows the place, mm.
     """
     outline.require_simple()
     first, last = outline.points[0], outline.points[-1]
@@ -70,7 +70,7 @@ def check_inside(points: Sequence[tuple[float, float]] | Float[np.ndarray, "poin
     """Refuse an outline, or control points of one, that leaves the channel between its ends.
 
     Raises:
-        InvalidInput: The outline is not allowed; the message holds the place, mm.
+        InvalidInput: The outline is not allowed; the message shows the place, mm.
     """
     inner = np.asarray(points, float)[1:-1]
     inside = (inner[:, 0] > 0) & (inner[:, 0] < channel.length) & (inner[:, 1] > 0) & (inner[:, 1] < channel.height)

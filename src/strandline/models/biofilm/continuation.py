@@ -37,18 +37,18 @@ class LoadedSystem(Protocol):
     def factorise(self, x: Vector, load: float) -> LinearSolver: ...
 
     def by_load(self) -> Vector:
-        """Return the derivative of the residual by the load, at the last factorised state."""
+        """Return the derivative of the residual with respect to the load, at the last factorised state."""
         ...
 
     def critical_strain(self, x: Vector, tangent: Vector) -> Strain: ...
 
     def check(self, x: Vector) -> Mapping[str, float]:
-        """Return figures that show how close a solution is to being invalid; raise ForwardModelError where it is."""
+        """Return figures that show how close a solution is to being invalid; raise ForwardModelError if it is."""
         ...
 
 
 CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, contraction=0.8)
-"""For points on the way."""
+"""For points along the path."""
 POLISH = NewtonSettings(1e-8, maximum_jacobians=2, smallest_damping=1.0)
 """For a point that seems to lie beyond a fold."""
 ARRIVAL = NewtonSettings(maximum_jacobians=6, smallest_damping=0.1)
@@ -92,7 +92,7 @@ class Traced:
 def trace(
     system: LoadedSystem, *, linear: Vector, load: float, first_load: float, settings: ContinuationSettings
 ) -> Traced:
-    """Return the path of steady states from rest, where it reaches `load`.
+    """Follow the path of steady states from rest and return its state at `load`.
 
     Args:
         system: The equations.
@@ -142,7 +142,7 @@ class _Path:
             step *= 0.5
 
     def _arrival(self, below: PathPoint, above: PathPoint, strain: Strain) -> Vector | None:
-        """Return the steady state at the load between two points; None where Newton's method does not find it.
+        """Return the steady state at the load between two points; None if Newton's method does not find it.
 
         Such a state exists, so the first search may exceed the budget.
         """
@@ -171,7 +171,7 @@ class _Path:
         return self.system.factorise(x, load)
 
     def _first_point(self, linear: Vector, load: float) -> PathPoint:
-        """Return the steady state at a low load, by Newton's method; at a lower one where that fails."""
+        """Return the steady state at a low load, by Newton's method; at a lower one if that fails."""
         system = _AtLoad(self, load)
         try:
             found = newton.solve(system, load / self.load * linear, weights=self.system.weights, settings=CORRECTOR)
@@ -223,7 +223,7 @@ class _Path:
         raise self._failure(*reason)
 
     def _fold(self, before: PathPoint, point: PathPoint, strain: Strain) -> ForwardModelError:
-        """Return the failure that two points on either side of a fold show."""
+        """Return the failure for a fold between two points."""
         loads = _Cubic.through(before, point, strain).loads(np.linspace(0.0, 1.0, 201))
         return self._failure(
             "limit_point",
@@ -263,7 +263,7 @@ class _AtLoad:
 
 
 class _AtStrain:
-    """The equations with the load as one more unknown and a given value of a functional as one more equation."""
+    """The equations with the load as a further unknown and a given value of a functional as a further equation."""
 
     tangent: Vector
 
@@ -282,7 +282,7 @@ class _AtStrain:
 
 @dataclass(frozen=True, eq=False)
 class _Bordered:
-    """The Jacobian [[J, ∂r/∂load], [functional, 0]] by block elimination; regular where J is, and the tangent rises."""
+    """The Jacobian [[J, ∂r/∂load], [functional, 0]] by block elimination; regular if J is, and the tangent rises."""
 
     jacobian: LinearSolver
     tangent: Vector

@@ -17,7 +17,7 @@ FLUID = "fluid"
 
 
 def subdivide(interface: Interface, channel: Channel, partition: Partition) -> tuple[Subdivision, list[str]]:
-    """Return fluid and solid as polygons, and the names of the solid's parts: ``solid``, or ``solid1``, ``solid2``, …
+    """Return fluid and solid as polygons, and the names of the solid's parts: ``solid``, or ``solid1``, ``solid2`` etc.
 
     The first vertices are those of `interface`, in its order.
     """
@@ -27,7 +27,7 @@ def subdivide(interface: Interface, channel: Channel, partition: Partition) -> t
     count = len(outline)
     origin, right, top_right, top_left = range(count, count + 4)
     along = list(range(count))
-    # A lower corner belongs to the solid where the outline ends on the channel's end, above it; else to the fluid.
+    # A lower corner belongs to the solid if the outline ends on the channel's end, above it; else to the fluid.
     of_solid = [corner for corner, end in ((origin, outline[0]), (right, outline[-1])) if end[1] > 0]
     before, after = ([c] if c not in of_solid else [] for c in (origin, right))
     fluid, solid = [*before, *along, *after, top_right, top_left], [*of_solid, *reversed(along)]

@@ -1,11 +1,11 @@
-"""The sparse direct solver under Newton's method: UMFPACK, which NGSolve brings, or MKL PARDISO from the package mkl.
+"""The sparse direct solver for Newton's method: UMFPACK, which NGSolve includes, or MKL PARDISO from the package mkl.
 
-NGSolve finds PARDISO by itself where mkl is installed, and runs it on one thread. It needs care. Its analysis
-(matching, scaling, ordering) costs several times its factorisation, so it is kept: made with the first values that a
-matrix is factorised with, which a `FlowCell` chooses itself, so that no run depends on the runs before it. Where an
-analysis does not suit other values, at ν = 0.5 above all, and where a matrix is singular, PARDISO perturbs pivots and
-returns wrong results without a warning. So its residual is checked, and a solution that fails is made again with an
-analysis of its own.
+NGSolve finds PARDISO by itself if mkl is installed, and runs it on one thread. PARDISO needs care. Its analysis
+(matching, scaling, ordering) costs several times its factorisation, so it is kept. It is made with the first values
+that a matrix is factorised with; a `FlowCell` chooses these itself, so that no run depends on earlier runs. If the
+analysis does not suit later values, above all at ν = 0.5, or if a matrix is singular, PARDISO perturbs pivots and
+returns wrong results without a warning. So its residual is checked, and a solution that fails the check is computed
+again with its own analysis.
 """
 
 import os
@@ -32,7 +32,7 @@ Vector = Float[np.ndarray, " unknown"]
 
 @cache
 def linear_solver() -> str:
-    """Return one of `SOLVERS`: the environment's choice, else PARDISO where it works; decided once per process.
+    """Return one of `SOLVERS`: the environment's choice, else PARDISO if it works; decided once per process.
 
     Raises:
         InvalidInput: The environment variable STRANDLINE_LINEAR_SOLVER asks for a solver that is not installed.
@@ -45,13 +45,13 @@ def linear_solver() -> str:
             f"environment variable {VARIABLE}",
             value=chosen or "an empty text",
             expected=f"one of {', '.join(SOLVERS)}",
-            remedy="Correct it, or unset it for the fastest that is installed.",
+            remedy="Correct it, or unset it to use the fastest solver installed.",
         )
     if chosen == "pardiso" and not _pardiso_works():
         raise InvalidInput(
             f"environment variable {VARIABLE}",
             value=chosen,
-            expected="umfpack, for NGSolve finds no PARDISO",
+            expected="umfpack, because NGSolve finds no PARDISO",
             remedy='Install it by `pip install "strandline[mkl]"`, or unset the variable.',
         )
     return chosen
@@ -71,7 +71,7 @@ class Factorisation:
         """Return J⁻¹ right.
 
         Raises:
-            ForwardModelError: ``linear_solve`` where the result is not finite, or does not solve the equations.
+            ForwardModelError: ``linear_solve``: the result is not finite, or does not solve the equations.
         """
         result = self._lu.solve(right)
         if not np.isfinite(result).all():
@@ -86,7 +86,7 @@ class _LU(Protocol):
 
 class _Umfpack:
     def __init__(self, matrix: Any, size: int) -> None:
-        with without_prints():  # a singular matrix makes it print a line before it raises
+        with without_prints():  # it prints a line for a singular matrix before it raises
             self._inverse = matrix.Inverse(inverse="umfpack")
         self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
 
@@ -95,7 +95,7 @@ class _Umfpack:
 
 
 class _Pardiso:
-    """A set of values, and an analysis that is shared with other values until it no longer suits these."""
+    """One set of values, and an analysis shared with other sets until it no longer suits this one."""
 
     def __init__(self, matrix: Any, size: int) -> None:
         self._values = np.array(matrix.AsVector().FV().NumPy())
@@ -164,14 +164,14 @@ _analyses: WeakKeyDictionary[Any, _Analysis] = WeakKeyDictionary()
 
 
 def _product(operator: Any, vector: Vector, given: Any, result: Any) -> Vector:
-    """Return operator · vector by way of two NGSolve vectors."""
+    """Return operator · vector, through two NGSolve vectors."""
     given.FV().NumPy()[:] = vector
     operator.Mult(given, result)
     return np.array(result.FV().NumPy())
 
 
 def _pardiso_works() -> bool:
-    """Try PARDISO on 2 × 2 equations, on a second set of values too; what NGSolve raises depends on its version."""
+    """Return whether PARDISO solves 2 × 2 equations, with new values too; NGSolve's errors depend on its version."""
     matrix = la.SparseMatrixd.CreateFromCOO([0, 0, 1, 1], [0, 1, 0, 1], [1.0, 2.0, 3.0, 4.0], 2, 2)
     try:
         analysis = _Analysis(matrix, 2)

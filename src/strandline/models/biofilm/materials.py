@@ -1,7 +1,7 @@
 """Hyperelastic laws in mixed form, plane strain; a new law is one function and one line in `LAWS`.
 
 A law takes the displacement d, the solid pressure pₛ, Young's modulus E and Poisson's ratio ν and returns the second
-Piola–Kirchhoff stress and the residual of the constitutive constraint that defines pₛ. The constraint is written such
+Piola–Kirchhoff stress and the residual of the constitutive constraint that defines pₛ. The constraint is written so
 that it is regular for every ν in (-1, ½], ν = 0 and ν = ½ included. Source: Holzapfel, Nonlinear Solid Mechanics
 (2000), sections 6.3–6.6.
 """
@@ -19,7 +19,7 @@ Form = Any  # an NGSolve coefficient function
 
 @dataclass(frozen=True)
 class MixedStress:
-    """Stress of a law and what defines its pressure.
+    """Stress of a law, and the constraint that defines its pressure.
 
     Args:
         second_piola: Second Piola–Kirchhoff stress S, a 2 × 2 form.

@@ -1,9 +1,9 @@
 """Newton's method with the natural monotonicity test and quasi-Newton steps between Jacobians.
 
 Source: Deuflhard, Newton Methods for Nonlinear Problems (2004), section 3.3 (error-oriented damping, NLEQ-ERR) and
-section 2.1.4 (error-oriented quasi-Newton updates, QNERR). A step λΔx is accepted where the *simplified* correction it
+section 2.1.4 (error-oriented quasi-Newton updates, QNERR). A step λΔx is accepted if the *simplified* correction it
 leaves, -J(x)⁻¹ r(x + λΔx), is shorter than Δx. That test is invariant under scaling of the equations; the norm of the
-residual is not, and stalls on bending. After a full step that contracts well, Broyden's good update stands in for new
+residual is not, and stalls on bending. After a full step that contracts well, Broyden's good update replaces new
 Jacobians: a Jacobian, assembled and factorised, costs as much as ten such steps.
 """
 
@@ -44,7 +44,7 @@ class NewtonSettings:
         tolerance: Length of the last correction, see `length`.
         maximum_jacobians: Bound on the cost.
         smallest_damping: Smallest damping factor; below it the iteration has stalled. 1 allows full steps only.
-        contraction: Quasi-Newton steps go on with a Jacobian as long as each is shorter than the last by this factor.
+        contraction: Quasi-Newton steps reuse a Jacobian as long as each is shorter than the last by this factor.
     """
 
     tolerance: float = 1e-9
@@ -59,10 +59,10 @@ class NewtonSolution:
 
     Args:
         x: the root.
-        jacobians: how many were factorised for it.
-        simplified_steps: steps taken with a Jacobian from elsewhere.
+        jacobians: number of Jacobians factorised.
+        simplified_steps: number of steps taken with a Jacobian from another point.
         last_correction: length of the last correction.
-        jacobian: the last one, factorised near the root, not at it.
+        jacobian: the last Jacobian, factorised near the root, not at it.
     """
 
     x: Vector
@@ -192,7 +192,7 @@ class _Search:
     def _quasi_newton(
         self, jacobian: LinearSolver, x: Vector, corrections: tuple[Vector, Vector]
     ) -> tuple[Vector, float]:
-        """Go on with Broyden updates of a Jacobian while they contract; return the point and the last correction.
+        """Continue with Broyden updates of a Jacobian while they contract; return the point and the last correction.
 
         Args:
             jacobian: Jacobian that is updated.

@@ -37,12 +37,12 @@ class Outline:
     """The undeformed interface.
 
     Args:
-        points: (x, y), mm, from left to right, on the floor or on the channel's ends first and last.
-        spline: whether `points` are control points of a cubic spline (parametrised by chord length), or the outline.
+        points: Points (x, y) from left to right, mm; the first and last lie on the floor or on the channel's ends.
+        spline: whether `points` are control points of a cubic spline (parametrised by chord length) or the outline.
         nodes: number of interface nodes, equally spaced by arclength; None keeps `points` as they are.
 
     Raises:
-        InvalidInput: too few points or nodes, points that are no pairs of numbers, or nodes None with a spline.
+        InvalidInput: too few points or nodes, points that are not pairs of numbers, or nodes None with a spline.
     """
 
     points: tuple[tuple[float, float], ...] = CONTROL_POINTS

@@ -1,4 +1,4 @@
-"""Keep what a compiled library prints from the terminal."""
+"""Suppress what a compiled library prints."""
 
 import contextlib
 import ctypes
@@ -14,10 +14,10 @@ STANDARD_OUTPUT = 1
 
 @contextlib.contextmanager
 def without_prints() -> Iterator[None]:
-    """Discard what this process writes to standard output meanwhile, below Python too.
+    """Discard what this process writes to standard output, even outside Python.
 
-    The C library buffers its prints, so they are flushed before and after. Where standard output is closed, or the
-    system is not POSIX, nothing is done.
+    The C library buffers its prints, so they are flushed before and after. If standard output is closed, or the
+    system is not POSIX, this does nothing.
     """
     library = _c_library()
     try:
@@ -41,7 +41,7 @@ def without_prints() -> Iterator[None]:
 
 @cache
 def _c_library() -> Any:
-    """Return the C library of this process, None where there is none."""
+    """Return the C library of this process; None if there is none."""
     try:
         return ctypes.CDLL(None) if os.name == "posix" else None
     except OSError:

@@ -1,4 +1,4 @@
-"""Element sizes: by the mesh's name, and smaller where a narrow gap or a sharp bend of the outline asks for it."""
+"""Element sizes: by the mesh's name, and smaller where a narrow gap or a sharp bend of the outline requires it."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ __all__ = ["FINER", "MESHES", "MeshSize", "gap_sizes", "is_adapted", "segment_si
 
 @dataclass(frozen=True)
 class MeshSize:
-    """Largest element sizes, mm: away from the interface, along it, at its two feet; `grading` as Netgen has it."""
+    """Largest element sizes, mm: away from the interface, along it, at its two feet; `grading` as in Netgen."""
 
     far: float
     interface: float
@@ -28,9 +28,9 @@ MESHES = {
 }
 """Element sizes by the name used in study files.
 
-The nodes of the study's outline are 0.022 mm apart, so there `interface` of ``coarse`` acts on base and inner edges
-alone. Its values are the best of several hundred; others close by make up to three times the error, at random.
-Measure every change of them with ``python -m verification.validation.biofilm_mesh``, and on other outlines with
+The nodes of the study's outline are 0.022 mm apart, so `interface` of ``coarse`` affects only base and inner edges
+there. Its values are the best of several hundred; values close to them make up to three times the error, at random.
+Measure every change with ``python -m verification.validation.biofilm_mesh``, and on other outlines with
 ``python -m verification.validation.mesh_on_other_outlines``.
 """
 
@@ -42,11 +42,11 @@ FINER = {
 """The next finer element sizes by the name of a mesh."""
 
 NARROW = 0.5
-"""Free height between the outline and the top, mm, that calls for smaller elements; it is 0.53 in the study."""
+"""Free height between the outline and the top, mm, below which elements get smaller; it is 0.53 in the study."""
 SHARE = 0.25
 """Largest element in a narrow gap, as a share of the free height."""
 SHARP = 12.0
-"""Angle between two segments, degrees, from which they carry more elements; at most 9.8 in the study."""
+"""Angle between two segments, degrees, above which they get more elements; at most 9.8 in the study."""
 PER_SEGMENT = 4
 """Elements on a segment that meets another one at a sharp angle."""
 _MOST = 2000
@@ -55,10 +55,10 @@ Places = Float[np.ndarray, "place 3"]
 
 
 def gap_sizes(interface: Interface, size: MeshSize, channel: Channel) -> Places:
-    """Return (x, y, largest element), mm, at places between outline and top; none where the flow has room.
+    """Return (x, y, largest element), mm, at places between outline and top; none if the flow has room.
 
-    A layer, and a bump that comes within half a millimetre of the top, have the elements across the free height that
-    half a millimetre has with `size`, and at least four.
+    For a layer, or a bump within half a millimetre of the top, the free height gets as many elements as half a
+    millimetre has with `size`, and at least four.
     """
     free = channel.height - interface.points[:, 1]
     on_floor = interface.points[[0, -1], 1] < ON_WALL
@@ -82,7 +82,7 @@ def segment_sizes(interface: Interface, size: MeshSize) -> Float[np.ndarray, " c
 
 
 def is_adapted(interface: Interface, size: MeshSize, channel: Channel) -> bool:
-    """Return whether the outline asks for smaller elements than those of the mesh's name."""
+    """Return whether the outline requires smaller elements than those of the mesh's name."""
     return bool(_sharp(interface).any()) or len(gap_sizes(interface, size, channel)) > 0
 
 

@@ -1,4 +1,4 @@
-"""The steady state at a load: by Newton's method at once, or along the load path where the solid bends far.
+"""The steady state at a load: by Newton's method at once, or along the load path if the solid bends far.
 
 The largest compressive strain of the first-order solution decides which. Below `SAFE_STRAIN` full Newton steps reach
 the steady state. Above `DIRECT_STRAIN` the fold of the Saint-Venant–Kirchhoff law has been passed in every run seen,
@@ -26,9 +26,9 @@ DIRECT_STRAIN = 0.27
 FIRST_STRAIN = 0.25
 """First-order compression at the first point of the path; see `FIRST_SHARE`."""
 FIRST_SHARE = 0.8
-"""The first point of the path lies at this share of the load at most."""
+"""The first point of the path lies at most at this share of the load."""
 SHORTEST_PATH = 2
-"""Jacobians that a path gets at least."""
+"""Smallest number of Jacobians for a path."""
 DIRECT = NewtonSettings(maximum_jacobians=4, smallest_damping=1.0)
 
 Vector = Float[np.ndarray, " unknown"]

@@ -60,7 +60,7 @@ class StrainProbe:
 
         Args:
             x: unknowns.
-            tangent: their derivative along the path.
+            tangent: derivative of the unknowns along the path.
         """
         thin, across, _ = self._smallest_stretches(x)
         rate = np.einsum("ei,eij,ej->e", thin, self._gradients(tangent), across)
@@ -72,7 +72,7 @@ class StrainProbe:
         return self._strain(int(stretch.argmin()), thin, across)
 
     def _smallest_stretches(self, x: Vector) -> tuple[Directions, Directions, Float[np.ndarray, " cell"]]:
-        """Return the left and right singular vectors of each element's smallest principal stretch, and that."""
+        """Return the left and right singular vectors of each element's smallest principal stretch, and the stretch."""
         left, stretches, right = np.linalg.svd(np.eye(2) + self._gradients(x))
         return left[:, :, 1], right[:, 1, :], stretches[:, 1]
 

@@ -18,7 +18,7 @@ Form = Any  # an NGSolve coefficient function
 def cauchy_stress(law: Law, d: Form, solid_pressure: Form, young: Form, poisson: Form) -> Form:
     """Return (σxx, σyy, σxy, σzz) in plane strain.
 
-    Out of the plane, where F is 1 and the strain 0, both laws leave S = pₛ.
+    Out of the plane, where F is 1 and the strain 0, both laws reduce to S = pₛ.
     """
     F = deformation_gradient(d)
     J = ng.Det(F)

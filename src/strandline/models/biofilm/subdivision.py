@@ -13,7 +13,7 @@ __all__ = ["Edge", "Partition", "Subdivision", "check_partition"]
 
 Point = tuple[float, float]
 SNAP = 0.2
-"""A cut that meets an edge closer than this share of it to a vertex goes through the vertex: no tiny elements."""
+"""A cut that meets an edge within this share of its length from a vertex goes through it: no tiny elements."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ Partition.PRESETS["three_parts"] = Partition(
     lines=(((0.40, 0.12), (1.50, 0.12)), ((0.78, 0.10), (0.78, 0.60))),
     markers=((0.65, 0.25), (1.00, 0.30), (0.90, 0.05)),
 )
-"""The heterogeneous specimen of the study (S6): part 2 the largest, part 3 at the ground; for the study's outline."""
+"""The heterogeneous specimen of the study (S6): part 2 the largest, part 3 on the ground; for the study's outline."""
 
 
 def check_partition(lines: Sequence[object] = (), markers: Sequence[object] = ()) -> None:
     """Refuse lists from a study file that are not the lines and markers of a partition.
 
     Raises:
-        InvalidInput: There is such a list; the message holds it.
+        InvalidInput: There is such a list; the message shows it.
     """
     for what, given, shape, example in (
         ("lines", lines, (2, 2), "pairs of points in mm, e.g. [[[0.4, 0.1], [1.5, 0.1]]]"),
@@ -58,7 +58,7 @@ def check_partition(lines: Sequence[object] = (), markers: Sequence[object] = ()
 
 
 def _is_numbers(value: object, shape: tuple[int, ...]) -> bool:
-    """Return whether `value` is an array of finite numbers of that shape."""
+    """Return whether `value` is an array of finite numbers with this shape."""
     try:
         array = np.array(value, float)
     except (TypeError, ValueError):
@@ -149,7 +149,7 @@ class Subdivision:
                 yield Edge(start, end, name, owner.get((end, start)))
 
     def _crossings(self, name: str, line: tuple[Point, Point]) -> list[int]:
-        """Return the vertices at which `line` meets a polygon, created where they do not exist yet."""
+        """Return the vertices at which `line` meets a polygon, created if they do not exist yet."""
         found: list[int] = []
         for start, end in _pairs(self.rings[name]):
             vertex = self._meeting(start, end, line)

@@ -2,8 +2,8 @@
 
 Velocity P2 and pressure P1 on the fluid, displacement P2 on the whole domain, solid pressure P1 on the solid. The
 fluid's momentum balance is tested with w + φ on the interface, so the traction there is the consistent residual. The
-rows of displacement unknowns *inside* the fluid are exchanged for those of the mesh motion (`row selection`): exactly
-conservative, and no penalty pollutes the interface.
+rows of displacement unknowns *inside* the fluid are replaced by those of the mesh motion (`row selection`): this is
+exactly conservative, and no penalty pollutes the interface.
 """
 
 from collections.abc import Sequence
@@ -106,7 +106,7 @@ class CoupledSystem:
         return np.asarray(self.full_residual()[self.free])
 
     def full_residual(self) -> Float[np.ndarray, " dof"]:
-        """Return the residual of every row at the present state; prescribed rows hold the reactions."""
+        """Return the residual of every row at the current state; prescribed rows hold the reactions."""
         self._balance.Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
         self._motion.mat.Mult(self.state.vec, self._residual)
@@ -125,7 +125,7 @@ class CoupledSystem:
         return Factorisation(self._pattern.fill(self._assemble()), len(self.free))
 
     def by_parameter(self, parameter: Any) -> Vector:
-        """Return the derivative of the residual by one of `young` or `poisson` at the present state."""
+        """Return the derivative of the residual with respect to one of `young` or `poisson` at the current state."""
         if parameter not in self._derivatives:
             self._derivatives[parameter] = _solid_form(self, derivative_by=parameter)
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
@@ -134,7 +134,7 @@ class CoupledSystem:
         return np.asarray(result[self.free])
 
     def by_prescribed(self, direction: Float[np.ndarray, " dof"]) -> Vector:
-        """Return the derivative of the residual when prescribed values change along `direction`; as last assembled."""
+        """Return the derivative of the residual when prescribed values change along `direction`, as last assembled."""
         moved = self.state.vec.CreateVector()
         moved.FV().NumPy()[:] = direction
         self._balance.mat.Mult(moved, self._residual)
@@ -185,7 +185,7 @@ class _Pattern:
         is_motion: Bool[np.ndarray, " dof"],
         free: Int[np.ndarray, " unknown"],
     ) -> "_Pattern":
-        """Return the pattern of all entries that are not zero in the matrices given, rows chosen by `is_motion`."""
+        """Return the pattern of the nonzero entries of the given matrices, with rows chosen by `is_motion`."""
         number = np.full(len(is_motion), -1)
         number[free] = np.arange(len(free))
         first = _reduced_entries(balance, balance_values, ~is_motion, number)
@@ -229,7 +229,7 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
 
 
 def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
-    """Return momentum and constitutive constraint of the solid, or their derivative by a material parameter."""
+    """Return momentum and constitutive constraint of the solid, or their derivative with respect to a parameter."""
     (_, _, d, *solid_pressures), (_, _, phi, *solid_tests) = system.space.TnT()
     form = ng.BilinearForm(system.space)
     for k, region in enumerate(system.solids):
@@ -248,8 +248,8 @@ def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
 def _add_fluid(form: Any, system: CoupledSystem, *, viscosity: float, density: float) -> None:
     """Add momentum and continuity of the fluid, the former tested with w + φ on the interface.
 
-    Every term is a form of its own: the cost of a Jacobian grows with the product of a form's trial and test components
-    and with its length, so the sum as one form takes twice as long to assemble.
+    Every term is a separate form: the cost of a Jacobian grows with the product of a form's trial and test components
+    and with its length, so the sum as a single form takes twice as long to assemble.
     """
     (v, p, d, *_), (w, q, phi, *_) = system.space.TnT()
     beside_interface = {"definedonelements": _fluid_beside_interface(system.mesh)}
@@ -272,7 +272,7 @@ def _motion_form(space: Any) -> Any:
 
 
 def _fluid_beside_interface(mesh: Any) -> Any:
-    """Mark the fluid elements that touch the interface: only there is φ|Γ not zero."""
+    """Mark the fluid elements that touch the interface: φ|Γ is nonzero only there."""
     on_interface = {v.nr for e in mesh.Elements(ng.BND) if e.mat == "interface" for v in e.vertices}
     marked = ng.BitArray(mesh.ne)
     marked.Clear()

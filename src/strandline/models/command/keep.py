@@ -1,4 +1,4 @@
-"""The folders of runs, kept in the study where they are wanted."""
+"""Run folders that are kept in the study on request."""
 
 import contextlib
 import shutil
@@ -16,14 +16,14 @@ def require_keep(keep: object) -> None:
     """Refuse any word except all, failed and none.
 
     Raises:
-        InvalidInput: It is another word; the message holds it.
+        InvalidInput: It is another word; the message shows it.
     """
     if keep not in KEPT:
         raise InvalidInput("keep", value=keep, expected=f"one of {', '.join(KEPT)}", remedy="Choose one of them.")
 
 
 def kept_folder(workdir: Path, study: Path, key: str) -> Path:
-    """Move what is in the folder of a run into the study's runs/KEY-ATTEMPT, a new one, and return that."""
+    """Move the contents of a run's folder into a new folder runs/KEY-ATTEMPT of the study, and return its path."""
     parent = study / RUNS
     parent.mkdir(exist_ok=True)
     attempt = 1
@@ -35,6 +35,6 @@ def kept_folder(workdir: Path, study: Path, key: str) -> Path:
             attempt += 1
             continue
         for item in workdir.iterdir():
-            with contextlib.suppress(shutil.SpecialFileError):  # a pipe or a socket, of no use without its process
+            with contextlib.suppress(shutil.SpecialFileError):  # a pipe or a socket, useless without its process
                 shutil.move(item, target / item.name)
         return target

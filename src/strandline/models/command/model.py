@@ -31,32 +31,32 @@ LOG = "command.log"
 
 @dataclass(frozen=True)
 class CommandModel:
-    """The simulator that a command starts in a fresh folder for each run.
+    """A simulator that a command starts, in a new folder for each run.
 
-    Templates are rendered into the folder, files copied there, the command and what `post` adds are run in it without a
+    Templates are rendered into the folder and files copied there; the command and those of `post` run there without a
     shell, and the interface is read from the result file. A run succeeds if its result exists, is newer than the start,
     complete and finite; the exit code alone is not enough. No process that the command started outlives the run.
 
     Args:
-        command: Program and arguments; with `shell` one text.
-        result: The file that holds the interface and how it is read, see `strandline.readers.Reading`.
-        results: Used instead of `result`: one such mapping for each condition.
+        command: Program and arguments as a list; with `shell`, one text.
+        result: File that holds the interface and how to read it, see `strandline.readers.Reading`.
+        results: One such mapping for each condition, instead of `result`.
         templates: Files in the study folder → names in the folder of the run.
         files: Names of files in the study folder, copied into the folder of the run.
         shell: Whether the command is a text for /bin/sh.
-        post: A command, or a list of commands, run after it.
-        environment: Variables of the environment, added to those of strandline.
-        timeout: Seconds for all commands of a run; None: no limit.
+        post: A command, or a list of commands, to run afterwards.
+        environment: Environment variables, added to those of strandline.
+        timeout: Time limit for all commands of a run, seconds; None: no limit.
         grace: Seconds between SIGTERM and SIGKILL.
         exit_codes: Exit codes that count as success, or ``any``.
-        success: ``{log: TEXT}``, a text that a good run prints, or writes into ``file``.
-        keep: Which folders of runs are kept in the study's folder `runs`: ``all``, ``failed`` or ``none``.
+        success: ``{log: TEXT}``, a text that a good run prints, or writes to ``file``.
+        keep: Which run folders are kept in the study's folder `runs`: ``all``, ``failed`` or ``none``.
         version: Version of the simulator; runs of different versions are different runs.
-        inputs: Declared inputs; empty where nothing is known of units and ranges.
+        inputs: Declared inputs; empty if units and ranges are unknown.
         folder: Folder of the study.
 
     Raises:
-        InvalidInput: An invalid option, a file that is missing or lies elsewhere, or a mistake in a template.
+        InvalidInput: An invalid option, a file that is missing or outside the study folder, or a mistake in a template.
     """
 
     command: Any
@@ -96,7 +96,7 @@ class CommandModel:
 
     @classmethod
     def from_options(cls, **options: Any) -> "CommandModel":
-        """Return the model of a study file."""
+        """Return the model that a study file describes."""
         return cls(**{**options, "inputs": declared_by(options.get("inputs", {}))})
 
     @property
@@ -106,7 +106,7 @@ class CommandModel:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with templates, files, commands, environment, the reading of results and `version`."""
+        """Text that changes with templates, files, commands, environment, the reading of results and `version`."""
         parts = self._parts
         text = json.dumps(
             [
@@ -128,7 +128,7 @@ class CommandModel:
         """Refuse templates with variables that are not inputs, and unknown inputs that no template uses.
 
         Raises:
-            InvalidInput: There is one; the message holds the variable, its file and line.
+            InvalidInput: There is one; the message names the variable, its file and line.
         """
         unknown = list(unknown)
         known = {*unknown, *fixed, PYTHON}
@@ -138,14 +138,14 @@ class CommandModel:
         for name in unknown:
             if name not in used:
                 raise InvalidInput(
-                    f"the input {name} stands in no template and in no command",
+                    f"the input {name} is used in no template and no command",
                     value="an input without effect",
                     expected=f"{{{{ {name} }}}} somewhere",
                     remedy=f"Put it there, or remove {name} from inputs.",
                 )
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
-        """Run the command in `workdir` and return the interfaces that it left.
+        """Run the command in `workdir` and return the resulting interfaces.
 
         Raises:
             ForwardModelError: The run fails; the error holds the kind, the state, and the last lines that the command
@@ -179,7 +179,7 @@ class CommandModel:
             raise
 
     def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
-        """Keep the folder of the run `key` where `keep` says so, and return where."""
+        """Keep the folder of the run `key` if `keep` asks for it and return its new path; else return None."""
         if self.keep == "none" or (self.keep == "failed" and ok):
             return None
         return kept_folder(workdir, self.folder, key)
@@ -213,7 +213,7 @@ class CommandModel:
 
 @dataclass(frozen=True)
 class _Parts:
-    """The checked options and the templates read, so that later changes of the study folder affect no campaign."""
+    """The checked options and the text of the templates, so that later changes of the folder affect no campaign."""
 
     templates: tuple[tuple[str, Template], ...]
     files: tuple[SourceFile, ...]
@@ -249,7 +249,7 @@ class _Parts:
         )
 
     def every_template(self) -> Iterator[Template]:
-        """Yield all texts into which inputs may be put."""
+        """Yield all texts that may contain inputs."""
         yield from (template for _, template in self.templates)
         yield from (item for command in self.commands for item in command)
         yield from self.environment.values()
@@ -287,7 +287,7 @@ def _require_distinct(targets: list[str]) -> None:
 
 
 def _killed(ended: Ended, program: str) -> ForwardModelError:
-    """Return the error of a command that was killed, but neither by itself nor by strandline."""
+    """Return the error for a command that was killed, but neither by itself nor by strandline."""
     message = f"{program} ended with {ended.how}: something killed it from outside"
     evidence = {"exit_code": float(ended.exit_code or 0)}
     if ended.out_of_memory:
@@ -297,7 +297,7 @@ def _killed(ended: Ended, program: str) -> ForwardModelError:
 
 
 def _now(workdir: Path) -> int:
-    """Return the time by the clock of the folder's file system, in nanoseconds."""
+    """Return the time by the clock of the folder's file system, nanoseconds."""
     stamp = workdir / ".started"
     stamp.touch()
     now = stamp.stat().st_mtime_ns

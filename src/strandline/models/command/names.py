@@ -1,4 +1,4 @@
-"""Names of files in study.yaml: none leads out of the study folder, or out of the folder of a run."""
+"""File names in study.yaml: none may lead out of the study folder, or out of the folder of a run."""
 
 import hashlib
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ __all__ = ["SourceFile", "file_in", "relative_name"]
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file of the study folder that each run gets a copy of.
+    """A file in the study folder that is copied for each run.
 
     Args:
         name: Name in the study folder and in the folder of the run.
         path: Path of the file.
         digest: Digest of its contents when the study was loaded.
-        stamp: Its size and time of change when the study was loaded.
+        stamp: Its size and modification time when the study was loaded.
     """
 
     name: str
@@ -30,13 +30,13 @@ class SourceFile:
         """Return the file `name` of the study folder.
 
         Raises:
-            InvalidInput: there is none, or it lies elsewhere.
+            InvalidInput: there is none, or it lies outside the folder.
         """
         path = file_in(folder, name, place)
         return cls(str(name), path, _digest(path), _stamp(path))
 
     def require_unchanged(self) -> None:
-        """Refuse a file that has changed since: its runs would belong to another model.
+        """Refuse a file that has changed since then: its runs would belong to another model.
 
         Raises:
             ForwardModelError: ``file_changed``.
@@ -50,10 +50,10 @@ class SourceFile:
 
 
 def relative_name(name: object, place: str) -> str:
-    """Return a name that stays below the folder it is relative to.
+    """Return `name` as a relative path that stays inside its folder.
 
     Raises:
-        InvalidInput: an absolute one, one with ``..``, or none at all.
+        InvalidInput: an absolute name, one with ``..``, or none at all.
     """
     fits = isinstance(name, str) and name.isprintable() and "\\" not in name and name.strip() == name
     parts = PurePosixPath(name).parts if fits and isinstance(name, str) else ()
@@ -62,7 +62,7 @@ def relative_name(name: object, place: str) -> str:
             place,
             value=name,
             expected="the name of a file in the folder or below it: not absolute, without `..`",
-            remedy="Put the file there and name it so.",
+            remedy="Put the file there and give its name relative to the folder.",
         )
     return str(PurePosixPath(*parts))
 
@@ -71,7 +71,7 @@ def file_in(folder: Path, name: object, place: str) -> Path:
     """Return the path of a file in the study folder.
 
     Raises:
-        InvalidInput: a name or a link that leads out of it, or no such file.
+        InvalidInput: a name or a link that leads out of the folder, or no such file.
     """
     path = folder / relative_name(name, place)
     if not path.is_file():

@@ -19,7 +19,7 @@ def commands_of(command: object, post: object, *, shell: bool) -> tuple[tuple[Te
     """Return the commands of a run as templates of their arguments.
 
     Raises:
-        InvalidInput: no list of texts; a text without `shell`, or a list with it.
+        InvalidInput: not a list of texts; a text without `shell`, or a list with it.
     """
     if shell:
         if not isinstance(command, str) or not command.strip():
@@ -67,10 +67,10 @@ def exit_codes_of(given: object) -> frozenset[int] | None:
 
 
 def seconds(name: str, value: object) -> None:
-    """Refuse anything but seconds above 0, or none.
+    """Refuse anything but a number of seconds above 0, or None.
 
     Raises:
-        InvalidInput: It is something else; the message holds the value.
+        InvalidInput: It is something else; the message shows the value.
     """
     if value is not None and not (isinstance(value, int | float) and 0 < value <= LONGEST_SECONDS):
         raise _unfit(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
@@ -110,10 +110,6 @@ def _number_in(text: str, place: str) -> float:
     if number is None:
         raise _unfit(place, text, "a number")
     return number
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and bool(value) and not set(value) & {"\0", "="}
 
 
 def _is_word(value: object) -> bool:

@@ -1,4 +1,4 @@
-"""The worker's side of a command: run it under a supervisor and receive how it ended."""
+"""The worker's side of a command: run it under a supervisor and learn how it ended."""
 
 import contextlib
 import errno
@@ -17,10 +17,10 @@ __all__ = ["Ended", "supervised"]
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 LOG_LIMIT = 1_000_000
-"""Bytes kept of the beginning, and of the end, of what a command prints."""
+"""Bytes kept of the beginning, and of the end, of a command's output."""
 LOG_TAIL_BYTES = 8192
 KILLED_IN_A_SHELL = 128 + signal.SIGKILL
-"""Exit code of a shell, or a launcher such as mpirun, whose own child was ended by SIGKILL."""
+"""Exit code of a shell, or a launcher such as mpirun, whose own child was killed by SIGKILL."""
 SHORT_OF_MEMORY = frozenset({errno.ENOMEM, errno.EAGAIN})
 
 
@@ -29,12 +29,12 @@ class Ended:
     """How a command ended.
 
     Args:
-        exit_code: Minus the number of the signal where one ended it; None where it never started.
+        exit_code: Exit code; minus the number of the signal if one ended it; None if it never started.
         timed_out: Whether it was ended because its time was up.
         seconds: Wall-clock time.
-        tail: End of what it printed.
-        problem: Why it could not be started; "" where it could.
-        out_of_memory: Whether the kernel killed a process for lack of memory meanwhile.
+        tail: End of its output.
+        problem: Why it could not be started; "" if it could.
+        out_of_memory: Whether the kernel killed a process for lack of memory during the run.
     """
 
     exit_code: int | None
@@ -46,7 +46,7 @@ class Ended:
 
     @property
     def killed(self) -> bool:
-        """Whether SIGKILL ended it, and it was not ours: an operator, the kernel or a batch system sent it."""
+        """Whether a SIGKILL from outside ended it: from an operator, the kernel or a batch system."""
         return not self.timed_out and self.exit_code in (-signal.SIGKILL, KILLED_IN_A_SHELL)
 
     @property
@@ -68,18 +68,18 @@ def supervised(
     grace: float,
     log: Path,
 ) -> Ended:
-    """Run a command in `folder` to its end; afterwards no process that it started is left.
+    """Run a command in `folder` to its end; no process that it started remains afterwards.
 
     Args:
         arguments: The program and its arguments; no shell.
-        folder: Its working directory.
+        folder: Working directory.
         environment: The complete environment.
-        timeout: Seconds after which it is ended; None: no limit.
+        timeout: Seconds after which the command is ended; None: no limit.
         grace: Seconds between SIGTERM and SIGKILL.
-        log: File for what it prints, of at most twice `LOG_LIMIT` bytes.
+        log: File for the output, at most twice `LOG_LIMIT` bytes.
 
     Raises:
-        ForwardModelError: ``supervisor_died`` or ``out_of_memory``, both of the state ``killed``; ``processes_left``.
+        ForwardModelError: ``supervisor_died`` or ``out_of_memory``, both with the state ``killed``; ``processes_left``.
     """
     asked = {
         "arguments": list(arguments),
@@ -146,7 +146,7 @@ def _no_room(reason: str) -> ForwardModelError:
 
 
 def _end_of(log: Path) -> str:
-    """Return the last part of what the supervisor has written of the log; its own memory of it is gone."""
+    """Return the end of the log file, for a supervisor that died and cannot report it."""
     with contextlib.suppress(OSError):
         return log.read_bytes()[-LOG_TAIL_BYTES:].decode("utf-8", "replace")
     return ""

@@ -1,4 +1,4 @@
-"""What a run must have left, checked closely before it is used."""
+"""The results that a run must leave, checked closely before they are used."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ class LogText:
     """A text that every successful run writes.
 
     Args:
-        text: Text that must be there.
-        file: File that must contain it; "" for what the command printed.
+        text: Text that must appear.
+        file: File that must contain it; "" for the output of the command.
     """
 
     text: str
@@ -26,7 +26,7 @@ class LogText:
 
     @classmethod
     def of(cls, options: object) -> "LogText":
-        """Return what the option `success` says.
+        """Return the check that the option `success` describes.
 
         Raises:
             InvalidInput: anything else.
@@ -57,10 +57,10 @@ class LogText:
 
 
 def readings_of(result: object, results: object) -> dict[str, Reading]:
-    """Return how the result of each condition is read; "" names a single unnamed condition.
+    """Return how to read the result of each condition; "" names a single unnamed condition.
 
     Raises:
-        InvalidInput: Both or none of the two options, or an invalid one.
+        InvalidInput: Both options or neither are given, or one is invalid.
     """
     if (result is None) == (results is None):
         raise InvalidInput(
@@ -115,5 +115,5 @@ def _read(reading: Reading, folder: Path, started: int) -> Interface:
 
 
 def _told(error: InvalidInput, folder: Path) -> str:
-    """Return the message without the name of a folder that will be gone."""
+    """Return the message without the path of the run's folder, which will be gone."""
     return str(error).replace(f"{folder}/", "")

@@ -1,12 +1,12 @@
 """The program that runs one command of a simulator and is responsible for every process that it starts.
 
-It stands between the worker and the simulator, in a session of its own, and imports nothing but the standard library:
+It runs between the worker and the simulator, in its own session, and imports only the standard library:
 
-- it takes one line of JSON from its standard input and keeps that open: when it closes, the worker is gone, and all
-  processes of the simulator are killed;
-- it adopts whatever the simulator leaves behind (Linux: ``PR_SET_CHILD_SUBREAPER``), so that processes which fork
-  twice or open a session of their own are found below it, and collects them;
-- it keeps the first and the last part of what they print;
+- it reads one line of JSON from its standard input and keeps the input open: when that closes, the worker is gone, and
+  all processes of the simulator are killed;
+- it adopts the processes that the simulator leaves behind (Linux: ``PR_SET_CHILD_SUBREAPER``), including those that
+  fork twice or open their own session, and reaps them;
+- it keeps the first and the last part of their output;
 - it writes one line of JSON to its standard output: how the command ended.
 """
 
@@ -25,15 +25,15 @@ __all__ = ["main"]
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 LINUX = sys.platform == "linux"
 GIVEN_UP_AFTER = 10.0
-"""Seconds after which a process that survives SIGKILL (it hangs in the kernel) is left to itself."""
+"""Seconds after which a process that survives SIGKILL (it hangs in the kernel) is given up."""
 TAIL_REPORTED = 8192
 CHUNK = 65536
 LONGEST_POLL = 3600.0
-"""Seconds; poll() takes no more than 2³¹ milliseconds, 24.8 days."""
+"""Seconds; poll() accepts at most 2³¹ milliseconds, 24.8 days."""
 
 
 class Log:
-    """What the command prints: the first and the last `limit` bytes go to a file."""
+    """The command's output: the first and the last `limit` bytes go to a file."""
 
     def __init__(self, path: str, limit: int) -> None:
         self.file = open(path, "wb", buffering=0)  # noqa: SIM115, PTH123
@@ -41,7 +41,7 @@ class Log:
         self.pieces: collections.deque[bytes] = collections.deque()
 
     def add(self, data: bytes) -> None:
-        """Take the next piece."""
+        """Add the next piece of output."""
         head = data[: max(0, self.limit - self.total)]
         if head:
             self._write(head)
@@ -52,7 +52,7 @@ class Log:
             self.kept -= len(self.pieces.popleft())
 
     def close(self) -> str:
-        """Write the end, and return its last part as text."""
+        """Write the end of the output, and return its last part as text."""
         tail, rest = b"".join(self.pieces), min(self.total - self.limit, self.limit)
         if rest > 0:
             left_out = self.total - self.limit - rest
@@ -67,7 +67,7 @@ class Log:
 
 
 class Tree:
-    """The command's process and all that descend from it."""
+    """The command's process and all its descendants."""
 
     def __init__(self, arguments: list[str], environment: dict[str, str], log: Log) -> None:
         self.log, self.lifeline_lost = log, False
@@ -86,7 +86,7 @@ class Tree:
         os.close(write_end)
 
     def wait(self, deadline: float) -> None:
-        """Pass on output until something happens, at the latest at `deadline`, or after `LONGEST_POLL` seconds."""
+        """Pass on output until something happens, at most until `deadline` or for `LONGEST_POLL` seconds."""
         patience = min(max(0.0, deadline - time.monotonic()), LONGEST_POLL)
         for descriptor, _ in self.poll.poll(1000 * patience + 1):
             if descriptor == self.output:
@@ -100,7 +100,7 @@ class Tree:
                 self.poll.unregister(0)
 
     def alive(self) -> bool:
-        """Collect what has ended; return whether anything is left."""
+        """Reap the processes that have ended; return whether any are left."""
         while True:
             try:
                 pid, status = os.waitpid(-1, os.WNOHANG)
@@ -112,7 +112,7 @@ class Tree:
                 self.status = os.waitstatus_to_exitcode(status)
 
     def end(self, grace: float) -> int:
-        """End all processes, first by asking; return how many could not be ended."""
+        """End all processes, first with SIGTERM; return how many could not be ended."""
         deadline = time.monotonic() + grace
         if self.alive() and not self.lifeline_lost:
             self._signal(signal.SIGTERM)
@@ -166,7 +166,7 @@ def descendants(root: int) -> list[int]:
 
 
 def started(arguments: list[str], environment: dict[str, str], output: int) -> int:
-    """Start the command and return its process.
+    """Start the command and return its process id.
 
     Raises:
         OSError: it cannot be started.
@@ -199,12 +199,12 @@ def started(arguments: list[str], environment: dict[str, str], output: int) -> i
 
 
 def prctl(option: int, value: int) -> None:
-    """Call the function of that name."""
+    """Call the C function of that name."""
     ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
 
 
 def request() -> dict[str, object] | None:
-    """Return what is to be run; None where the worker went before it had said so."""
+    """Return the worker's request; None if the worker ended before it sent one."""
     text = b""
     while not text.endswith(b"\n"):
         data = os.read(0, CHUNK)
@@ -243,7 +243,7 @@ def run(asked) -> dict[str, object]:  # type: ignore[no-untyped-def]
 
 
 def oom_kills() -> int:
-    """Return how many processes of this machine the kernel has killed for lack of memory; 0 where it does not say."""
+    """Return how many processes on this machine the kernel has killed for lack of memory; 0 if unknown."""
     with contextlib.suppress(OSError, ValueError), open("/proc/vmstat") as file:  # noqa: PTH123
         return sum(int(line.split()[1]) for line in file if line.startswith("oom_kill "))
     return 0

@@ -1,4 +1,4 @@
-"""Text with the inputs put in: Jinja2, sandboxed, with every variable known before the first run."""
+"""Texts that contain inputs: sandboxed Jinja2, with every variable checked before the first run."""
 
 import functools
 from collections.abc import Iterable, Mapping
@@ -16,14 +16,14 @@ __all__ = ["Template"]
 
 @dataclass(frozen=True)
 class Template:
-    """A text in which inputs stand as ``{{ name }}``; numbers are written with all their digits.
+    """A text that contains inputs as ``{{ name }}``; numbers are written with all their digits.
 
     Args:
-        place: Place named in messages, e.g. the name of the file.
+        place: Name of the text in messages, e.g. the name of the file.
         text: Text of the template.
 
     Raises:
-        InvalidInput: a mistake in it, with the line.
+        InvalidInput: a mistake in the text; the message names the line.
     """
 
     place: str
@@ -56,7 +56,7 @@ class Template:
         """Refuse variables other than `names`.
 
         Raises:
-            InvalidInput: There is one; the message holds the first of them and its line.
+            InvalidInput: There is one; the message names the first and its line.
         """
         known = set(names)
         for name in sorted(self.names - known):
@@ -70,7 +70,7 @@ class Template:
             )
 
     def rendered(self, values: Mapping[str, Any]) -> str:
-        """Return the text with `values` put in.
+        """Return the text with `values` filled in.
 
         Raises:
             ForwardModelError: ``template``.

@@ -1,1 +1,1 @@
-"""UM-Bridge, a protocol for models over HTTP: simulators elsewhere as forward models, and studies served to others."""
+"""UM-Bridge, a protocol for models over HTTP: remote simulators as forward models, and studies served to others."""

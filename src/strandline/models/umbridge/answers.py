@@ -1,4 +1,4 @@
-"""The server's side of UM-Bridge 1.0 as a function of the request: what is asked → status and JSON object."""
+"""The server's side of UM-Bridge 1.0 as a function: request → status and JSON object."""
 
 import json
 import math
@@ -27,8 +27,8 @@ class ServedModel:
         output_sizes: Numbers in each output block.
         evaluate: Function, input blocks → output blocks.
         gradient: Function, (out, in, input blocks, weights) → weights times the Jacobian of block out by block in; None
-            where it is not offered.
-        apply_jacobian: Function, (out, in, input blocks, vector) → the Jacobian times vector; None where it is not
+            if it is not offered.
+        apply_jacobian: Function, (out, in, input blocks, vector) → the Jacobian times vector; None if it is not
             offered.
     """
 
@@ -52,14 +52,14 @@ class ServedModel:
 
 @dataclass(frozen=True)
 class Answer:
-    """An HTTP status and the object that goes with it as JSON."""
+    """An HTTP status and the object that is sent with it as JSON."""
 
     status: int
     content: Mapping[str, Any]
 
 
 class Refused(Exception):
-    """A request that gets an error of the protocol as its answer."""
+    """A request that is answered with an error of the protocol."""
 
     def __init__(self, kind: str, message: str, status: int = 400) -> None:
         self.kind, self.status = kind, status
@@ -67,12 +67,12 @@ class Refused(Exception):
 
     @property
     def answer(self) -> Answer:
-        """The error as the protocol writes it."""
+        """The error in the protocol's form."""
         return Answer(self.status, {"error": {"type": self.kind, "message": str(self)}})
 
 
 def answer(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> Answer:
-    """Return the answer to a request; whatever is wrong with it, or goes wrong with the model, is an answer too."""
+    """Return the answer to a request; invalid requests and failures of the model are answered too."""
     try:
         return Answer(200, _answered(models, method, path, body))
     except Refused as refused:
@@ -100,7 +100,7 @@ def _answered(models: Sequence[ServedModel], method: str, path: str, body: bytes
     if not model.support.get(path[1:], True):
         raise Refused("UnsupportedFeature", f"{model.name} does not support {path[1:]}")
     if asked.get("config") not in (None, {}):
-        raise Refused("InvalidInput", f"config: got {_shown(asked['config'])}; expected none, the study has it all")
+        raise Refused("InvalidInput", f"config: got {_shown(asked['config'])}; expected none: the study sets it all")
     return ENDPOINTS[path](model, asked)
 
 
@@ -139,7 +139,7 @@ ENDPOINTS: Mapping[str, Callable[[ServedModel, Mapping[str, Any]], dict[str, Any
     "/ApplyJacobian": _apply_jacobian,
     "/ApplyHessian": _no_hessian,
 }
-"""Path → what answers it, given the model that the request names; /Info names none."""
+"""Path → function that answers it, given the model that the request names; /Info names none."""
 
 
 def _require_method(method: str, right: str, path: str) -> None:
@@ -151,7 +151,7 @@ def _object(body: bytes) -> dict[str, Any]:
     try:
         asked = json.loads(body.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise Refused("InvalidInput", f"the request is no JSON: {error}") from None
+        raise Refused("InvalidInput", f"the request is not JSON: {error}") from None
     if not isinstance(asked, dict):
         raise Refused("InvalidInput", f"the request is {_shown(asked)}; expected a JSON object")
     return asked

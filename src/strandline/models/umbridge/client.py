@@ -33,9 +33,9 @@ LARGEST_ANSWER = 64 * 2**20
 """Bytes of an answer; a million points in space take 60 MB."""
 SHOWN_CHARACTERS = 200
 LONGEST_LOG = 8192
-"""Characters of what a server says of a failure behind the first line; a served study ends it with the log."""
+"""Characters kept of a server's error message after its first line; a served study ends it with the log."""
 NUMBERS_OF_PYTHON = re.compile(r"(?<![\w\"])-?(nan|inf)(?![\w\"])")
-"""What `repr` makes of numbers that are not finite; servers that build JSON from it send this."""
+"""Numbers that are not finite, as `repr` writes them; servers that build JSON with it send these."""
 BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature", "Unauthorized", "Forbidden")
 TOKEN_VARIABLE = "STRANDLINE_TOKEN"
 """Environment variable with the secret of a server started by `strandline serve --token`."""
@@ -45,7 +45,7 @@ Vector = Float[np.ndarray, " number"]
 
 @dataclass(frozen=True)
 class Description:
-    """What a server says of one model: sizes of its input and output blocks, and the features that it supports."""
+    """A server's description of one model: sizes of its input and output blocks, and the features that it supports."""
 
     input_sizes: tuple[int, ...]
     output_sizes: tuple[int, ...]
@@ -56,14 +56,14 @@ class Description:
 class Client:
     """Calls one model of one server.
 
-    Every call has a connection of its own, so that a load balancer can spread calls; redirects, proxies and .netrc
-    are not followed. The environment variable STRANDLINE_TOKEN, where it is set, is sent as ``Authorization: Bearer``.
+    Every call has its own connection, so that a load balancer can distribute calls; redirects, proxies and .netrc are
+    ignored. The environment variable STRANDLINE_TOKEN, if set, is sent as ``Authorization: Bearer``.
 
     Args:
         url: URL of the server.
         name: Name of the model.
         config: Configuration sent with every call.
-        timeout: Seconds that a call may take from its beginning to the last byte of the answer.
+        timeout: Largest duration of a call, from its beginning to the last byte of the answer, seconds.
     """
 
     url: str
@@ -83,7 +83,7 @@ class Client:
             )
 
     def describe(self) -> Description:
-        """Return what the server says of the model.
+        """Return the server's description of the model.
 
         Raises:
             ForwardModelError: no server, another protocol or version, no such model, or one without Evaluate.
@@ -104,7 +104,7 @@ class Client:
         )
 
     def evaluate(self, blocks: Sequence[Sequence[float]], sizes: Sequence[int]) -> list[Vector]:
-        """Return the output blocks, of the `sizes` that the server declared."""
+        """Return the output blocks, with the `sizes` that the server declared."""
         output = self._mapping("Evaluate", {"input": blocks}).get("output")
         if not isinstance(output, list) or len(output) != len(sizes):
             raise self._breach(f"answered Evaluate with {_short(output)}; expected a list of {len(sizes)} blocks")
@@ -149,7 +149,7 @@ class Client:
         return array
 
     def _mapping(self, endpoint: str, content: Mapping[str, Any] | None) -> dict[str, Any]:
-        """Return the JSON object that the server answers; `content` None asks by GET."""
+        """Return the JSON object that the server answers; `content` None sends a GET request."""
         asked = None if content is None else {"name": self.name, "config": dict(self.config), **content}
         status, body = self._exchange(endpoint, asked)
         answer = _parsed(body)
@@ -170,7 +170,7 @@ class Client:
         return answer
 
     def _exchange(self, endpoint: str, asked: Mapping[str, Any] | None) -> tuple[int, bytes]:
-        """Return status and body of one request, made within `timeout` seconds in all."""
+        """Return status and body of one request, which may take `timeout` seconds in total."""
         import httpx
 
         method, place = ("GET", "Info") if asked is None else ("POST", endpoint)
@@ -212,7 +212,7 @@ class Client:
         if isinstance(error, httpx.TimeoutException) or seconds >= self.timeout:
             return ForwardModelError("timeout", f"no answer of {self.url} within {self.timeout:g} s")
         if isinstance(error, httpx.DecodingError):
-            return self._breach(f"sends what cannot be unpacked: {_told(str(error))}")
+            return self._breach(f"sends data that cannot be unpacked: {_told(str(error))}")
         return ForwardModelError("connection", f"{self.url} broke off: {_told(str(error)) or type(error).__name__}")
 
     def _breach(self, what: str) -> ForwardModelError:
@@ -220,7 +220,7 @@ class Client:
 
 
 def _headers() -> dict[bytes, bytes]:
-    """Return the headers of a request, with the server's secret where the environment has one."""
+    """Return the headers of a request, with the server's secret if the environment has one."""
     token = os.environ.get(TOKEN_VARIABLE)
     secret = {b"Authorization": b"Bearer " + token.encode()} if token else {}
     return {b"Accept-Encoding": b"identity", **secret}
@@ -228,9 +228,9 @@ def _headers() -> dict[bytes, bytes]:
 
 @contextlib.contextmanager
 def _deadline(seconds: float) -> Iterator[Any]:
-    """Yield a listener for the connection's events; after `seconds` the connection that it has seen is cut.
+    """Yield a listener for the connection's events; after `seconds` the connection that it has seen is closed.
 
-    The client's own limits are for each reading from the socket, and a server that sends slowly never exceeds them.
+    The client's own limits apply to each read from the socket, and a server that sends slowly never exceeds them.
     """
     opened: list[socket.socket] = []
 
@@ -253,7 +253,7 @@ def _deadline(seconds: float) -> Iterator[Any]:
 
 
 def _parsed(body: bytes) -> Any:
-    """Return the JSON in `body`, with Python's nan and inf accepted; None where it is not JSON."""
+    """Return the JSON in `body`, with Python's nan and inf accepted; None if it is not JSON."""
     text = body.decode("utf-8", "replace")
     for candidate in (text, NUMBERS_OF_PYTHON.sub("NaN", text)):
         with contextlib.suppress(ValueError, RecursionError):

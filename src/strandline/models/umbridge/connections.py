@@ -19,7 +19,7 @@ class Connections:
 
     Args:
         most: Number of places.
-        patience: Seconds in which a client must have sent a whole request.
+        patience: Seconds within which a client must send a whole request.
     """
 
     def __init__(self, most: int, patience: float) -> None:

@@ -1,8 +1,8 @@
 """Who may send requests to a server: checks of the headers, made before anything is computed.
 
 A server on the loopback address is within reach of every web page that the user opens, and of every user of the
-machine. A page is recognised by its `Origin`, or, where its domain points to this address (DNS rebinding), by its
-`Host`; a form cannot send JSON. Against other users only a token helps.
+machine. A page is recognised by its `Origin`, or, if its domain points to this address (DNS rebinding), by its `Host`;
+a form cannot send JSON. Against other users only a token helps.
 """
 
 import base64
@@ -20,7 +20,7 @@ from strandline.models.umbridge.answers import Refused
 __all__ = ["SHORTEST_TOKEN", "Door", "is_loopback"]
 
 SHORTEST_TOKEN = 16
-"""Characters of a token."""
+"""Fewest characters of a token."""
 SHOWN_CHARACTERS = 80
 
 
@@ -59,7 +59,7 @@ class Door:
     def of(
         cls, host: str, *, names: Iterable[str] = (), origins: Iterable[str] = (), token: str | None = None
     ) -> "Door":
-        """Return the door of a server that listens on `host`; `names` are further names it may be called by."""
+        """Return the door of a server that listens on `host`; `names` are further names of the server."""
         known = {"localhost", *(name.lower().rstrip(".") for name in names)}
         local = is_loopback(host)
         if not local:
@@ -108,7 +108,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _carries(authorization: str, token: str) -> bool:
-    """Return whether a header has the token: as ``Bearer TOKEN``, or as the password of ``Basic``."""
+    """Return whether a header carries the token: as ``Bearer TOKEN``, or as the password of ``Basic``."""
     scheme, _, given = authorization.partition(" ")
     if scheme.lower() == "basic":
         try:

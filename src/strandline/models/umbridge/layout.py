@@ -1,4 +1,4 @@
-"""How blocks of numbers become an interface, and an interface blocks of numbers."""
+"""Conversion of blocks of numbers to an interface and back."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ class Layout:
     """Where a model's output holds the coordinates of an interface.
 
     Args:
-        shape: ``points``, block 0 holds x0, y0, x1, y1, …; or ``columns``, block 0 holds the x's, block 1 the y's.
-        dim: 2, a polyline through the points in their order, or 3, a surface; its triangles, three node numbers from
-            0 each, are the block behind the coordinates.
-        closed: whether a polyline returns to its first point.
+        shape: ``points``: block 0 holds x0, y0, x1, y1, …; ``columns``: block 0 holds the x's, block 1 the y's.
+        dim: Number of coordinates: 2 for a polyline through the points in their order, 3 for a surface; its triangles,
+            three node numbers from 0 each, are the block after the coordinates.
+        closed: Whether a polyline returns to its first point.
 
     Raises:
         InvalidInput: any other value.
@@ -54,14 +54,14 @@ class Layout:
 
     @property
     def coordinate_blocks(self) -> int:
-        """Number of output blocks that hold coordinates; a surface's triangles are in the one behind them."""
+        """Number of output blocks that hold coordinates; a surface's triangles are in the next one."""
         return 1 if self.shape == "points" else self.dim
 
     def points(self, blocks: Sequence[Float[np.ndarray, " number"]]) -> Float[np.ndarray, "point xyz"]:
         """Return the coordinates, or their derivatives, that `coordinate_blocks` blocks hold.
 
         Raises:
-            ForwardModelError: ``protocol``, blocks that do not hold `dim` coordinates for each point.
+            ForwardModelError: ``protocol``: the blocks do not hold `dim` coordinates for each point.
         """
         if len(blocks) < self.coordinate_blocks:
             raise _unfit(blocks, f"at least {self.coordinate_blocks} blocks")
@@ -78,14 +78,14 @@ class Layout:
         """Return the interface; `factor` is mm per unit of the coordinates.
 
         Raises:
-            ForwardModelError: ``protocol``, as `points`, or a surface without triangles.
+            ForwardModelError: ``protocol``: as for `points`, or a surface without triangles.
             InvalidInterface: points that form no interface.
         """
         points = factor * self.points(blocks)
         if self.dim == 2:
             return Interface.polyline(points, closed=self.closed)
         if len(blocks) <= self.coordinate_blocks:
-            raise _unfit(blocks, "a block with the triangles behind the coordinates")
+            raise _unfit(blocks, "a block with the triangles after the coordinates")
         corners = blocks[self.coordinate_blocks]
         if corners.size % 3 or (corners != np.round(corners)).any():
             raise _unfit(blocks, "three whole numbers for each triangle")
@@ -102,7 +102,7 @@ def _wrong_option(name: str, value: object) -> InvalidInput:
     return InvalidInput(
         f"interface.{name}".rstrip("."),
         value=value,
-        expected="{shape: points or columns, dim: 2 or 3, closed: true or false (of a polyline alone)}",
+        expected="{shape: points or columns, dim: 2 or 3, closed: true or false (polylines only)}",
         remedy="Correct the option.",
     )
 

@@ -26,14 +26,14 @@ class UMBridge:
 
     Args:
         url: URL of the server.
-        name: Name of its model.
-        inputs: The names of the inputs in the order in which the model takes them: a list is the one block of inputs, a
-            list of lists several blocks. A name may bring its unit, ``{E: Pa}``; if all do, the study's units and
-            names are checked against them.
-        interface: What the output holds, see `Layout`.
+        name: Name of the model on the server.
+        inputs: Names of the inputs in the model's order: a list is a single block of inputs, a list of lists several
+            blocks. A name may carry its unit, ``{E: Pa}``; if all do, the study's units and names are checked against
+            them.
+        interface: Layout of the output, see `Layout`.
         unit: Unit of the coordinates: mm, um, µm or m.
         config: Configuration sent with every call.
-        timeout: Seconds that a call may take.
+        timeout: Largest duration of a call, seconds.
         version: Any text that distinguishes this server's model from its earlier versions, see `UMBridgeModel`.
         sensitivities: Whether the server computes derivatives too.
     """
@@ -71,21 +71,21 @@ class UMBridge:
 
 @dataclass(frozen=True)
 class UMBridgeModel:
-    """A model of a UM-Bridge server, called for each run; its description is requested once and kept.
+    """A model on a UM-Bridge server, called for each run; its description is requested once and kept.
 
-    Runs belong to the model's name, its config, the order of the inputs, the layout and unit of its output, the version
-    of the protocol and `version`, not to the address of the server. A model that has changed under the same name cannot
-    be recognised: change `version` then.
+    Runs are identified by the model's name, its config, the order of the inputs, the layout and unit of its output, the
+    version of the protocol and `version`, but not by the address of the server. If a model changes under the same name,
+    this goes unnoticed: change `version`.
 
     Args:
         client: Client that calls the model.
         blocks: Names of the inputs by block.
-        units: Units of the inputs by name; empty where they are not known.
+        units: Units of the inputs by name; empty if they are unknown.
         layout: Layout of the output.
         unit: Unit of the coordinates, a key of `UNITS`.
         version: Part of the fingerprint.
-        sensitivities: Whether runs yield d(points)/d(input) too, by ApplyJacobian, one call for each input, or where
-            the server lacks it by Gradient, one call for each coordinate.
+        sensitivities: Whether runs yield d(points)/d(input) too: by ApplyJacobian, one call for each input, or, if the
+            server lacks it, by Gradient, one call for each coordinate.
 
     Raises:
         InvalidInput: an unknown unit.
@@ -106,12 +106,12 @@ class UMBridgeModel:
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """The inputs with their units, of any value; empty where their units are not known."""
+        """The inputs with their units, without limits on their values; empty if the units are unknown."""
         return tuple(ModelInput(name, unit, -np.inf, np.inf) for name, unit in self.units.items())
 
     @property
     def fingerprint(self) -> str:
-        """Changes with whatever the class names, and not with the address of the server."""
+        """Text that changes with everything the class lists, but not with the address of the server."""
         told = [
             PROTOCOL_VERSION,
             self.client.name,
@@ -125,10 +125,10 @@ class UMBridgeModel:
 
     @functools.cached_property
     def description(self) -> Description:
-        """What the server says of the model, asked once.
+        """The server's description of the model, requested once.
 
         Raises:
-            ForwardModelError: As for `Client.describe`; or the input blocks have other sizes than the study's.
+            ForwardModelError: As for `Client.describe`; or the sizes of the input blocks differ from the study's.
         """
         described = self.client.describe()
         sizes = tuple(len(block) for block in self.blocks)
@@ -145,7 +145,7 @@ class UMBridgeModel:
 
         Raises:
             ForwardModelError: ``connection``, ``timeout``, ``protocol``, ``model_error`` or ``non_finite``, see the
-                client; ``inputs`` where the study's are not the model's; ``no_sensitivities``.
+                client; ``inputs`` if the study's are not the model's; ``no_sensitivities``.
             InvalidInterface: an output that forms no interface.
         """
         self._require_inputs(inputs)
@@ -188,7 +188,7 @@ class UMBridgeModel:
 
 
 def _named_blocks(given: object) -> tuple[tuple[tuple[str, ...], ...], dict[str, str]]:
-    """Return the names by block, and the units where every name has one."""
+    """Return the names by block, and the units if every name has one."""
     nested = isinstance(given, list) and bool(given) and all(isinstance(block, list) for block in given)
     blocks: Any = given if nested else [given]
     if not all(isinstance(block, list) and block for block in blocks):

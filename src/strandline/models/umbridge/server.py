@@ -1,7 +1,7 @@
 """An HTTP server for UM-Bridge, based on that of the standard library.
 
 `umbridge.serve_models` listens on every interface of the machine, takes requests of any size, answers malformed ones
-and failing models with a page of text instead of the protocol's errors, and writes NaN as `nan`, which is no JSON.
+and failing models with a page of text instead of the protocol's errors, and writes NaN as `nan`, which is not JSON.
 """
 
 import contextlib
@@ -25,13 +25,13 @@ LARGEST_REQUEST = 10 * 1000**2
 MOST_CONNECTIONS = 128
 """Connections open at the same time, with a thread each."""
 PATIENCE_SECONDS = 30.0
-"""How long a client may take to send a request, and how long a connection may be idle between two."""
+"""How long a client may take to send a request, and how long a connection may be idle between two requests."""
 DRAINED_BYTES = 65536
-"""A refused request is read up to this size, so that the client gets to read why."""
+"""A refused request is read up to this size, so that the client can read the reason."""
 
 
 class UMBridgeServer(ThreadingHTTPServer):
-    """Answers for `models`, each request in a thread of its own; `serve_forever` until `shutdown`.
+    """Answers requests for `models`, each in its own thread; runs from `serve_forever` until `shutdown`.
 
     Several threads call the models' functions at once, so these functions must be thread-safe.
 
@@ -39,12 +39,12 @@ class UMBridgeServer(ThreadingHTTPServer):
         models: The models, with different names.
         host: Address to listen on; the default can be reached only from this machine.
         port: Port to listen on; 0 takes any free one, which `url` then holds.
-        door: Decides which requests are answered; by default those of programs that call it by an address of its own.
+        door: Object that decides which requests are answered; by default, those to an address of the server itself.
         connections: Largest number of connections, and of threads.
-        patience: Seconds that a client gets to send a whole request.
+        patience: Seconds within which a client must send a whole request.
 
     Raises:
-        InvalidInput: the address cannot be listened on.
+        InvalidInput: the server cannot listen on the address.
     """
 
     daemon_threads = True
@@ -82,11 +82,11 @@ class UMBridgeServer(ThreadingHTTPServer):
         return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
     def server_bind(self) -> None:
-        """Bind, without the look-up of the machine's name that the base class makes and that can take seconds."""
+        """Bind without the base class's look-up of the machine's name, which can take seconds."""
         super(ThreadingHTTPServer, self).server_bind()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread, or turn the client away if all are at work."""
+        """Answer in a thread, or turn the client away if all places are taken."""
         if not self.connections.admit(request):
             self._turn_away(request)
             return
@@ -145,12 +145,12 @@ class _Handler(BaseHTTPRequestHandler):
         self._reply()
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Answer what is no proper HTTP, or a method that UM-Bridge does not have."""
+        """Answer malformed HTTP, or a method that UM-Bridge does not have."""
         self.close_connection = True
         self._send(Refused("InvalidInput", message or HTTPStatus(code).phrase, code).answer)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-        """Say nothing of requests."""
+        """Log nothing."""
 
     def version_string(self) -> str:
         return "strandline"
@@ -167,18 +167,18 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(answer(self.server.models, self.command, path, body))
 
     def _length(self) -> int:
-        """Return the bytes of the request's body."""
+        """Return the size of the request's body, bytes."""
         told = set(self.headers.get_all("Content-Length", ["0"]))
         length = told.pop().strip()
         if told or "Transfer-Encoding" in self.headers or not (length.isascii() and length.isdigit()):
-            raise Refused("InvalidInput", "the request does not tell its length; send Content-Length", 411)
+            raise Refused("InvalidInput", "the request does not state its length; send Content-Length", 411)
         digits = length.lstrip("0")[: len(str(LARGEST_REQUEST)) + 1] or "0"
         if int(digits) > LARGEST_REQUEST:
             raise Refused("InvalidInput", f"a request of more than {LARGEST_REQUEST // 1000**2} MB", 413)
         return int(digits)
 
     def _body(self, length: int) -> bytes:
-        """Return the body of a request that the door lets in; that of another one is not kept."""
+        """Return the body of a request that the door lets in; the body of a refused one is not kept."""
         try:
             if not self.path.startswith("/"):
                 raise Refused("InvalidInput", f"the path: got {self.path[:80]!r}; expected one such as /Info")
@@ -189,7 +189,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise
         body = self.rfile.read(length)
         if len(body) < length:
-            raise Refused("InvalidInput", f"{len(body)} of {length} bytes of the request came")
+            raise Refused("InvalidInput", f"{len(body)} of {length} bytes of the request arrived")
         return body
 
     def _send(self, given: Answer) -> None:

@@ -22,23 +22,23 @@ EXECUTORS = {
     "dask": "strandline.runs.executors.dask:DaskCluster",
     "slurm_array": "strandline.runs.executors.slurm_array:SlurmArray",
 }
-"""The executors by their names in study.yaml, imported when they are asked for."""
+"""The executors by their names in study.yaml, imported only when used."""
 
 
 @runtime_checkable
 class Executor(Protocol):
     """Makes runs: (model, requests) → their records, in order of completion.
 
-    Each request is answered exactly once, whatever the simulator does, and pulled only when it is started. What
-    cannot be attributed to one run (a model that cannot be loaded) is an exception. Closing the iterator early stops
-    the runs, unless they go on by themselves: such an executor has a method ``outstanding(model, keys)`` that returns
-    those of the runs `keys`, started earlier and not answered, that it will answer when it is asked for them again.
+    Each request is answered exactly once, whatever the simulator does, and pulled only when it is started. A fault that
+    cannot be attributed to one run (a model that cannot be loaded) raises an exception. Closing the iterator early
+    stops the runs, unless they go on by themselves: such an executor has a method ``outstanding(model, keys)`` that
+    returns the runs in `keys` that were started earlier and not answered, and that it will answer when requested again.
 
-    An executor with an attribute ``asks_again`` that is true may be given `NOT_NOW` in the place of a request: there is
-    nothing to start now, but there may be later. It then pulls again as soon as it has handed over all records that it
-    has, and not before, since what comes next may follow from them; and at least every half second or so even if
-    nothing ends. `run_batches` calls such an executor once, which keeps its workers from batch to batch and makes the
-    next batch while a slow run goes on. One without this attribute never gets `NOT_NOW`; it is called for each batch.
+    An executor whose attribute ``asks_again`` is true may get `NOT_NOW` instead of a request: there is nothing to start
+    now, but there may be later. It then pulls again as soon as it has handed over all records that it has, and not
+    before, since what comes next may depend on them; it also pulls at least every half second even if nothing ends.
+    `run_batches` calls such an executor once, so it keeps its workers from batch to batch and makes the next batch
+    while a slow run goes on. One without this attribute never gets `NOT_NOW`; it is called for each batch.
     """
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
@@ -47,7 +47,7 @@ class Executor(Protocol):
 
 
 def with_workers(executor: Executor, workers: int | None) -> Executor:
-    """Return `executor` with another number of workers, where it has one; None leaves it as it is."""
+    """Return `executor` with another number of workers, if it has one; None leaves it as it is."""
     if workers is None or not hasattr(executor, "workers"):
         return executor
     bounds = {name: None for name in ("minimum", "maximum") if hasattr(executor, name)}

@@ -1,8 +1,8 @@
 """Runs on a Dask cluster: on this machine, in jobs of SLURM or PBS, or wherever a scheduler has its workers.
 
-Each run is submitted to one chosen thread of one worker when that thread is free, never earlier, so that a worker that
-vanishes takes down exactly the runs that it was making: Dask itself would also give up the runs queued on that worker,
-or repeat for ever a run that outlives the walltime of its job.
+Each run is submitted to one chosen thread of one worker only when that thread is free. So a worker that vanishes takes
+down exactly the runs that it was making. Dask itself would also give up on the runs queued on that worker, or repeat
+forever a run that outlives the walltime of its job.
 """
 
 import sys
@@ -45,8 +45,8 @@ class DaskCluster:
             `queue`, `account`, `interface`, and lists `extra` (directives of the job) and `prologue` (lines before the
             worker starts).
 
-    A cluster that is started here speaks TLS with a key of its own, and its workers stay alive while there is no run
-    for them yet (`NOT_NOW`). At an `address`, Dask's own configuration says which keys are used.
+    A cluster that is started here uses TLS with its own key, and its workers stay alive while there is no run for them
+    yet (`NOT_NOW`). At an `address`, Dask's own configuration determines the keys.
 
     Raises:
         InvalidInput: options that do not fit together; a timeout that the walltime does not leave room for.
@@ -123,7 +123,7 @@ def _require_one_place(options: DaskCluster) -> None:
             "cluster and address",
             value=f"{options.cluster} and {options.address}",
             expected="one of the two",
-            remedy="Leave the cluster out where there is a scheduler already.",
+            remedy="Leave the cluster out if there is a scheduler already.",
         )
 
 
@@ -132,7 +132,7 @@ def _require_plain_counts(options: DaskCluster) -> None:
     bounds = [value for value in (options.minimum, options.maximum) if value is not None]
     if options.workers is not None and bounds:
         raise InvalidInput(
-            "workers beside minimum or maximum",
+            "workers together with minimum or maximum",
             value=options.workers,
             expected="workers alone, or minimum and maximum",
             remedy="Leave workers out.",
@@ -146,7 +146,7 @@ def _require_plain_counts(options: DaskCluster) -> None:
         )
     if options.kind == "address" and options.workers is not None:
         raise InvalidInput(
-            "workers beside the address of a scheduler",
+            "workers together with the address of a scheduler",
             value=options.workers,
             expected="the workers that the scheduler has",
             remedy="Leave workers out.",
@@ -166,7 +166,7 @@ def _require_jobs(options: DaskCluster) -> None:
             raise InvalidInput(
                 "jobs",
                 value=dict(options.jobs),
-                expected="none, for this cluster has no jobs",
+                expected="none, because this cluster has no jobs",
                 remedy="Choose cluster: slurm or pbs, or remove jobs.",
             )
         return

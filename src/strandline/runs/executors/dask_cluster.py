@@ -18,7 +18,7 @@ __all__ = ["JOB_OPTIONS", "Cluster", "opened"]
 JOB_OPTIONS = ("cores", "memory", "walltime", "queue", "account", "interface", "extra", "prologue")
 REACH_SECONDS = 20.0
 LOOPBACK = "127.0.0.1:0"
-"""Where Dask puts the pages about a cluster, which show what runs and need no key: any free port, local only."""
+"""Where Dask serves the dashboard of a cluster, which shows what runs and needs no key: any free port, local only."""
 LOST_WORKER = "distributed.deploy.lost-worker-timeout"
 LOST_JOB_SECONDS = 2
 """A job that is gone does not come back: it is replaced at once, not after Dask's 15 s."""
@@ -28,7 +28,7 @@ LOST_PROCESS_SECONDS = 15
 
 @dataclass
 class Cluster:
-    """A cluster that can be worked with: our client, and what makes its workers where we have started it."""
+    """A cluster ready for use: our client and, if we started the cluster, what makes its workers."""
 
     client: Any
     address: str
@@ -36,12 +36,12 @@ class Cluster:
     submissions: "Submissions | None" = None
 
     def shrink(self, jobs: int) -> None:
-        """Keep this many jobs only; those that are busy come last."""
+        """Keep only this many jobs; busy ones go last."""
         if self.submissions is not None:
             self.maker.adapt(minimum_jobs=jobs, maximum_jobs=max(jobs, 1))
 
     def replace_the_lost(self) -> None:
-        """Restart workers of this machine that Dask has given up, as it does with those that come back too late."""
+        """Restart workers on this machine that Dask has given up on, as it does if they come back too late."""
         if self.maker is None or self.submissions is not None:
             return
         wanted = self.maker.worker_spec
@@ -50,13 +50,13 @@ class Cluster:
 
     @property
     def refused(self) -> str | None:
-        """Why the queueing system took no job the last time; None where it did, or was not asked."""
+        """Why the queueing system refused the last job; None if it took the job, or was not asked."""
         return None if self.submissions is None else self.submissions.refused
 
 
 @dataclass
 class Submissions:
-    """What the queueing system said to our jobs; Dask would wait for ever for a worker that it refused."""
+    """How the queueing system answered our jobs; Dask would wait forever for a worker whose job was refused."""
 
     refused: str | None = None
 
@@ -68,7 +68,7 @@ class Submissions:
 
         class NotedJob(job_type):  # type: ignore[misc]
             async def start(self) -> None:
-                """Submit the job; note why the queueing system refuses it."""
+                """Submit the job; if the queueing system refuses it, note why."""
                 try:
                     await super().start()
                 except RuntimeError as error:
@@ -82,10 +82,10 @@ class Submissions:
 
 @contextlib.contextmanager
 def opened(kind: str, address: str | None, workers: int, jobs: Mapping[str, Any]) -> Iterator[Cluster]:
-    """Yield a cluster with `workers` workers, or jobs; one that was started here is ended afterwards.
+    """Yield a cluster with `workers` workers, or jobs; a cluster that was started here is ended afterwards.
 
     Raises:
-        InvalidInput: it does not start, or does not answer.
+        InvalidInput: the cluster does not start, or does not answer.
     """
     import dask.config
 
@@ -111,7 +111,7 @@ def _end(maker: Any) -> None:
 
 @contextlib.contextmanager
 def _client(place: Any, address: str) -> Iterator[Any]:
-    """Yield a client of the scheduler at `place`, an address or a cluster of ours."""
+    """Yield a client of the scheduler at `place`, an address or one of our clusters."""
     from distributed import Client
 
     try:
@@ -165,7 +165,7 @@ def _local(workers: int, security: Any) -> Any:
 
 
 def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions, security: Any) -> Any:
-    """Return a cluster whose workers are jobs, always adaptive: a job that is merely scaled for is never replaced."""
+    """Return a cluster whose workers are jobs, always adaptive: with plain scaling, a lost job is never replaced."""
     import dask.config
 
     queues: Any = imported("dask_jobqueue")
@@ -189,7 +189,7 @@ def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submi
 
 
 def _listening(kind: str, jobs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return where the scheduler listens: at the one address by which the workers reach it, not at all of them."""
+    """Return where the scheduler listens: only at the address by which the workers reach it, not at all addresses."""
     import dask.config
     from distributed.utils import get_ip
 
@@ -200,7 +200,7 @@ def _listening(kind: str, jobs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _shared_folder(kind: str) -> Path:
-    """Return where keys lie that jobs read: where Dask's configuration says, otherwise in the home folder."""
+    """Return the folder of the keys that jobs read: as in Dask's configuration, otherwise in the home folder."""
     import dask.config
 
     imported("dask_jobqueue")

@@ -21,15 +21,15 @@ __all__ = ["Driver"]
 SECONDS_BETWEEN_DISMISSALS = 2.0
 SECONDS_BETWEEN_LOOKS = 1.0
 SECONDS_BETWEEN_QUESTIONS = 0.25
-"""How long the driver waits for news before it asks again for requests, where there was none the last time."""
+"""How long the driver waits for news before it asks again for requests, if there were none the last time."""
 SILENCE_BORNE_SECONDS = 60.0
-"""How long the scheduler may be out of reach."""
+"""How long the scheduler may be unreachable."""
 FETCH_SECONDS = 30.0
 
 
 @dataclass
 class _Out:
-    """A run that a worker was given."""
+    """A run that was given to a worker."""
 
     request: RunRequest
     worker: str
@@ -38,9 +38,9 @@ class _Out:
 
 
 class Driver:
-    """One call: the runs that are out, the records not handed over yet, and the workers that are there.
+    """One call: the runs that are out, the records not handed over yet, and the workers present.
 
-    A thread gets runs once it has a worker process that has loaded the model, so that no run waits for its start.
+    A thread gets runs only when it has a worker process that has loaded the model, so no run waits for that.
 
     Args:
         cluster: Cluster that makes the runs.
@@ -48,8 +48,8 @@ class Driver:
         requests: Runs to make.
         timeout: Seconds after which a run is killed; None: never.
         life: Seconds that a worker lives; None: no limit.
-        least: Number of jobs that are kept while there are fewer runs left than jobs.
-        most: Largest number of threads that are used.
+        least: Number of jobs to keep when fewer runs than jobs are left.
+        most: Maximum number of threads to use.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Driver:
                 self._fill()
                 yield record
             if self.told_to_wait:
-                self._hear(0.0)  # what has come meanwhile may be what the requests wait for
+                self._hear(0.0)  # the requests may wait for what has come meanwhile
                 if self.done:
                     continue
                 self.told_to_wait = False
@@ -107,7 +107,7 @@ class Driver:
             client.run(end_session, self.session, on_error="ignore")
 
     def _fill(self) -> None:
-        """Pull a request for each free thread, which starts it there."""
+        """Pull a request for each free thread and start it there."""
         while (worker := self._free_worker()) is not None:
             if self.held is None:
                 self.held = self._pulled()
@@ -120,7 +120,7 @@ class Driver:
             self._submit(request, worker)
 
     def _free_worker(self) -> str | None:
-        """Return a worker with a free thread; lets those go whose job has too little time left."""
+        """Return a worker with a free thread; let workers go whose job has too little time left."""
         taken = Counter(out.worker for out in self.out.values()) + Counter(worker for worker, _ in self.done)
         free = None
         for worker, ready in self.ready.items():
@@ -132,7 +132,7 @@ class Driver:
         return free
 
     def _pulled(self) -> RunRequest | None:
-        """Return the next request; None where there is none now, or there will be none."""
+        """Return the next request; None if there is none now, or there are no more."""
         if self.exhausted or self.told_to_wait:
             return None
         try:
@@ -149,7 +149,7 @@ class Driver:
         future.add_done_callback(lambda done: self.news.put(done.key))
 
     def _start_processes(self) -> None:
-        """Have worker processes started for the threads that have none, as far as they may be used."""
+        """Start worker processes for the threads that have none, up to the maximum number of threads."""
         starting = Counter(worker for worker, _ in self.starts.values())
         room = self.most - sum(self.ready.values()) - starting.total()
         for worker, threads in self.threads.items():
@@ -199,7 +199,7 @@ class Driver:
         if isinstance(result, RunRecord):
             return replace(result, key=out.request.key, inputs=out.request.inputs)
         if isinstance(result, Exception):
-            self._look()  # where the scheduler is gone, nothing must be given to it
+            self._look()  # if the scheduler is gone, nothing must be given to it
             return _vanished(out, type(result).__name__)
         return _vanished(out, "it was cancelled")
 
@@ -207,7 +207,7 @@ class Driver:
         """Return what a future holds, or the error that says that its worker is gone.
 
         Raises:
-            InvalidInput: no run can be made there.
+            InvalidInput: the worker cannot make any run.
         """
         from distributed import KilledWorker
         from distributed.client import FutureCancelledError
@@ -224,7 +224,7 @@ class Driver:
             future.release()
 
     def _look(self) -> None:
-        """Find out which workers are there; the runs of those that are gone are lost."""
+        """Find out which workers are present; the runs of those that are gone are lost."""
         self.looked = time.monotonic()
         try:
             self.threads = dict(self.cluster.client.nthreads())
@@ -264,7 +264,7 @@ class Driver:
         """Let a worker go whose job has too little time left; another job takes its place.
 
         Dask silently keeps a worker that holds the only copy of a result, for example of a run that has just ended. So
-        the request is repeated as long as the worker is there.
+        the request is repeated until the worker is gone.
         """
         now = time.monotonic()
         if now < self.retired.get(worker, -math.inf) + SECONDS_BETWEEN_DISMISSALS:

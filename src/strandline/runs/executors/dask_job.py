@@ -28,7 +28,7 @@ class DaskStart:
     setup: bytes
 
     def __call__(self) -> bool:
-        """Return whether a worker process is ready that was not there before.
+        """Start a new worker process and return whether it is ready.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
@@ -55,7 +55,7 @@ class DaskJob:
     timeout: float | None
 
     def __call__(self) -> RunRecord | None:
-        """Make the run; its record goes nowhere if the driver has gone meanwhile.
+        """Make the run and return its record; the record is lost if the driver has gone meanwhile.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
@@ -70,7 +70,7 @@ def end_session(session: str) -> None:
 
 
 class _Seats:
-    """The seats of this process that are idle, by the session that they are set up for."""
+    """The idle seats of this process, by the session for which they are set up."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -78,14 +78,14 @@ class _Seats:
         self.ended: deque[str] = deque(maxlen=SESSIONS_REMEMBERED)
 
     def idle_one(self, session: str) -> Seat | None:
-        """Take a seat of `session`, where one is idle."""
+        """Take an idle seat of `session`; None if there is none."""
         with self.lock:
             mine = self.idle.get(session)
             return mine.pop() if mine else None
 
     @contextmanager
     def kept(self, session: str, seat: Seat) -> Iterator[Seat]:
-        """Give `seat`, which is idle afterwards; it is closed where the session has ended, or after an error."""
+        """Yield `seat`, which is idle afterwards; close it if the session has ended, or after an error."""
         try:
             yield seat
         except BaseException:
@@ -99,7 +99,7 @@ class _Seats:
             seat.close()
 
     def end(self, session: str) -> None:
-        """Close the idle seats of `session`, and let none of it become idle any more."""
+        """Close the idle seats of `session`, and let none of its seats become idle again."""
         with self.lock:
             self.ended.append(session)
             seats = self.idle.pop(session, [])
@@ -107,7 +107,7 @@ class _Seats:
             seat.close()
 
     def end_others(self, session: str) -> None:
-        """Close the idle seats of other sessions: their drivers may be gone; otherwise they start new ones."""
+        """Close the idle seats of other sessions: their drivers may be gone; if not, they start new ones."""
         with self.lock:
             others = [self.idle.pop(of) for of in list(self.idle) if of != session]
         for seat in itertools.chain.from_iterable(others):

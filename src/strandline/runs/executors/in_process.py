@@ -15,11 +15,11 @@ __all__ = ["InProcess"]
 class InProcess:
     """Runs one after the other in this process: for small models and for debugging.
 
-    A simulator that crashes takes the driver along, and one that hangs is waited for; `LocalProcesses` is safe.
+    A simulator that crashes takes the driver down, and one that hangs blocks it; `LocalProcesses` is safe.
     """
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
-        """Yield a record for each request, in their order."""
+        """Yield a record for each request, in order."""
         for request in requests:
             folder = scratch_folder()
             try:

@@ -25,15 +25,15 @@ __all__ = ["LocalProcesses", "usable_cores"]
 
 @dataclass(frozen=True)
 class LocalProcesses:
-    """Runs in worker processes on this machine; a crash or a hang costs the one run that it hits.
+    """Runs in worker processes on this machine; a crash or a hang costs only the run that it hits.
 
     Args:
         workers: Worker processes; default: one per available core. Each computes on one thread.
         timeout: Seconds after which a run is killed; default: never.
 
-    Workers are fresh interpreters that load the model once. Each run has an empty folder of its own, removed after it.
-    What the simulator prints is kept where the run did not end well. Workers without a run stay alive while there is
-    none for them yet (`NOT_NOW`).
+    Workers are fresh interpreters that load the model once. Each run has its own empty folder, which is removed
+    afterwards. The simulator's output is kept if the run did not end well. Workers stay alive while there is no run for
+    them yet (`NOT_NOW`).
     """
 
     workers: int | None = None
@@ -89,7 +89,7 @@ class _Pool:
             while self.done:
                 yield self._handed_over()
             if self.told_to_wait:
-                self._turn(0.0)  # what has come meanwhile may be what the requests wait for
+                self._turn(0.0)  # the requests may wait for what has come meanwhile
                 if self.done:
                     continue
                 self._ask_again()
@@ -106,7 +106,7 @@ class _Pool:
         self.workers.clear()
 
     def _handed_over(self) -> RunRecord:
-        """Return the next record; the worker that made it gets its next request first, and no other does."""
+        """Return the next record; before that, give the next request to the worker that made it and to no other."""
         worker, record = self.done.popleft()
         if worker in self.workers:
             self._assign(worker)
@@ -139,12 +139,12 @@ class _Pool:
                 self._lose(worker, worker.vanished())
 
     def _patience(self) -> float:
-        """Return the seconds until something must be looked at even without news."""
+        """Return the seconds until something must be checked even without news."""
         deadlines = [worker.deadline for worker in self.workers if worker.deadline is not None]
         return min([LONGEST_WAIT_SECONDS, *(max(0.0, deadline - time.monotonic()) for deadline in deadlines)])
 
     def _hear(self, worker: Worker) -> None:
-        """Take what `worker` sent; one that has just become ready gets its first request."""
+        """Take what `worker` sent; a worker that has just become ready gets its first request."""
         try:
             record = worker.receive()
         except (EOFError, OSError):

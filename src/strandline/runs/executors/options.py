@@ -7,9 +7,9 @@ from strandline.errors import InvalidInput
 __all__ = ["SPARE_SECONDS", "require_count", "require_room_in_walltime", "require_timeout", "walltime_seconds"]
 
 SPARE_SECONDS = 60.0
-"""What a job needs of its walltime before and after a run."""
+"""Part of its walltime that a job needs before and after a run."""
 LONGEST_TIMEOUT = 366 * 24 * 3600.0
-"""Seconds; clocks and pipes overflow further up."""
+"""Seconds; longer times overflow clocks and pipes."""
 DAYS = re.compile(r"(?P<days>\d+)-(?P<hours>\d+)(:(?P<minutes>\d+))?(:(?P<seconds>\d+))?")
 CLOCK = re.compile(r"((?P<hours>\d+):)?(?P<minutes>\d+):(?P<seconds>\d+)")
 
@@ -21,7 +21,7 @@ def require_count(what: str, value: int | None, *, remedy: str, least: int = 1) 
 
 
 def require_timeout(timeout: float | None) -> None:
-    """Refuse a timeout that is no time, or longer than a year."""
+    """Refuse a timeout that is not above 0, or longer than a year."""
     if timeout is not None and not 0 < timeout <= LONGEST_TIMEOUT:
         raise InvalidInput(
             "timeout",
@@ -38,7 +38,7 @@ def require_room_in_walltime(timeout: float | None, walltime: str | None) -> Non
     longest = walltime_seconds(walltime) - SPARE_SECONDS
     if timeout > longest:
         raise InvalidInput(
-            "timeout beside the walltime of a job",
+            "timeout and walltime of a job",
             value=f"{timeout:g} s in a job of {walltime}",
             expected=f"at most {max(longest, 0.0):g} s, the walltime less {SPARE_SECONDS:g} s for start and end",
             remedy="Ask for a longer walltime, or shorten the timeout.",
@@ -57,7 +57,7 @@ def walltime_seconds(text: str) -> float:
             "walltime",
             value=text,
             expected='hours:minutes:seconds, e.g. "02:30:00", or days-hours, e.g. "1-12"',
-            remedy="Write it so, in quotes.",
+            remedy="Write it like this, in quotes.",
         )
     parts = {name: int(number or 0) for name, number in found.groupdict().items()}
     hours = 24 * parts.get("days", 0) + parts["hours"]

@@ -14,7 +14,7 @@ __all__ = ["imported", "packed_model", "require_not_loading", "require_posix"]
 
 
 def packed_model(model: ForwardModel) -> bytes:
-    """Return what a worker needs to load `model`, refusing a model that cannot travel."""
+    """Return what a worker needs to load `model`; refuse a model that cannot be sent."""
     require_not_loading()
     try:
         packed = pickle.dumps(model)
@@ -55,7 +55,7 @@ def imported(module: str) -> Any:
     """Return a module of the extra ``dask``.
 
     Raises:
-        InvalidInput: it is not installed.
+        InvalidInput: the module is not installed.
     """
     try:
         return importlib.import_module(module)

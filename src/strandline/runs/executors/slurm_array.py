@@ -1,7 +1,7 @@
-"""Runs as the jobs of SLURM arrays, which go on without a driver: for long runs, and for such as use MPI.
+"""Runs as the jobs of SLURM arrays, which go on without a driver: for long runs, and for runs that use MPI.
 
-The executor keeps nothing in memory that counts: what was submitted, and what has come back, lies in the folders of its
-batches. After a driver that was killed, or left, another one can collect the results.
+The executor keeps no essential state in memory: what was submitted and what has come back is in the folders of its
+batches. If a driver was killed or left, another one can collect the results.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
 UNUSABLE = "model_not_loaded"
 """Failure kind of a run whose job could not load the model: this does not count as a result of the run."""
 LOOKS_FOR_A_LATE_RESULT = 4
-"""Number of looks at a job that has ended without a result, which may still be on its way through a file system."""
+"""Number of checks of a job that ended without a result, which may still be on its way through a file system."""
 WARNING_SECONDS = 45
 GOING = frozenset({"PENDING", "RUNNING", "CONFIGURING", "COMPLETING", "SUSPENDED", "STAGE_OUT", "SIGNALING", "STOPPED"})
 ENDINGS: Mapping[str, tuple[State, str]] = {
@@ -41,7 +41,7 @@ ENDINGS: Mapping[str, tuple[State, str]] = {
     "CANCELLED": ("killed", "cancelled"),
     "PREEMPTED": ("killed", "preempted"),
 }
-"""How a run ended whose job left no result, by the state of the job; otherwise its process died."""
+"""How a run ended if its job left no result, by the state of the job; for other states, its process died."""
 
 
 class Detached(StrandlineError):
@@ -54,7 +54,7 @@ class Detached(StrandlineError):
 
 @dataclass(frozen=True)
 class SlurmArray:
-    """Runs as jobs of SLURM arrays, one run a job; they go on where the driver does not.
+    """Runs as jobs of SLURM arrays, one run per job; they go on even if the driver does not.
 
     Args:
         folder: Folder of the batches, on a file system that the nodes see.
@@ -102,10 +102,10 @@ class SlurmArray:
             raise InvalidInput("poll", value=self.poll, expected="seconds above 0", remedy="Correct the number.")
 
     def outstanding(self, model: ForwardModel, keys: Iterable[str]) -> frozenset[str]:
-        """Return those of the runs `keys` that SLURM has, or has done and nobody has collected.
+        """Return the runs in `keys` that SLURM still has, or that are done but not collected.
 
         Raises:
-            SlurmUnreachable: it cannot be found out.
+            SlurmUnreachable: SLURM does not answer.
         """
         return frozenset(self._known(model)) & frozenset(keys)
 
@@ -113,8 +113,8 @@ class SlurmArray:
         """Yield a record for each request as results appear; runs that are outstanding are not submitted again.
 
         Raises:
-            InvalidInput: SLURM takes no jobs, or a job cannot load the model.
-            Detached: all are submitted, and `detach` is set.
+            InvalidInput: SLURM accepts no jobs, or a job cannot load the model.
+            Detached: all runs are submitted, and `detach` is set.
         """
         return _Driver(self, model, iter(requests)).records()
 
@@ -128,7 +128,7 @@ class SlurmArray:
             "mem": self.memory,
         }
         limit = "" if self.max_running is None else f"%{self.max_running}"
-        # A run is tried again by the campaign, which counts; not by SLURM, which does not.
+        # The campaign, which counts attempts, tries a run again; SLURM, which does not count them, must not.
         fixed = [f"--array=0-{number - 1}{limit}", "--no-requeue", f"--signal=B:USR1@{self._warning()}"]
         return [*fixed, *(f"--{name}={value}" for name, value in given.items() if value is not None), *self.extra]
 
@@ -141,7 +141,7 @@ class SlurmArray:
         )
 
     def _known(self, model: ForwardModel) -> dict[str, tuple[Batch, int]]:
-        """Return where each run is that was submitted and not collected; the last batch counts."""
+        """Return batch and number of each run that was submitted and not collected; the latest batch counts."""
         known: dict[str, tuple[Batch, int]] = {}
         for batch in known_batches(self.folder):
             if batch.sensitivities < asks_sensitivities(model):
@@ -188,7 +188,7 @@ class _Driver:
                 time.sleep(self.options.poll)
 
     def _pull(self, known: Mapping[str, tuple[Batch, int]]) -> None:
-        """Pull what there is room for, at least half of the room, so that arrays do not become tiny."""
+        """Pull what there is room for if at least half of the room is free, so that arrays do not become tiny."""
         most = self.options.max_jobs
         if self.exhausted or (most is not None and len(self.out) + len(self.waiting) > most // 2):
             return
@@ -203,7 +203,7 @@ class _Driver:
                 self.waiting.append(request)
 
     def _submit(self) -> None:
-        """Submit what waits, in arrays as large as they may be; what SLURM refuses waits while others are out."""
+        """Submit the waiting runs in the largest possible arrays; runs that SLURM refuses wait while others are out."""
         if not self.waiting:
             return
         try:
@@ -222,7 +222,7 @@ class _Driver:
         batch = Batch.new(self.options.folder.resolve(), self.model, requests, self.options.timeout)
         script = batch.folder / "job.sh"
         command = shlex.join([*self.options.command, str(batch.folder)])
-        # A warning that comes before the job handles it must not kill it: SLURM then reports the walltime's end.
+        # A warning must not kill a job that does not handle it yet: SLURM then reports the end of the walltime.
         lines = ["#!/bin/bash", "trap '' USR1", f'exec {command} "$SLURM_ARRAY_TASK_ID"', ""]
         script.write_text("\n".join(lines), encoding="utf-8")
         logs = str(batch.folder / "logs" / "A.txt").replace("%", "%%").removesuffix("A.txt") + "%a.txt"
@@ -230,7 +230,7 @@ class _Driver:
         try:
             batch.submitted(slurm.submit([*place, *self.options.options(len(requests))], script))
         except InvalidInput:
-            if not _found(batch):  # a submission whose answer was lost is one all the same
+            if not _found(batch):  # a submission whose answer was lost still counts
                 batch.remove()
                 raise
         return batch
@@ -284,7 +284,7 @@ class _Driver:
         batch.remove()
 
     def _tidy(self) -> None:
-        """Remove the batches of which everything is taken; the ledger has it."""
+        """Remove the batches whose results are all taken; the ledger has them."""
         needed = {batch.name for batch, _, _ in self.out.values()}
         for batch in known_batches(self.options.folder):
             if batch.name not in needed and len(batch.present()[1]) == len(batch.requests):
@@ -292,7 +292,7 @@ class _Driver:
 
 
 def _found(batch: Batch) -> bool:
-    """Return whether SLURM has the job of a batch whose driver did not live to note its number."""
+    """Return whether SLURM has the job of a batch whose driver could not note its number; if so, note it."""
     job = slurm.job_called(batch.name)
     if job is not None:
         batch.submitted(job)

@@ -1,4 +1,4 @@
-"""The commands of SLURM that are used, and what they say."""
+"""The SLURM commands in use, and what they report."""
 
 import re
 import subprocess
@@ -21,7 +21,7 @@ def submit(options: Sequence[str], script: Path) -> str:
     """Submit `script` and return the number of its job.
 
     Raises:
-        SlurmUnreachable: The command sbatch fails; the message holds what it said.
+        SlurmUnreachable: The command sbatch fails; the message contains its output.
     """
     return _said("sbatch", "--parsable", *options, str(script)).strip().partition(";")[0]
 
@@ -39,7 +39,7 @@ def states(names: Iterable[str]) -> dict[tuple[str, int], str]:
 
 
 def job_called(name: str) -> str | None:
-    """Return the number of the job of this name; None where SLURM knows none.
+    """Return the number of the job with this name; None if SLURM knows none.
 
     Raises:
         SlurmUnreachable: the controller does not answer.
@@ -49,7 +49,7 @@ def job_called(name: str) -> str | None:
 
 
 def past_state(job: str, index: int) -> str | None:
-    """Return the state of a job that the controller has forgotten, where there is accounting."""
+    """Return the state of a job that the controller has forgotten, if there is accounting."""
     try:
         text = _said("sacct", "--noheader", "--allocations", "--parsable2", f"--jobs={job}_{index}", "--format=State")
     except SlurmUnreachable:
@@ -64,7 +64,7 @@ def largest_array() -> int:
 
 
 def cancel(name: str) -> None:
-    """End the jobs of this name."""
+    """Cancel the jobs with this name."""
     _said("scancel", f"--name={name}")
 
 
