@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOURCES = sorted(path for place in ("src", "verification") for path in (ROOT / place).rglob("*.py"))
+SOURCES = sorted(
+    path
+    for place in ("src", "verification")
+    for path in (ROOT / place).rglob("*.py")
+    if ".venv" not in path.parts  # the other programs' environment, which `make bench` installs there
+)
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])
 PREPOSITIONS = frozenset({
     "about", "above", "across", "after", "against", "along", "among", "around", "as", "at", "before", "behind", "below",
