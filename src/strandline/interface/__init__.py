@@ -2,6 +2,35 @@
 
 from strandline.interface.interface import Interface, Oriented, oriented_like
 from strandline.interface.noise import NOISES, GaussianNoise, Noise
+from strandline.interface.normals import (
+    arc_lengths,
+    normals_at,
+    point_normals,
+    spacings,
+    steady_lengths,
+    steady_normals,
+)
 from strandline.interface.observation import Observation, is_condition
+from strandline.interface.point_errors import GLOBAL, ErrorModel, PointErrors
+from strandline.interface.unknown_errors import UnknownErrors
 
-__all__ = ["NOISES", "GaussianNoise", "Interface", "Noise", "Observation", "Oriented", "is_condition", "oriented_like"]
+__all__ = [
+    "GLOBAL",
+    "NOISES",
+    "ErrorModel",
+    "GaussianNoise",
+    "Interface",
+    "Noise",
+    "Observation",
+    "Oriented",
+    "PointErrors",
+    "UnknownErrors",
+    "arc_lengths",
+    "is_condition",
+    "normals_at",
+    "oriented_like",
+    "point_normals",
+    "spacings",
+    "steady_lengths",
+    "steady_normals",
+]

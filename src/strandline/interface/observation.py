@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from strandline.errors import InvalidInput
 from strandline.interface.interface import Interface
 from strandline.interface.noise import GaussianNoise, Noise
+from strandline.interface.point_errors import PointErrors
+from strandline.interface.unknown_errors import UnknownErrors
 from strandline.text import is_label
 
 __all__ = ["Observation", "is_condition"]
@@ -16,7 +18,8 @@ class Observation:
 
     Args:
         interface: Observed interface, mm.
-        noise: Noise model; a number is the variance σ_N² of Gaussian noise, in the unit of the discrepancy d².
+        noise: Noise model of the measure; or the errors of the observed points, known or unknown, from which the noise
+            of every measure follows; a number is the variance σ_N² of Gaussian noise, in the unit of d².
         condition: Experimental condition or time; "" if the model has only one, without a name.
 
     Raises:
@@ -24,18 +27,20 @@ class Observation:
     """
 
     interface: Interface
-    noise: Noise
+    noise: Noise | PointErrors | UnknownErrors
     condition: str = ""
 
-    def __init__(self, interface: Interface, noise: Noise | float, condition: str = "") -> None:
+    def __init__(
+        self, interface: Interface, noise: Noise | PointErrors | UnknownErrors | float, condition: str = ""
+    ) -> None:
         if isinstance(noise, int | float) and not isinstance(noise, bool):
             noise = GaussianNoise(float(noise))
-        if not isinstance(noise, Noise) or isinstance(noise, type):
+        if not isinstance(noise, Noise | PointErrors | UnknownErrors) or isinstance(noise, type):
             raise InvalidInput(
                 "noise of an observation",
                 value=noise,
-                expected="a noise model, or the variance σ_N² in the unit of d²",
-                remedy="Give e.g. GaussianNoise(variance=0.001), or 0.001; strandline.interface.Noise lists its parts.",
+                expected="a noise model, the errors of the points, or the variance σ_N² in the unit of d²",
+                remedy="Give e.g. PointErrors(sd=0.003), or 0.001; strandline.interface.Noise lists its parts.",
             )
         object.__setattr__(self, "interface", interface)
         object.__setattr__(self, "noise", noise)

@@ -1,0 +1,122 @@
+"""Normals and spacings at the points of an interface, steady where its points are noisy."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from strandline.interface.interface import Interface
+
+__all__ = ["arc_lengths", "node_normals", "normals_at", "point_normals", "spacings", "steady_lengths", "steady_normals"]
+
+_WINDOW = 2.0
+"""Half the length over which a steady normal is taken, in the larger of spacing and correlation length."""
+
+
+def steady_lengths(polyline: Interface) -> Float[np.ndarray, " segment"]:
+    """Return the length of each segment along the course of the polyline, mm.
+
+    Errors of the points make segments longer, not their course: that of a chord over a few of them.
+    """
+    along = np.concatenate([[0.0], np.cumsum(polyline.lengths)])
+    window = _WINDOW * float(np.median(polyline.lengths))
+    normals = normals_at(polyline, 0.5 * (along[1:] + along[:-1]), window)
+    step = polyline.ends - polyline.starts
+    return np.asarray(np.abs(step[:, 0] * normals[:, 1] - step[:, 1] * normals[:, 0]))
+
+
+def arc_lengths(polyline: Interface) -> Float[np.ndarray, " point"]:
+    """Return the arc length at each point of a polyline, from its first point, along its course, mm."""
+    return _at_points(polyline, steady_lengths(polyline))
+
+
+def _at_points(polyline: Interface, lengths: Float[np.ndarray, " segment"]) -> Float[np.ndarray, " point"]:
+    corners = np.append(polyline.cells[:, 0], polyline.cells[-1, 1])
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    places = np.zeros(len(polyline.points))
+    places[corners[::-1]] = along[::-1]
+    return places
+
+
+def spacings(interface: Interface) -> Float[np.ndarray, " point"]:
+    """Return the mean length of the segments at each point, mm, or a third of the area of its triangles, mm².
+
+    Lengths are those along the course of the polyline.
+    """
+    total, number = np.zeros(len(interface.points)), np.zeros(len(interface.points))
+    sizes = interface.sizes if interface.dim == 3 else steady_lengths(interface)
+    for corner in range(interface.cells.shape[1]):
+        np.add.at(total, interface.cells[:, corner], sizes)
+        np.add.at(number, interface.cells[:, corner], 1.0)
+    return np.asarray(total / 3 if interface.dim == 3 else total / number)
+
+
+def point_normals(interface: Interface, window: float) -> Float[np.ndarray, "point xyz"]:
+    """Return a unit normal at each point, on the side of `Interface.normals`.
+
+    Segments and triangles of noisy points turn by their noise over their size. So the normal is that of the chord
+    between the places `window` mm before and behind the point, or the mean over the triangles less than `window` mm
+    away.
+    """
+    normal = _of_surface(interface, window) if interface.dim == 3 else _of_polyline(interface, window)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def node_normals(
+    points: Float[np.ndarray, "run node xyz"], cells: Int[np.ndarray, "cell corner"]
+) -> Float[np.ndarray, "run node xyz"]:
+    """Return unit normals at the nodes of many smooth interfaces with the same cells, on the side of their normals."""
+    first = points[:, cells[:, 0]]
+    if points.shape[2] == 3:
+        area = np.cross(points[:, cells[:, 1]] - first, points[:, cells[:, 2]] - first)
+    else:
+        along = points[:, cells[:, 1]] - first
+        area = np.stack([-along[..., 1], along[..., 0]], axis=2)
+    touching = csr_array((np.ones(cells.size), (cells.ravel(), np.repeat(np.arange(len(cells)), cells.shape[1]))))
+    total = touching @ area.transpose(1, 0, 2).reshape(len(cells), -1)
+    normal = total.reshape(points.shape[1], len(points), -1).transpose(1, 0, 2)
+    return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True))
+
+
+def steady_normals(seen: Interface, length: float = 0.0) -> Float[np.ndarray, "point xyz"]:
+    """Return unit normals at observed points, over as many of them as errors of this correlation length need."""
+    spacing = float(np.median(spacings(seen)))
+    return point_normals(seen, _WINDOW * max(length, spacing if seen.dim == 2 else float(np.sqrt(spacing))))
+
+
+def normals_at(polyline: Interface, places: Float[np.ndarray, " place"], window: float) -> Float[np.ndarray, "place 2"]:
+    """Return unit normals at places along a polyline, on the side of `Interface.normals`.
+
+    Args:
+        polyline: The polyline.
+        places: Arc lengths from its first node, mm.
+        window: Half the length of the piece whose chord is taken, mm; at most a fifth of the polyline counts.
+    """
+    path = polyline.points[np.append(polyline.cells[:, 0], polyline.cells[-1, 1])]
+    along = np.concatenate([[0.0], np.cumsum(polyline.lengths)])
+    whole = float(along[-1])
+    window = min(window, 0.2 * whole)
+
+    def at(s: Float[np.ndarray, " place"]) -> Float[np.ndarray, "place 2"]:
+        s = s % whole if polyline.closed else np.clip(s, 0.0, whole)
+        return np.stack([np.interp(s, along, path[:, axis]) for axis in (0, 1)], axis=1)
+
+    chord = at(places + window) - at(places - window)
+    normal = np.stack([-chord[:, 1], chord[:, 0]], axis=1)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _of_polyline(interface: Interface, window: float) -> Float[np.ndarray, "point 2"]:
+    return normals_at(interface, _at_points(interface, interface.lengths), window)
+
+
+def _of_surface(interface: Interface, window: float) -> Float[np.ndarray, "point 3"]:
+    """Return sums of vector areas; a point whose neighbours cancel has those of its own triangles."""
+    areas = interface.normals
+    own = np.zeros_like(interface.points)
+    for corner in range(3):
+        np.add.at(own, interface.cells[:, corner], areas)
+    near = cKDTree(interface.centres).query_ball_point(interface.points, window)
+    out = np.array([areas[some].sum(axis=0) if some else one for some, one in zip(near, own, strict=True)])
+    cancelled = np.linalg.norm(out, axis=1) < 0.5 * np.linalg.norm(own, axis=1)
+    return np.where(cancelled[:, None], own, out)

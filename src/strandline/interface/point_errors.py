@@ -1,0 +1,307 @@
+"""Errors of the points of an observed interface: local ones, correlated along it, and global ones.
+
+Point i is off by e_i along its normal, with standard deviation s and correlation length ℓ along the interface. The
+whole interface may be shifted, turned, scaled, and offset along its normals (a threshold that is a little too low).
+For residuals r, the signed distances of the points to the true interface, this makes the covariance
+
+    C = D + B Bᵀ,  D_ii = s_i² max(1, 2ℓ/h_i) on a polyline, s_i² max(1, 2πℓ²/a_i) on a surface,
+
+with h_i the length and a_i the area that belong to a point, and B what one standard deviation of each global error does
+to r. D has the spectral density of the correlated errors at low frequencies: enough for inputs that move the interface
+over lengths well above ℓ, and never singular.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_solve, solve_triangular
+
+from strandline.errors import InvalidInput
+from strandline.interface.correlated import correlated
+from strandline.interface.interface import Interface
+from strandline.interface.normals import node_normals, spacings, steady_normals
+from strandline.interface.rotations import rotations
+
+__all__ = ["GLOBAL", "ErrorModel", "PointErrors"]
+
+GLOBAL = ("shift", "rotation", "scale", "offset")
+"""Names of the errors that all points share."""
+MOST = {"rotation": 45.0, "scale": 0.5}
+"""Largest standard deviations, degrees and a share: beyond, an interface is not nearly where it should be."""
+
+
+@dataclass(frozen=True)
+class PointErrors:
+    """Standard deviations of the errors of an observed interface.
+
+    Args:
+        sd: Standard deviation s of a point along its normal, mm.
+        length: Correlation length ℓ = ∫₀^∞ ρ(t) dt along the interface, mm; 0 for independent points.
+        shift: Standard deviation of the position of the whole interface, along each axis, mm.
+        rotation: Standard deviation of its rotation, about each axis on a surface, degrees.
+        scale: Standard deviation of its scale, as a share (0.005: half a per cent).
+        offset: Standard deviation of a common offset along the normals, mm.
+        shares: Standard deviation of each point relative to `sd`, if they differ; see `PointErrors.of_each`.
+        shared: Whether shift, rotation and scale are the same for all observations, as with a fixed camera.
+
+    Raises:
+        InvalidInput: An `sd` that is not above 0, or another number that is negative or not finite.
+    """
+
+    sd: float
+    length: float = 0.0
+    shift: float = 0.0
+    rotation: float = 0.0
+    scale: float = 0.0
+    offset: float = 0.0
+    shared: bool = False
+    shares: tuple[float, ...] = ()
+
+    @classmethod
+    def of_each(cls, sds: Sequence[float] | Float[np.ndarray, " point"], **others: Any) -> "PointErrors":
+        """Return errors with a standard deviation for each point, mm; `sd` is their root mean square."""
+        rms = float(np.sqrt(np.mean(np.square(sds))))
+        return cls(rms, shares=tuple((np.asarray(sds, float) / rms).tolist()), **others)
+
+    def __post_init__(self) -> None:
+        for name in ("sd", "length", *GLOBAL):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and (value > 0 if name == "sd" else value >= 0)):
+                raise InvalidInput(
+                    f"{name} of the errors of points",
+                    value=value,
+                    expected="a finite number above 0" if name == "sd" else "a finite number, 0 or above",
+                    remedy=f"Correct {name}.",
+                )
+            if value > MOST.get(name, math.inf):
+                raise InvalidInput(
+                    f"{name} of the errors of points",
+                    value=value,
+                    expected=f"at most {MOST[name]:g}" + (" degrees" if name == "rotation" else ", a share"),
+                    remedy=f"Correct {name}.",
+                )
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """The parameters by name, lengths in mm."""
+        others = {f"{name}_sd": float(getattr(self, name)) for name in GLOBAL if getattr(self, name) > 0}
+        if self.shares:
+            others |= {"least_point_sd": self.sd * min(self.shares), "largest_point_sd": self.sd * max(self.shares)}
+        return {"point_sd": float(self.sd), "correlation_length": float(self.length), **others}
+
+    def model(self, seen: Interface, *, middle: Float[np.ndarray, " xyz"] | None = None) -> "ErrorModel":
+        """Return the covariance of the signed distances of the points of `seen`.
+
+        Args:
+            seen: The observed interface.
+            middle: Point about which it is turned and scaled, mm; default: the mean of its points.
+
+        Raises:
+            InvalidInput: A correlation length above half the length of the interface.
+        """
+        self.require_fits(seen)
+        shared = self._global(seen, seen.points.mean(axis=0) if middle is None else middle)
+        return ErrorModel(self.local_variances(seen), shared)
+
+    def require_fits(self, seen: Interface) -> None:
+        """Refuse an interface that is too short for the correlation length.
+
+        Raises:
+            InvalidInput: The correlation length is above half the length of the interface.
+        """
+        whole = float(seen.lengths.sum()) if seen.dim == 2 else math.sqrt(float(seen.areas.sum()))
+        if self.length > 0.5 * whole:
+            raise InvalidInput(
+                "correlation length of the errors of points",
+                value=f"{self.length:.4g} mm",
+                expected=f"at most half the length of the interface, {0.5 * whole:.4g} mm",
+                remedy="State an error that all points share as a shift, rotation, scale or offset.",
+            )
+
+    def local_variances(self, seen: Interface) -> Float[np.ndarray, " point"]:
+        """Return D_ii, mm²."""
+        correlated = 2 * self.length if seen.dim == 2 else 2 * math.pi * self.length**2
+        return np.asarray(self.sds(seen) ** 2 * np.maximum(1.0, correlated / spacings(seen)))
+
+    def sds(self, seen: Interface) -> Float[np.ndarray, " point"]:
+        """Return the standard deviation of each point, mm.
+
+        Raises:
+            InvalidInput: The errors belong to another number of points.
+        """
+        if self.shares and len(self.shares) != len(seen.points):
+            raise InvalidInput(
+                "errors of the observed points",
+                value=f"{len(self.shares)} standard deviations for {len(seen.points)} points",
+                expected="one for each point",
+                remedy="State those of this interface, or one that holds for all points.",
+            )
+        return np.asarray(np.full(len(seen.points), self.sd) * np.array(self.shares or 1.0))
+
+    def local_draws(self, true: Interface, number: int, random: np.random.Generator) -> Float[np.ndarray, "draw point"]:
+        """Return local errors, mm, correlated as exp(-t/ℓ) along the interface, one row per draw."""
+        return np.asarray(self.sds(true) * correlated(true, self.length, number, random))
+
+    def effective_length(self, seen: Interface) -> float:
+        """Return ℓ, mm, or half the spacing of the points if that is more: independent points have ℓ = h/2."""
+        spacing = spacings(seen) if seen.dim == 2 else np.sqrt(spacings(seen))
+        return max(self.length, 0.5 * float(spacing.mean()))
+
+    def draw(self, true: Interface, random: np.random.Generator) -> Interface:
+        """Return `true` as it might be observed; local errors are correlated as exp(-t/ℓ) along it."""
+        local = self.local_draws(true, 1, random)[0]
+        points = true.points + local[:, None] * self._normals(true)
+        return self.moved(Interface(points, true.cells), random.standard_normal(self.global_errors(true.dim)))
+
+    def moved(
+        self, seen: Interface, by: Float[np.ndarray, " error"], *, middle: Float[np.ndarray, " xyz"] | None = None
+    ) -> Interface:
+        """Return `seen` with its global errors increased, in standard deviations, in the order of `ErrorModel`.
+
+        It is turned and scaled about `middle`, by default the mean of its points.
+        """
+        shift, rotation, scale, offset = (one[0] for one in self._sizes(by[None], seen.dim))
+        middle = seen.points.mean(axis=0) if middle is None else middle
+        arm = (1 + scale) * (seen.points - middle) + offset * self._normals(seen)
+        return Interface(middle + shift + arm @ rotations(rotation[None])[0].T, seen.cells)
+
+    def followed(
+        self,
+        points: Float[np.ndarray, "run node xyz"],
+        template: Interface,
+        by: Float[np.ndarray, "run error"],
+        *,
+        middle: Float[np.ndarray, " xyz"],
+    ) -> Float[np.ndarray, "run node xyz"]:
+        """Return simulated interfaces after the shift, rotation, scale and offset that the observation has.
+
+        Scale and offset act along their normals alone, so that the interfaces do not slide along themselves.
+
+        Args:
+            points: Nodes of the simulated interfaces, mm.
+            template: A simulated interface, for its cells.
+            by: Global errors of the observation for each of them, in standard deviations, in the order of `ErrorModel`.
+            middle: Point about which the observation was turned and scaled, mm.
+        """
+        shift, rotation, scale, offset = self._sizes(by, template.dim)
+        arm = points - middle
+        if scale.any() or offset.any():
+            normals = node_normals(points, template.cells)
+            along = scale * np.einsum("rnx,rnx->rn", normals, arm) + offset
+            arm = arm + along[..., None] * normals
+        return np.asarray(middle + shift[:, None] + np.einsum("rnx,ryx->rny", arm, rotations(rotation)))
+
+    def _sizes(self, by: Float[np.ndarray, "run error"], dim: int) -> list[Float[np.ndarray, "run _"]]:
+        """Return shift, rotation (radians), scale and offset for errors in standard deviations."""
+        numbers, found, first = _numbers(dim), [], 0
+        for name in GLOBAL:
+            size = getattr(self, name) * (math.radians(1.0) if name == "rotation" else 1.0)
+            count = numbers[name] if size > 0 else 0
+            found.append(size * by[:, first : first + count] if count else np.zeros((len(by), numbers[name])))
+            first += count
+        return found
+
+    def global_errors(self, dim: int) -> int:
+        """Return the number of global errors of an interface in the plane or in space."""
+        return sum(_numbers(dim)[name] for name in GLOBAL if getattr(self, name) > 0)
+
+    def _normals(self, seen: Interface) -> Float[np.ndarray, "point xyz"]:
+        """Return normals whose errors, times the distance that the whole interface may move, are below s."""
+        reach = float(np.linalg.norm(np.ptp(seen.points, axis=0))) / 2
+        moved = self.shift + self.offset + (math.radians(self.rotation) + self.scale) * reach
+        return steady_normals(seen, max(self.length, moved))
+
+    def _global(self, seen: Interface, middle: Float[np.ndarray, " xyz"]) -> Float[np.ndarray, "point error"]:
+        """Return B: what one standard deviation of each global error does to the signed distances, mm."""
+        normals, arm = self._normals(seen), seen.points - middle
+        turns = _cross(arm, normals)
+        columns = {
+            "shift": normals,
+            "rotation": math.radians(1.0) * turns,
+            "scale": (normals * arm).sum(axis=1, keepdims=True),
+            "offset": np.ones((len(arm), 1)),
+        }
+        return np.hstack(
+            [getattr(self, name) * columns[name] for name in GLOBAL if getattr(self, name) > 0] or [arm[:, :0]]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """The covariance C = D + B Bᵀ of n residuals, in O(n).
+
+    Args:
+        local: Diagonal of D, shape (n,), mm².
+        shared: B, shape (n, k), mm; k may be 0.
+    """
+
+    local: Float[np.ndarray, " point"]
+    shared: Float[np.ndarray, "point error"]
+
+    @cached_property
+    def _factor(self) -> Float[np.ndarray, "error error"]:
+        """Lower Cholesky factor of I + Bᵀ D⁻¹ B."""
+        return np.linalg.cholesky(np.eye(len(self.gram)) + self.gram)
+
+    @cached_property
+    def features(self) -> Float[np.ndarray, "point error"]:
+        """D⁻¹ B."""
+        return np.asarray(self.shared / self.local[:, None])
+
+    @cached_property
+    def gram(self) -> Float[np.ndarray, "error error"]:
+        """Bᵀ D⁻¹ B."""
+        return np.asarray(self.shared.T @ self.features)
+
+    @cached_property
+    def projection(self) -> Float[np.ndarray, "error point"]:
+        """The matrix P with Pᵀ P = D⁻¹ B (I + Bᵀ D⁻¹ B)⁻¹ Bᵀ D⁻¹."""
+        return np.asarray(np.linalg.solve(self._factor, self.features.T))
+
+    def square(self, residuals: Float[np.ndarray, "*case point"]) -> Float[np.ndarray, "*case"]:
+        """Return rᵀ C⁻¹ r, by Woodbury's identity."""
+        explained = residuals @ self.projection.T
+        return np.asarray((residuals**2 / self.local).sum(axis=-1) - (explained**2).sum(axis=-1))
+
+    def solved(self, residuals: Float[np.ndarray, "*case point"]) -> Float[np.ndarray, "*case point"]:
+        """Return C⁻¹ r."""
+        return np.asarray(residuals / self.local - (residuals @ self.projection.T) @ self.projection)
+
+    def information(self, slopes: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "dim dim"]:
+        """Return JᵀC⁻¹J."""
+        return np.asarray(slopes.T @ self.solved(slopes.T).T)
+
+    def square_of(
+        self, squares: Float[np.ndarray, " run"], products: Float[np.ndarray, "run error"]
+    ) -> Float[np.ndarray, " run"]:
+        """Return rᵀ C⁻¹ r from rᵀ D⁻¹ r and Bᵀ D⁻¹ r."""
+        explained = solve_triangular(self._factor, products.T, lower=True)
+        return np.asarray(np.maximum(squares - (explained**2).sum(axis=0), 0.0))
+
+    def shared_errors(self, products: Float[np.ndarray, "run error"]) -> Float[np.ndarray, "run error"]:
+        """Return the most probable global errors, in their standard deviations: Bᵀ C⁻¹ r, from Bᵀ D⁻¹ r."""
+        return np.asarray(cho_solve((self._factor, True), products.T).T)
+
+    @property
+    def log_det(self) -> float:
+        """log det C, by the matrix determinant lemma."""
+        return float(np.log(self.local).sum() + 2 * np.log(np.diag(self._factor)).sum())
+
+
+def _numbers(dim: int) -> dict[str, int]:
+    """Return how many global errors of each kind there are."""
+    return {"shift": dim, "rotation": 1 if dim == 2 else 3, "scale": 1, "offset": 1}
+
+
+def _cross(
+    arm: Float[np.ndarray, "point xyz"], normals: Float[np.ndarray, "point xyz"]
+) -> Float[np.ndarray, "point axis"]:
+    """Return what a small turn about each axis does along the normals, in the plane about the only one."""
+    if arm.shape[1] == 3:
+        return np.cross(arm, normals)
+    return np.asarray(arm[:, :1] * normals[:, 1:] - arm[:, 1:] * normals[:, :1])

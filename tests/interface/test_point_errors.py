@@ -1,0 +1,219 @@
+"""Errors of the points of an outline against dense algebra, rigid motions and their own statistics."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial import ConvexHull
+
+from strandline.discrepancy.normal_offset import signed_distances
+from strandline.errors import InvalidInput
+from strandline.interface import Interface, PointErrors, arc_lengths, point_normals, spacings
+from strandline.interface.correlated import correlated
+
+ALL = PointErrors(0.004, 0.02, shift=0.01, rotation=0.5, scale=0.005, offset=0.003)
+
+
+def arch(number: int = 200, *, closed: bool = False) -> Interface:
+    angle = np.linspace(0.0, 2 * np.pi if closed else np.pi, number, endpoint=not closed)
+    return Interface.polyline(np.stack([-0.5 * np.cos(angle), 0.4 * np.sin(angle)], axis=1), closed=closed)
+
+
+def dense(errors: PointErrors, outline: Interface) -> np.ndarray:
+    model = errors.model(outline)
+    return np.diag(model.local) + model.shared @ model.shared.T
+
+
+@pytest.mark.parametrize("errors", [ALL, PointErrors(0.01), PointErrors(0.01, 0.1, offset=0.1)])
+@pytest.mark.parametrize("closed", [False, True])
+def test_square_and_determinant_are_those_of_the_matrix(errors: PointErrors, closed: bool) -> None:
+    outline = arch(closed=closed)
+    model, C = errors.model(outline), dense(errors, outline)
+    residuals = np.random.default_rng(1).normal(size=(3, len(outline.points)))
+    np.testing.assert_allclose(model.square(residuals), [r @ np.linalg.solve(C, r) for r in residuals], rtol=1e-10)
+    assert model.log_det == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-12)
+    squares, products = (residuals**2) @ (1 / model.local), residuals @ model.features
+    np.testing.assert_allclose(model.square_of(squares, products), model.square(residuals), rtol=1e-10)
+    expected = model.shared.T @ np.linalg.solve(C, residuals[0])
+    np.testing.assert_allclose(model.shared_errors(residuals[:1] @ model.features)[0], expected, atol=1e-9)
+
+
+def moved(outline: Interface, kind: str, size: float) -> Interface:
+    points, middle = outline.points, outline.points.mean(axis=0)
+    if kind == "offset":
+        points = points + size * point_normals(outline, 0.01)
+    elif kind == "scale":
+        points = middle + (1 + size) * (points - middle)
+    elif kind == "rotation":
+        turn = np.radians(size)
+        points = middle + (points - middle) @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    else:
+        points = points + size * np.array([1.0, 0.0] if kind == "x" else [0.0, 1.0])
+    return Interface(points, outline.cells)
+
+
+@pytest.mark.parametrize("kind", ["x", "y", "rotation", "scale", "offset"])
+def test_global_errors_do_to_the_distances_what_moving_the_outline_does(kind: str) -> None:
+    """Away from the ends, where the closest point of an open outline is its end."""
+    outline, size = arch(400), 1e-4
+    errors = PointErrors(1.0, **{"shift" if kind in "xy" else kind: size})
+    column = errors.model(outline).shared[:, 1 if kind == "y" else 0] / size
+    found = signed_distances(moved(outline, kind, size).points, outline) / size
+    np.testing.assert_allclose(found[20:-20], column[20:-20], atol=6e-3)  # segments turn by 0.008 from one to the next
+
+
+def test_normals_are_those_of_the_outline_and_stay_so_under_noise() -> None:
+    outline = arch(400)
+    exact = point_normals(outline, 1e-6)
+    between = 0.5 * (outline.normals[1:] + outline.normals[:-1])
+    np.testing.assert_allclose(exact[1:-1], between / np.linalg.norm(between, axis=1, keepdims=True), atol=1e-3)
+    noisy = PointErrors(0.004).draw(outline, np.random.default_rng(3))
+    turned = np.arccos(np.clip((point_normals(noisy, 0.03) * exact).sum(axis=1), -1, 1))
+    segment = np.arccos(np.clip((noisy.normals * outline.normals).sum(axis=1) / noisy.lengths / outline.lengths, -1, 1))
+    assert np.degrees(turned.std()) < 12 < np.degrees(segment.std())
+
+
+def test_spacings_add_up_to_the_length() -> None:
+    closed = arch(50, closed=True)
+    assert spacings(closed).sum() == pytest.approx(closed.lengths.sum(), rel=1e-2)
+    opened = arch(50)
+    inner = opened.lengths.sum() - 0.5 * opened.lengths[[0, -1]].sum()
+    assert spacings(opened)[1:-1].sum() == pytest.approx(inner, rel=1e-3)
+
+
+def test_errors_of_the_points_do_not_lengthen_their_course() -> None:
+    true, random = arch(300), np.random.default_rng(3)
+    rough = PointErrors(0.7 * float(true.lengths.mean())).draw(true, random)
+    assert rough.lengths.sum() > 1.2 * true.lengths.sum()
+    assert spacings(rough).mean() == pytest.approx(true.lengths.mean(), rel=0.05)
+    assert arc_lengths(rough).max() == pytest.approx(true.lengths.sum(), rel=0.05)
+
+
+def squares(errors: PointErrors, *, stated: PointErrors, number: int = 200) -> np.ndarray:
+    """Return rᵀ C⁻¹ r of drawn outlines along a slow direction: what inputs are compared by."""
+    outline = arch(300)
+    model, random = stated.model(outline), np.random.default_rng(7)
+    slow = np.cos(np.linspace(0.0, 6.0, 300))
+    whitened = slow / model.local - model.projection.T @ (model.projection @ slow)
+    scores = [
+        signed_distances(errors.draw(outline, random).points, outline) @ whitened / np.sqrt(slow @ whitened)
+        for _ in range(number)
+    ]
+    return np.array(scores)
+
+
+@pytest.mark.parametrize("errors", [PointErrors(0.003), PointErrors(0.003, 0.015), PointErrors(0.003, 0.06), ALL])
+def test_a_slow_shape_is_known_as_well_as_the_covariance_says(errors: PointErrors) -> None:
+    found = squares(errors, stated=errors)
+    assert 0.85 < found.std() < 1.15
+    assert stats.kstest(found / found.std(), "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("errors", "stated"),
+    [
+        (PointErrors(0.003, 0.06), PointErrors(0.003)),
+        (PointErrors(0.003, offset=0.003), PointErrors(0.003)),
+        (ALL, PointErrors(0.004, 0.02)),
+    ],
+)
+def test_errors_left_out_show(errors: PointErrors, stated: PointErrors) -> None:
+    """Planted: correlated points taken as independent, global errors left out."""
+    assert squares(errors, stated=stated).std() > 1.5
+
+
+def test_two_outlines_move_together() -> None:
+    """As pictures of one camera: distances between their points change by the scale alone."""
+    errors, middle, two = PointErrors(0.001, shift=0.1, rotation=2.0, scale=0.01), np.zeros(2), (arch(20), arch(30))
+    by = np.array([0.3, -1.2, 0.8, 1.5])
+    one, other = (errors.moved(each, by, middle=middle) for each in two)
+    before = np.linalg.norm(two[0].points[3] - two[1].points[9])
+    ratio = np.linalg.norm(one.points[3] - other.points[9]) / before
+    assert ratio == pytest.approx(one.lengths[0] / two[0].lengths[0], rel=1e-9)
+    assert ratio == pytest.approx(1.015)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"sd": 0.0}, "above 0"),
+        ({"sd": -1.0}, "above 0"),
+        ({"sd": 0.1, "length": -0.1}, "0 or above"),
+        ({"sd": 0.1, "rotation": np.inf}, "finite"),
+        ({"sd": 0.01, "scale": 50.0}, "at most 0.5, a share"),
+        ({"sd": 0.01, "rotation": 90.0}, "at most 45 degrees"),
+    ],
+)
+def test_senseless_errors_are_refused(options: dict[str, float], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        PointErrors(**options)
+
+
+def test_a_correlation_longer_than_the_outline_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="half the length"):
+        PointErrors(0.01, 2.0).model(arch())
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_moved_outlines_have_the_distances_that_the_model_says(number: int) -> None:
+    outline, errors = arch(400), PointErrors(1e-3, shift=1e-4, rotation=0.01, scale=1e-4, offset=1e-4)
+    assert errors.global_errors(2) == 5
+    moved = errors.moved(outline, np.eye(5)[number])
+    column = errors.model(outline).shared[:, number]
+    np.testing.assert_allclose(signed_distances(moved.points, outline)[20:-20], column[20:-20], atol=6e-7)
+
+
+def test_absent_global_errors_move_nothing() -> None:
+    errors = PointErrors(1e-3, scale=1e-2)
+    assert errors.global_errors(2) == errors.global_errors(3) == 1
+    assert PointErrors(1e-3).global_errors(2) == 0
+    np.testing.assert_allclose(PointErrors(1e-3).moved(arch(), np.empty(0)).points, arch().points, atol=1e-15)
+    middle = arch().points.mean(axis=0)
+    expected = middle + 1.02 * (arch().points - middle)
+    np.testing.assert_allclose(errors.moved(arch(), np.array([2.0])).points, expected, atol=1e-12)
+
+
+def test_points_with_their_own_sds() -> None:
+    outline, random = arch(200), np.random.default_rng(6)
+    sds = np.where(np.arange(200) < 100, 1e-4, 3e-4)
+    errors = PointErrors.of_each(sds, length=0.02)
+    assert errors.sd == pytest.approx(np.sqrt(5) * 1e-4)
+    np.testing.assert_allclose(
+        errors.model(outline).local, (sds / errors.sd) ** 2 * PointErrors(errors.sd, 0.02).model(outline).local
+    )
+    off = np.array([signed_distances(errors.draw(outline, random).points, outline) for _ in range(60)])
+    np.testing.assert_allclose(off.std(axis=0)[5:-5], sds[5:-5], rtol=0.5)
+    assert off[:, :95].std() == pytest.approx(1e-4, rel=0.1)
+    with pytest.raises(InvalidInput, match="200 standard deviations for 50 points"):
+        errors.model(arch(50))
+
+
+def sphere(number: int = 600) -> Interface:
+    """Return a closed triangulated sphere of radius 0.5 whose normals point outwards."""
+    k = np.arange(number) + 0.5
+    polar, around = np.arccos(1 - 2 * k / number), np.pi * (1 + np.sqrt(5)) * k
+    points = 0.5 * np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)], axis=1)
+    cells = ConvexHull(points).simplices
+    a, b, c = (points[cells[:, k]] for k in range(3))
+    outwards = (np.cross(b - a, c - a) * a).sum(axis=1)
+    cells[outwards < 0] = cells[outwards < 0][:, ::-1]
+    return Interface(points, np.ascontiguousarray(cells).astype(int))
+
+
+def test_surfaces_have_normals_areas_and_global_errors() -> None:
+    ball = sphere()
+    assert spacings(ball).sum() == pytest.approx(ball.areas.sum())
+    np.testing.assert_allclose(point_normals(ball, 0.05), ball.points / 0.5, atol=0.05)
+    errors = PointErrors(1e-3, shift=1e-3, rotation=0.1, scale=1e-3, offset=1e-3)
+    model = errors.model(ball)
+    assert model.shared.shape == (600, 3 + 3 + 1 + 1)
+    np.testing.assert_allclose(model.shared[:, 3:6], 0.0, atol=1e-4)
+    np.testing.assert_allclose(model.shared[:, 6], 0.5e-3, rtol=0.02)
+
+
+def test_errors_on_a_surface_are_correlated_as_stated() -> None:
+    ball, random = sphere(), np.random.default_rng(5)
+    fields = correlated(ball, 0.1, 300, random)
+    assert fields.std() == pytest.approx(1.0, abs=0.05)
+    distance = np.linalg.norm(ball.points[0] - ball.points, axis=1)
+    near = int(np.argsort(distance)[6])
+    assert np.corrcoef(fields[:, 0], fields[:, near])[0, 1] == pytest.approx(np.exp(-distance[near] / 0.1), abs=0.15)
