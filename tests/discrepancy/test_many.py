@@ -12,6 +12,7 @@ from strandline.discrepancy import (
     Currents,
     Discrepancy,
     MeasurementLines,
+    NormalOffset,
     TrackedPoints,
     squared_discrepancies,
 )
@@ -31,6 +32,7 @@ EXACT: list[Discrepancy] = [
     MeasurementLines(7, reach=0.05),
     MeasurementLines(LINES),
     TrackedPoints(),
+    NormalOffset(),
     *(ClosestPoint(direction=d, weighting=w) for d in DIRECTIONS for w in WEIGHTINGS),
 ]
 CURRENTS = [

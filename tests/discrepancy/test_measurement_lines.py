@@ -8,7 +8,7 @@ import shapely
 
 from strandline.discrepancy import MeasurementLines, TrackedPoints
 from strandline.errors import InvalidInput, InvalidInterface
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors
 
 
 def line(*points):
@@ -124,6 +124,102 @@ def test_invalid_lines(lines):
 def test_invalid_reach(reach):
     with pytest.raises(InvalidInput, match="reach"):
         MeasurementLines(reach=reach)
+
+
+def half_circle(nodes: int = 201) -> Interface:
+    angle = np.linspace(0.0, np.pi, nodes)
+    return Interface.polyline(np.stack([-np.cos(angle), np.sin(angle)], axis=1))
+
+
+SPACING = float(half_circle().lengths[0])
+ROUGH = PointErrors(0.5 * SPACING)
+
+
+def directions_off(measure: MeasurementLines, observed: Interface) -> np.ndarray:
+    """Return the angles, degrees, between lines and radii of the half circle, away from its ends."""
+    lines = measure.place(observed)[5:-5]
+    outward = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    side = outward[:, 0] * lines[:, 3] - outward[:, 1] * lines[:, 2]
+    return np.degrees(np.arcsin(np.clip(side, -1, 1)))
+
+
+def test_a_piece_within_a_segment_has_its_direction():
+    observed = wavy(66, 0.0, 1)
+    np.testing.assert_allclose(
+        MeasurementLines(smooth=1e-7).place(observed), MeasurementLines().place(observed), atol=1e-6
+    )
+
+
+def test_directions_of_longer_pieces_are_steady():
+    noisy = ROUGH.draw(half_circle(), np.random.default_rng(1))
+    assert directions_off(MeasurementLines(40), noisy).std() > 20
+    assert directions_off(MeasurementLines(40, smooth=0.3), noisy).std() < 4
+    assert abs(directions_off(MeasurementLines(40, smooth=0.3), half_circle())).max() < 0.1
+
+
+def mean_square(measure: MeasurementLines) -> float:
+    """Return d² of the true outline over n s², in the mean over noisy observations."""
+    random, true = np.random.default_rng(2), half_circle()
+    squares = [measure(true, ROUGH.draw(true, random)) for _ in range(30)]
+    return float(np.mean(squares)) / (measure.terms(true) * ROUGH.sd**2)
+
+
+def test_distances_along_steady_lines_have_the_noise_of_the_points():
+    assert 0.4 < mean_square(MeasurementLines(20, smooth=0.4)) < 1.2
+    assert mean_square(MeasurementLines(20)) > 1.5  # lines that turn with the noise
+
+
+def test_the_ends_can_be_left_out():
+    x = np.linspace(0.0, 2.0, 41)
+    line = Interface.polyline(np.stack([x, 0 * x], axis=1))
+    np.testing.assert_allclose(MeasurementLines(4, trim=0.1).place(line)[:, 0], [0.4, 0.8, 1.2, 1.6], atol=1e-12)
+    np.testing.assert_allclose(MeasurementLines(4).place(line)[:, 0], [0.25, 0.75, 1.25, 1.75], atol=1e-12)
+    closed = Interface.polyline(half_circle().points, closed=True)
+    np.testing.assert_allclose(MeasurementLines(4, trim=0.1).place(closed), MeasurementLines(4).place(closed))
+    for lines, trim in ((4, 0.5), (4, -0.1), (((0.0, 0.9, 0.0, 1.0),), 0.1)):
+        with pytest.raises(InvalidInput, match="trim"):
+            MeasurementLines(lines, trim=trim)
+
+
+def test_steady_lines_have_a_noise_variance():
+    seen = half_circle()
+    smooth, correlated = PointErrors(0.15 * SPACING), PointErrors(0.3 * SPACING, 2 * SPACING)
+    for lines in (MeasurementLines(10, smooth=0.2), MeasurementLines(((0.0, 0.9, 0.0, 1.0),))):
+        assert lines.noise_variance(smooth, seen) == pytest.approx(2 / 3 * smooth.sd**2)
+        expected = correlated.sd**2 * (2 + np.exp(-0.5)) / 3
+        assert lines.noise_variance(correlated, seen) == pytest.approx(expected, rel=1e-3)
+        assert lines.noise_variance(ROUGH, seen) is None
+    assert MeasurementLines(10).noise_variance(correlated, seen) is None
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.2])
+def test_the_scatter_is_that_of_the_segments(share):
+    noisy = [PointErrors(share * SPACING).draw(half_circle(), np.random.default_rng(k)) for k in range(10)]
+    found = np.mean([MeasurementLines().scatter(one) for one in noisy])
+    assert found == pytest.approx(np.degrees(np.sqrt(2) * share), rel=0.15)
+    smoothed = np.mean([MeasurementLines(smooth=5 * SPACING).scatter(one) for one in noisy])
+    assert smoothed == pytest.approx(found / 5, rel=0.05)
+
+
+def test_curves_and_corners_do_not_scatter():
+    side = np.linspace(0.0, 1.0, 25, endpoint=False)
+    corners = [(side, 0 * side), (1 + 0 * side, side), (1 - side, 1 + 0 * side), (0 * side, 1 - side)]
+    square = Interface.polyline(np.concatenate([np.stack(one, axis=1) for one in corners]), closed=True)
+    assert MeasurementLines().scatter(square) < 1e-6
+    assert MeasurementLines().scatter(half_circle()) < 1e-6
+    assert MeasurementLines(((0.0, 0.0, 0.0, 1.0),)).scatter(wavy(66, 0.0, 1)) == 0.0
+    assert MeasurementLines().scatter(line((0, 0), (1, 0.5), (2, 0))) == 0.0
+
+
+@pytest.mark.parametrize("smooth", [0.0, -1.0, math.inf, math.nan])
+def test_invalid_smooth(smooth):
+    with pytest.raises(InvalidInput, match="smooth"):
+        MeasurementLines(smooth=smooth)
+
+
+def test_given_lines_take_no_piece():
+    with pytest.raises(InvalidInput, match="given lines"):
+        MeasurementLines(((0.0, 0.0, 0.0, 1.0),), smooth=0.1)
 
 
 def test_terms_and_unit():

@@ -91,6 +91,17 @@ def test_points_in_the_order_of_the_nodes_are_sorted(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(written(tmp_path, text), sort="x").points, POINTS)
 
 
+def test_what_cannot_be_seen_is_hidden(tmp_path: Path) -> None:
+    """A shadow in the middle and a stray end: the polyline goes on behind them."""
+    path = written(tmp_path, "".join(f"{0.1 * k},{k % 3}\n" for k in range(30)))
+    found = read(path, hide=[{"x": [0.95, 1.45]}, {"x": [2.85, 9.0]}])
+    assert found.points[:, 0] == pytest.approx([0.1 * k for k in (*range(10), *range(15, 29))])
+    with pytest.raises(InvalidInput, match=r"a box of `hide` without a point.*boxes are in mm"):
+        read(path, hide=[{"x": [0.95, 1.45]}, {"x": [100.0, 200.0]}])
+    with pytest.raises(InvalidInput, match=r"outside the boxes of `hide`: got 6; expected at least 10"):
+        read(path, hide={"x": [0.55, 9.0]})
+
+
 def test_a_box_selects_before_the_displacement(tmp_path: Path) -> None:
     text = "x,y,u,v\n0,0,9,0\n1,0,9,0\n2,0,9,0\n3,0,9,0\n"
     found = read(written(tmp_path, text), columns=["x", "y"], field=["u", "v"], select={"x": [0.5, 2.5]})
@@ -255,6 +266,8 @@ def test_what_is_no_file(tmp_path: Path) -> None:
         ({"file": "a.vtu", "unit": "mm", "keep": "shortest"}, "longest"),
         ({"file": "a.vtu", "unit": "mm", "select": {"x": [1, 0]}}, "[low, high]"),
         ({"file": "a.vtu", "unit": "mm", "select": {"r": [0, 1]}}, "intervals of x, y or z"),
+        ({"file": "a.csv", "unit": "mm", "hide": [{"x": [1, 0]}]}, "[low, high]"),
+        ({"file": "a.vtu", "unit": "mm", "hide": [{"x": [0, 1]}]}, "no such option for a .vtu file"),
         ({"file": "a.vtu", "unit": "mm", "block": True}, "a number from 0"),
         ({"file": "a.vtu", "unit": "mm", "plane": "zx"}, "one of xy, xz, yz"),
         ({"file": "a.csv", "unit": "mm", "count": 1}, "at least 2"),

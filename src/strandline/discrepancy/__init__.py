@@ -1,16 +1,21 @@
 """Discrepancies d² between a simulated and an observed interface, one measure per file."""
 
 from strandline.discrepancy.closest_point import ClosestPoint
+from strandline.discrepancy.contours import Repeats, Roughness, errors_from_repeats, errors_from_roughness
 from strandline.discrepancy.currents import Currents
 from strandline.discrepancy.direction import oriented_like_runs
 from strandline.discrepancy.extents import extent, extent_ratio, unit_mistake
 from strandline.discrepancy.many import squared_discrepancies
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
+from strandline.discrepancy.normal_offset import NormalOffset, WhitenedOffset, signed_distances
 from strandline.discrepancy.protocol import (
+    AdaptsToErrors,
     ComparesMany,
     CountsDistances,
     Discrepancy,
     HasTerms,
+    KnowsPointErrors,
+    Whitens,
     independent_terms,
     unit_of,
 )
@@ -19,22 +24,32 @@ from strandline.discrepancy.tracked_points import TrackedPoints
 
 __all__ = [
     "DISCREPANCIES",
+    "AdaptsToErrors",
     "ClosestPoint",
     "ComparesMany",
     "CountsDistances",
     "Currents",
     "Discrepancy",
     "HasTerms",
+    "KnowsPointErrors",
     "LineReadings",
     "MeasurementLines",
+    "NormalOffset",
+    "Repeats",
+    "Roughness",
     "TrackedPoints",
+    "WhitenedOffset",
+    "Whitens",
     "apart",
     "count_of_distances",
+    "errors_from_repeats",
+    "errors_from_roughness",
     "extent",
     "extent_ratio",
     "independent_terms",
     "noise_units",
     "oriented_like_runs",
+    "signed_distances",
     "squared_discrepancies",
     "unit_mistake",
     "unit_of",
@@ -45,5 +60,6 @@ DISCREPANCIES = {
     "tracked_points": TrackedPoints,
     "closest_point": ClosestPoint,
     "currents": Currents,
+    "normal_offset": NormalOffset,
 }
 """Names in study files → measures; their options are the fields of the class."""

@@ -1,6 +1,6 @@
 """Distance by closest point projection, Eq. (7) of the study."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +10,7 @@ from strandline.discrepancy.protocol import require_alike
 from strandline.discrepancy.search.many_distances import sums_of_squares
 from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import InvalidInput
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors, steady_lengths
 
 __all__ = ["DIRECTIONS", "WEIGHTINGS", "ClosestPoint", "node_weights"]
 
@@ -31,23 +31,29 @@ class ClosestPoint:
       distance over the length (area); it does not depend on the number of nodes as the mesh is refined. Relative to
       the noise variance σ_N² it counts as *one* distance; to make it count as n, set σ_N²/n.
 
+    For points with sd s and correlation length ℓ (at least half their spacing h) along an outline of length L, the
+    noise variance σ_N² that fits ``to_simulated`` is s² max(1, 2ℓ/h) with ``sum`` and 2s²ℓ/L with ``length``, far less
+    than s². A study with ``noise: {sd: s, length: ℓ, unit: mm}`` takes it, and for the other directions computes one.
+
     Args:
-        direction: Which nodes are projected: ``to_observed`` projects the simulated nodes onto the observed interface
-            (as in the study), ``to_simulated`` the observed nodes onto the simulated one; ``symmetric`` averages the
-            two d².
+        direction: Which nodes are projected: ``to_observed`` projects the simulated nodes onto the observed interface,
+            ``to_simulated`` the observed nodes onto the simulated one; ``symmetric`` averages the two d². By default
+            ``to_observed``, as in the study; ``to_simulated`` if the errors of the observed points are stated. Where
+            only a part of the interface was observed, take ``to_simulated``: the others also charge the simulated nodes
+            beyond the end of that part.
         weighting: ``sum`` or ``length``.
 
     Raises:
         InvalidInput: an unknown direction or weighting.
     """
 
-    direction: str = field(default="to_observed", kw_only=True)
+    direction: str | None = field(default=None, kw_only=True)
     weighting: str = field(default="sum", kw_only=True)
     unit: ClassVar[str] = "mm²"
 
     def __post_init__(self) -> None:
         for name, value, known in (
-            ("direction", self.direction, DIRECTIONS),
+            ("direction", self._way, DIRECTIONS),
             ("weighting", self.weighting, WEIGHTINGS),
         ):
             if value not in known:
@@ -61,9 +67,9 @@ class ClosestPoint:
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d², mm²."""
         require_alike(simulated, observed)
-        if self.direction == "to_observed":
+        if self._way == "to_observed":
             return self._one_way(simulated, observed)
-        if self.direction == "to_simulated":
+        if self._way == "to_simulated":
             return self._one_way(observed, simulated)
         return 0.5 * (self._one_way(simulated, observed) + self._one_way(observed, simulated))
 
@@ -75,12 +81,32 @@ class ClosestPoint:
         Return None if the observed nodes are projected onto surfaces, or onto only a few polylines.
         """
         require_alike(template, observed)
-        if self.direction == "to_observed":
+        if self._way == "to_observed":
             return self._to_observed(points, template, observed)
-        if self.direction == "to_simulated":
+        if self._way == "to_simulated":
             return self._to_simulated(points, template, observed)
         there, back = (way(points, template, observed) for way in (self._to_observed, self._to_simulated))
         return None if there is None or back is None else 0.5 * (there + back)
+
+    def adapted(self, errors: PointErrors | None) -> "ClosestPoint":
+        """Return the measure with a direction: if none is set, that from points whose errors are stated."""
+        return self if self.direction is not None else replace(self, direction="to_simulated" if errors else self._way)
+
+    def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
+        """Return σ_N², mm², for the distances of observed points: s² max(1, 2ℓ/h), or 2s²ℓ/L of a mean over the length.
+
+        h is the spacing of the points, L the length of the outline; ℓ is at least h/2. None for simulated nodes, whose
+        spacing the observation does not know, and for surfaces.
+        """
+        if self._way != "to_simulated" or observed.dim == 3:
+            return None
+        if self.weighting == "sum":
+            return float(errors.local_variances(observed).mean())
+        return 2 * errors.sd**2 * errors.effective_length(observed) / float(steady_lengths(observed).sum())
+
+    @property
+    def _way(self) -> str:
+        return "to_observed" if self.direction is None else self.direction
 
     def _to_observed(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
@@ -115,14 +141,14 @@ class ClosestPoint:
 
         None for the other directions, whose number of distances depends on the simulation, and for a mean.
         """
-        return len(observed.points) if (self.direction, self.weighting) == ("to_simulated", "sum") else None
+        return len(observed.points) if (self._way, self.weighting) == ("to_simulated", "sum") else None
 
     def distances(self, simulated: Interface, observed: Interface) -> float:
         """Return how many distances d² sums: one for a mean, half of all nodes if both directions are averaged."""
         if self.weighting == "length":
             return 1.0
         nodes = {"to_observed": len(simulated.points), "to_simulated": len(observed.points)}
-        return float(nodes.get(self.direction, 0.5 * sum(nodes.values())))
+        return float(nodes.get(self._way, 0.5 * sum(nodes.values())))
 
     def _one_way(self, source: Interface, target: Interface) -> float:
         squares = squared_distances(source.points, target)

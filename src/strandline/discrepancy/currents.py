@@ -1,5 +1,6 @@
 """RKHS norm of the difference of two interfaces as currents, Eqs. (10)-(11) of the study."""
 
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import ClassVar
@@ -13,7 +14,7 @@ from strandline.discrepancy.products.many_currents import Rule, currents_of_many
 from strandline.discrepancy.products.surface_integrals import refined_surface_product
 from strandline.discrepancy.protocol import require_alike
 from strandline.errors import InvalidInput, InvalidInterface
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors
 
 __all__ = ["QUADRATURES", "Currents"]
 
@@ -40,6 +41,10 @@ class Currents:
             ``centre`` takes one point per segment or triangle, as the study does: cheap, but wrong if these are longer
             than the width, since d² then depends on where the nodes lie along the interface.
         tolerance: Largest error of d² with ``refined``, relative to ⟨T,T⟩.
+
+    For observed points with sd s and correlation length ℓ (at least half their spacing), the noise variance σ_N² is
+    2√(2π) s²ℓ/σ_W on polylines, if σ_W is not below their spacing: far below the norm of the noise itself, which is
+    mostly of high frequency. A study with ``noise: {sd: s, length: ℓ, unit: mm}`` takes it.
 
     ⟨T,T⟩ is kept for the most recently used observed interfaces.
 
@@ -94,6 +99,16 @@ class Currents:
         rule = Rule((self.tolerance if refined else _FINEST) * bound.square, bound.share if refined else None)
         polylines = points, template.cells, observed.points, observed.cells
         return currents_of_many(*polylines, width=self.width, square=bound.square, rule=rule)
+
+    def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
+        """Return σ_N² = 2√(2π) s²ℓ/σ_W, mm², with ℓ at least half the spacing h of the observed points.
+
+        A small normal error e gives d² = ∬ e(t) e(t') q(t - t') with ∫q = √(2π)/σ_W, and errors of low frequency have
+        the spectral density 2s²ℓ. None for a width below h, where segments are seen one by one, and for surfaces.
+        """
+        if observed.dim == 3 or self.width < float(np.median(observed.lengths)):
+            return None
+        return 2 * math.sqrt(2 * math.pi) * errors.sd**2 * errors.effective_length(observed) / self.width
 
     def terms(self, observed: Interface) -> None:
         """Return None: the norm is not a sum of independent distances."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_polylines
 from strandline.discrepancy.search.blocks import motion, similar
 from strandline.errors import InvalidInput
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
 __all__ = ["LineReadings", "MeasurementLines"]
 
@@ -21,6 +21,18 @@ REACH = 0.25
 """Default reach of a measurement line, as a share of the length of the observed interface."""
 
 _BLOCK = 256  # interfaces that `many` processes together
+_STEADY = 0.2
+"""Noise, in lengths of the piece of outline whose direction a line takes, up to which the line is steady."""
+_ROUGH = 0.3
+"""Difference between the errors of neighbouring points, in their spacing, up to which segments keep their length."""
+_PIECE = 20.0
+"""Length of the piece of outline whose direction a line takes, in sds of the points, where these are stated."""
+_FEWEST_BENDS = 8
+"""Number of bends between neighbouring segments from which they show the noise of the points."""
+_TRIMMED = 0.05
+"""Share of the interface at each end that gets no line where the errors of the points are stated."""
+MOST_TRIMMED = 0.4
+"""Largest such share."""
 MOST_LINES = 100_000
 """Largest number of lines in a measure; each costs memory and time in every comparison."""
 Bases = Float[np.ndarray, "line 4"]
@@ -48,20 +60,31 @@ class MeasurementLines:
         lines: Number of lines, or the lines themselves as rows (x, y, dx, dy) in mm: a point and a direction of any
             length; a line extends to both sides. A number n places them on the observed interface at the fractions
             (i + ½)/n, i = 0 … n-1, of its arc length, so each line represents an equal share of it and none lies at an
-            end; the direction is the normal of the segment there.
+            end; the direction is the normal of the segment there, or with `smooth` that of a longer piece.
         reach: Largest distance along a line that is considered, mm; by default a quarter of the observed length.
+        smooth: Length of the piece of the observed interface around a line's point whose chord sets the direction, mm,
+            at most 0.4 of the whole; by default that of the single segment. With points of sd s the directions are off
+            by √2 s over this length. Only for a number of lines.
+        trim: Share of an open observed interface at each end that gets no line, from 0 to 0.4; by default 0, or 0.05 if
+            the errors of the points are stated: a line near an end may miss an interface that is shifted by a little.
+            Only for a number of lines.
+
+    For observed points with sd s and correlation length ℓ, and lines Δ mm apart, the noise variance σ_N² is about
+    s² max(1, 2ℓ/Δ); a study with ``noise: {sd: s, length: ℓ, unit: mm}`` takes it, and pieces of 20 s for ``smooth``.
 
     A line that does not meet the simulated interface within its reach contributes reach²: the measure is bounded
     by n · reach² and stays continuous when a crossing moves out of reach. If there are several crossings, the one
     nearest the observed point counts. A given line starts at its crossing with the observed interface nearest (x, y).
 
     Raises:
-        InvalidInput: fewer than one line, a line without direction, a reach that is not above 0; on evaluation, a
-            given line that misses the observed interface.
+        InvalidInput: fewer than one line, a line without direction, a reach or piece that is not above 0, a piece for
+            given lines; on evaluation, a given line that misses the observed interface.
     """
 
     lines: int | Sequence[Sequence[float | int]] | Float[np.ndarray, "line 4"] = 10
     reach: float | None = field(default=None, kw_only=True)
+    smooth: float | None = field(default=None, kw_only=True)
+    trim: float | None = field(default=None, kw_only=True)
     unit: ClassVar[str] = "mm²"
 
     def __post_init__(self) -> None:
@@ -75,6 +98,15 @@ class MeasurementLines:
                 value=self.reach,
                 expected="a length in mm above 0",
                 remedy="Correct the reach, or leave it out for a quarter of the observed length.",
+            )
+        if self.smooth is not None:
+            self._require_smooth(self.smooth)
+        if self.trim is not None and not (isinstance(self.lines, int) and 0 <= self.trim <= MOST_TRIMMED):
+            raise InvalidInput(
+                "trim of the measurement lines",
+                value=self.trim if isinstance(self.lines, int) else f"{self.trim} with given lines",
+                expected=f"a share from 0 to {MOST_TRIMMED:g}, for a number of lines",
+                remedy="Correct the share; leave it out for given lines.",
             )
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
@@ -110,16 +142,72 @@ class MeasurementLines:
         require_polylines(observed)
         return _placed(self, Snapshot.of(observed)).copy()
 
+    def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
+        """Return σ_N² = s² max((2 + ρ)/3, 2ℓ/Δ), mm², for lines Δ mm apart.
+
+        ρ = exp(-h/ℓ) is the correlation of points h apart: a line crosses the outline somewhere between two of them,
+        where the error has (2 + ρ)/3 of their variance in the mean. None if the noise lengthens the segments, so that
+        most lines meet those with large errors, or turns the lines by more than some degrees. Given lines do not turn.
+        """
+        if isinstance(self.lines, int) and errors.sd > _STEADY * self._piece(observed):
+            return None
+        lengths = steady_lengths(observed)
+        spacing, apart = (
+            float(lengths.mean()),
+            (1 - 2 * (self.trim or 0.0)) * float(lengths.sum()) / self.terms(observed),
+        )
+        alike = math.exp(-spacing / errors.length) if errors.length > 0 else 0.0
+        if errors.sd * math.sqrt(2 * (1 - alike)) > _ROUGH * spacing:
+            return None
+        between = (2 + alike) / 3
+        return errors.sd**2 * max(between, 2 * errors.length / apart)
+
+    def adapted(self, errors: PointErrors | None) -> "MeasurementLines":
+        """Return lines that points with these errors turn by 4° at most, away from the ends."""
+        if errors is None or not isinstance(self.lines, int):
+            return self
+        smooth = _PIECE * errors.sd if self.smooth is None else self.smooth
+        return replace(self, smooth=smooth, trim=_TRIMMED if self.trim is None else self.trim)
+
+    def scatter(self, observed: Interface) -> float:
+        """Return the standard deviation of the lines' directions that noise of the observed points causes, degrees.
+
+        Second differences of the directions of neighbouring segments show it: independent errors of the points make
+        them √10 times as large as those of a direction. Their median is taken, so that a few corners do not count.
+        0 for given lines.
+        """
+        require_polylines(observed)
+        steps = observed.ends - observed.starts
+        bends = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])), 2)
+        if not isinstance(self.lines, int) or len(bends) < _FEWEST_BENDS:
+            return 0.0
+        of_segment = 1.4826 * float(np.median(np.abs(bends))) / math.sqrt(10)
+        return math.degrees(of_segment) * float(np.median(observed.lengths)) / self._piece(observed)
+
     def terms(self, observed: Interface) -> int:
         """Return the number of independent distances: one per line."""
         return self.lines if isinstance(self.lines, int) else len(self.lines)
+
+    def _piece(self, observed: Interface) -> float:
+        """Return the length of the piece whose direction a line takes, mm: at least that of a segment."""
+        return max(self.smooth or 0.0, float(np.median(observed.lengths)))
+
+    def _require_smooth(self, smooth: float) -> None:
+        if not isinstance(self.lines, int) or not (math.isfinite(smooth) and smooth > 0):
+            raise InvalidInput(
+                "smooth of the measurement lines",
+                value=smooth if isinstance(self.lines, int) else f"{smooth} with given lines",
+                expected="a length in mm above 0, for a number of lines",
+                remedy="Correct the length; leave it out for given lines, which have their own directions.",
+            )
 
 
 @lru_cache(maxsize=64)
 def _placed(measure: MeasurementLines, snapshot: Snapshot) -> Bases:
     observed = snapshot.interface
     if isinstance(measure.lines, int):
-        return _equally_spaced(observed, measure.lines)
+        trim = 0.0 if observed.closed else measure.trim or 0.0
+        return _equally_spaced(observed, measure.lines, measure.smooth, trim)
     lines = np.array(measure.lines, float)
     lines[:, 2:] /= np.hypot(lines[:, 2], lines[:, 3])[:, None]
     offsets = _nearest_crossings(observed.points, observed.cells, lines)
@@ -135,12 +223,14 @@ def _placed(measure: MeasurementLines, snapshot: Snapshot) -> Bases:
     return lines
 
 
-def _equally_spaced(observed: Interface, number: int) -> Bases:
+def _equally_spaced(observed: Interface, number: int, smooth: float | None, trim: float) -> Bases:
     ends = np.cumsum(observed.lengths)
-    wanted = (np.arange(number) + 0.5) / number * ends[-1]
+    wanted = (trim + (1 - 2 * trim) * (np.arange(number) + 0.5) / number) * ends[-1]
     segment = np.minimum(np.searchsorted(ends, wanted), len(ends) - 1)
     back = (ends[segment] - wanted) / observed.lengths[segment]
     points = observed.ends[segment] + back[:, None] * (observed.starts - observed.ends)[segment]
+    if smooth is not None:
+        return np.hstack([points, normals_at(observed, wanted, 0.5 * smooth)])
     return np.hstack([points, (observed.normals / observed.lengths[:, None])[segment]])
 
 

@@ -6,13 +6,16 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInterface
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors
 
 __all__ = [
+    "AdaptsToErrors",
     "ComparesMany",
     "CountsDistances",
     "Discrepancy",
     "HasTerms",
+    "KnowsPointErrors",
+    "Whitens",
     "independent_terms",
     "require_alike",
     "require_polylines",
@@ -60,6 +63,33 @@ class ComparesMany(Protocol):
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
         """Return d² of the interfaces with these points and the cells of `template`; None to be called one by one."""
+        ...
+
+
+@runtime_checkable
+class KnowsPointErrors(Protocol):
+    """A measure that knows its noise variance σ_N² for stated errors of the observed points."""
+
+    def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
+        """Return σ_N² for the local errors, in the unit of d²; None where no closed form holds."""
+        ...
+
+
+@runtime_checkable
+class AdaptsToErrors(Protocol):
+    """A measure with options whose best value follows from the errors of the observed points."""
+
+    def adapted(self, errors: PointErrors | None) -> Discrepancy:
+        """Return the measure with these options set, but for those that the user set; None if nothing is stated."""
+        ...
+
+
+@runtime_checkable
+class Whitens(Protocol):
+    """A measure that can weigh its residuals by the errors of the observed points, so that σ_N² = 1."""
+
+    def whitened(self, errors: PointErrors) -> Discrepancy:
+        """Return the measure d² = rᵀ C⁻¹ r, C the covariance of the residuals r."""
         ...
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInterface
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors
 
 __all__ = ["TrackedPoints"]
 
@@ -15,6 +15,10 @@ __all__ = ["TrackedPoints"]
 @dataclass(frozen=True)
 class TrackedPoints:
     """d² = Σ over the nodes of |simulated node - observed node of the same number|², mm²; Eq. (6) for tracked points.
+
+    For coordinates with independent errors of sd s, the noise variance σ_N² is s²; for errors that are correlated over
+    a length ℓ along the interface and points h apart, s² max(1, 2ℓ/h). A study with
+    ``noise: {sd: s, length: ℓ, unit: mm}`` takes this.
 
     Raises:
         InvalidInterface: on evaluation, interfaces with different numbers of nodes or coordinates.
@@ -36,6 +40,10 @@ class TrackedPoints:
     def terms(self, observed: Interface) -> int:
         """Return the number of independent residuals: one per coordinate of every node."""
         return int(observed.points.size)
+
+    def noise_variance(self, errors: PointErrors, observed: Interface) -> float:
+        """Return σ_N² = s² max(1, 2ℓ/h), mm²: a point errs along its normal and across as much."""
+        return float(errors.local_variances(observed).mean())
 
     def many(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface

@@ -3,6 +3,6 @@
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import Unreadable
-from strandline.readers.read import READERS, Reader, read_interface
+from strandline.readers.read import READERS, Reader, read_interface, read_point_sds
 
-__all__ = ["READERS", "Block", "Contents", "Reader", "Reading", "Unreadable", "read_interface"]
+__all__ = ["READERS", "Block", "Contents", "Reader", "Reading", "Unreadable", "read_interface", "read_point_sds"]

@@ -19,7 +19,7 @@ TABLES = (".csv", ".tsv", ".txt", ".dat", ".npy")
 SERIES = (".pvd", ".xdmf", ".xmf")
 """Suffixes of files that hold several times."""
 COMMON = {"file", "unit", "field", "select", "count", "reader"}
-OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "sort"}
+OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "hide", "sd", "sort"}
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -35,6 +35,7 @@ class Reading:
         delimiter: Delimiter of a text table; by default commas, semicolons and blanks.
         decimal: Decimal mark of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or
             blanks.
+        sd: Column of a table, by name or number from 1, that holds the standard deviation of each point, in `unit`.
         sort: Coordinate, ``x`` or ``y``, that sorts the points of a table if they are not in order along the interface.
         field: Displacement to add: the name of point data of a mesh, or two columns of a table.
         time: Time of a series: ``last``, ``{index: 3}`` or ``{value: 0.5}``.
@@ -42,6 +43,8 @@ class Reading:
         cells: Cell data, ``{name: value}``, of the cells that are read.
         points: Point data, ``{name: value}``, of all points of the cells that are read.
         select: Box, ``{x: [low, high], y: …}``, that limits what is read.
+        hide: Boxes ``{x: [low, high], y: …}``; points of a table inside one of them are left out, as parts of the
+            interface that cannot be seen.
         near: Place; of several pieces, the one nearest to it is read.
         keep: ``longest``: of several pieces, the longest is read.
         start: Place; an open polyline begins at its end nearest to it, a closed one at its nearest node.
@@ -58,6 +61,7 @@ class Reading:
     columns: tuple[str | int, ...] | None = None
     delimiter: str | None = None
     decimal: str | None = None
+    sd: str | int | None = None
     sort: str | None = None
     field: str | tuple[str | int, ...] | None = None
     time: str | Mapping[str, Any] | None = None
@@ -65,6 +69,7 @@ class Reading:
     cells: Mapping[str, Any] | None = None
     points: Mapping[str, Any] | None = None
     select: Mapping[str, tuple[float, float]] | None = None
+    hide: tuple[Mapping[str, tuple[float, float]], ...] | None = None
     near: tuple[float, ...] | None = None
     keep: str | None = None
     start: tuple[float, ...] | None = None
@@ -149,6 +154,8 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
     for name, words in (("sort", ("x", "y")), ("keep", ("longest",)), ("decimal", (".", ","))):
         if name in values and values[name] not in words:
             raise _unfit(f"{place}.{name}", values[name], " or ".join(words))
+    if "sd" in values and not _is_column(values["sd"]):
+        raise _unfit(f"{place}.sd", values["sd"], "a column, by name or by number from 1")
     if "delimiter" in values and len(values["delimiter"]) != 1:
         raise _unfit(f"{place}.delimiter", values["delimiter"], "one character")
     _check_columns(values, "columns", place)
@@ -167,6 +174,9 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
         raise _unfit(f"{place}.count", values["count"], "a number of points, at least 2")
     if "select" in values:
         values["select"] = _box(values["select"], f"{place}.select")
+    if "hide" in values:
+        boxes = values["hide"] if isinstance(values["hide"], tuple) else (values["hide"],)
+        values["hide"] = tuple(_box(box, f"{place}.hide") for box in boxes)
     if "time" in values:
         _check_time(values["time"], f"{place}.time")
     return Reading(**values)
@@ -175,8 +185,12 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
 def _check_columns(values: Mapping[str, Any], name: str, place: str) -> None:
     found = values.get(name, (1, 2))
     fits = isinstance(found, tuple) and len(found) == 2 and found[0] != found[1]
-    if not fits or not all(isinstance(c, str) or (type(c) is int and c >= 1) for c in found):
+    if not fits or not all(map(_is_column, found)):
         raise _unfit(f"{place}.{name}", found, "two columns, by name or by number from 1, e.g. [x, y] or [1, 2]")
+
+
+def _is_column(found: object) -> bool:
+    return isinstance(found, str) or (type(found) is int and found >= 1)
 
 
 def _check_time(found: object, place: str) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
@@ -13,11 +14,11 @@ from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
 from strandline.readers.pictures import require_no_picture
 from strandline.readers.problems import Unreadable, refused
-from strandline.readers.shape import interface_of
+from strandline.readers.shape import interface_of, point_sds
 from strandline.readers.tables import missing, require_end
 from strandline.registry import imported
 
-__all__ = ["READERS", "Reader", "read_interface"]
+__all__ = ["READERS", "Reader", "read_interface", "read_point_sds"]
 
 _TABLE = "strandline.readers.tables:read_text"
 _MESH = "strandline.readers.by_meshio:read_by_meshio"
@@ -77,6 +78,21 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
             remedy=error.remedy,
             kind="invalid_interface",
         ) from None
+
+
+def read_point_sds(path: Path, how: Reading, *, name: str = "") -> Float[np.ndarray, " point"]:
+    """Return the standard deviations of the points of the interface in a table, in mm.
+
+    Args:
+        path: Path of the file.
+        how: How to read the file; its `sd` names the column.
+        name: Name of the file in messages.
+
+    Raises:
+        Unreadable: The file is damaged, or a standard deviation is not above 0.
+    """
+    name = name or path.name
+    return point_sds(_contents(path, how, name), how, name)
 
 
 def _contents(path: Path, how: Reading, name: str) -> Contents:

@@ -12,11 +12,14 @@ from strandline.readers.chains import Chain, chains, chosen_chain
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import refused
+from strandline.readers.tables import SD
 
-__all__ = ["interface_of"]
+__all__ = ["interface_of", "point_sds"]
 
 FLATNESS = 1e-9
 """Share of the extent by which points may leave a plane."""
+LEAST_SEEN = 10
+"""Fewest points that may be left if some are hidden."""
 SURFACES = (".stl", ".ply")
 """Suffixes of files that hold surfaces, even plane ones."""
 
@@ -54,9 +57,42 @@ def _places(
     return places * how.factor, (places + moved) * how.factor
 
 
+def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, " point"]:
+    """Return the standard deviations of the points of the interface that `interface_of` returns, in mm.
+
+    Raises:
+        Unreadable: One is not above 0.
+    """
+    places, moved = _places(contents, how, name)
+    order = _order(places, how, name)
+    if len(order) > 3 and (moved[order[0]] == moved[order[-1]]).all():
+        order = order[:-1]
+    sds = how.factor * np.asarray(contents.data[SD], float)[order]
+    if not (np.isfinite(sds) & (sds > 0)).all():
+        worst = int(np.argmin(np.where(np.isfinite(sds), sds, -np.inf)))
+        raise refused(
+            f"{name}: standard deviation of point {int(order[worst]) + 1}",
+            float(sds[worst] / how.factor),
+            "a number above 0",
+            "Correct it, or hide the point.",
+        )
+    return np.asarray(sds)
+
+
 def _of_table(
     places: Float[np.ndarray, "point xyz"], moved: Float[np.ndarray, "point xyz"], how: Reading, name: str
 ) -> Interface:
+    order = _order(places, how, name)
+    _require_finite(moved[order], name)
+    chain = moved[order]
+    closed = len(chain) > 3 and bool((chain[0] == chain[-1]).all())
+    polyline = Interface.polyline(chain[:-1] if closed else chain, closed=closed)
+    polyline.require_simple()
+    return polyline
+
+
+def _order(places: Float[np.ndarray, "point xyz"], how: Reading, name: str) -> Int[np.ndarray, " chosen"]:
+    """Return the numbers of the chosen points of a table, along the interface."""
     if places.shape[1] != 2:
         raise refused(f"{name} holds points and no cells", f"{len(places)} points", "lines or faces between them")
     order = np.arange(len(places))
@@ -72,12 +108,17 @@ def _of_table(
             "one piece",
             "Choose a box that the interface enters once.",
         )
-    _require_finite(moved[order], name)
-    chain = moved[order]
-    closed = len(chain) > 3 and bool((chain[0] == chain[-1]).all())
-    polyline = Interface.polyline(chain[:-1] if closed else chain, closed=closed)
-    polyline.require_simple()
-    return polyline
+    if how.hide:
+        hidden = np.array([_inside(places[order], box) for box in how.hide])
+        if not hidden.any(axis=1).all():
+            empty = dict(how.hide[int(np.argmin(hidden.any(axis=1)))])
+            remedy = "Correct the box; boxes are in mm."
+            raise refused(f"{name}: a box of `hide` without a point", empty, "a part of the interface", remedy)
+        order = order[~hidden.any(axis=0)]
+        if len(order) < LEAST_SEEN:
+            remedy = "Make the boxes smaller."
+            raise refused(f"{name}: points outside the boxes of `hide`", len(order), f"at least {LEAST_SEEN}", remedy)
+    return order
 
 
 def _of_cells(

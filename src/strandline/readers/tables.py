@@ -10,8 +10,10 @@ from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
 from strandline.readers.problems import Unreadable, refused
 
-__all__ = ["missing", "read_npy", "read_text", "require_end"]
+__all__ = ["SD", "missing", "read_npy", "read_text", "require_end"]
 
+SD = "sd of each point"
+"""Name of the point data that hold standard deviations, in the file's unit."""
 Row = tuple[int, list[str]]
 """Number of a line and its fields."""
 
@@ -42,13 +44,14 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
             "x before y, or `columns`",
             f"Give `columns: [{titles[1]}, {titles[0]}]`.",
         )
-    if how.columns is None and how.field is None:
+    if how.columns is None and how.field is None and how.sd is None:
         return Contents(np.array([_point(name, number, fields, titles) for number, fields in rows]))
-    by_name = any(isinstance(column, str) for column in (*(how.columns or ()), *(how.field or ())))
+    by_name = any(isinstance(column, str) for column in (*(how.columns or ()), *(how.field or ()), how.sd))
     _require_one_width(name, rows, titles if by_name or titles is names else ())
     points = _columns(name, rows, titles, how.columns or (1, 2))
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
-    return Contents(points, displacement=moved)
+    data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}
+    return Contents(points, data=data, displacement=moved)
 
 
 def read_npy(path: Path, how: Reading, name: str) -> Contents:
@@ -60,17 +63,18 @@ def read_npy(path: Path, how: Reading, name: str) -> Contents:
     if not (isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "fiu" and len(array)):
         found = f"{array.dtype} of the shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise refused(f"{name} holds no points", found, "an array of numbers (point, 2)")
-    if how.columns is None and array.shape[1] != 2 and how.field is None:
+    if how.columns is None and array.shape[1] != 2 and how.field is None and how.sd is None:
         remedy = _say_columns([], array.shape[1])
         raise refused(f"{name} holds no points", f"the shape {array.shape}", "two columns x, y", remedy)
     points = _of_array(name, array.astype(float), how.columns or (1, 2))
     moved = None if how.field is None else _of_array(name, array.astype(float), tuple(how.field))
-    return Contents(points, displacement=moved)
+    data = {} if how.sd is None else {SD: _of_array(name, array.astype(float), (how.sd,))[:, 0]}
+    return Contents(points, data=data, displacement=moved)
 
 
 def _of_array(
     name: str, array: Float[np.ndarray, "point column"], columns: Sequence[str | int]
-) -> Float[np.ndarray, "point 2"]:
+) -> Float[np.ndarray, "point chosen"]:
     for column in columns:
         if isinstance(column, str) or column > array.shape[1]:
             found, remedy = f"{array.shape[1]} columns", _say_columns([], array.shape[1])
@@ -80,8 +84,8 @@ def _of_array(
 
 def _columns(
     name: str, rows: Sequence[Row], titles: Sequence[str], columns: Sequence[str | int]
-) -> Float[np.ndarray, "point 2"]:
-    """Return two columns of a table."""
+) -> Float[np.ndarray, "point column"]:
+    """Return columns of a table."""
     chosen = [_place(name, column, titles, rows[0][1]) for column in columns]
     for number, fields in rows:
         if len(fields) <= max(chosen) or not all(_is_number(fields[k]) for k in chosen):

@@ -18,7 +18,7 @@ from strandline.discrepancy.search.blocks import motion, similar
 from strandline.numerics.compiled import WIDEST, ample
 from strandline.numerics.threads import double, side_by_side
 
-__all__ = ["FEWEST", "sums_of_squares"]
+__all__ = ["ABREAST", "FEWEST", "Frames", "frames", "sums_of_squares", "tasks"]
 
 FEWEST = 16
 """Number of runs from which compiling pays off."""
@@ -31,6 +31,8 @@ ABREAST = 2
 _SLACK = 1e-9
 """How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
 
+Frames = tuple[Any, ...]
+"""Frames of segments, see `frames`."""
 Points = Float[np.ndarray, "#run point 2"]
 Corners = Float[np.ndarray, "#run corner 2"]
 Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the run axis if all runs share it
@@ -64,13 +66,13 @@ def sums_of_squares(
         return _of_block(pairs, *some, cells)[: len(rows)]
 
     (order,) = similar(moving, runs)
-    tasks = [*_tasks(points, corners, cells, order)]
-    for (_, rows), sums in zip(tasks, side_by_side(block, tasks), strict=True):
+    todo = [*tasks(points, corners, cells, order)]
+    for (_, rows), sums in zip(todo, side_by_side(block, todo), strict=True):
         out[rows] = sums
     return out
 
 
-def _tasks(
+def tasks(
     points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"], rows: Int[np.ndarray, " some"]
 ) -> Iterator[tuple["_Pairs", Int[np.ndarray, " some"]]]:
     """Yield blocks of runs with their pairs; runs that share few enough pairs share the search for them."""
@@ -78,7 +80,7 @@ def _tasks(
     near = _near(some[0], some[1], cells)
     if len(rows) > BLOCK and len(rows) * near.sum() > ENOUGH * near.size:
         for half in np.array_split(rows, 2):
-            yield from _tasks(points, corners, cells, half)
+            yield from tasks(points, corners, cells, half)
         return
     pairs = _Pairs.of(near)
     for part in np.array_split(rows, 2 * -(-len(rows) // (2 * BLOCK))):  # the same number for each of two threads
@@ -159,7 +161,7 @@ def _near(points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"]) ->
     return np.asarray(~beyond)
 
 
-def _frames(x: Any, y: Any, cells: Any) -> tuple[Any, ...]:
+def frames(x: Any, y: Any, cells: Any) -> Frames:
     """Return the unit tangent u of each segment, its middle m as m·u and m×u, and half its length."""
     import jax.numpy as jnp
 
@@ -190,7 +192,7 @@ def _bounds() -> Any:
 
     @partial(jax.jit, compiler_options=WIDEST)
     def bounds(x: Any, y: Any, across: Any, up: Any, cells: Any, bent: Any) -> Any:
-        distance = jnp.sqrt(_square(x[:, None], y[:, None], _frames(across, up, cells)))
+        distance = jnp.sqrt(_square(x[:, None], y[:, None], frames(across, up, cells)))
         return distance - bent, (distance + bent).min(axis=1)
 
     return bounds
@@ -222,14 +224,14 @@ def _sums() -> Any:
         runs: int,
     ) -> Any:
         """Return the weighted sum of the squared distances of each run, shape (run,), mm²."""
-        frames = _frames(across, up, cells)
+        polyline = frames(across, up, cells)
 
         def row(i: Any, state: Any) -> Any:
             """Compare a point with one row of segments; add its least squared distance after its last row."""
             best, total = state
             p = owners[i]
             for k in range(ABREAST):
-                best = jnp.minimum(best, _square(x[p], y[p], [frame[segments[i, k]] for frame in frames]))
+                best = jnp.minimum(best, _square(x[p], y[p], [frame[segments[i, k]] for frame in polyline]))
             total = total + jnp.where(last[i], weights[p] * best, 0.0)
             return jnp.where(last[i], jnp.inf, best), total
 

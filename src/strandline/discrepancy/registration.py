@@ -1,0 +1,44 @@
+"""Sums of residuals for which shift, rotation, scale and offset of the observation are estimated first.
+
+Residuals r are linear in these global errors g only as long as a shift t is small: t²/(2R) is the error for radius of
+curvature R. So g is estimated for each simulated interface, the interface follows the observation by g, and the
+residuals r' of the moved one take the place of r. With r' = e + B (g_true - g), q = r' + B g = e + B g_true is what
+the residuals would be if they were linear.
+"""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+__all__ = ["Sums", "linear_sums"]
+
+P = TypeVar("P")
+Sums = tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run error"]]
+"""rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run."""
+
+
+def linear_sums(
+    points: P,
+    sums: Callable[[P], Sums],
+    estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]],
+    followed: Callable[[P, Float[np.ndarray, "run error"]], P],
+    gram: Float[np.ndarray, "error error"],
+) -> Sums:
+    """Return qᵀ D⁻¹ q and Bᵀ D⁻¹ q of each run.
+
+    Args:
+        points: Points of the simulated interfaces, of one condition or of several.
+        sums: Function that returns rᵀ D⁻¹ r and Bᵀ D⁻¹ r for such points.
+        estimate: Function that returns the most probable g from Bᵀ D⁻¹ r.
+        followed: Function that returns the points after the observation's g.
+        gram: Bᵀ D⁻¹ B.
+    """
+    squares, products = sums(points)
+    if not gram.any():
+        return squares, products
+    g = estimate(products)
+    squares, products = sums(followed(points, g))
+    more = g @ gram
+    return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more

@@ -1,0 +1,166 @@
+"""Errors of points from repeated contours: those that the contours were drawn with, and bugs that must show."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from strandline.discrepancy import Repeats, errors_from_repeats
+from strandline.discrepancy.contours.correlation import Correlated
+from strandline.errors import InvalidInput, InvalidInterface
+from strandline.interface import Interface, PointErrors
+
+MODULE = "strandline.discrepancy.contours.repeats"
+LOCAL = PointErrors(0.0015, 0.01)
+GLOBAL = PointErrors(0.0015, 0.01, shift=0.015, rotation=1.0, scale=0.005, offset=0.004)
+
+
+def ellipse(number: int = 600) -> Interface:
+    """Return a closed outline of equal segments, 2.6 mm long."""
+    angle = np.linspace(0.0, 2 * np.pi, 4000, endpoint=False)
+    fine = np.stack([0.5 * np.cos(angle), 0.3 * np.sin(angle)], axis=1)
+    return Interface.polyline(fine, closed=True).resampled(number)
+
+
+def hill(number: int = 450) -> Interface:
+    """Return an open outline of equal segments, 1.5 mm long."""
+    x = np.linspace(0.0, 1.2, 3000)
+    return Interface.polyline(np.stack([x, 0.4 * np.sin(np.pi * x / 1.2) ** 2], axis=1)).resampled(number)
+
+
+def drawn(errors: PointErrors, number: int, *, seed: int = 1, outline: Callable[[], Interface] = ellipse) -> Repeats:
+    truth, random = outline(), np.random.default_rng(seed)
+    return errors_from_repeats([errors.draw(truth, random) for _ in range(number)])
+
+
+@pytest.mark.parametrize("outline", [ellipse, hill])
+@pytest.mark.parametrize("errors", [LOCAL, GLOBAL], ids=["local", "global"])
+def test_sd_and_length_are_those_drawn(errors: PointErrors, outline: Callable[[], Interface]) -> None:
+    found = drawn(errors, 16, outline=outline).errors
+    assert found.sd == pytest.approx(errors.sd, rel=0.1)
+    assert found.length == pytest.approx(errors.length, rel=0.3)
+
+
+def test_independent_points_have_half_the_spacing() -> None:
+    found = drawn(PointErrors(0.001), 10)
+    assert found.errors.sd == pytest.approx(0.001, rel=0.05)
+    assert 0.5 * found.spacing <= found.errors.length < 0.9 * found.spacing
+
+
+def of_three() -> float:
+    """Return the mean sd from three contours each, relative to the true one."""
+    return float(np.mean([drawn(LOCAL, 3, seed=seed).errors.sd for seed in range(8)])) / LOCAL.sd
+
+
+def test_few_contours_do_not_lower_the_sd() -> None:
+    assert of_three() == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_mean_taken_for_the_truth_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: n/(n-1) forgotten."""
+    monkeypatch.setattr(f"{MODULE}._of_one", lambda contours: 1.0)
+    assert of_three() < 0.9
+
+
+def summed(covariance: np.ndarray, removed: np.ndarray) -> Correlated:
+    """Add up all lags, beyond the first zero of the autocovariance."""
+    return Correlated(float(covariance[0]), float(covariance[0] + 2 * covariance[1:].sum()), False)
+
+
+def test_an_integral_beyond_the_first_zero_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: what follows the first zero is noise, and what was removed with the common errors."""
+    monkeypatch.setattr(f"{MODULE}.restored", summed)
+    found = np.array([length_or_none(seed) for seed in range(4)])
+    assert np.max(np.abs(found / LOCAL.length - 1)) > 0.3
+
+
+def length_or_none(seed: int) -> float:
+    """Return the correlation length found; 0 if it is refused, being below 0."""
+    try:
+        return drawn(LOCAL, 10, seed=seed).errors.length
+    except InvalidInput:
+        return 0.0
+
+
+@pytest.mark.parametrize(("reach", "angle"), [(0.03, 0.0), (0.0, 3.0)], ids=["shifts", "rotations"])
+def test_the_motion_of_each_contour_is_found(reach: float, angle: float) -> None:
+    random, truth = np.random.default_rng(3), ellipse()
+    angles, shifts = angle * np.array([-1.0, 0.0, 0.4, 1.2]), reach * random.standard_normal((4, 2))
+    contours = []
+    for turned, shift in zip(np.radians(angles), shifts, strict=True):
+        turn = np.array([[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]])
+        contours.append(Interface(LOCAL.draw(truth, random).points @ turn + shift, truth.cells))
+    found = errors_from_repeats(contours)
+    np.testing.assert_allclose(found.parts[:, :2], shifts - shifts.mean(axis=0), atol=0.0015)
+    np.testing.assert_allclose(found.parts[:, 2], angles - angles.mean(), atol=0.3)
+    assert found.errors.sd == pytest.approx(LOCAL.sd, rel=0.12)
+
+
+def test_common_errors_are_those_drawn() -> None:
+    found = drawn(PointErrors(0.0015, 0.01, shift=0.03, rotation=2.0), 20).errors
+    assert found.shift == pytest.approx(0.03, rel=0.4)
+    assert found.rotation == pytest.approx(2.0, rel=0.5)
+
+
+def test_local_errors_are_no_common_ones() -> None:
+    """What ten independent contours differ by is far from a shift of their sd."""
+    found = drawn(LOCAL, 10).errors
+    assert found.shift < 0.25 * LOCAL.sd
+    assert found.offset < 0.5 * LOCAL.sd
+
+
+def test_neither_points_nor_directions_need_to_correspond() -> None:
+    random = np.random.default_rng(5)
+    contours = [LOCAL.draw(ellipse(number), random) for number in (390, 400, 410, 420, 430, 440, 450, 460)]
+    turned = [one.reversed() if k % 2 else one for k, one in enumerate(contours)]
+    rolled = [Interface.polyline(np.roll(one.points, 40 * k, axis=0), closed=True) for k, one in enumerate(turned)]
+    found = errors_from_repeats(rolled).errors
+    assert found.sd == pytest.approx(LOCAL.sd, rel=0.12)
+    assert found.length == pytest.approx(LOCAL.length, rel=0.35)
+
+
+def test_contours_of_different_ends_are_compared_where_all_have_points() -> None:
+    random = np.random.default_rng(6)
+    whole = [LOCAL.draw(hill(), random) for _ in range(8)]
+    cut = [Interface.polyline(one.points[3 * k : len(one.points) - 4 * k]) for k, one in enumerate(whole)]
+    found = errors_from_repeats(cut)
+    assert 370 < found.places < 415
+    assert found.errors.sd == pytest.approx(LOCAL.sd, rel=0.12)
+
+
+def test_notes_say_what_repeats_never_show() -> None:
+    many, few = drawn(LOCAL, 6), drawn(LOCAL, 2)
+    assert "never show" in many.notes[0]
+    assert "offset" in many.notes[0]
+    assert len(many.notes) == 1
+    assert "2 contours only" in few.notes[1]
+
+
+def opened(one: Interface) -> Interface:
+    return Interface.polyline(one.points)
+
+
+@pytest.mark.parametrize(
+    ("contours", "said"),
+    [
+        ([], "number of contours"),
+        ([ellipse(100)], "number of contours"),
+        ([ellipse(100), ellipse(29)], "points of contour 2: got 29"),
+        ([ellipse(100), opened(ellipse(100))], "contour 1 is closed, contour 2 open"),
+        ([ellipse(100), Interface.polyline(1000 * ellipse(100).points, closed=True)], "in the same unit"),
+        ([ellipse(100), ellipse(100)], "agree exactly"),
+        ([hill(100), Interface.polyline(hill(100).points + np.array([5.0, 0.0]))], "that all contours show"),
+        ([ellipse(100), Interface.polyline(ellipse(100).points[:60], closed=True)], "gap"),
+    ],
+    ids=["none", "one", "short", "open and closed", "unit", "same", "apart", "gap"],
+)
+def test_what_cannot_be_compared_is_refused(contours: list[Interface], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        errors_from_repeats(contours)
+
+
+def test_surfaces_are_refused() -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    surface = Interface(corners, np.array([[0, 1, 2]]))
+    with pytest.raises(InvalidInterface, match="plane"):
+        errors_from_repeats([surface, surface])
