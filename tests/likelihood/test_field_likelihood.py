@@ -52,6 +52,11 @@ def test_plug_in_is_the_measure_on_the_predicted_interface() -> None:
         assert value == pytest.approx(-0.5 * sum(squares) / NOISE**2, rel=1e-9)
 
 
+def test_known_predictions_have_the_same_likelihood() -> None:
+    found = likelihood(measure=ClosestPoint())
+    np.testing.assert_array_equal(found.at(found.surrogate.mean(AT)), found.plug_in(AT))
+
+
 def brute_force(found: FieldLikelihood, *, seed: int = 1, number: int = 40000) -> tuple[np.ndarray, np.ndarray]:
     """Return log E[L] by independent draws of all modes and of what they leave, and its standard errors."""
     rng, surrogate = np.random.default_rng(seed), found.surrogate

@@ -10,8 +10,12 @@ from jaxtyping import Float, Int
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
-from strandline.discrepancy import Discrepancy, squared_discrepancies
-from strandline.interface import Observation
+from strandline.discrepancy import Discrepancy, NormalOffset, squared_discrepancies
+from strandline.errors import InvalidInput
+from strandline.interface import Observation, PointErrors
+from strandline.likelihood.compared import compared, errors_of
+from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
+from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
 __all__ = ["FieldLikelihood", "OnHost", "noise_length"]
@@ -39,6 +43,11 @@ class FieldLikelihood:
         """Return log L of the predicted interfaces as if they were exact."""
         blocks = [x[k : k + _BLOCK] for k in range(0, len(x), _BLOCK)]
         return np.concatenate([self._of(self.surrogate.mean(block), None) for block in blocks])
+
+    def at(self, coefficients: Float[np.ndarray, "point mode"]) -> Float[np.ndarray, " point"]:
+        """Return log L of the interfaces with these coefficients of the modes, mm: `plug_in` of known predictions."""
+        blocks = [coefficients[k : k + _BLOCK] for k in range(0, len(coefficients), _BLOCK)]
+        return np.concatenate([self._of(block, None) for block in blocks])
 
     def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return log E[L] over the fields that the surrogate considers possible at each point.
@@ -68,12 +77,35 @@ class FieldLikelihood:
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
     ) -> Float[np.ndarray, " draw"]:
         points = self.surrogate.points(coefficients, tail)
+        templates = {name: layout.template for name, layout in self.surrogate.layouts.items()}
+        if self.inferred is not None:
+            return self.inferred.likelihood.many(points, templates)
+        if self._shared is not None:
+            return -0.5 * self._shared.many(points, templates)
         total = np.zeros(len(coefficients))
         for seen in self.observations:
-            template = self.surrogate.layouts[seen.condition].template
-            squares = squared_discrepancies(self.discrepancy, points[seen.condition], template, seen.interface)
-            total += seen.noise.log_density(squares)
+            template = templates[seen.condition]
+            one = compared(seen, self.discrepancy, len(template.points))
+            squares = squared_discrepancies(one.measure, points[seen.condition], template, seen.interface)
+            total += one.noise.log_density(squares)
         return total
+
+    @cached_property
+    def inferred(self) -> InferredNoise | None:
+        """The noise inferred from the residuals; None if it is stated."""
+        found = infer_noise(self.surrogate, self.observations)
+        if found is not None and not isinstance(self.discrepancy, NormalOffset):
+            raise InvalidInput(
+                "noise of the observed points",
+                value="unknown",
+                expected="the measure normal_offset, which can infer it",
+                remedy="State the noise, or take that measure.",
+            )
+        return found
+
+    @cached_property
+    def _shared(self) -> SharedErrors | None:
+        return shared_errors(self.observations, self.discrepancy)
 
     @cached_property
     def _numbers(self) -> tuple[Float[np.ndarray, "draw mode"], Float[np.ndarray, "draw rest"]]:
@@ -104,8 +136,14 @@ class OnHost:
 def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     """Return the shift of the observed interface, mm, that costs half a unit of log-likelihood: d² = σ_N².
 
-    This is the mean over shifts along the axes; half the interface's extent if no shift costs as much.
+    This is the mean over shifts along the axes; half the interface's extent if no shift costs as much. Of stated errors
+    of points, only the local ones count.
     """
+    errors = errors_of(observation)
+    if errors is not None:
+        observation = Observation(
+            observation.interface, PointErrors(errors.sd, errors.length, shares=errors.shares), observation.condition
+        )
     seen = observation.interface
     extent = float(np.ptp(seen.points, axis=0).max())
     found = [_shift(observation, discrepancy, axis, extent) for axis in np.eye(seen.dim)]
@@ -117,9 +155,10 @@ def _shift(
 ) -> float:
     """Bisect in the logarithm: d² grows with small shifts."""
     seen, low, high = observation.interface, 1e-7 * extent, 0.5 * extent
+    one = compared(observation, discrepancy, len(seen.points))
     for _ in range(30):
         middle = float(np.sqrt(low * high))
         shifted = (seen.points + middle * direction)[None]
-        square = float(squared_discrepancies(discrepancy, shifted, seen, seen)[0])
-        low, high = (low, middle) if square > observation.noise.scale else (middle, high)
+        square = float(squared_discrepancies(one.measure, shifted, seen, seen)[0])
+        low, high = (low, middle) if square > one.noise.scale else (middle, high)
     return high

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,10 @@ from jaxtyping import Float
 
 from strandline.discrepancy import Discrepancy, independent_terms, unit_of
 from strandline.errors import InvalidInput, NumericsError, StrandlineError
-from strandline.interface import Interface, Observation
+from strandline.interface import Interface, Observation, UnknownErrors
+from strandline.likelihood.compared import Compared, WhitenedNoise, adapted, compared
+from strandline.likelihood.registered import Registered
+from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 
 __all__ = ["InterfaceLikelihood"]
 
@@ -50,9 +54,12 @@ class InterfaceLikelihood:
 
     def __call__(self, interfaces: Interface | Mapping[str, Interface]) -> float:
         """Return log L, without `constant`, of the simulated interfaces by condition."""
-        squares = np.split(self.discrepancies(interfaces), len(self.observations))
-        pairs = zip(self.observations, squares, strict=True)
-        return float(sum(o.noise.log_density(square)[0] for o, square in pairs))
+        simulated = self._matched(interfaces)
+        if self._shared is not None:
+            return -0.5 * self._shared.square(simulated)
+        squares = np.split(self.discrepancies(simulated), len(self.observations))
+        ones = [self._compared(o, simulated[o.condition]) for o in self.observations]
+        return float(sum(one.noise.log_density(square)[0] for one, square in zip(ones, squares, strict=True)))
 
     def discrepancies(self, interfaces: Interface | Mapping[str, Interface]) -> Float[np.ndarray, " condition"]:
         """Return d² of each observation, in `unit`.
@@ -75,26 +82,42 @@ class InterfaceLikelihood:
     @property
     def independent_terms(self) -> int | None:
         """Number of independent residuals that d² sums over all observations; None if it is not such a sum."""
-        counts = [independent_terms(self.discrepancy, o.interface) for o in self.observations]
+        counts = [independent_terms(adapted(self.discrepancy, o), o.interface) for o in self.observations]
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
 
     @property
     def unit(self) -> str:
         """Unit of d² and of the noise variances."""
-        return unit_of(self.discrepancy, self.observations[0].interface)
+        first = self.observations[0].interface
+        return unit_of(self._compared(self.observations[0], first).measure, first)
 
     @property
     def constant(self) -> float | None:
         """The Gaussian constant -½ Σ n_c log(2πσ_N,c²) that `__call__` leaves out.
 
-        None if d² is not a sum of n_c independent residuals, with n_c fixed by the observation. σ_N is in mm: the
+        None if d² is not a sum of n_c independent residuals, with n_c fixed by the observation. Noise that is inferred
+        leaves out -½ n log 2π alone. σ_N is in mm: the
         constant depends on the unit, as any log density of data does.
         """
-        counts = [independent_terms(self.discrepancy, o.interface) for o in self.observations]
-        if any(count is None for count in counts):
+        counts = [independent_terms(adapted(self.discrepancy, o), o.interface) for o in self.observations]
+        measures = [self._compared(o, o.interface).measure for o in self.observations]
+        if any(isinstance(o.noise, UnknownErrors) for o in self.observations):
+            points = sum(len(o.interface.points) for o in self.observations)
+            return -0.5 * points * math.log(2 * math.pi)
+        if any(count is None for count in counts) or any(isinstance(one, Registered) for one in measures):
             return None
-        return sum(o.noise.constant(n or 0) for o, n in zip(self.observations, counts, strict=True))
+        if self._shared is not None:
+            return WhitenedNoise(self._shared.model.log_det).constant(sum(n or 0 for n in counts))
+        noises = [self._compared(o, o.interface).noise for o in self.observations]
+        return sum(noise.constant(n or 0) for noise, n in zip(noises, counts, strict=True))
+
+    @cached_property
+    def _shared(self) -> SharedErrors | None:
+        return shared_errors(self.observations, self.discrepancy)
+
+    def _compared(self, observation: Observation, simulated: Interface) -> Compared:
+        return compared(observation, self.discrepancy, len(simulated.points))
 
     def _matched(self, interfaces: Interface | Mapping[str, Interface]) -> Mapping[str, Interface]:
         """Return the simulated interfaces by condition, which include all observed ones."""
@@ -113,7 +136,7 @@ class InterfaceLikelihood:
     def _discrepancy(self, simulated: Interface, observation: Observation) -> float:
         found: Any = None
         try:
-            found = self.discrepancy(simulated, observation.interface)
+            found = self._compared(observation, simulated).measure(simulated, observation.interface)
             d2 = float(found)
         except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
             if isinstance(error, StrandlineError):

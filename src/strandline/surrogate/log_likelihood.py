@@ -32,6 +32,11 @@ class LogLikelihoodSurrogate:
     validation: Validation
     fit: FittedHyperparameters | None
 
+    @property
+    def left_out(self) -> str:
+        """What the validation leaves out: ``leave-one-out``, or ``leave-a-tenth-out`` for the user's own surrogate."""
+        return "leave-a-tenth-out" if self.fit is None else "leave-one-out"
+
 
 def fit_log_likelihood(
     x: Float[np.ndarray, "run dim"], log_likelihood: Float[np.ndarray, " target"], *, kernel: str = "matern32"

@@ -63,9 +63,19 @@ class ActiveRuns:
             self.space,
             batch=self.batch,
             learn=state,
-            log_likelihood=lambda record: self.judge.value(self.judge.first, record),
+            log_likelihood=self._true,
             seed=self.seed,
             scramble=self.scramble,
+        )
+
+    def _true(self, record: RunRecord) -> float:
+        """Return the log-likelihood of a run, with the noise as it is known so far."""
+        state = self.design.state
+        inferred = None if state is None else state.knowledge.likelihood.inferred
+        return (
+            self.judge.value(self.judge.first, record)
+            if inferred is None
+            else inferred.likelihood.one(record.interfaces)
         )
 
     def points(self, records: Sequence[RunRecord]) -> Points:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from strandline.design.active.state import MANY_INPUTS_PARTICLES, PARTICLES, SAMPLING
 from strandline.discrepancy import Discrepancy, squared_discrepancies
 from strandline.interface import Interface, Observation
+from strandline.likelihood import compared
 from strandline.likelihood.field import DRAWS, noise_length
 
 __all__ = ["SLOW_BATCH", "seconds_of_a_batch"]
@@ -46,10 +47,11 @@ def seconds_of_a_batch(
 def _seconds_of_one(seen: Observation, discrepancy: Discrepancy, simulated: Interface) -> float:
     """Return the seconds per comparison in a batch of interfaces as far apart as the noise."""
     width = noise_length(seen, discrepancy)
+    measure = compared(seen, discrepancy, len(simulated.points)).measure
     for number in TRIED:
         points = simulated.points + width * np.linspace(-1.0, 1.0, number)[:, None, None]
-        squared_discrepancies(discrepancy, points, simulated, seen.interface)  # compiles, and fills caches
-        seconds = min(_seconds(seen, discrepancy, simulated, points) for _ in range(REPEATS))
+        squared_discrepancies(measure, points, simulated, seen.interface)  # compiles, and fills caches
+        seconds = min(_seconds(seen, measure, simulated, points) for _ in range(REPEATS))
         if seconds > QUICK:
             break
     return seconds / number

@@ -1,0 +1,241 @@
+"""The sd and the correlation length of the points' errors, inferred from what no input can explain.
+
+At the inputs that fit best, the residuals r̂ are linear in the inputs, with slopes J. With local errors correlated as
+exp(-t/ℓ) along the interface, global errors B and a wide prior over the inputs, r̂ is Gaussian with the covariance
+s²R(ℓ) + BBᵀ + JΣJᵀ: inputs and global errors are marginalised in closed form, and p(s, ℓ | r̂) follows on a grid. Errors
+correlated like that are a Markov chain along the interface, so that each pair (s, ℓ) costs O(n).
+
+The posterior of the inputs is the mixture over the grid of the posteriors with known s and ℓ. Of these, only the level
+of the noise at low frequencies matters, κ = s² max(1, 2ℓ/h). A model error, if it is asked for, adds its amplitude and
+its length to the grid.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from strandline.interface import ErrorModel, Interface, Observation, UnknownErrors, arc_lengths, spacings
+from strandline.likelihood.joint_errors import JointErrors, error_model
+from strandline.likelihood.linearised import Linearised, linearise
+from strandline.likelihood.mixture import Mixture
+from strandline.likelihood.model_error import Cause, Causes, causes_of
+from strandline.surrogate.field import FieldSurrogate
+
+__all__ = ["InferredNoise", "NoisePosterior", "infer_noise", "posterior_of_noise"]
+
+SDS, LENGTHS = 33, 15
+WIDER = 1.5
+"""Factor by which the second grid exceeds what was found on the first."""
+LEVELS = 12
+"""Noise levels of the mixture, for each model error."""
+NEGLIGIBLE = 1e-7
+"""Probability below which a pair of amplitude and length of the model error is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoisePosterior:
+    """Posterior of the noise on a grid: s, ℓ, and the model error.
+
+    Args:
+        sds: Values of s, mm.
+        lengths: Values of ℓ, mm.
+        causes: Errors of the model compared; the first is none.
+        weights: Probabilities, shape (cause, sd, length), whose sum is 1.
+        log_evidence: Log density of the residuals, averaged over the grid, without the constant -½ n log 2π.
+    """
+
+    sds: Float[np.ndarray, " sd"]
+    lengths: Float[np.ndarray, " length"]
+    causes: tuple[Cause, ...]
+    weights: Float[np.ndarray, "cause sd length"]
+    log_evidence: float
+
+    def quantiles(self, levels: Sequence[float]) -> dict[str, list[float]]:
+        """Return quantiles of ``sd`` and ``length``, mm."""
+        return {
+            name: np.exp(np.interp(levels, np.cumsum(mass) - 0.5 * mass, np.log(values))).tolist()
+            for name, values, mass in (
+                ("sd", self.sds, self.weights.sum(axis=(0, 2))),
+                ("length", self.lengths, self.weights.sum(axis=(0, 1))),
+            )
+        }
+
+    @property
+    def probability_of_model_error(self) -> float:
+        """Posterior probability that the model errs."""
+        return float(self.weights[1:].sum())
+
+    @property
+    def model_error(self) -> float:
+        """Posterior root mean square of the offset's amplitude, mm."""
+        return float(np.sqrt(self.weights.sum(axis=(1, 2)) @ np.array([one.amplitude**2 for one in self.causes])))
+
+    @property
+    def spread(self) -> float:
+        """Posterior root mean square of the inputs' spread, in standard deviations of a uniform prior over the box."""
+        return float(np.sqrt(self.weights.sum(axis=(1, 2)) @ np.array([one.spread**2 for one in self.causes])))
+
+
+@dataclass(frozen=True, eq=False)
+class InferredNoise:
+    """The likelihood of the inputs with the noise marginalised, and the posterior of the noise.
+
+    Args:
+        likelihood: The likelihood.
+        posterior: Posterior of the noise and of the model's errors.
+        explained: What these errors do to the residuals, in root mean square of the posterior, mm.
+    """
+
+    likelihood: Mixture
+    posterior: NoisePosterior
+    explained: Float[np.ndarray, "seen cause"]
+
+    def at_median(self, observations: Sequence[Observation]) -> tuple[Observation, ...]:
+        """Return the observations with the posterior medians of s and ℓ as if they were known."""
+        sd, length = (self.posterior.quantiles([0.5])[name][0] for name in ("sd", "length"))
+        return tuple(
+            Observation(o.interface, o.noise.known(sd, length), o.condition)
+            for o in observations
+            if isinstance(o.noise, UnknownErrors)
+        )
+
+
+def infer_noise(surrogate: FieldSurrogate, observations: Sequence[Observation]) -> InferredNoise | None:
+    """Return the likelihood with inferred noise; None if no observation states unknown errors."""
+    unknown = [o.noise for o in observations if isinstance(o.noise, UnknownErrors)]
+    if len(unknown) < len(observations):
+        return None
+    typical = [one.typical(o.interface) for one, o in zip(unknown, observations, strict=True)]
+    lin = linearise(surrogate, observations, typical)
+    first = posterior_of_noise(lin, observations, unknown, causes_of(lin, observations, unknown[0]))
+    sd, length = (first.quantiles([0.5])[name][0] for name in ("sd", "length"))
+    lin = linearise(surrogate, observations, [one.known(sd, length) for one in unknown])  # weighs the residuals better
+    causes = causes_of(lin, observations, unknown[0])
+    found = posterior_of_noise(lin, observations, unknown, causes, near=first)
+    size = np.sqrt(found.weights.sum(axis=(1, 2)) @ causes.scales**2)
+    return InferredNoise(_mixture(lin, tuple(observations), unknown, causes, found), found, causes.columns * size)
+
+
+def posterior_of_noise(
+    lin: Linearised,
+    observations: Sequence[Observation],
+    unknown: Sequence[UnknownErrors],
+    causes: Causes,
+    *,
+    near: NoisePosterior | None = None,
+) -> NoisePosterior:
+    """Return p(s, ℓ, cause | r̂) on a grid that is even in the logarithms, for priors that are flat there.
+
+    Half of the prior is on a model without error.
+    """
+    interfaces = [o.interface for o in observations]
+    sds, lengths = _grid(lin, interfaces, unknown[0], near)
+    shared = _shared(observations, unknown)
+    log_density = np.empty((len(causes.compared), len(sds), len(lengths)))
+    for k, scales in enumerate(causes.scales):
+        F = np.hstack([shared, lin.scaled, (causes.columns * scales)[:, scales > 0]])
+        for j, length in enumerate(lengths):
+            log_density[k, :, j] = _log_evidences(lin.residuals, F, interfaces, sds, length)
+    log_density[1:] -= np.log(max(len(log_density) - 1, 1))
+    whole = float(logsumexp(log_density))
+    log_evidence = whole - float(np.log(len(sds) * len(lengths) * (1 if len(log_density) == 1 else 2)))
+    return NoisePosterior(sds, lengths, causes.compared, np.exp(log_density - whole), log_evidence)
+
+
+def _grid(
+    lin: Linearised, interfaces: Sequence[Interface], unknown: UnknownErrors, near: NoisePosterior | None
+) -> tuple[Float[np.ndarray, " sd"], Float[np.ndarray, " length"]]:
+    """Return values of s and ℓ: a wide range, or one around what was found there."""
+    spacing = float(np.mean([spacings(one).mean() for one in interfaces]))
+    shortest = 0.5 * min(float(one.lengths.sum()) for one in interfaces)
+    longest = max(0.1 * max(float(one.lengths.sum()) for one in interfaces), 2 * spacing)
+    low, high = 0.1 * spacing, min(longest, shortest)
+    rms = max(float(np.sqrt(np.mean(lin.residuals**2))), 1e-6 * spacing)
+    least, most = (0.003 if unknown.model_error else 0.1) * rms, 4 * rms
+    if near is not None:
+        found = near.quantiles([0.001, 0.999])
+        least, most = found["sd"][0] / WIDER, found["sd"][1] * WIDER
+        low, high = found["length"][0] / WIDER, min(found["length"][1] * WIDER, shortest)
+    return unknown.sds(np.geomspace(least, most, SDS)), unknown.lengths(np.geomspace(low, high, LENGTHS))
+
+
+def _shared(observations: Sequence[Observation], unknown: Sequence[UnknownErrors]) -> Float[np.ndarray, "seen error"]:
+    return error_model(observations, [one.known(1.0, 0.0) for one in unknown]).shared
+
+
+def _log_evidences(
+    r: Float[np.ndarray, " seen"],
+    F: Float[np.ndarray, "seen error"],
+    interfaces: Sequence[Interface],
+    sds: Float[np.ndarray, " sd"],
+    length: float,
+) -> Float[np.ndarray, " sd"]:
+    """Return log N(r; 0, s²R(ℓ) + FFᵀ) without the constant, for each s."""
+    both, log_det, first = np.column_stack([r, F]), 0.0, 0
+    white = np.empty_like(both)
+    for one in interfaces:
+        places = arc_lengths(one)
+        order = np.argsort(places, kind="stable")
+        keep = np.exp(-np.diff(places[order]) / length)
+        new = np.sqrt(1 - keep**2)
+        part = both[first : first + len(one.points)][order]
+        white[first] = part[0]
+        white[first + 1 : first + len(part)] = (part[1:] - keep[:, None] * part[:-1]) / new[:, None]
+        log_det += 2 * float(np.log(new).sum())
+        first += len(part)
+    square, product, G = white[:, 0] @ white[:, 0], white[:, 1:].T @ white[:, 0], white[:, 1:].T @ white[:, 1:]
+    values, vectors = np.linalg.eigh(G)
+    values, rotated = np.maximum(values, 0.0), (vectors.T @ product) ** 2
+    out = np.empty(len(sds))
+    for k, variance in enumerate(sds**2):
+        least = square / variance - (rotated / (variance * (variance + values))).sum()
+        whole = log_det + len(r) * np.log(variance) + np.log1p(values / variance).sum()
+        out[k] = -0.5 * (least + whole)
+    return out
+
+
+def _mixture(
+    lin: Linearised,
+    observations: tuple[Observation, ...],
+    unknown: Sequence[UnknownErrors],
+    causes: Causes,
+    found: NoisePosterior,
+) -> Mixture:
+    """Return the mixture of the likelihoods with known noise, each with the evidence that the grid gives it."""
+    interfaces = [o.interface for o in observations]
+    spacing = float(np.mean([spacings(one).mean() for one in interfaces]))
+    local = np.concatenate([spacing / spacings(one) for one in interfaces])
+    shared = np.hstack([_shared(observations, unknown), causes.columns])
+    ones = np.ones(shared.shape[1] - causes.columns.shape[1])
+    entries = [
+        (level, scales, found.log_evidence + np.log(weight) + _normaliser(lin, level * local, shared * scales))
+        for weight, level, cause in _levels(found, spacing)
+        for scales in [np.concatenate([ones, causes.scales[cause]])]
+    ]
+    joint = JointErrors(observations, tuple(one.known(1.0, 0.0) for one in unknown))
+    return Mixture(joint, local, shared, *(np.array(part) for part in zip(*entries, strict=True)))
+
+
+def _levels(found: NoisePosterior, spacing: float) -> Iterator[tuple[float, float, int]]:
+    """Yield weight, κ and number of the cause, for quantiles of κ under each cause."""
+    kappa = (found.sds[:, None] ** 2 * np.maximum(1.0, 2 * found.lengths / spacing)).ravel()
+    order = np.argsort(kappa)
+    for cause, weights in enumerate(found.weights):
+        mass, whole = weights.ravel()[order], float(weights.sum())
+        if whole < NEGLIGIBLE:
+            continue
+        place = np.minimum((np.cumsum(mass) - 0.5 * mass) / whole * LEVELS, LEVELS - 1e-9).astype(int)
+        for k in range(LEVELS):
+            part = mass * (place == k)
+            if part.sum() > 0:
+                yield float(part.sum()), float(np.exp(part @ np.log(kappa[order]) / part.sum())), cause
+
+
+def _normaliser(lin: Linearised, local: Float[np.ndarray, " seen"], shared: Float[np.ndarray, "seen error"]) -> float:
+    """Return minus the log evidence of the residuals with the inputs marginalised, over that without inputs."""
+    alone, with_inputs = ErrorModel(local, shared), ErrorModel(local, np.hstack([shared, lin.scaled]))
+    least = float(with_inputs.square(lin.residuals))
+    return 0.5 * (least + with_inputs.log_det - alone.log_det)

@@ -1,0 +1,70 @@
+"""A Gaussian likelihood of the signed distances of the observed points, averaged over unknown levels of the errors."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from strandline.interface import ErrorModel, Interface
+from strandline.likelihood.joint_errors import JointErrors, Points
+from strandline.likelihood.residuals import sums_of
+
+__all__ = ["Mixture"]
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """log Σ_k w_k exp(-½ d_k²), d_k² = rᵀ C_k⁻¹ r with C_k = κ_k V + B S_k² Bᵀ and S_k diagonal.
+
+    Args:
+        joint: The observed interfaces with typical errors; their global errors are the first columns of B.
+        local: Diagonal of V, all observations one after the other.
+        shared: B, what one unit of each shared error does to the signed distances, mm.
+        levels: Levels κ_k of the local errors, mm².
+        scales: Diagonals of S_k.
+        log_weights: log w_k.
+    """
+
+    joint: JointErrors
+    local: Float[np.ndarray, " seen"]
+    shared: Float[np.ndarray, "seen error"]
+    levels: Float[np.ndarray, " level"]
+    scales: Float[np.ndarray, "level error"]
+    log_weights: Float[np.ndarray, " level"]
+
+    def one(self, interfaces: Mapping[str, Interface]) -> float:
+        """Return log L of simulated interfaces by condition."""
+        points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
+        return float(self.many(points, interfaces)[0])
+
+    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
+        """Return log L of each run, given its points by condition."""
+        return self._of(*sums_of(self.joint, points, templates, self._model, self._global_errors))
+
+    @cached_property
+    def _model(self) -> ErrorModel:
+        return ErrorModel(self.local, self.shared)
+
+    def _global_errors(self, products: Float[np.ndarray, "run error"]) -> Float[np.ndarray, "run error"]:
+        """Return the most probable global errors at the likeliest level; other shared errors stay as they are."""
+        likeliest = int(np.argmax(self.log_weights))
+        level, scale = self.levels[likeliest], self.scales[likeliest]
+        inverse = np.linalg.inv(level * np.eye(len(scale)) + scale[:, None] * self._model.gram * scale)
+        found = (products * scale) @ inverse * scale
+        found[:, self.joint.model.shared.shape[1] :] = 0.0
+        return np.asarray(found)
+
+    def _of(
+        self, squares: Float[np.ndarray, " run"], products: Float[np.ndarray, "run error"]
+    ) -> Float[np.ndarray, " run"]:
+        """Return log L from Σ r²/V and e = BᵀV⁻¹r, for d² = Σ r²/(κV) - (Se)ᵀ (κ²I + κ S G S)⁻¹ Se, G = BᵀV⁻¹B."""
+        G = self._model.gram
+        values = np.empty((len(self.levels), len(squares)))
+        for k, (level, scale) in enumerate(zip(self.levels, self.scales, strict=True)):
+            inverse = np.linalg.inv(level**2 * np.eye(len(G)) + level * scale[:, None] * G * scale)
+            scaled = products * scale
+            values[k] = squares / level - ((scaled @ inverse) * scaled).sum(axis=1)
+        return np.asarray(logsumexp(self.log_weights[:, None] - 0.5 * values, axis=0))

@@ -1,0 +1,186 @@
+"""The noise variance σ_N² of a measure that fits stated errors of the observed points.
+
+For d² = Σ r², with independent residuals of variance s², it is s². Any other d² weighs the errors in its own way. With
+g and H the gradient and the Hessian of d² in some inputs at their estimate, the posterior's covariance is 2 σ_N² H⁻¹,
+while errors of the observation scatter the estimate by H⁻¹ Cov(g) H⁻¹. The two agree in the mean over the inputs if
+
+    σ_N² = tr(H⁻¹ Cov g) / (2 dim).
+
+Cov g and the mean of H come from drawn observations, so the rule needs no property of the measure. It changes little
+with the inputs as long as they move the interface over lengths well above the correlation length; a few smooth shapes
+along the observed interface stand for them before anything is simulated.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.discrepancy import Discrepancy, KnowsPointErrors, squared_discrepancies
+from strandline.discrepancy.contours.paths import path_of, smoothed
+from strandline.discrepancy.memo import MeasureKey, Snapshot
+from strandline.errors import InvalidInput, NumericsError
+from strandline.interface import Interface, PointErrors, arc_lengths, point_normals, spacings, steady_lengths
+
+__all__ = ["differences", "fitting_variance", "noise_variance", "second_differences"]
+
+DRAWS = 80
+CURVATURES = 10
+"""Drawn observations from which the mean Hessian comes: errors of the points flatten some measures."""
+WIDER = 4.0
+"""Steps of the second differences in those of the first: narrow ones would see where closest segments change."""
+SHAPES = 4
+SMOOTHED, PIECES = 4, 32
+"""Points on either side over which the observed outline is smoothed, in correlation lengths; fewest such pieces."""
+AGREED = 2.0
+"""Ratio of closed form and general rule from which the rule is used."""
+
+
+def noise_variance(
+    measure: Discrepancy, observed: Interface, errors: PointErrors, nodes: int, *, draws: int = DRAWS
+) -> float:
+    """Return σ_N² of a measure for the local errors of the observed points, in the unit of d².
+
+    The closed form of the measure, if it has one and the general rule agrees to a factor of two, else the rule.
+
+    Args:
+        measure: The measure d².
+        observed: The observed interface.
+        errors: The errors of its points; global ones are left out, since no variance can stand for them.
+        nodes: Number of nodes of the simulated interfaces.
+        draws: Number of drawn observations.
+
+    Raises:
+        InvalidInput: No variance fits the measure, or the correlation is longer than half the interface.
+    """
+    errors.require_fits(observed)
+    local = PointErrors(errors.sd, errors.length, shares=errors.shares)
+    try:
+        return _variance(MeasureKey.of(measure), Snapshot.of(observed), local, nodes, draws)
+    except NumericsError as error:
+        raise InvalidInput(
+            f"noise of {type(measure).__name__}",
+            value=f"points with sd {1e3 * errors.sd:.3g} µm",
+            expected="a measure that has a noise variance for such errors",
+            remedy="Use the measure normal_offset, or state σ_N² yourself, e.g. noise: {variance: 0.0005}.",
+        ) from error
+
+
+@lru_cache(maxsize=64)
+def _variance(key: MeasureKey, snapshot: Snapshot, errors: PointErrors, nodes: int, draws: int) -> float:
+    measure, observed = key.measure, snapshot.interface
+    template = observed if observed.dim == 3 else _course(observed, errors).resampled(nodes)
+    shapes = _shapes(template)
+
+    def predict(x: Float[np.ndarray, "point shape"]) -> Float[np.ndarray, "point node xyz"]:
+        return np.asarray(template.points + np.einsum("ks,snd->knd", x, shapes))
+
+    none = np.zeros(len(shapes))
+    steps = np.full(len(shapes), 0.5 * errors.sd)
+    ruled = fitting_variance(measure, predict, template, none, steps, observed, errors, draws=draws)
+    closed = measure.noise_variance(errors, observed) if isinstance(measure, KnowsPointErrors) else None
+    return closed if closed is not None and 1 / AGREED < closed / ruled < AGREED else ruled
+
+
+def _course(observed: Interface, errors: PointErrors) -> Interface:
+    """Return a polyline without much of its noise, as a simulated one would be."""
+    spacing = float(np.median(spacings(observed)))
+    half = min(round(SMOOTHED * max(errors.length, spacing) / spacing), len(observed.points) // PIECES)
+    if half < 2:
+        return observed
+    return Interface.polyline(smoothed(path_of(observed), half, closed=observed.closed), closed=observed.closed)
+
+
+def _shapes(interface: Interface) -> Float[np.ndarray, "shape node xyz"]:
+    """Return smooth displacements along the normals, with amplitudes of 1."""
+    if interface.dim == 2:
+        t = arc_lengths(interface) / float(steady_lengths(interface).sum())
+        waves = [np.cos(np.pi * k * t) for k in range(SHAPES)]
+        if interface.closed:
+            waves = [f(2 * np.pi * k * t) for k in range(1, 1 + SHAPES // 2) for f in (np.cos, np.sin)]
+        window = 2 * float(np.median(interface.lengths))
+    else:
+        centred = interface.points - interface.points.mean(axis=0)
+        u, v = (centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T / np.ptp(centred)).T
+        waves, window = [np.ones(len(u)), u, v, u * v], 2 * float(np.sqrt(np.median(interface.areas)))
+    normals = point_normals(interface, window)
+    return np.array([wave[:, None] * normals for wave in waves])
+
+
+def fitting_variance(
+    measure: Discrepancy,
+    predict: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, "point node xyz"]],
+    template: Interface,
+    at: Float[np.ndarray, " dim"],
+    steps: Float[np.ndarray, " dim"],
+    observed: Interface,
+    errors: PointErrors,
+    *,
+    draws: int = DRAWS,
+    seed: int = 1,
+) -> float:
+    """Return σ_N² by the general rule, in the unit of d².
+
+    Args:
+        measure: The measure d².
+        predict: Function that returns the points of the simulated interfaces at inputs.
+        template: A simulated interface, for its cells.
+        at: The estimate of the inputs.
+        steps: Steps of the finite differences: changes of the inputs that move the interface about as far as the noise.
+        observed: The observed interface: how many points, where on the interface.
+        errors: The errors of its points.
+        draws: Number of drawn observations.
+        seed: Seed of the draws.
+
+    Raises:
+        NumericsError: d² has no minimum at the estimate.
+    """
+    dim, random = len(at), np.random.default_rng(seed)
+    truth = _seen(Interface(predict(at[None])[0], template.cells), observed)
+    near, wide = (predict(at + size * steps * differences(dim)) for size in (1.0, WIDER))
+    gradients, curvatures = [], []
+    for k in range(draws):
+        drawn = errors.draw(truth, random)
+        values = squared_discrepancies(measure, near[1 : 1 + 2 * dim], template, drawn)
+        gradients.append(0.5 * (values[:dim] - values[dim:]))
+        if k < CURVATURES:
+            curvatures.append(second_differences(squared_discrepancies(measure, wide, template, drawn), dim) / WIDER**2)
+    H = np.mean(curvatures, axis=0)
+    if not np.linalg.eigvalsh(H).min() > 0:
+        raise NumericsError("d² has no minimum at the estimate")
+    covariance = np.atleast_2d(np.cov(np.array(gradients), rowvar=False))
+    return float(np.trace(np.linalg.solve(H, covariance)) / (2 * dim))
+
+
+def differences(dim: int) -> Float[np.ndarray, "move dim"]:
+    """Return no move, a step of 1 ahead and behind in each input, and both together in each pair of inputs."""
+    unit, pairs = np.eye(dim), _pairs(dim)
+    moves = [np.zeros(dim), *unit, *-unit]
+    moves += [a * unit[i] + b * unit[j] for i, j in pairs for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
+    return np.array(moves)
+
+
+def second_differences(values: Float[np.ndarray, " move"], dim: int) -> Float[np.ndarray, "dim dim"]:
+    """Return the Hessian of a function from its values at `differences`, per step."""
+    here, ahead, behind = values[0], values[1 : 1 + dim], values[1 + dim : 1 + 2 * dim]
+    H = np.diag(ahead + behind - 2 * here)
+    for k, (i, j) in enumerate(_pairs(dim)):
+        both, neither, one, other = values[1 + 2 * dim + 4 * k : 5 + 2 * dim + 4 * k]
+        H[i, j] = H[j, i] = 0.25 * (both + neither - one - other)
+    return H
+
+
+def _pairs(dim: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(dim) for j in range(i)]
+
+
+def _seen(simulated: Interface, observed: Interface) -> Interface:
+    """Return the simulated interface with as many points as the observed one, over the part that was observed."""
+    from strandline.discrepancy.search.nearest import closest_points
+
+    points = closest_points(observed.points, simulated).points
+    try:
+        return Interface(points, observed.cells)
+    except InvalidInput:  # two points at the same place
+        return simulated.resampled(len(observed.points)) if simulated.dim == 2 else observed

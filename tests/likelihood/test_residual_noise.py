@@ -1,0 +1,103 @@
+"""Residuals have the noise with which they were drawn; that of the points follows from σ_N² and leads back to it."""
+
+import numpy as np
+import pytest
+
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, NormalOffset, TrackedPoints
+from strandline.interface import Interface, Observation, PointErrors, arc_lengths
+from strandline.interface.correlated import correlated
+from strandline.likelihood.noise_rule import noise_variance
+from strandline.likelihood.residual_noise import noise_of_residuals, stated_errors
+
+
+def line(number: int = 1200, *, uneven: float = 1.0) -> Interface:
+    x = 6.0 * np.linspace(0.0, 1.0, number) ** uneven
+    return Interface.polyline(np.stack([x, 0 * x], axis=1))
+
+
+def circle(number: int = 1200) -> Interface:
+    angle = 2 * np.pi * np.arange(number) / number
+    return Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+
+
+def arch(number: int = 41) -> Interface:
+    t = np.linspace(0.0, 1.0, number)
+    return Interface.polyline(np.stack([t, 1.2 * t * (1 - t)], axis=1))
+
+
+def found(interface: Interface, length: float) -> tuple[float, float]:
+    """Return means of the standard deviation and the length over 20 draws with standard deviation 0.003."""
+    drawn = 0.003 * correlated(interface, length, 20, np.random.default_rng(5))
+    each = [noise_of_residuals(row, interface) for row in drawn]
+    return float(np.mean([one.sd for one in each])), float(np.mean([one.length for one in each]))
+
+
+@pytest.mark.parametrize("interface", [line(), line(uneven=1.3), circle()], ids=["line", "uneven", "circle"])
+@pytest.mark.parametrize("length", [0.03, 0.1])
+def test_sd_and_length_are_those_drawn(interface: Interface, length: float) -> None:
+    sd, estimated = found(interface, length)
+    assert sd == pytest.approx(0.003, rel=0.1)
+    assert estimated == pytest.approx(length, rel=0.35)
+
+
+def test_independent_residuals_have_half_the_spacing_or_little_more() -> None:
+    interface = line()
+    spacing = 6.0 / 1199
+    each = [
+        noise_of_residuals(row, interface).length for row in correlated(interface, 0.0, 20, np.random.default_rng(1))
+    ]
+    assert min(each) >= 0.5 * spacing
+    assert np.mean(each) < 0.8 * spacing
+
+
+def test_a_constant_is_as_long_as_the_interface() -> None:
+    """It counts as an error of its own, not as a mean to be removed."""
+    noise = noise_of_residuals(np.full(41, 0.01), arch())
+    assert noise.sd == pytest.approx(0.01)
+    assert noise.length > 0.3 * arch().lengths.sum()
+    assert noise.level == pytest.approx(noise.sd**2 * noise.length)
+
+
+def test_no_residuals_have_no_noise() -> None:
+    assert noise_of_residuals(np.zeros(41), arch()).sd == 0.0
+
+
+def test_arc_lengths_follow_the_segments() -> None:
+    outline = circle(8)
+    np.testing.assert_allclose(arc_lengths(outline), np.arange(8) * outline.lengths[0])
+    np.testing.assert_allclose(arc_lengths(line(7)), np.linspace(0.0, 6.0, 7))
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [
+        TrackedPoints(),
+        NormalOffset(),
+        MeasurementLines(12),
+        ClosestPoint(),
+        ClosestPoint(direction="to_simulated", weighting="length"),
+        Currents(0.1),
+    ],
+    ids=str,
+)
+def test_the_noise_of_the_points_has_the_stated_variance(measure: Discrepancy) -> None:
+    seen, sd = arch(), 0.002
+    variance = sd**2 if measure == NormalOffset() else noise_variance(measure, seen, PointErrors(sd), 41)
+    stated = stated_errors(Observation(seen, variance), measure, 41)
+    assert stated.assumed
+    assert stated.errors.length == 0.0
+    assert stated.errors.sd == pytest.approx(sd, rel=0.25)
+    assert stated.noise_along(seen).length == pytest.approx(0.5 * seen.lengths.mean(), rel=0.1)
+
+
+def test_a_variance_four_times_as_large_means_twice_the_sd() -> None:
+    seen, measure = arch(), Currents(0.1)
+    one, two = (stated_errors(Observation(seen, v), measure, 41).errors.sd for v in (1e-5, 4e-5))
+    assert two == pytest.approx(2 * one)
+
+
+def test_stated_errors_are_taken_as_they_are() -> None:
+    errors = PointErrors(0.002, 0.05, shift=0.01)
+    stated = stated_errors(Observation(arch(), errors), Currents(0.1), 41)
+    assert (stated.errors, stated.assumed) == (errors, False)
+    assert stated.noise_along(arch()).level == pytest.approx(0.002**2 * 0.05)
