@@ -122,6 +122,15 @@ def _subsets_of_fonts_made_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _coarse_misfit() -> Iterator[None]:
+    """Judge the fit from few runs and draws: every calibration does it."""
+    with pytest.MonkeyPatch.context() as patch:
+        for place, value in {"prediction.MOST_RUNS": 16, "reference.DRAWS": 400, "predictive.DRAWS": 32}.items():
+            patch.setattr(f"strandline.calibration.misfit.{place}", value)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _coarse_pictures() -> Iterator[None]:
     """Draw pictures of reports at a fifth of the dots: 300 an inch take as long as the rest of a small study."""
     with pytest.MonkeyPatch.context() as patch:

@@ -11,9 +11,16 @@ from strandline.version import __version__ as __version__
 if TYPE_CHECKING:
     from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate
     from strandline.design import sobol
-    from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, TrackedPoints
+    from strandline.discrepancy import (
+        ClosestPoint,
+        Currents,
+        Discrepancy,
+        MeasurementLines,
+        NormalOffset,
+        TrackedPoints,
+    )
     from strandline.errors import ForwardModelError, InvalidInput, NumericsError, StrandlineError
-    from strandline.interface import Interface, Observation
+    from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
     from strandline.likelihood import InterfaceLikelihood
     from strandline.models.biofilm.model import Biofilm
     from strandline.models.protocol import ForwardModel, ModelInput, Simulation
@@ -25,6 +32,7 @@ if TYPE_CHECKING:
     from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, run_campaign
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
+    from strandline.studies.coverage import coverage
     from strandline.surrogate import fit_log_likelihood
 
 __all__ = [  # noqa: RUF022
@@ -36,6 +44,8 @@ __all__ = [  # noqa: RUF022
     "ParameterSpace",
     "Interface",
     "Observation",
+    "PointErrors",
+    "UnknownErrors",
     "sobol",
     "ForwardModel",
     "ModelInput",
@@ -52,6 +62,7 @@ __all__ = [  # noqa: RUF022
     "TrackedPoints",
     "ClosestPoint",
     "Currents",
+    "NormalOffset",
     "InterfaceLikelihood",
     "fit_log_likelihood",
     "SMCSettings",
@@ -69,6 +80,7 @@ __all__ = [  # noqa: RUF022
     "run_study",
     "Result",
     "load_result",
+    "coverage",
     "StrandlineError",
     "InvalidInput",
     "ForwardModelError",
@@ -78,13 +90,13 @@ __all__ = [  # noqa: RUF022
 _NAMES_OF = {
     "priors": "Uniform Normal LogNormal ScaledBeta",
     "parameters": "Parameter ParameterSpace",
-    "interface": "Interface Observation",
+    "interface": "Interface Observation PointErrors UnknownErrors",
     "design": "sobol",
     "models.protocol": "ForwardModel ModelInput Simulation",
     "models.biofilm.model": "Biofilm",
     "models.python": "PythonModel",
     "runs": "RunRecord Ledger InProcess LocalProcesses run_campaign",
-    "discrepancy": "Discrepancy MeasurementLines TrackedPoints ClosestPoint Currents",
+    "discrepancy": "Discrepancy MeasurementLines TrackedPoints ClosestPoint Currents NormalOffset",
     "likelihood": "InterfaceLikelihood",
     "surrogate": "fit_log_likelihood",
     "smc": "SMCSettings sample",
@@ -92,6 +104,7 @@ _NAMES_OF = {
     "posterior": "Posterior",
     "calibration": "Problem Settings Observer Calibration calibrate",
     "studies": "Study load_study Outcome run_study Result load_result",
+    "studies.coverage": "coverage",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

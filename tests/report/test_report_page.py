@@ -28,11 +28,12 @@ FIGURES = [
     "offsets",
     "particles",
     "posterior",
+    "residuals",
     "sensitivity",
     "tempering",
 ]
 """Of a model of two inputs that has no fields to show."""
-SECTIONS = ["asked", "answer", "data", "runs", "surrogate", "sampler", "provenance"]
+SECTIONS = ["asked", "fit", "answer", "data", "runs", "surrogate", "sampler", "provenance"]
 VOID = {"meta", "br", "img", "link", "hr", "input"}
 
 

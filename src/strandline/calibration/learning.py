@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from strandline.calibration.misfit import Misfit, by_field, by_runs, misfit_of
 from strandline.calibration.problem import Observer, Problem, Settings, Stopwatch
 from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
 from strandline.design import sobol
@@ -16,7 +17,9 @@ from strandline.design.active import Active, ActiveRuns, Certificate, Knowledge,
 from strandline.design.refinement import Learnt, Refinement, Round, refine
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
 from strandline.likelihood.set_aside import Judge, SetAside
+from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
+from strandline.posterior import Posterior
 from strandline.runs import (
     Executor,
     Ledger,
@@ -28,7 +31,7 @@ from strandline.runs.executors import usable_cores
 from strandline.runs.failures import counted
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood, fit_named, fit_of_the_user
 
-__all__ = ["Learning", "Lesson"]
+__all__ = ["Learning", "Lesson", "known_field"]
 
 LARGEST_BATCH = 16
 """Largest default number of runs that an active design chooses together."""
@@ -61,7 +64,24 @@ class Lesson:
         surrogates = [one.process for one in self.learnt.surrogates.values()]
         if self.knowledge is None:
             return LogLikelihoodTarget(surrogates[0], space)
-        return FieldTarget(self.knowledge, space, self.certificate, next(iter(surrogates), None))
+        known = self.knowledge.likelihood.inferred is None  # else they learnt the log-likelihood of a first guess
+        return FieldTarget(self.knowledge, space, self.certificate, next(iter(surrogates), None) if known else None)
+
+    def misfit(self, problem: Problem, posterior: Posterior, *, seed: int) -> Misfit:
+        """Return whether the model explains the observations within the noise, whatever the inputs."""
+        observations, measure = problem.observations, next(iter(problem.discrepancies.values()))
+        explained = None
+        with one_thread():
+            if self.knowledge is not None:
+                prediction, inferred = by_field(self.knowledge.surrogate), self.knowledge.likelihood.inferred
+                if inferred is not None:
+                    observations, explained = inferred.at_median(observations), inferred.explained
+            else:
+                learnt, runs = self.learnt, [record for record in self.learnt.records if record.ok]
+                values = learnt.log_likelihood
+                prediction = by_runs(learnt.training, runs, values, problem.space, observations, measure)
+            known = tuple(problem.fixed)
+            return misfit_of(prediction, observations, measure, posterior, fixed=known, explained=explained, seed=seed)
 
     @property
     def found(self) -> dict[str, Any]:
@@ -178,25 +198,12 @@ class Learning:
         points = np.array([[record.inputs[name] for name in space.names] for record in records], float)
         with self.watch("surrogate", self.tell):
             if choosing is None or choosing.design.state is None:
-                knowledge, records = self._known_field(points, records)
+                knowledge, records = known_field(points, records, self.judge, space)
             else:
                 knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
             training, log_likelihoods = _training_set(self.judge, points, records)
             surrogates = _to_compare(training, log_likelihoods, self.settings)
         return Learnt(points, records, training, log_likelihoods, surrogates), knowledge
-
-    def _known_field(
-        self, points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
-    ) -> tuple[Knowledge, tuple[RunRecord, ...]]:
-        """Learn the field; also return the records, with those that it was not learnt from marked invalid."""
-        measure = next(iter(self.problem.discrepancies.values()))
-        while True:
-            used = self.judge.usable(records)
-            _require_enough(sum(record.ok for record in used), used, self.problem.space.dim)
-            try:
-                return learn(points, used, self.problem.space, self.judge.observations, measure), used
-            except NoCommonPoints as error:
-                self.judge.without_exceptions(records, error)
 
     def _run(self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
         model, inputs = self.problem.model, self._inputs(first)
@@ -234,6 +241,31 @@ class Learning:
 
     def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:
         return [{**self.problem.fixed, **self.problem.space.as_mapping(x)} for x in points]
+
+
+def known_field(
+    points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], judge: Judge, space: ParameterSpace
+) -> tuple[Knowledge, tuple[RunRecord, ...]]:
+    """Learn the field; also return the records, with those that it was not learnt from marked invalid.
+
+    Args:
+        points: Inputs of all runs, shape (run, dim).
+        records: Their records, in the same order.
+        judge: Judge that decides which runs can be used; its first measure is that of the likelihood.
+        space: The unknown inputs.
+
+    Raises:
+        TooFewRuns: Too few runs can be used.
+        NoCommonPoints: Interfaces that cannot be brought to common points.
+    """
+    measure = judge.discrepancies[judge.first]
+    while True:
+        used = judge.usable(records)
+        _require_enough(sum(record.ok for record in used), used, space.dim)
+        try:
+            return learn(points, used, space, judge.observations, measure), used
+        except NoCommonPoints as error:
+            judge.without_exceptions(records, error)
 
 
 def _trained(

@@ -79,8 +79,10 @@ def calibrate(
         hessian = target.hessian(mode, posterior.sd) + log_prior_hessian(space, mode)
         checks = target.checks(sampling, posterior, both.cut if both else None, seed=settings.seed)
         sensitivity = _sensitivity(space, target.values, settings.seed)
+        problem = replace(problem, observations=learning.judge.observations)
+        misfit = lesson.misfit(problem, posterior, seed=settings.seed)
     return Calibration(
-        problem=replace(problem, observations=learning.judge.observations),
+        problem=problem,
         settings=settings,
         **lesson.found,
         sampling=sampling,
@@ -92,6 +94,7 @@ def calibrate(
         sensitivity=sensitivity,
         seconds=watch.seconds,
         turned=learning.judge.turned,
+        misfit=misfit,
     )
 
 

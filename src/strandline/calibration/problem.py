@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from strandline.calibration.misfit import Misfit
 from strandline.design.active import Active, BatchReport, FieldOutcome
 from strandline.design.refinement import Refinement, Round
 from strandline.discrepancy import Discrepancy
@@ -139,7 +140,8 @@ class Calibration:
     the field, `field` describes it; `surrogates`, of the log-likelihood, are then for comparison, or empty. `no_field`
     is the reason why there is no field although it was requested. `set_aside` are runs that ended ok but were not used;
     unless only one measure cannot use them, they are invalid in `records`. `turned` are the conditions whose
-    observation ran against the runs; in `problem` it is turned round.
+    observation ran against the runs; in `problem` it is turned round. `misfit` tells whether the model explains the
+    observations within the noise; None if this was not judged.
     """
 
     problem: Problem
@@ -162,6 +164,7 @@ class Calibration:
     no_field: str | None = None
     set_aside: tuple[SetAside, ...] = ()
     turned: tuple[str, ...] = ()
+    misfit: Misfit | None = None
 
     def __repr__(self) -> str:
         ok = sum(record.ok for record in self.records)
@@ -186,7 +189,8 @@ class Observer:
     """Functions to call as the work goes on; by default they do nothing.
 
     `draws` receives the inputs of each round of refinement before they are run, `batch` the posterior after each batch
-    of an active design, `note` anything that a person should know.
+    of an active design, `part` how many parts of a stage without runs are done, `note` anything that a person should
+    know.
     """
 
     stage: Callable[[str], None] = lambda name: None
@@ -194,6 +198,7 @@ class Observer:
     run: Callable[[RunRecord, Progress], None] = lambda record, progress: None
     step: Callable[[StepInfo], None] = lambda info: None
     note: Callable[[str], None] = lambda text: None
+    part: Callable[[Progress], None] = lambda progress: None
     batch: Callable[[BatchReport], None] = lambda report: None
 
 

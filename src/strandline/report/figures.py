@@ -20,6 +20,7 @@ from strandline.posterior.quadrature import QuadratureResult, mixture
 from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
 from strandline.report.field_figures import field_figures
+from strandline.report.fit import fit_figures
 from strandline.report.run_figures import failed_runs, offsets_of_runs
 from strandline.surrogate import LogLikelihoodSurrogate
 
@@ -39,6 +40,7 @@ def figure_groups(calibration: Calibration, truth: Mapping[str, float] | None) -
     Figures of exactly two inputs are left out if there are fewer or more.
     """
     return {
+        "fit": fit_figures(calibration),
         "data": chain(_data(calibration, truth), offsets_of_runs(calibration), failed_runs(calibration)),
         "likelihood": _fields(calibration, truth),
         "surrogate": _surrogate(calibration),
@@ -217,12 +219,14 @@ def _field_likelihood(
 def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
     if calibration.surrogates:
         values = next(iter(calibration.log_likelihoods.values()))
-        validation = calibration.surrogate.validation
-        axes = plots.plot_leave_one_out(values, values - validation.residuals, near_mode=validation.near_mode)
+        validation, how = calibration.surrogate.validation, calibration.surrogate.left_out
+        predicted = values - validation.residuals
+        axes = plots.plot_leave_one_out(values, predicted, near_mode=validation.near_mode, left_out=how)
         called = "the surrogate" if calibration.field is None else "a surrogate of the log-likelihood"
         decide = "" if calibration.field is not None else " The runs near the mode decide the posterior:"
+        others = "all other runs" if calibration.settings.fit is None else "nine tenths of the runs, without it"
         caption = (
-            f"Each run's log-likelihood as {called} predicts it from all other runs.{decide} "
+            f"Each run's log-likelihood as {called} predicts it from {others}.{decide} "
             f"Root-mean-square error of the runs near the mode: {validation.loo_rms_near_mode:.3g}."
         )
         yield Captioned("leave_one_out", "surrogate", caption, whole(axes.figure))

@@ -19,7 +19,7 @@ from strandline.discrepancy import (
 )
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation
-from strandline.likelihood import InterfaceLikelihood, noise_length
+from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length
 from strandline.runs import RunRecord
 
 __all__ = ["Nearest", "as_json", "nearest_runs", "nothing_near"]
@@ -110,7 +110,8 @@ def nearest_runs(
 def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: list[RunRecord]) -> Nearest:
     simulated = best.interfaces[seen.condition]
     square = float(InterfaceLikelihood((seen,), measure).discrepancies(best.interfaces)[0])
-    residual = noise_units(square, seen.noise.scale, count_of_distances(measure, simulated, seen.interface))
+    one = compared(seen, measure, len(simulated.points))
+    residual = noise_units(square, one.noise.scale, count_of_distances(measure, simulated, seen.interface))
     distance, _ = apart(simulated, seen.interface)
     noise = None
     far = residual > FAR or distance > extent(seen.interface)
@@ -147,7 +148,8 @@ def _log_likelihood(problem: Problem, measure: Discrepancy, runs: list[RunRecord
 
 def _noise(seen: Observation, measure: Discrepancy, simulated: Interface) -> float:
     if count_of_distances(measure, simulated, seen.interface) is not None:
-        return float(np.sqrt(seen.noise.scale))
+        errors = errors_of(seen)
+        return errors.sd if errors is not None else float(np.sqrt(compared(seen, measure, 0).noise.scale))
     return noise_length(seen, measure)
 
 

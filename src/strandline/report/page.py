@@ -15,14 +15,16 @@ from markupsafe import Markup
 from strandline.calibration import Calibration
 from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
+from strandline.report.coverage import draw_coverage
 from strandline.report.figures import figure_groups
 from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.warnings import reason_to_doubt, small_share
 from strandline.typeset import RAISED, html_text, unit_text
 
-__all__ = ["FIGURES", "PAGE_PIXELS_PER_INCH", "add_check", "template", "write_report"]
+__all__ = ["FIGURES", "PAGE_PIXELS_PER_INCH", "add_check", "template", "write_coverage", "write_report"]
 
 FILE_NAME = "report.html"
+COVERAGE = "coverage.html"
 FIGURES = "figures"
 PAGE_PIXELS_PER_INCH = 138
 """Pixels on the page per inch of a figure: two columns of a journal fill the page."""
@@ -77,6 +79,7 @@ def write_report(
         s={**summary, "warnings": [*failed, *summary["warnings"]]},
         figures=[item for item in shown if item is not picture],
         study_text=study_text,
+        fit=calibration.settings.fit,
         check=check,
         picture=picture,
     )
@@ -122,11 +125,24 @@ def add_check(check: Mapping[str, Any], folder: Path) -> None:
         _replaced(folder, f"{before}{begin}{section}{end}{after}")
 
 
-def _replaced(folder: Path, page: str) -> Path:
+def write_coverage(content: Mapping[str, Any], folder: Path) -> Path:
+    """Write the figures of repeated experiments, and a self-contained page about them; return the page's path.
+
+    Args:
+        content: Content of coverage.json.
+        folder: Folder of the study.
+    """
+    figures = folder / FIGURES
+    figures.mkdir(exist_ok=True)
+    pictures = [_saved(captioned, figures) for captioned in draw_coverage(content)]
+    return _replaced(folder, template("coverage.html.j2").render(c=content, figures=pictures), COVERAGE)
+
+
+def _replaced(folder: Path, page: str, name: str = FILE_NAME) -> Path:
     """Write the page whole or not at all."""
-    unfinished = folder / f".{FILE_NAME}.partial"
+    unfinished = folder / f".{name}.partial"
     unfinished.write_text(page, encoding="utf-8")
-    return unfinished.replace(folder / FILE_NAME)
+    return unfinished.replace(folder / name)
 
 
 @contextmanager
@@ -137,6 +153,8 @@ def _whole_folder(target: Path) -> Iterator[Path]:
     partial.mkdir()
     try:
         yield partial
+        for other in target.glob("coverage_*"):  # figures of another command
+            shutil.copy2(other, partial)
         shutil.rmtree(target, ignore_errors=True)
         partial.rename(target)
     finally:

@@ -20,12 +20,14 @@ BOUND_MASS = 0.01
 MANY_BOUNDS = 3
 """Number of ends of the box from which one sentence reports all of them."""
 LOO_LIMIT = 0.5
-"""Leave-one-out error near the mode, in units of log-likelihood, above which the posterior's shape is in doubt."""
+"""Error of left-out runs near the mode, in units of log-likelihood, above which the posterior's shape is in doubt."""
 ABOVE_ZERO = 1.0
 """A surrogate whose log-likelihood exceeds its bound 0 by more than this is wrong where it matters."""
 ESS_SHARE = 0.1
 QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
+ERRS = 0.5
+"""Probability of an error of the model from which it is worth a warning."""
 CUT_TAIL = 0.05
 """Share of the cut reading below the smallest log-likelihood that a warning reports."""
 
@@ -39,6 +41,14 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
         yield (
             f"NO FIELD could be made of the runs' interfaces: {calibration.no_field}. The surrogate is one of the "
             "log-likelihood instead, and nothing was checked on the true model: `strandline posterior check` does that."
+        )
+    if calibration.misfit is not None and calibration.misfit.flagged:
+        yield calibration.misfit.verdict
+    inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
+    if inferred is not None and inferred.posterior.probability_of_model_error > ERRS:
+        yield (
+            f"The model errs, with probability {inferred.posterior.probability_of_model_error:.2g}: the posterior "
+            "allows for that, but what it means for other loads is not known."
         )
     if calibration.field is None:
         yield from _impossible(calibration)
@@ -74,7 +84,8 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
         return "the check with the true model failed"
     if calibration.field is None and calibration.surrogate.validation.loo_rms_near_mode > LOO_LIMIT:
         error = calibration.surrogate.validation.loo_rms_near_mode
-        return f"its shape is in doubt, leave-one-out error near the mode {error:.2g} in log-likelihood"
+        how = calibration.surrogate.left_out
+        return f"its shape is in doubt, {how} error near the mode {error:.2g} in log-likelihood"
     return None
 
 
@@ -132,14 +143,14 @@ def _prior(calibration: Calibration) -> Iterator[str]:
 
 
 def _surrogate(calibration: Calibration) -> Iterator[str]:
-    validation = calibration.surrogate.validation
+    validation, how = calibration.surrogate.validation, calibration.surrogate.left_out
     measure = next(iter(calibration.problem.discrepancies.values()))
     remedy = "More runs will lower it."
     if getattr(measure, "quadrature", None) == "centre":
         remedy = "More runs will lower it, and so will the refined quadrature of the measure."
     if validation.loo_rms_near_mode > LOO_LIMIT:
         yield (
-            f"The surrogate's leave-one-out error near the mode is {validation.loo_rms_near_mode:.2g} in "
+            f"The surrogate's {how} error near the mode is {validation.loo_rms_near_mode:.2g} in "
             f"log-likelihood (over {validation.near_mode_count} runs; above {LOO_LIMIT:g} the posterior's shape is in "
             f"doubt). {remedy}"
         )
@@ -176,7 +187,8 @@ def _cut(calibration: Calibration) -> Iterator[str]:
     if error > max(LOO_LIMIT, validation.loo_rms_near_mode):
         yield (
             f"The cut reading uses log-likelihoods down to {lowest:.3g}, and over the {int(above.sum())} runs from "
-            f"there up the surrogate's leave-one-out error is {error:.2g}: it is less sure than the joint one."
+            f"there up the surrogate's {calibration.surrogate.left_out} error is {error:.2g}: it is less sure than the "
+            "joint one."
         )
     if calibration.cut_quadrature is None:
         return

@@ -250,6 +250,8 @@ def test_leave_one_out_reports_the_error_near_the_mode(spread_top):
 def test_leave_one_out_without_options():
     ax = plot_leave_one_out(np.zeros(3), np.zeros(3))
     render(ax.figure)
+    assert ax.get_ylabel() == "leave-one-out prediction of\nlog-likelihood"
+    assert "tenth" in plot_leave_one_out(np.zeros(3), np.zeros(3), left_out="leave-a-tenth-out").get_ylabel()
     assert len(ax.get_legend().get_texts()) == 2
 
 

@@ -2,6 +2,7 @@
 
 from strandline.report.plots.check import OffsetBand, plot_check, plot_offsets
 from strandline.report.plots.convergence import plot_convergence
+from strandline.report.plots.coverage import IntervalCoverage, plot_intervals, plot_rank_band, plot_rank_bands
 from strandline.report.plots.failed_runs import plot_failed_runs
 from strandline.report.plots.field import FieldGrid, plot_field, plot_profile, three_measures
 from strandline.report.plots.field_error import ErrorsAlong, plot_field_error
@@ -14,6 +15,7 @@ from strandline.report.plots.offsets import plot_run_offsets
 from strandline.report.plots.parallel import plot_parallel
 from strandline.report.plots.particles import plot_particles
 from strandline.report.plots.parts import plot_parts
+from strandline.report.plots.residuals import ResidualsAlong, plot_residuals
 from strandline.report.plots.run_history import RunHistory, plot_run_history
 from strandline.report.plots.sensitivity import plot_sensitivity
 from strandline.report.plots.style import mark_doubt
@@ -24,7 +26,9 @@ __all__ = [
     "ErrorsAlong",
     "FieldGrid",
     "FlowFields",
+    "IntervalCoverage",
     "OffsetBand",
+    "ResidualsAlong",
     "RunHistory",
     "mark_doubt",
     "plot_check",
@@ -36,6 +40,7 @@ __all__ = [
     "plot_flow",
     "plot_hexagons",
     "plot_interfaces",
+    "plot_intervals",
     "plot_joint",
     "plot_leave_one_out",
     "plot_marginal",
@@ -46,6 +51,9 @@ __all__ = [
     "plot_particles",
     "plot_parts",
     "plot_profile",
+    "plot_rank_band",
+    "plot_rank_bands",
+    "plot_residuals",
     "plot_run_history",
     "plot_run_offsets",
     "plot_selected_pairs",

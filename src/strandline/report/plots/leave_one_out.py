@@ -25,6 +25,7 @@ def plot_leave_one_out(
     sd: Float[np.ndarray, " run"] | None = None,
     near_mode: Bool[np.ndarray, " run"] | None = None,
     quantity: str = "log-likelihood",
+    left_out: str = "leave-one-out",
     spread_top: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
@@ -32,10 +33,11 @@ def plot_leave_one_out(
 
     Args:
         value: the quantity at each training point (run,).
-        prediction: the surrogate's prediction without that point (run,).
+        prediction: the surrogate's prediction without that point, and perhaps some others (run,).
         sd: its standard deviation there, drawn as error bars.
         near_mode: the points near the mode, which decide the posterior; highlighted.
         quantity: what is predicted, with its unit.
+        left_out: how the predictions were made: ``leave-one-out`` or ``leave-a-tenth-out``.
         spread_top: draw both axes in the square root of the drop from the highest value, to see the mode of a
             log-likelihood that falls by thousands.
         ax: axes to draw in.
@@ -67,7 +69,7 @@ def plot_leave_one_out(
             xlim=limits,
             ylim=limits,
             xlabel=quantity,
-            ylabel=f"leave-one-out prediction of\n{quantity}",
+            ylabel=f"{left_out} prediction of\n{quantity}",
         )
         if spread_top:
             ax.set(aspect="auto", box_aspect=1.0)

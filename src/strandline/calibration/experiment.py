@@ -1,0 +1,191 @@
+"""The experiment behind some observations, to be repeated at other inputs: the same points, noise and analysis."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration.footprint import Footprint, footprint
+from strandline.discrepancy import Discrepancy, NormalOffset, TrackedPoints
+from strandline.errors import InvalidInput
+from strandline.interface import (
+    Interface,
+    Noise,
+    Observation,
+    PointErrors,
+    UnknownErrors,
+    steady_normals,
+)
+from strandline.likelihood import FieldLikelihood, compared, errors_of
+from strandline.likelihood.compared import with_variance
+from strandline.likelihood.residual_noise import stated_errors
+from strandline.likelihood.shared_errors import shared_errors
+from strandline.surrogate.field import FieldSurrogate
+
+__all__ = ["CoordinateErrors", "Experiment", "experiment_behind"]
+
+STEP = 1e-3
+"""Step of finite differences of the predicted interface, as a share of the box."""
+
+
+@dataclass(frozen=True)
+class CoordinateErrors:
+    """Independent errors of all coordinates of tracked points.
+
+    Args:
+        sd: Standard deviation, mm.
+    """
+
+    sd: float
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """The standard deviation, mm."""
+        return {"coordinate_sd": self.sd}
+
+    def draw(self, true: Interface, random: np.random.Generator) -> Interface:
+        """Return `true` as it might be observed."""
+        return Interface(true.points + self.sd * random.standard_normal(true.points.shape), true.cells)
+
+
+Errors = PointErrors | CoordinateErrors
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What was observed, how wrong it may be, and how it is analysed, by condition.
+
+    Args:
+        surrogate: Surrogate of the interface.
+        footprints: Where on the simulated interfaces the observed points lie.
+        errors: Errors with which observations are drawn.
+        noises: Noise with which they are analysed.
+        measure: The measure d² of the analysis.
+    """
+
+    surrogate: FieldSurrogate
+    footprints: Mapping[str, Footprint]
+    errors: Mapping[str, Errors]
+    noises: Mapping[str, Noise | PointErrors | UnknownErrors]
+    measure: Discrepancy
+
+    def truths(self, x: Float[np.ndarray, " dim"]) -> dict[str, Interface]:
+        """Return the predicted interfaces at inputs x, at the observed places."""
+        nodes = self.surrogate.points(self.surrogate.mean(x[None]))
+        return {name: Interface(one.on(nodes[name][0]), one.cells) for name, one in self.footprints.items()}
+
+    def observed(self, truths: Mapping[str, Interface], random: np.random.Generator) -> tuple[Observation, ...]:
+        """Return the true interfaces as they might be observed, with the noise of the analysis."""
+        common = self._shared
+        if common is None:
+            drawn = {name: self.errors[name].draw(true, random) for name, true in truths.items()}
+        else:
+            drawn = _drawn_together(common, truths, random)
+        return tuple(Observation(seen, self.noises[name], name) for name, seen in drawn.items())
+
+    def likelihood(self, observations: tuple[Observation, ...]) -> FieldLikelihood:
+        """Return the likelihood of the inputs."""
+        return FieldLikelihood(self.surrogate, observations, self.measure)
+
+    def information(
+        self, x: Float[np.ndarray, " dim"], truths: Mapping[str, Interface]
+    ) -> Float[np.ndarray, "dim dim"]:
+        """Return the Fisher information of the inputs at x by these errors, for small displacements."""
+        slopes = self._slopes(x)
+        common = self._shared
+        if common is not None:
+            seen = [Observation(true, common[name], name) for name, true in truths.items()]
+            joint = shared_errors(seen, NormalOffset())
+            if joint is not None:
+                rows = [_along_normals(slopes[name], true) for name, true in truths.items()]
+                return joint.model.information(np.concatenate(rows))
+        return np.asarray(sum(_of_one(self.errors[name], slopes[name], true) for name, true in truths.items()))
+
+    def _slopes(self, x: Float[np.ndarray, " dim"]) -> dict[str, Float[np.ndarray, "_ xyz dim"]]:
+        """Return the derivatives of the observed points, mm per unit of the input, by condition."""
+        low, high = self.surrogate.warping.low, self.surrogate.warping.high
+        steps = np.diag(STEP * (high - low))
+        ahead, behind = np.clip(x + steps, low, high), np.clip(x - steps, low, high)
+        spans = np.diag(ahead - behind)
+        nodes = self.surrogate.points(self.surrogate.mean(np.concatenate([ahead, behind])))
+        found = {}
+        for name, one in self.footprints.items():
+            changes = nodes[name][: len(x)] - nodes[name][len(x) :]
+            found[name] = np.stack([one.on(c) / s for c, s in zip(changes, spans, strict=True)], axis=2)
+        return found
+
+    @cached_property
+    def _shared(self) -> Mapping[str, PointErrors] | None:
+        """The errors if shift, rotation and scale are the same in all conditions; None if there is nothing to share."""
+        known = {name: one for name, one in self.errors.items() if isinstance(one, PointErrors) and one.shared}
+        same = len({(one.shift, one.rotation, one.scale) for one in known.values()}) == 1
+        return known if same and len(known) == len(self.errors) > 1 else None
+
+
+def experiment_behind(likelihood: FieldLikelihood, near: Float[np.ndarray, " mode"]) -> Experiment:
+    """Return the experiment behind the observations of a likelihood.
+
+    Observations are drawn with the errors of the points if these are stated, else with independent errors for which the
+    stated σ_N² is right: of all coordinates of tracked points, of other points along the normals.
+
+    Args:
+        likelihood: Likelihood of the real observations.
+        near: Coefficients of predicted interfaces that are near them, mm.
+
+    Raises:
+        InvalidInput: No independent errors have this σ_N².
+    """
+    surrogate, measure = likelihood.surrogate, likelihood.discrepancy
+    nodes, footprints = surrogate.points(near[None]), {}
+    errors: dict[str, Errors] = {}
+    noises: dict[str, Noise | PointErrors | UnknownErrors] = {}
+    for seen in likelihood.observations:
+        template = surrogate.layouts[seen.condition].template
+        footprints[seen.condition] = footprint(seen.interface, Interface(nodes[seen.condition][0], template.cells))
+        known = seen if likelihood.inferred is None else likelihood.inferred.at_median([seen])[0]
+        errors[seen.condition] = _errors(known, measure, len(template.points))
+        noises[seen.condition] = with_variance(seen, measure, len(template.points))
+    return Experiment(surrogate, footprints, errors, noises, measure)
+
+
+def _errors(seen: Observation, measure: Discrepancy, nodes: int) -> Errors:
+    one = compared(seen, measure, nodes)
+    if isinstance(measure, TrackedPoints) and errors_of(seen) is None:
+        return CoordinateErrors(math.sqrt(one.noise.scale))
+    try:
+        return stated_errors(seen, measure, nodes).errors
+    except InvalidInput as error:
+        raise InvalidInput(
+            "noise of repeated observations",
+            value=f"σ_N² = {one.noise.scale:.3g}, for which no independent errors of the points were found",
+            expected="a σ_N² that follows from errors of the points",
+            remedy="State these errors, e.g. noise: {sd: 3, unit: um}, or use the measure normal_offset.",
+        ) from error
+
+
+def _drawn_together(
+    errors: Mapping[str, PointErrors], truths: Mapping[str, Interface], random: np.random.Generator
+) -> dict[str, Interface]:
+    """Return observations with the same drawn shift, rotation and scale about their common middle."""
+    middle = np.concatenate([true.points for true in truths.values()]).mean(axis=0)
+    dim, out = len(middle), {}
+    by = random.standard_normal(replace(next(iter(errors.values())), offset=0.0).global_errors(dim))
+    for name, true in truths.items():
+        own = replace(errors[name], shift=0.0, rotation=0.0, scale=0.0).draw(true, random)
+        out[name] = replace(errors[name], offset=0.0).moved(own, by, middle=middle)
+    return out
+
+
+def _of_one(
+    errors: Errors, slopes: Float[np.ndarray, "point xyz dim"], true: Interface
+) -> Float[np.ndarray, "dim dim"]:
+    if isinstance(errors, CoordinateErrors):
+        return np.asarray(np.einsum("pxi,pxj->ij", slopes, slopes) / errors.sd**2)
+    return errors.model(true).information(_along_normals(slopes, true))
+
+
+def _along_normals(slopes: Float[np.ndarray, "point xyz dim"], true: Interface) -> Float[np.ndarray, "point dim"]:
+    return np.asarray(np.einsum("px,pxd->pd", steady_normals(true), slopes))

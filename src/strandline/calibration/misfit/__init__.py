@@ -1,0 +1,7 @@
+"""Whether the model explains the observations within the noise, whatever the posterior."""
+
+from strandline.calibration.misfit.judge import misfit_of
+from strandline.calibration.misfit.prediction import Prediction, by_field, by_runs
+from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
+
+__all__ = ["ConditionMisfit", "Misfit", "Prediction", "Region", "by_field", "by_runs", "misfit_of"]

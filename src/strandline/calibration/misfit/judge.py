@@ -1,0 +1,194 @@
+"""Whether the model explains the observations: residuals of the best fit among those that the noise causes.
+
+The best fit minimises rᵀ C⁻¹ r over the inputs, with signed distances r of the observed points from the predicted
+interface and the covariance C of their errors. The same minimum for drawn observations gives a p-value that is uniform
+if the model is right, whatever the inputs. Parts of the arc show where a wrong model fails; their p-values are
+corrected for their number. d² of the measure behind the posterior is compared with posterior-predictive draws.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration.misfit.best_fit import BestFit, best_fit
+from strandline.calibration.misfit.prediction import Prediction
+from strandline.calibration.misfit.predictive import PredictiveShares, predictive_shares
+from strandline.calibration.misfit.reference import (
+    Parts,
+    Statistics,
+    corrected,
+    drawn_statistics,
+    observed_statistics,
+    parts_of,
+    tail,
+)
+from strandline.calibration.misfit.residuals import Residuals
+from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
+from strandline.calibration.misfit.verdict import verdict_on
+from strandline.discrepancy import Discrepancy
+from strandline.errors import StrandlineError
+from strandline.interface import GLOBAL, Observation, PointErrors, arc_lengths, steady_normals
+from strandline.likelihood.residual_noise import noise_of_residuals
+from strandline.posterior import Posterior
+
+__all__ = ["invisible", "misfit_of"]
+
+STREAM = 5
+"""Keeps these random numbers apart from all others of the same seed."""
+_ONE_SIDE = 0.5
+"""Least length of the mean unit normal of a part of an arc that lies on one side of the prediction."""
+
+
+def misfit_of(
+    prediction: Prediction,
+    observations: Sequence[Observation],
+    measure: Discrepancy,
+    posterior: Posterior,
+    *,
+    fixed: Sequence[str] = (),
+    explained: Float[np.ndarray, "seen cause"] | None = None,
+    seed: int,
+) -> Misfit:
+    """Return whether the model explains the observations; if that cannot be computed, the verdict says why.
+
+    Args:
+        prediction: Prediction of the model.
+        observations: The observed interfaces.
+        measure: The measure d² behind the posterior.
+        posterior: Posterior of the inputs.
+        fixed: Names of the known inputs.
+        explained: What errors of the model that were allowed for do to the residuals, mm; None if there are none.
+        seed: Seed of the random numbers.
+    """
+    unseen = invisible(observations, posterior.space.names, fixed)
+    try:
+        return _judged(prediction, observations, measure, posterior, explained, unseen, seed)
+    except (StrandlineError, ArithmeticError, ValueError) as error:
+        why = " ".join(str(error).split())
+        return Misfit(f"Whether the model explains the observation was not computed: {why}", False, notes=(unseen,))
+
+
+def _judged(
+    prediction: Prediction,
+    observations: Sequence[Observation],
+    measure: Discrepancy,
+    posterior: Posterior,
+    explained: Float[np.ndarray, "seen cause"] | None,
+    unseen: str,
+    seed: int,
+) -> Misfit:
+    random = np.random.default_rng([seed, STREAM])
+    residuals = Residuals.of(observations, measure, prediction.templates, explained)
+    fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
+    seen, drawn = observed_statistics(residuals, fit, parts), drawn_statistics(residuals, fit, parts, random)
+    predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
+    try:
+        predictive = predictive_shares(residuals, fit, prediction, posterior, random)
+    except (StrandlineError, ArithmeticError, ValueError) as error:
+        failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
+    conditions = _conditions(residuals, fit, parts, seen, drawn, predictive)
+    p_value = float(tail(drawn.whole, seen.whole))
+    verdict = verdict_on(p_value, predictive.whole, conditions, run_alone=prediction.run_alone)
+    notes = (*_notes(residuals, prediction), *failed, unseen)
+    text = _allowed(verdict.text, explained)
+    return Misfit(text, verdict.flagged, p_value, predictive.whole, conditions, notes)
+
+
+def _conditions(
+    residuals: Residuals,
+    fit: BestFit,
+    parts: Parts,
+    seen: Statistics,
+    drawn: Statistics,
+    predictive: PredictiveShares,
+) -> tuple[ConditionMisfit, ...]:
+    """Return the residuals of each observation, global errors and errors of the surrogate removed: D (C + FFᵀ)⁻¹ r."""
+    weighted = fit.with_modes(residuals.model).solved(fit.residuals)
+    local, shares = residuals.model.local * weighted, tail(drawn.conditions, seen.conditions)
+    regions = _regions(residuals, local, parts, seen, drawn)
+    found = []
+    for k, (one, stated) in enumerate(zip(residuals.observations, residuals.stated, strict=True)):
+        interface, mine = one.interface, local[residuals.parts[k]]
+        line = interface.dim == 2
+        found.append(
+            ConditionMisfit(
+                condition=one.condition,
+                arc_length=arc_lengths(interface) if line else np.arange(len(mine), dtype=float),
+                residual=mine,
+                stated=stated,
+                expected=stated.noise_along(interface),
+                found=noise_of_residuals(mine, interface) if line else None,
+                p_value=float(shares[k]),
+                predictive_p=predictive.conditions[k],
+                regions=tuple(r for r, span in zip(regions, parts.spans, strict=True) if span.observation == k),
+            )
+        )
+    return tuple(found)
+
+
+def _regions(
+    residuals: Residuals, local: Float[np.ndarray, " seen"], parts: Parts, seen: Statistics, drawn: Statistics
+) -> list[Region]:
+    """Return the parts of the arcs, with p-values of their mean and of their sum of squares, both corrected."""
+    by_squares, by_mean = tail(drawn.squares, seen.squares), tail(np.abs(drawn.means), np.abs(seen.means))
+    p_values = corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
+    chosen = sorted({span.observation for span in parts.spans})
+    normals = {k: steady_normals(residuals.observations[k].interface) for k in chosen}
+    found = []
+    for j, span in enumerate(parts.spans):
+        mine = parts.members[:, j] > 0
+        mean, rms = float(seen.means[0, j]), float(np.sqrt(np.mean(local[mine] ** 2)))
+        excess = abs(mean) / float(drawn.means[:, j].std())
+        if abs(mean) < 0.5 * rms:
+            excess = float(np.sqrt(seen.squares[0, j] / drawn.squares[:, j].mean()))
+        towards = np.sign(mean) * normals[span.observation][mine[residuals.parts[span.observation]]].mean(axis=0)
+        found.append(Region(span.begin, span.end, mean, rms, _side(towards), excess, float(p_values[j])))
+    return found
+
+
+def _side(towards: Float[np.ndarray, "2"]) -> str:
+    """Return where a mean normal points, in words; nothing if the normals point everywhere."""
+    if np.linalg.norm(towards) < _ONE_SIDE:
+        return ""
+    x, y = towards.tolist()
+    if abs(y) >= abs(x):
+        return "above" if y > 0 else "below"
+    return "to the right of" if x > 0 else "to the left of"
+
+
+def _notes(residuals: Residuals, prediction: Prediction) -> list[str]:
+    """Return what was assumed, in sentences."""
+    found = [f"The interface was predicted by {prediction.source}."]
+    if prediction.run_alone:
+        found.append("Its inputs are not those of the best fit, so the p-values are lower bounds.")
+    assumed = sorted({f"{1e3 * one.errors.sd:.3g} µm" for one in residuals.stated if one.assumed})
+    if assumed:
+        found.append(
+            "Only σ_N² of the measure is stated: independent errors of the points that have the same σ_N², with a "
+            f"standard deviation of {' or '.join(assumed)}, stand for the noise."
+        )
+    if residuals.model.shared.any():
+        kinds = [name for name in GLOBAL if any(getattr(one.errors, name) > 0 for one in residuals.stated)]
+        found.append(f"The most probable {' and '.join(kinds) or 'error of the model'} of the observation was removed.")
+    return found
+
+
+def _allowed(verdict: str, explained: Float[np.ndarray, "seen cause"] | None) -> str:
+    """Return the verdict with what the model was allowed to err by, if that is more than nothing."""
+    size = 0.0 if explained is None else float(np.sqrt(np.mean((explained**2).sum(axis=1))))
+    if size <= 0:
+        return verdict
+    return f"With the error of {1e3 * size:.2g} µm that it was allowed to make: {verdict[0].lower()}{verdict[1:]}"
+
+
+def invisible(observations: Sequence[Observation], names: Sequence[str], fixed: Sequence[str]) -> str:
+    """Return which errors no residual can show, in two sentences."""
+    scaled = all(isinstance(seen.noise, PointErrors) and seen.noise.scale > 0 for seen in observations)
+    scale = "" if scaled else ", and much of a wrong scale of the picture"
+    known = ", ".join(fixed or ("a load", "an inflow"))
+    return (
+        f"No residual shows an error that other values of {', '.join(names)} make up for: a wrong value of {known}, of "
+        f"a density or of any other known quantity that only multiplies them{scale}. Such an error moves the posterior "
+        "and leaves the fit as good as it is."
+    )

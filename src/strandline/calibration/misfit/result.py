@@ -1,0 +1,101 @@
+"""What a comparison of the observations with the best prediction finds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.likelihood.residual_noise import ResidualNoise, StatedErrors
+
+__all__ = ["ConditionMisfit", "Misfit", "Region"]
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the arc of an observed interface.
+
+    Args:
+        begin: Arc length of the observed interface at which it begins, mm.
+        end: Arc length at which it ends, mm.
+        mean: Mean residual, mm, positive on the side of the normals.
+        rms: Root mean square of the residuals, mm.
+        side: Where the observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like.
+        excess: Ratio of the mean, or of the root mean square if it is more than twice the mean, to what the noise
+            allows.
+        p_value: Probability of such residuals of a right model in any part, corrected for the number of parts.
+    """
+
+    begin: float
+    end: float
+    mean: float
+    rms: float
+    side: str
+    excess: float
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionMisfit:
+    """The residuals of one observed interface: its distance from the best prediction, without global errors.
+
+    Args:
+        condition: The observed condition.
+        arc_length: Arc length at each observed point, mm; its number on a surface.
+        residual: Signed distance of each point, mm.
+        stated: Errors of the points that the observation states.
+        expected: Standard deviation and correlation length of residuals with these errors, mm.
+        found: Those of the residuals, mm; None on a surface.
+        p_value: Probability that a right model leaves residuals as large.
+        predictive_p: Posterior-predictive p-value of d².
+        regions: Parts of the arc; none on a surface.
+    """
+
+    condition: str
+    arc_length: Float[np.ndarray, " point"]
+    residual: Float[np.ndarray, " point"]
+    stated: StatedErrors
+    expected: ResidualNoise
+    found: ResidualNoise | None
+    p_value: float
+    predictive_p: float
+    regions: tuple[Region, ...] = ()
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals, mm."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def ratio(self) -> float | None:
+        """Ratio of s²ℓ of the residuals to that of the stated errors; None on a surface."""
+        return None if self.found is None else self.found.level / self.expected.level
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Misfit:
+    """Whether the model explains the observations within the noise.
+
+    Args:
+        verdict: The answer in one sentence.
+        flagged: Whether it does not.
+        p_value: Probability that a right model leaves residuals as large as those of the best fit; None if it could
+            not be computed. Under a right model all its values are equally likely.
+        predictive_p: Posterior-predictive p-value of d², conservative; None likewise.
+        conditions: Residuals of each observation.
+        notes: How it was computed, in sentences.
+    """
+
+    verdict: str
+    flagged: bool
+    p_value: float | None = None
+    predictive_p: float | None = None
+    conditions: tuple[ConditionMisfit, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Misfit {self.verdict}>"
+
+    @property
+    def region_p(self) -> float | None:
+        """Smallest p-value of a part of an arc; None if there are no parts."""
+        return min((region.p_value for one in self.conditions for region in one.regions), default=None)

@@ -1,0 +1,95 @@
+"""The answer to whether the model fits, in words."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from strandline.calibration.misfit.result import ConditionMisfit, Region
+
+__all__ = ["Verdict", "verdict_on"]
+
+FAMILIES = 3
+"""Kinds of p-values: of all residuals, of the parts of an arc, of d². The least one is corrected for their number."""
+LEVEL = 0.01
+"""A model whose residuals are less likely than this is flagged."""
+DOUBTFUL, RATIO = 0.05, 4.0
+"""So is one whose residuals are less likely than this and have more than this many times the s²ℓ that was stated."""
+SMALL = 0.995
+"""A p-value above this means residuals that are small for the stated noise."""
+LEAST = 0.001
+"""Smallest p-value that is given as a number."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """An answer in one sentence, and whether it means that the model does not explain the observations."""
+
+    text: str
+    flagged: bool
+
+
+def verdict_on(
+    p_value: float, predictive_p: float, conditions: Sequence[ConditionMisfit], *, run_alone: bool
+) -> Verdict:
+    """Return the verdict on residuals.
+
+    Args:
+        p_value: Probability that a right model leaves residuals as large as those of the best fit.
+        predictive_p: Posterior-predictive p-value of d².
+        conditions: Residuals of each observation.
+        run_alone: Whether a single run stands for all inputs; then large residuals prove nothing.
+    """
+    regions = [region.p_value for one in conditions for region in one.regions]
+    ratio = max((one.ratio for one in conditions if one.ratio is not None), default=0.0)
+    least = min(1.0, FAMILIES * min(p_value, predictive_p, *regions))
+    what = "observation" if len(conditions) == 1 else "observations"
+    if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL):
+        small = ", and the residuals are small for the noise that was stated" if p_value > SMALL else ""
+        return Verdict(f"The model explains the {what}: {_said(p_value)}{small}.", flagged=False)
+    if run_alone:
+        return Verdict(
+            f"Whether the model explains the {what} is not known: the best run does not ({_said(least)}), and nothing "
+            "could be predicted between the runs.",
+            flagged=False,
+        )
+    because = next(_reasons(conditions, ratio), "")
+    return Verdict(
+        f"The model does not explain the {what} ({_said(least)}){because}; the posterior's width then means little.",
+        flagged=True,
+    )
+
+
+def _said(p: float) -> str:
+    return f"p < {LEAST:g}" if p < LEAST else f"p = {p:.2g}"
+
+
+def _reasons(conditions: Sequence[ConditionMisfit], ratio: float) -> Iterator[str]:
+    """Yield where the residuals are largest if a part of an arc is conspicuous; else that they are long."""
+    found = [(region.p_value, -region.excess, one.condition, region) for one in conditions for region in one.regions]
+    if found:
+        p_value, _, condition, region = min(found, key=lambda one: one[:2])
+        if p_value < DOUBTFUL:
+            yield f": {_where(condition, region)}"
+    if ratio > RATIO:
+        yield f": s²ℓ of the residuals is {_short(ratio)} times that of the stated noise"
+
+
+def _where(condition: str, region: Region) -> str:
+    of = f" of condition {condition}" if condition else ""
+    size = f"lies {_length(abs(region.mean))} {region.side} the prediction"
+    if abs(region.mean) < 0.5 * region.rms or not region.side:
+        size = f"departs from the prediction by {_length(region.rms)}, root mean square"
+    where = f"near s = {_place(region.begin)}–{_place(region.end)} mm{of}"
+    return f"{where} the observed interface {size}, {_short(region.excess)} times what the noise allows"
+
+
+def _place(mm: float) -> str:
+    return f"{mm:.3g}" if mm < 100 else f"{mm:.0f}"
+
+
+def _length(mm: float) -> str:
+    return f"{_short(mm)} mm" if mm >= 1 else f"{_short(1e3 * mm)} µm"
+
+
+def _short(number: float) -> str:
+    """Return two significant digits, more of a large number, without a power of ten."""
+    return f"{number:.0f}" if number >= 10 else f"{number:.2g}"

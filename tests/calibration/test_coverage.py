@@ -1,0 +1,264 @@
+"""Ranks of the truth are uniform if noise and likelihood belong together, and only then."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.special import log_softmax, logsumexp
+from scipy.stats import norm
+from tests.calibration.arches import SD, SPACE, knowledge, seen
+
+from strandline.calibration import coverage as module
+from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
+from strandline.calibration.field_quality import field_quality
+from strandline.calibration.source import Source, posterior_source, prior_source
+from strandline.design.active import Knowledge
+from strandline.discrepancy import ClosestPoint, Discrepancy, NormalOffset, TrackedPoints
+from strandline.errors import InvalidInput
+from strandline.interface import GaussianNoise, Noise, Observation, PointErrors
+from strandline.posterior import Posterior
+
+TO_SIMULATED = ClosestPoint(direction="to_simulated")
+QUICK = 30
+"""Replicates that show what is badly wrong."""
+
+
+@pytest.fixture(autouse=True)
+def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Begin with fewer draws of the prior: the box is small."""
+    monkeypatch.setattr("strandline.calibration.source.POINTS", 1024)
+
+
+@cache
+def known(noise: Noise | PointErrors, measure: Discrepancy) -> Knowledge:
+    errors = noise if isinstance(noise, PointErrors) else PointErrors(SD)
+    return knowledge(measure, {"": Observation(seen(errors), noise)})
+
+
+def repeated(
+    noise: Noise | PointErrors,
+    measure: Discrepancy,
+    *,
+    analysed: Noise | PointErrors | None = None,
+    number: int = QUICK,
+) -> CoverageFound:
+    """Repeat the experiment; `analysed` plants another noise in the analysis."""
+    source = prior_source(known(noise, measure), SPACE)
+    experiment = repeatable(source)
+    if analysed is not None:
+        experiment = replace(experiment, noises={"": analysed})
+    made = tuple(replicated(experiment, source, seed=1, number=k) for k in range(number))
+    return CoverageFound(SPACE.names, made)
+
+
+def least_p(found: CoverageFound) -> float:
+    return min(band.p_value for band in found.bands)
+
+
+@pytest.mark.parametrize(
+    ("noise", "measure"),
+    [
+        (PointErrors(SD), NormalOffset()),
+        (PointErrors(SD, 0.1, shift=0.02, rotation=1.0, offset=0.01), NormalOffset()),
+        (GaussianNoise(SD**2), TO_SIMULATED),
+        (GaussianNoise(SD**2), TrackedPoints()),
+    ],
+    ids=["whitened", "global errors", "closest point", "tracked points"],
+)
+def test_right_noise_gives_uniform_ranks(noise: Noise | PointErrors, measure: Discrepancy) -> None:
+    found = repeated(noise, measure)
+    assert least_p(found) > 1e-3
+    assert np.abs(found.z.std(axis=0) - 1).max() < 0.45
+    assert (found.of_limit > 0.8).all()
+    assert (found.of_limit < 1.5).all()
+    assert all(one.by == "importance" for one in found.replicates)
+
+
+@pytest.mark.parametrize(
+    ("noise", "analysed", "word"),
+    [
+        (PointErrors(SD, 0.12), PointErrors(SD), "narrow"),
+        (PointErrors(SD, shift=0.05), PointErrors(SD), "narrow"),
+        (PointErrors(SD, 0.1, offset=0.03), PointErrors(SD, 0.1), "narrow"),
+        (PointErrors(SD), GaussianNoise(SD), "wide"),
+    ],
+    ids=["2ℓ/h forgotten", "shift dropped", "offset dropped", "σ given for σ²"],
+)
+def test_wrong_noise_shows(noise: PointErrors, analysed: Noise | PointErrors, word: str) -> None:
+    """The planted bugs."""
+    found = repeated(noise, NormalOffset(), analysed=analysed)
+    assert not found.calibrated
+    assert any(word in remark for remark in found.remarks)
+
+
+@pytest.mark.long
+def test_many_replicates_are_inside_the_bands() -> None:
+    found = repeated(PointErrors(SD, 0.1, shift=0.02, offset=0.01), NormalOffset(), number=300)
+    assert least_p(found) > 1e-3
+    assert np.abs(found.z.std(axis=0) - 1).max() < 0.15
+    for one in found.intervals:
+        assert (one.low < one.level + 0.03).all()
+        assert (one.high > one.level - 0.03).all()
+
+
+ALL = PointErrors(SD, 0.1, shift=0.02, offset=0.03)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("noise", "analysed", "number"),
+    [
+        (ALL, PointErrors(SD**2), 25),
+        (PointErrors(SD), GaussianNoise(0.5 * SD**2), 400),
+        (ALL, replace(ALL, offset=0.0), 100),
+    ],
+    ids=["σ² given for σ", "½ forgotten", "offset dropped"],
+)
+def test_mistakes_show_in_many_replicates(noise: PointErrors, analysed: Noise | PointErrors, number: int) -> None:
+    """Planted: posteriors a hundred times too narrow, √2 times, and without one of the errors."""
+    found = repeated(noise, NormalOffset(), analysed=analysed, number=number)
+    assert not found.calibrated
+    assert "narrow" in found.verdict
+
+
+def same(one: Replicate, other: Replicate) -> bool:
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in vars(one))
+
+
+def test_a_replicate_depends_on_seed_and_number_alone() -> None:
+    source = prior_source(known(GaussianNoise(SD**2), TrackedPoints()), SPACE)
+    experiment = repeatable(source)
+    first = replicated(experiment, source, seed=1, number=3)
+    replicated(experiment, source, seed=1, number=0)
+    assert same(replicated(experiment, source, seed=1, number=3), first)
+    for seed, number in ((2, 3), (1, 4)):
+        assert not same(replicated(experiment, source, seed=seed, number=number), first)
+
+
+def test_the_tempered_sampler_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = prior_source(known(GaussianNoise(SD**2), TrackedPoints()), SPACE)
+    experiment = repeatable(source)
+    one = replicated(experiment, source, seed=1, number=2)
+    monkeypatch.setattr(module, "followed", lambda *given: None)
+    other = replicated(experiment, source, seed=1, number=2)
+    assert (one.by, other.by) == ("importance", "smc")
+    np.testing.assert_array_equal(other.truth, one.truth)
+    assert np.abs((other.mean - one.mean) / one.sd).max() < 0.3
+    assert np.abs(other.sd / one.sd - 1).max() < 0.25
+
+
+NOISE = GaussianNoise(0.03**2)
+
+
+def stored(found: Knowledge, number: int = 30000) -> Posterior:
+    """Return the posterior of the real observation as weighted draws of the prior."""
+    draws = SPACE.prior_quantiles(np.random.default_rng(9).random((number, 2)))
+    log_likelihood = found.plug_in(draws)
+    return Posterior(
+        space=SPACE,
+        draws=draws,
+        log_weights=np.asarray(log_softmax(log_likelihood)),
+        log_likelihood=log_likelihood,
+        log_prior=np.asarray(SPACE.log_prior(draws)),
+        log_evidence=float(logsumexp(log_likelihood) - np.log(number)),
+    )
+
+
+def from_posterior(number: int, analysed: Noise | None = None) -> tuple[CoverageFound, Source]:
+    found = known(NOISE, TrackedPoints())
+    source = posterior_source(found, stored(found))
+    experiment = repeatable(source)
+    if analysed is not None:
+        experiment = replace(experiment, noises={"": analysed})
+    made = tuple(replicated(experiment, source, seed=1, number=k) for k in range(number))
+    return CoverageFound(SPACE.names, made), source
+
+
+def test_truths_from_the_posterior() -> None:
+    found, source = from_posterior(QUICK)
+    assert least_p(found) > 1e-3
+    prior = prior_source(source.knowledge, SPACE)
+    before, after = (np.sqrt(np.diag(one.covariance)) for one in (prior, source))
+    assert (after < 0.5 * before).all()
+    assert (found.sd < 0.9 * after).all()  # the repeated observation adds to the real one
+    spread = np.array([one.truth for one in found.replicates]).std(axis=0)
+    assert (np.abs(spread / after - 1) < 0.5).all()
+
+
+def test_a_wrong_analysis_of_truths_from_the_posterior_shows() -> None:
+    """Planted: a noise variance 16 times too small."""
+    found, _ = from_posterior(QUICK, GaussianNoise(0.03**2 / 16))
+    assert not found.calibrated
+
+
+def test_a_posterior_of_another_likelihood_is_refused() -> None:
+    found = known(NOISE, TrackedPoints())
+    posterior = stored(found)
+    other = replace(posterior, log_likelihood=-20 * posterior.log_likelihood)
+    with pytest.raises(InvalidInput, match="disagree"):
+        posterior_source(found, other)
+
+
+def test_the_density_of_a_source_is_normalised() -> None:
+    found = known(NOISE, TrackedPoints())
+    u = (np.stack(np.meshgrid(np.arange(60), np.arange(60), indexing="ij"), axis=-1).reshape(-1, 2) + 0.5) / 60
+    x, cell = SPACE.to_physical(u), np.prod(SPACE.high - SPACE.low) / 60**2
+    for source, error in ((prior_source(found, SPACE), 1e-9), (posterior_source(found, stored(found)), 0.25)):
+        mass = np.exp(source.log_density(x, found.surrogate.mean(x))).sum() * cell
+        assert mass == pytest.approx(1.0, abs=error)
+
+
+def test_what_lies_outside_the_prior() -> None:
+    source = prior_source(known(NOISE, TrackedPoints()), SPACE)
+    x = np.array([[0.3, 0.0], [0.3, 0.5], [-1.0, 0.0], [0.2, -0.1]])
+    assert source.inside(x).tolist() == [True, False, False, True]
+
+
+def test_a_coarse_surrogate_is_noticed() -> None:
+    found = known(GaussianNoise(SD**2), TrackedPoints())
+    source = prior_source(found, SPACE)
+    good = field_quality(source)
+    assert good.good
+    assert good.median <= good.q95
+    wider = tuple(replace(process, widening=1e16) for process in found.surrogate.processes)
+    likelihood = replace(found.likelihood, surrogate=replace(found.surrogate, processes=wider))
+    coarse = field_quality(replace(source, knowledge=replace(found, likelihood=likelihood)))
+    assert not coarse.good
+    assert coarse.hidden == good.hidden
+    assert coarse.beyond > 0.5
+
+
+def gaussians(shift: float = 0.0, width: float = 1.0, number: int = 200) -> CoverageFound:
+    """Return what posteriors show whose z-scores are Gaussian, in evenly spaced quantiles."""
+    random = np.random.default_rng(3)
+    columns = [random.permutation((np.arange(number) + 0.5) / number) for _ in range(2)]
+    z = np.stack([norm.ppf(columns[0]), shift + width * norm.ppf(columns[1])], axis=1)
+    one, half = np.ones(2), np.full(2, 0.5)
+    made = [
+        Replicate(k, row, np.asarray(norm.cdf(row)), 0 * one, one, half, 500.0, "importance") for k, row in enumerate(z)
+    ]
+    return CoverageFound(("E", "nu"), tuple(made))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({}, "The posterior is calibrated: ranks of all inputs stay inside the 95 % band."),
+        ({"width": 1.8}, "The posterior is too narrow: 90 % intervals of nu contain the truth in 6"),
+        (
+            {"width": 0.5},
+            "The posterior is too wide: 90 % intervals of nu contain the truth in 100 % of",
+        ),
+        ({"shift": 0.6}, "The posterior is shifted: means of nu are 0.6 standard deviations too low."),
+        ({"shift": -0.6}, "The posterior is shifted: means of nu are 0.6 standard deviations too high."),
+    ],
+)
+def test_the_verdict_in_words(wrong: dict[str, float], words: str) -> None:
+    found = gaussians(**wrong)
+    assert found.verdict.startswith(words)
+    assert found.calibrated is (not wrong)
+    assert len(found.remarks) == 1
+    assert found.bands[0].inside
+    assert found.verdict in repr(found)
+    np.testing.assert_allclose(found.of_limit, 2.0)

@@ -1,0 +1,164 @@
+"""Adaptive importance sampling against closed forms, with planted bugs."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, multivariate_t, norm
+
+from strandline.calibration import importance_sampler as module
+from strandline.calibration.importance_sampler import Pool, StudentMixture, effective_size, fitted, followed
+from strandline.design import sobol
+from strandline.posterior.weighted import Weighted
+
+LogDensity = Callable[[np.ndarray], np.ndarray]
+
+
+def gaussian(mean: np.ndarray, covariance: np.ndarray) -> LogDensity:
+    return lambda x: np.asarray(multivariate_normal(mean, covariance).logpdf(x), float).reshape(len(x))
+
+
+def sampled(
+    target: LogDensity, dim: int, *, seed: int = 1, number: int = 1024, enough: float = 400.0
+) -> Weighted | None:
+    """Sample a target on the unit cube."""
+
+    def log_densities(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        inside = ((x >= 0) & (x <= 1)).all(axis=1)
+        return np.where(inside, 0.0, -np.inf), np.where(inside, target(x), -np.inf)
+
+    x = sobol(number, dim, scramble=seed)
+    pool = Pool(x, np.zeros(number), np.zeros(number), target(x), number)
+    return followed(pool, log_densities, np.random.default_rng(seed), enough=enough)
+
+
+MEAN = np.array([0.4, 0.55])
+COVARIANCE = np.array([[0.0004, 0.0003], [0.0003, 0.0009]])
+
+
+def scores(seeds: int = 20) -> np.ndarray:
+    """Return errors of means and of standard deviations in units of what their effective sizes allow."""
+    out = []
+    for seed in range(seeds):
+        found = sampled(gaussian(MEAN, COVARIANCE), 2, seed=seed)
+        assert found is not None
+        sd, size = np.sqrt(np.diag(COVARIANCE)), 1 / np.sum(found.weights**2)
+        out.append([*(found.mean - MEAN) / sd * np.sqrt(size), *(found.sd / sd - 1) * np.sqrt(2 * size)])
+    return np.array(out)
+
+
+def test_moments_of_a_narrow_gaussian() -> None:
+    found = scores()
+    assert np.abs(found.mean(axis=0)).max() < 1.0
+    assert np.sqrt(np.mean(found**2)) < 1.5
+
+
+def test_weights_without_the_mixture_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The planted bug: draws of the fitted mixtures weighted as if they came from the prior."""
+    wrong = property(lambda pool: pool.log_target - logsumexp(pool.log_target))
+    monkeypatch.setattr(Pool, "log_weights", wrong)
+    assert np.abs(scores(5)[:, 2:].mean(axis=0)).max() > 3.0
+
+
+def test_two_modes_keep_their_shares() -> None:
+    """Modes 20 standard deviations apart, the narrower one with 30 % of the mass."""
+
+    def target(x: np.ndarray) -> np.ndarray:
+        parts = [np.log(0.3) + gaussian(np.array([0.25, 0.3]), 0.01**2 * np.eye(2))(x)]
+        parts += [np.log(0.7) + gaussian(np.array([0.7, 0.6]), 0.025**2 * np.eye(2))(x)]
+        return np.asarray(logsumexp(parts, axis=0))
+
+    shares = []
+    for seed in range(8):
+        found = sampled(target, 2, seed=seed)
+        assert found is not None
+        shares.append(found.weights[found.draws[:, 0] < 0.45].sum())
+    assert np.mean(shares) == pytest.approx(0.3, abs=0.03)
+    assert np.std(shares) < 0.06
+
+
+def test_a_bent_ridge() -> None:
+    """y given x is Gaussian around a parabola: the marginal of x is known."""
+
+    def target(x: np.ndarray) -> np.ndarray:
+        ridge = 0.3 + 2.0 * (x[:, 0] - 0.5) ** 2
+        return np.asarray(norm(0.5, 0.12).logpdf(x[:, 0]) + norm(ridge, 0.02).logpdf(x[:, 1]))
+
+    means, sds = [], []
+    for seed in range(8):
+        found = sampled(target, 2, seed=seed)
+        assert found is not None
+        means.append(found.mean[0])
+        sds.append(found.sd[0])
+    assert np.mean(means) == pytest.approx(0.5, abs=0.012)
+    assert np.mean(sds) == pytest.approx(0.12, rel=0.08)
+
+
+def test_seven_inputs() -> None:
+    mean, sd = np.full(7, 0.45), np.linspace(0.02, 0.08, 7)
+    found = sampled(gaussian(mean, np.diag(sd**2)), 7, number=4096)
+    assert found is not None
+    assert np.abs((found.mean - mean) / sd).max() < 0.3
+    assert np.abs(found.sd / sd - 1).max() < 0.25
+
+
+def test_what_is_wide_needs_no_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "fitted", None)
+    found = sampled(gaussian(np.full(2, 0.5), 0.2**2 * np.eye(2)), 2)
+    assert found is not None
+    assert len(found.draws) == 1024
+
+
+def test_what_is_not_reached_is_said() -> None:
+    assert sampled(gaussian(MEAN, COVARIANCE), 2, enough=1e7) is None
+
+
+def test_the_same_random_numbers_give_the_same_bits() -> None:
+    one, other = (sampled(gaussian(MEAN, COVARIANCE), 2, seed=3) for _ in range(2))
+    assert one is not None
+    assert other is not None
+    np.testing.assert_array_equal(one.draws, other.draws)
+    np.testing.assert_array_equal(one.weights, other.weights)
+
+
+def test_the_first_sample_may_have_weights_and_gaps() -> None:
+    """A point that stands for two, and one that is left out: as if the sample were written out."""
+    x, target = np.array([[0.1], [0.2], [0.3]]), np.array([0.5, 1.0, -0.5])
+    weighted = Pool(x, np.array([np.log(2.0), 0.0, -np.inf]), np.zeros(3), target, 3)
+    plain = Pool(x[[0, 0, 1]], np.zeros(3), np.zeros(3), target[[0, 0, 1]], 3)
+    one, other = np.exp(weighted.log_weights), np.exp(plain.log_weights)
+    np.testing.assert_allclose(one, [other[0] + other[1], other[2], 0.0], rtol=1e-12)
+
+
+def mixture() -> StudentMixture:
+    factors = np.linalg.cholesky(np.array([[[0.02, 0.01], [0.01, 0.05]], [[0.3, 0.0], [0.0, 0.1]]]))
+    return StudentMixture(np.array([0.25, 0.75]), np.array([[0.0, 1.0], [2.0, -1.0]]), factors)
+
+
+def test_the_density_is_that_of_student() -> None:
+    found, x = mixture(), np.random.default_rng(4).normal(size=(50, 2))
+    parts = zip(found.shares, found.means, found.factors, strict=True)
+    exact = sum(p * multivariate_t(m, L @ L.T, df=module.FREEDOM).pdf(x) for p, m, L in parts)
+    np.testing.assert_allclose(np.exp(found.log_density(x)), exact, rtol=1e-10)
+
+
+def test_draws_have_the_density() -> None:
+    """The mean of any function over q, weighted by p/q, is its mean over p."""
+    found = mixture()
+    x = found.draw(40000, np.random.default_rng(6))
+    other = gaussian(np.array([1.0, 0.0]), np.eye(2))
+    ratio = np.exp(other(x) - found.log_density(x))
+    assert ratio.mean() == pytest.approx(1.0, abs=5 * ratio.std() / np.sqrt(len(x)))
+
+
+def test_a_fit_finds_both_clusters() -> None:
+    random = np.random.default_rng(8)
+    x = np.concatenate([random.normal(0.0, 0.1, (600, 2)), random.normal(5.0, 0.2, (400, 2))])
+    found = fitted(x, np.zeros(1000), random)
+    near = found.shares[(found.means < 2.5).all(axis=1)].sum()
+    assert near == pytest.approx(0.6, abs=0.02)
+
+
+def test_the_effective_size_is_that_of_equal_weights() -> None:
+    assert effective_size(np.array([0.3, 0.3, 0.3, -np.inf])) == pytest.approx(3.0)

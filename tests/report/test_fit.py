@@ -1,0 +1,177 @@
+"""The report says first whether the model fits: in a section, in the summary, and in its first line if it does not."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from strandline.calibration import Calibration, Misfit
+from strandline.calibration.misfit import ConditionMisfit, Region
+from strandline.calibration.misfit.verdict import Verdict, verdict_on
+from strandline.interface import PointErrors
+from strandline.likelihood.residual_noise import ResidualNoise, StatedErrors
+from strandline.report.fit import fit_as_json, fit_figures
+from strandline.report.page import template
+from strandline.report.warnings import find_warnings
+
+ARC = np.linspace(0.0, 1.2, 31)
+BAD = Region(0.9, 1.1, 0.006, 0.0065, "above", 5.2, 0.0004)
+FINE = Region(0.0, 0.9, 0.0001, 0.001, "below", 0.4, 1.0)
+FAR = "NOTHING IN THE BOX COMES NEAR the observation"
+
+
+def condition(*regions: Region, name: str = "V50", length: float = 0.02, line: bool = True) -> ConditionMisfit:
+    return ConditionMisfit(
+        condition=name,
+        arc_length=ARC,
+        residual=0.002 * np.sin(9 * ARC),
+        stated=StatedErrors(PointErrors(0.001), assumed=False),
+        expected=ResidualNoise(0.001, 0.02),
+        found=ResidualNoise(0.0014, length) if line else None,
+        p_value=0.3,
+        predictive_p=0.4,
+        regions=regions,
+    )
+
+
+def verdict(*conditions: ConditionMisfit, p: float = 0.43, d: float = 0.5, run_alone: bool = False) -> Verdict:
+    return verdict_on(p, d, conditions, run_alone=run_alone)
+
+
+def misfit(*conditions: ConditionMisfit, p: float = 0.43) -> Misfit:
+    said = verdict(*conditions, p=p)
+    return Misfit(said.text, said.flagged, p, 0.5, conditions, ("The interface was predicted by a spell.",))
+
+
+def test_a_model_that_fits() -> None:
+    assert verdict(condition(FINE)) == Verdict("The model explains the observation: p = 0.43.", flagged=False)
+    both = verdict(condition(FINE), condition(FINE, name="V100"))
+    assert both.text.startswith("The model explains the observations: ")
+
+
+def test_a_model_that_does_not() -> None:
+    found = verdict(condition(FINE, BAD), p=0.004)
+    assert found.flagged
+    assert found.text == (
+        "The model does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm of condition V50 the observed "
+        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; the posterior's width then means "
+        "little."
+    )
+
+
+def test_residuals_of_both_signs_depart() -> None:
+    waves = replace(BAD, mean=0.001)
+    assert "departs from the prediction by 6.5 µm, root mean square" in verdict(condition(waves)).text
+    assert "departs from" in verdict(condition(replace(BAD, side=""))).text
+
+
+@pytest.mark.parametrize(
+    ("p", "d", "length", "flagged"),
+    [
+        (0.0034, 0.5, 0.02, False),
+        (0.0033, 0.5, 0.02, True),
+        (0.5, 0.0033, 0.02, True),
+        (0.04, 0.5, 0.05, True),
+        (0.06, 0.5, 0.05, False),
+        (0.04, 0.5, 0.03, False),
+    ],
+    ids=["likely enough", "unlikely", "unlikely d²", "long and doubtful", "long", "doubtful"],
+)
+def test_the_limits(p: float, d: float, length: float, flagged: bool) -> None:
+    """The least p-value counts three times; s²ℓ is 4.9 times the stated one for 0.05 mm, 2.9 times for 0.03 mm."""
+    found = verdict(condition(FINE, length=length), p=p, d=d)
+    assert found.flagged == flagged
+    assert ("s²ℓ of the residuals is 4.9 times" in found.text) == (flagged and length == 0.05)
+
+
+def test_a_single_run_proves_nothing() -> None:
+    found = verdict(condition(BAD), run_alone=True)
+    assert not found.flagged
+    assert "is not known" in found.text
+    assert verdict(condition(FINE), run_alone=True).text.startswith("The model explains")
+
+
+def test_the_summary_holds_the_numbers_in_micrometres() -> None:
+    content = fit_as_json(misfit(condition(FINE, BAD)), None)
+    assert content == json.loads(json.dumps(content))
+    assert content is not None
+    assert (content["flagged"], content["p"], content["region_p"]) == (True, 0.43, 0.0004)
+    (one,) = content["conditions"]
+    assert one["length_um"] == pytest.approx(20.0)
+    assert one["stated_sd_um"] == pytest.approx(1.0)
+    assert one["ratio"] == pytest.approx(1.96)
+    assert one["regions"][1]["mean_um"] == pytest.approx(6.0)
+
+
+def test_what_is_far_away_does_not_fit() -> None:
+    content = fit_as_json(misfit(condition(FINE)), FAR)
+    assert content is not None
+    assert (content["flagged"], content["verdict"]) == (True, FAR)
+    assert fit_as_json(None, FAR) is None
+
+
+@pytest.fixture
+def calibration(reported: Any) -> Calibration:
+    found: Calibration = reported.outcome.calibration
+    return found
+
+
+def test_a_warning_is_the_verdict(calibration: Calibration) -> None:
+    flagged = misfit(condition(BAD))
+    assert flagged.verdict in list(find_warnings(replace(calibration, misfit=flagged)))
+    for fine in (misfit(condition(FINE)), None):
+        assert not any("explain" in line for line in find_warnings(replace(calibration, misfit=fine)))
+
+
+def test_a_figure_shows_the_residuals_of_each_condition(calibration: Calibration) -> None:
+    found = misfit(condition(FINE, BAD), condition(FINE, name="V100"), condition(name="surface", line=False))
+    (shown,) = fit_figures(replace(calibration, misfit=found))
+    assert (shown.name, shown.section) == ("residuals", "fit")
+    FigureCanvasAgg(shown.figure).draw()
+    assert [ax.get_title() for ax in shown.figure.axes] == ["V50", "V100"]
+    lines = {str(line.get_label()): line for line in shown.figure.axes[0].lines}
+    np.testing.assert_allclose(lines["observed"].get_ydata(), 2.0 * np.sin(9 * ARC))
+    labels = [text.get_text() for text in shown.figure.legends[0].get_texts()]
+    assert "more than the noise allows" in labels
+    assert not list(fit_figures(replace(calibration, misfit=misfit(condition(line=False)))))
+    assert not list(fit_figures(replace(calibration, misfit=None)))
+
+
+def rendered(reported: Any, found: Misfit | None) -> str:
+    summary = {**reported.outcome.summary, "misfit": fit_as_json(found, None)}
+    return str(template("report.html.j2").render(s=summary, figures=[], study_text="", check=None, picture=None))
+
+
+def test_the_section_comes_before_the_posterior_and_its_verdict_first(reported: Any) -> None:
+    text = rendered(reported, misfit(condition(FINE)))
+    section = text[text.index("Does the model fit?</h2>") : text.index("The posterior</h2>")]
+    assert section.split("</h2>")[1].lstrip().startswith('<p class="fine"><strong>The model explains the observation')
+    assert "predicted by a spell" in section
+    assert "1.96" not in section
+    assert "<td>2</td>" in section
+    assert '<p class="warnings"><strong>' not in text
+
+
+def test_the_first_line_says_that_it_does_not_fit(reported: Any) -> None:
+    text = rendered(reported, misfit(condition(FINE, BAD)))
+    after = text[text.index("</h1>") + 5 :].lstrip()
+    assert after.startswith('<p class="warnings"><strong>The model does not explain the observation')
+
+
+def test_a_page_without_the_section(reported: Any) -> None:
+    text = rendered(reported, None)
+    assert "Does the model fit?" not in text
+    assert "#fit" not in text
+
+
+def test_a_study_has_it_all(reported: Any) -> None:
+    summary = reported.outcome.summary["misfit"]
+    assert summary["flagged"] is False
+    assert summary["p"] > 0.9
+    assert summary["conditions"][0]["assumed"] is True
+    assert len(summary["conditions"][0]["regions"]) == 4
+    page = reported.outcome.report.read_text()
+    assert page.index('id="fit"') < page.index('id="residuals"') < page.index('id="answer"')
