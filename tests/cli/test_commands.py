@@ -183,7 +183,7 @@ def test_run_interrupted_run_status_and_report(
     shown = capsys.readouterr()
     assert f"beam: 32 forward runs ok, 0 failed ({32 - kept} new, {kept} reused)" in shown.out
     assert f"report: {folder}/report.html" in shown.out
-    stages = ["observation …", "forward runs …", "surrogate …", "sampling …", "quadrature check …"]
+    stages = ["observation …", "forward runs …", "surrogate …", "sampling …", "checks …"]
     assert [line for line in shown.err.splitlines() if line in stages] == stages
     assert "  32/32 32 ok, 0 failed" in shown.err
     summary = json.loads((folder / "summary.json").read_text())

@@ -78,6 +78,18 @@ def test_each_batch_of_an_active_design_has_a_line(capsys: pytest.CaptureFixture
     assert capsys.readouterr().err.splitlines() == ["  batch 3: E 396 ± 31, moved 0.05 sd; next: check"]
 
 
+def test_parts_of_a_stage(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
+    with observing() as observer:
+        observer.stage("replicates")
+        observer.part(state(10))
+        clock[0] += progress.SECONDS_BETWEEN_LINES + 1
+        observer.part(state(50, elapsed=70.0))
+        observer.part(state(100))
+    assert capsys.readouterr().err.splitlines() == ["replicates …", "  50 of 100, 1 min 10 s left", "  100 of 100"]
+
+
 def test_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     with observing(quiet=True) as observer:
         observer.stage("forward")

@@ -85,8 +85,8 @@ def test_it_draws_into_given_axes(result: sl.Result) -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({}, "neither sd nor variance"),
-        ({"sd": 1.0, "variance": 1.0}, "both"),
+        ({}, "none"),
+        ({"sd": 1.0, "variance": 1.0}, "more than one"),
         ({"sd": 0.0}, "a finite number above 0"),
     ],
 )
@@ -114,3 +114,10 @@ def test_a_study_without_results_is_refused(folder: Path, tmp_path: Path) -> Non
             sl.load_result(folder)
     finally:
         (folder / "summary.json").write_bytes(saved)
+
+
+def test_errors_of_the_points_with_the_measure_that_knows_them(result: sl.Result) -> None:
+    narrow = result.with_noise(errors=sl.PointErrors(0.001), measure=sl.NormalOffset())
+    wide = result.with_noise(errors=sl.PointErrors(0.003), measure=sl.NormalOffset())
+    assert list(narrow.problem.discrepancies) == ["NormalOffset"]
+    assert (narrow.posterior.sd < wide.posterior.sd).all()

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,10 +18,12 @@ PICTURE = "check.png"
 @click.command("check")
 @click.argument("study", type=click.Path(path_type=Path))
 @click.option("--plot", is_flag=True, help="Draw check.png in the study folder: observed, undeformed, simulated.")
-def command(study: Path, plot: bool) -> None:
+@click.option("--widths", is_flag=True, help="Predict the posterior's widths; makes one more run per input if needed.")
+def command(study: Path, plot: bool, widths: bool) -> None:
     """Validate STUDY (a folder) and make one forward run at the medians of the priors.
 
-    The biofilm model also solves on the next finer mesh. Nothing is written without --plot.
+    With a model that has sensitivities, or with --widths, it predicts the widths of the posterior. The biofilm model
+    also solves on the next finer mesh. Nothing is written without --plot.
     """
     from strandline.report.warnings import small_share
     from strandline.studies import load_study
@@ -36,6 +38,7 @@ def command(study: Path, plot: bool) -> None:
     loaded = facing(loaded, record)
     log_likelihoods = _measured(loaded, record)
     lines, known = list(_lines(loaded, record, log_likelihoods)), loaded.runs.known
+    lines += _widths(loaded, record, asked=widths)
     picture = _drawn(loaded, record) if plot else None
     click.echo(f"{loaded.name}: study.yaml is sound")
     for parameter in loaded.space:
@@ -66,8 +69,10 @@ def command(study: Path, plot: bool) -> None:
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
     """Yield what the run shows: shapes, residual, log-likelihoods, displacement, error of the mesh."""
     from strandline.studies.first_run import batch_lines, displacement_lines, known_range, mesh_lines, shape_lines
+    from strandline.studies.measure_doubts import measure_lines
 
     yield from shape_lines(study, record)
+    yield from measure_lines(study, record)
     for name, value in log_likelihoods.items():
         yield f"{name}: log-likelihood {value:.6g} there"
     known = known_range(study)
@@ -78,10 +83,39 @@ def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, fl
     yield from batch_lines(study, record)
 
 
+def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str]:
+    """Yield the expected widths of the posterior: from sensitivities, or if `asked` from one more run per input."""
+    import numpy as np
+
+    from strandline.cli.forward import attempted
+    from strandline.errors import InvalidInput, NumericsError
+    from strandline.interface import UnknownErrors
+    from strandline.studies import expected_widths as widths
+    from strandline.studies.first_run import observations_of
+
+    guessed = [seen.noise for seen in study.observations(study.observed or record.interfaces)]
+    if any(isinstance(noise, UnknownErrors) for noise in guessed):
+        yield "the noise is unknown: a tenth of the points' spacing stands for it here"
+        return
+    names = study.space.names
+    slopes, source = widths.slopes_by_sensitivities(record, names), "sensitivities of this run"
+    if slopes is None and asked:
+        at = np.array([record.inputs[name] for name in names])
+        x = widths.neighbours(study.space, at)
+        others = [attempted(study.model, {**study.fixed, **study.space.as_mapping(row)}) for row in x]
+        slopes, source = widths.slopes_by_differences(record, others, at, x), f"{len(x)} more runs"
+        if slopes is None:
+            yield "warning: a run beside this one failed or has other nodes, so that no widths can be predicted"
+    if slopes is not None:
+        try:
+            sd = widths.expected_sd(study, record.interfaces, slopes, observations_of(study))
+        except (InvalidInput, NumericsError):
+            return  # what the measure refuses is reported elsewhere
+        yield from widths.width_lines(study, sd, source)
+
+
 def _drawn(study: "Study", record: "RunRecord") -> Path:
     """Draw observed, undeformed and simulated interface into the study folder; return the picture's path."""
-    from typing import Any
-
     from strandline.models.offers import undeformed_interface
     from strandline.report.plots import plot_conditions, plot_interfaces
     from strandline.studies.first_run import observations_of
@@ -111,7 +145,9 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     inputs = {**study.fixed, **study.space.as_mapping(medians)}
-    record = attempted(study.model, inputs)
+    record = attempted(_with_sensitivities(study.model), inputs)
+    if record.failure_kind == "no_sensitivities":
+        record = attempted(study.model, inputs)
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     if not record.ok:
         message = (record.message or "").partition("\n")[0]
@@ -124,6 +160,17 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
         )
     figures = ", ".join(f"{name} {value:.4g}" for name, value in record.diagnostics.items())
     return record, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"
+
+
+def _with_sensitivities(model: Any) -> Any:
+    """Return the model with sensitivities if it offers them."""
+    from strandline.errors import InvalidInput
+    from strandline.models.protocol import with_sensitivities
+
+    try:
+        return with_sensitivities(model)
+    except InvalidInput:
+        return model
 
 
 def _measured(study: "Study", record: "RunRecord") -> dict[str, float]:

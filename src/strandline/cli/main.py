@@ -19,6 +19,7 @@ MOST_DEVICES = 8
 """Largest number of cores over which the sampler's particles are spread."""
 COMMANDS = {
     "init": "Write a commented study folder that runs.",
+    "noise": "Estimate the noise of an observation from its contours.",
     "check": "Validate a study and make one forward run.",
     "run": "Do the whole study; go on where it was stopped.",
     "retry": "Make failed runs again, then the rest of the study.",
@@ -27,6 +28,7 @@ COMMANDS = {
     "doctor": "Look for damage, gaps and drift in a study folder.",
     "backup": "Copy a study's ledger, while it may be running.",
     "report": "Write posterior, figures and report again from finished runs.",
+    "coverage": "Test by replicates whether the intervals are right.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "forward": "Make one forward run at chosen inputs.",
     "serve": "Serve a study's model to other programs, by UM-Bridge.",

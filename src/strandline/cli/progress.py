@@ -24,7 +24,8 @@ STAGES = {
     "choice": "next batch",
     "sampling": "sampling",
     "cut": "cut reading",
-    "check": "quadrature check",
+    "check": "checks",
+    "replicates": "replicates",
     "report": "figures and report",
 }
 SECONDS_BETWEEN_LINES = 15.0
@@ -69,10 +70,16 @@ def _bars(console: Console) -> Iterator[Observer]:
         def step(info: StepInfo) -> None:
             progress.update(tasks[-1], total=1.0, completed=float(info.temperature), note=_step_note(info))
 
+        def part(state: Runs) -> None:
+            progress.update(tasks[-1], total=state.total, completed=state.finished, note=_part_note(state))
+
         def batch(report: BatchReport) -> None:
             _say(progress.console, report.line)
 
-        yield Observer(stage=stage, run=run, step=step, batch=batch, note=lambda text: _say(progress.console, text))
+        def note(text: str) -> None:
+            _say(progress.console, text)
+
+        yield Observer(stage=stage, run=run, step=step, part=part, batch=batch, note=note)
         end_stage()
 
 
@@ -100,10 +107,14 @@ def _lines(console: Console) -> Observer:
         if due(current[0] == "sampling" and float(info.temperature) >= 1.0):
             say(f"  {_step_note(info)}")
 
+    def part(state: Runs) -> None:
+        if due(state.finished == state.total):
+            say(f"  {_part_note(state)}")
+
     def batch(report: BatchReport) -> None:
         say(f"  {report.line}")
 
-    return Observer(stage=stage, run=run, step=step, batch=batch, note=say)
+    return Observer(stage=stage, run=run, step=step, part=part, batch=batch, note=say)
 
 
 def _say(console: Console, text: str) -> None:
@@ -111,9 +122,16 @@ def _say(console: Console, text: str) -> None:
 
 
 def _run_note(state: Runs) -> str:
+    return f"{state.ok} ok, {state.failed} failed{_left(state)}"
+
+
+def _part_note(state: Runs) -> str:
+    return f"{state.finished} of {state.total}{_left(state)}"
+
+
+def _left(state: Runs) -> str:
     remaining = state.remaining_seconds
-    eta = "" if remaining is None or state.finished == state.total else f", {_duration(remaining)} left"
-    return f"{state.ok} ok, {state.failed} failed{eta}"
+    return "" if remaining is None or state.finished == state.total else f", {_duration(remaining)} left"
 
 
 def _step_note(info: StepInfo) -> str:

@@ -25,12 +25,13 @@ from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.check_file import Compared, describe
 from strandline.studies.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable, write_json
+from strandline.studies.noise import require_stated
 from strandline.studies.observed import noisy
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
 from strandline.studies.study_runs import report_backup, settled
 
-__all__ = ["PosteriorCheck", "check_posterior"]
+__all__ = ["PosteriorCheck", "check_posterior", "finished_posterior"]
 
 FEWEST_DRAWS = 20
 
@@ -64,11 +65,12 @@ def check_posterior(
         TooFewRuns: The run failed at every draw.
     """
     _require_number(draws, None)
-    posterior = _finished_posterior(study)
+    posterior = finished_posterior(study)
     _require_number(draws, posterior.number)
     require_writable(study.folder)
     tell, begun = observer or Observer(), time.perf_counter()
     observations = _observations(study)
+    require_stated((seen.noise for seen in observations), "check")
     chosen = subset(posterior.weights, draws, study.settings.seed)
     positions, surrogate = posterior.draws[chosen], posterior.log_likelihood[chosen]
     tell.stage("draws")
@@ -87,13 +89,21 @@ def check_posterior(
     return PosteriorCheck(content, study.folder / CHECK)
 
 
-def _finished_posterior(study: Study) -> Posterior:
-    """Return the posterior of a study that has results for its present study.yaml."""
+def finished_posterior(study: Study, *, purpose: str = "check") -> Posterior:
+    """Return the posterior of a study that has results for its present study.yaml.
+
+    Args:
+        study: The study.
+        purpose: What the posterior is needed for, a verb for the message.
+
+    Raises:
+        InvalidStudy: The study has no such posterior, or it cannot be read.
+    """
     results, path = results_of(study), study.folder / POSTERIOR
     if results != "current" or not path.is_file():
         outdated = results == "outdated"
         raise InvalidStudy(
-            "the study has no posterior to check",
+            f"the study has no posterior to {purpose}",
             value="results of an earlier study.yaml" if outdated else "a study that is not finished",
             expected=f"{POSTERIOR}, made from study.yaml as it is",
             remedy=f"Run it first: strandline run {study.folder}",

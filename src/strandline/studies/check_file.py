@@ -29,7 +29,7 @@ from strandline.studies.study import Study
 from strandline.studies.summary import versions
 from strandline.version import __version__
 
-__all__ = ["Compared", "describe", "read_check"]
+__all__ = ["Compared", "describe", "posterior_digest", "read_check"]
 
 SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
 """A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""
@@ -74,7 +74,7 @@ def describe(study: Study, found: Compared, observations: Sequence[Observation],
     return {
         "study": study.name,
         "study_sha256": study.text_digest,
-        "posterior_sha256": _digest(found.posterior),
+        "posterior_sha256": posterior_digest(found.posterior),
         "version": __version__,
         "versions": versions(),
         "seed": study.settings.seed,
@@ -111,12 +111,12 @@ def read_check(folder: Path, posterior: Posterior) -> dict[str, Any] | None:
     """Return the check of `posterior` in `folder`; None if there is none, or only that of another posterior."""
     try:
         content = json.loads((folder / CHECK).read_text(encoding="utf-8"))
-        return content if content["posterior_sha256"] == _digest(posterior) else None
+        return content if content["posterior_sha256"] == posterior_digest(posterior) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
-def _digest(posterior: Posterior) -> str:
+def posterior_digest(posterior: Posterior) -> str:
     """Return a digest of the particles; posteriors that differ in one bit have different digests."""
     parts = (posterior.draws, posterior.log_weights, posterior.log_likelihood)
     return hashlib.sha256(b"".join(np.ascontiguousarray(part, float).tobytes() for part in parts)).hexdigest()

@@ -10,7 +10,7 @@ from strandline.errors import StrandlineError
 from strandline.models.python import PythonModel
 from strandline.runs.overview import Overview
 from strandline.runs.soundness import outcome_digest, unsound
-from strandline.studies.folder import CHECK, CHECK_LEDGER, LEDGER, POSTERIOR, SUMMARY
+from strandline.studies.folder import CHECK, CHECK_LEDGER, COVERAGE, LEDGER, POSTERIOR, SUMMARY
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.study import Study, load_study
 from strandline.studies.summary import versions
@@ -145,6 +145,9 @@ def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
     check = _read(study.folder / CHECK)
     if check and check.get("study_sha256") != study.text_digest:
         yield Finding(f"{CHECK} is of another study.yaml", f"Check again: strandline posterior check {study.folder}")
+    tested = _read(study.folder / COVERAGE)
+    if tested and tested.get("study_sha256") != study.text_digest:
+        yield Finding(f"{COVERAGE} is of another study.yaml", f"Test again: strandline coverage {study.folder}")
 
 
 def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:

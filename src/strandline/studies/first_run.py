@@ -10,7 +10,7 @@ from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, count_of_distances, oriented_like_runs
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation
-from strandline.likelihood import InterfaceLikelihood, noise_length
+from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length
 from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.studies.observed import noisy, require_plausible
@@ -59,12 +59,15 @@ class NoiseLength:
 def noise_of(study: Study, interface: Interface, condition: str = "") -> NoiseLength:
     """Return the noise of the first measure as a length.
 
-    σ_N if the measure sums squared distances; otherwise the shift of `interface` for which d² = σ_N².
+    The sd of an observed point or σ_N if the measure sums squared distances; otherwise the shift of `interface` for
+    which d² = σ_N².
     """
-    measure = _measure(study)
+    measure, seen = _measure(study), Observation(interface, study.noise_of(condition))
     if count_of_distances(measure, interface, interface) is not None:
-        return NoiseLength(float(np.sqrt(study.noise_of(condition).scale)), True)
-    return NoiseLength(noise_length(Observation(interface, study.noise_of(condition)), measure), False)
+        errors = errors_of(seen)
+        sd = errors.sd if errors is not None else np.sqrt(compared(seen, measure, 0).noise.scale)
+        return NoiseLength(float(sd), True)
+    return NoiseLength(noise_length(seen, measure), False)
 
 
 def observations_of(study: Study) -> Mapping[str, Interface]:
@@ -149,7 +152,7 @@ def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
         of, noise = f" ({condition})" if condition else "", noise_of(study, undeformed, condition)
         moved = _largest_displacement(run, undeformed)
         yield f"largest displacement{of}: {_length(moved)}, {noise.times(moved)}"
-        if _hidden(measure, run, undeformed, study.noise_of(condition).scale):
+        if _hidden(measure, run, Observation(undeformed, study.noise_of(condition))):
             yield f"warning{of}: the displacement is below the noise: the data cannot show it"
 
 
@@ -159,12 +162,15 @@ def _largest_displacement(run: Interface, undeformed: Interface) -> float:
     return apart(run, undeformed)[1]
 
 
-def _hidden(measure: Discrepancy, run: Interface, undeformed: Interface, variance: float) -> bool:
+def _hidden(measure: Discrepancy, run: Interface, undeformed: Observation) -> bool:
     """Return whether the undeformed interface explains the run within the noise: d² < σ_N²."""
+    errors, seen = errors_of(undeformed), undeformed.interface
     try:
-        return float(measure(run, undeformed)) < variance
+        one = compared(undeformed, measure, len(run.points))
+        return float(one.measure(run, seen)) < one.noise.scale * (1 if errors is None else len(seen.points))
     except InvalidInput:  # e.g. nodes that do not correspond
-        return apart(run, undeformed)[1] ** 2 < variance
+        variance = compared(undeformed, measure, 0).noise.scale if errors is None else errors.sd**2
+        return apart(run, seen)[1] ** 2 < variance
 
 
 def known_range(study: Study) -> str | None:

@@ -14,9 +14,11 @@ from strandline.errors import InvalidStudy
 __all__ = [
     "CHECK",
     "CHECK_LEDGER",
+    "COVERAGE",
     "LEDGER",
     "POSTERIOR",
     "REFINEMENT",
+    "REPLICATES",
     "REPORT",
     "STUDY",
     "SUMMARY",
@@ -35,6 +37,8 @@ REFINEMENT = "refinement.json"
 REPORT = "report.html"
 CHECK = "check.json"
 CHECK_LEDGER = "check.sqlite"
+COVERAGE = "coverage.json"
+REPLICATES = "coverage.jsonl"
 
 
 def require_writable(folder: Path) -> None:

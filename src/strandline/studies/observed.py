@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from strandline.discrepancy import extent, extent_ratio, unit_mistake
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
-from strandline.readers import Reading, read_interface
+from strandline.readers import Reading, read_interface, read_point_sds
 from strandline.readers.options import TO_MM
+from strandline.studies.chosen import refused_at
 
-__all__ = ["TO_MM", "SyntheticNoise", "noisy", "read_points", "require_plausible"]
+__all__ = ["TO_MM", "SyntheticNoise", "noisy", "read_points", "read_sds", "require_plausible"]
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,19 @@ def read_points(
             expected=error.expected,
             remedy=error.remedy,
         ) from None
+
+
+def read_sds(path: Path, unit: str, *, options: Mapping[str, Any]) -> Float[np.ndarray, " point"] | None:
+    """Return the standard deviations of observed points, mm; None if `options` name no column with them.
+
+    Raises:
+        InvalidStudy: One is not above 0.
+    """
+    if options.get("sd") is None:
+        return None
+    reading = Reading.from_options({**options, "file": path.name, "unit": unit}, "observation")
+    with refused_at():
+        return read_point_sds(path, reading, name=f"observation {path.name}")
 
 
 def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str = "") -> None:

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
 from strandline.studies.keys import SCHEMA_VERSION, StudyFile, annotation_of, keys_within
-from strandline.studies.keys.observation import ONE, SEVERAL, ConditionFile
+from strandline.studies.keys.observation import KNOWN, ONE, RANGE, SEVERAL, UNKNOWN, ConditionFile
 from strandline.studies.yaml_text import load_yaml
 
 __all__ = ["parse_study"]
@@ -34,7 +34,7 @@ WORDS = {
     "too_short": "at least one entry",
 }
 """What was expected, in plain words, by pydantic's name of the mistake; pydantic's own words otherwise."""
-INTERNAL = {ONE, SEVERAL, "[key]", "float", "Quantity", "dict"}
+INTERNAL = {ONE, SEVERAL, KNOWN, UNKNOWN, RANGE, "[key]", "float", "Quantity", "dict"}
 """pydantic's own names in locations that are not keys of the file."""
 
 

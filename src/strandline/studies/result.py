@@ -13,7 +13,7 @@ from strandline.calibration import Calibration, Problem, Settings, calibrate
 from strandline.design.refinement import Refinement
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.interface import GaussianNoise
+from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
 from strandline.posterior import Posterior, from_datatree, read
 from strandline.report.plots.of_posterior import PosteriorPlots
 from strandline.runs import InProcess
@@ -50,24 +50,37 @@ class Result:
         """Figures of the posterior: ``result.plot.joint(ax=ax)``."""
         return PosteriorPlots(self.posterior)
 
-    def with_noise(self, *, sd: float | None = None, variance: float | None = None) -> Calibration:
+    def with_noise(
+        self,
+        *,
+        sd: float | None = None,
+        variance: float | None = None,
+        errors: PointErrors | UnknownErrors | None = None,
+        measure: Discrepancy | None = None,
+    ) -> Calibration:
         """Return the posterior under another noise, from the existing runs; nothing is written.
 
         Args:
             sd: Standard deviation σ_N, in the unit of the discrepancy d.
             variance: Variance σ_N² instead, in the unit of d².
+            errors: Errors of the observed points instead.
+            measure: Another measure too; by default the study's.
 
         Raises:
-            InvalidInput: Both or neither are given, or the number is not above 0.
+            InvalidInput: Not one of the three is given, or the number is not above 0.
         """
-        if (sd is None) == (variance is None):
+        if sum(one is not None for one in (sd, variance, errors)) != 1:
             raise InvalidInput(
                 "noise of another posterior",
-                value="both" if sd is not None else "neither sd nor variance",
-                expected="one of sd and variance",
+                value="none" if sd is None and variance is None and errors is None else "more than one",
+                expected="one of sd, variance and errors",
                 remedy="Give one, e.g. with_noise(sd=0.01).",
             )
-        return self._calibrated(noise=GaussianNoise(float(variance if sd is None else sd**2)), noises={})  # type: ignore[arg-type]
+        others = {} if measure is None else {"discrepancies": {type(measure).__name__: measure}}
+        if errors is not None:
+            return self._calibrated(noise=errors, noises={}, **others)
+        noise = GaussianNoise(float(variance if sd is None else sd**2))  # type: ignore[arg-type]
+        return self._calibrated(noise=noise, noises={}, **others)
 
     def with_measure(self, measure: str | Discrepancy, **options: Any) -> Calibration:
         """Return the posterior under another measure, from the existing runs; nothing is written.

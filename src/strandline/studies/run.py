@@ -14,13 +14,16 @@ from strandline.calibration import Calibration, Observer, Problem, calibrate
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidStudy, NumericsError
 from strandline.interface import Interface
+from strandline.likelihood import compared
 from strandline.posterior import to_datatree, write
 from strandline.report import write_report
 from strandline.report.nearness import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check_file import read_check
+from strandline.studies.early_widths import noting_widths
 from strandline.studies.first_run import require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
+from strandline.studies.noise import require_fits
 from strandline.studies.observed import noisy
 from strandline.studies.provenance import require_its_own_text
 from strandline.studies.results import Results, require_writers
@@ -87,7 +90,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
                 study.settings,
                 ledger=ledger,
                 executor=executor,
-                observer=_noting_rounds(_checking_sizes(made.listening(observer), study), study, ledger),
+                observer=_noting_rounds(_telling_early(made.listening(observer), study), study, ledger),
                 given=given,
             )
         study.runs.end_active()
@@ -160,6 +163,11 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
     return replace(observer, draws=draws, batch=batch)
 
 
+def _telling_early(observer: Observer, study: Study) -> Observer:
+    """Return an observer that learns from the first runs whether they fit the observation and what it can tell."""
+    return _checking_sizes(noting_widths(observer, study), study)
+
+
 def _checking_sizes(observer: Observer, study: Study) -> Observer:
     """Return an observer that ends the study if none of its first runs has the size of the observation.
 
@@ -200,18 +208,23 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
         raise InvalidStudy(
             "the synthetic observation could not be made",
             value=f"{record.failure_kind or record.state} at "
-            + ", ".join(f"{name} = {value:g}" for name, value in study.truth.items()),
+            + ", ".join(f"{name} = {value:g}" for name, value in study.truth.items())
+            + (f" ({record.message.splitlines()[0]})" if record.message else ""),
             expected="inputs at which the model runs",
             remedy="Choose other values under observation.synthetic, or try them with `strandline forward`.",
         )
-    return noisy(record.interfaces, study.synthetic_noise)
+    observed = noisy(record.interfaces, study.synthetic_noise)
+    for condition, seen in observed.items():
+        require_fits(study.noise_of(condition), seen)
+    return observed
 
 
 def _try_measures(problem: Problem) -> None:
     """Evaluate each measure once on each observed interface against itself, so that errors come before the runs."""
     for discrepancy in problem.discrepancies.values():
         for observation in problem.observations:
-            discrepancy(observation.interface, observation.interface)
+            seen = observation.interface
+            compared(observation, discrepancy, len(seen.points)).measure(seen, seen)
 
 
 def _write_results(study: Study, calibration: Calibration, new_runs: int, observer: Observer) -> Outcome:

@@ -21,6 +21,7 @@ from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, run_key
 from strandline.runs.on_call import OnCall
 from strandline.studies.build import check_values
+from strandline.studies.noise import require_stated
 from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 
@@ -163,7 +164,9 @@ def served_models(
     """
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
-    likelihood = InterfaceLikelihood(_observations(study, solve, example), next(iter(study.discrepancies.values())))
+    observations = _observations(study, solve, example)
+    require_stated((seen.noise for seen in observations), "serve")
+    likelihood = InterfaceLikelihood(observations, next(iter(study.discrepancies.values())))
     return tuple(_Served(study, solve, differentiate, likelihood, outside).models(example))
 
 

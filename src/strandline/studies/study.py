@@ -8,10 +8,13 @@ from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+
 from strandline.calibration import Settings
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
-from strandline.interface import GaussianNoise, Interface, Noise, Observation
+from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
@@ -23,9 +26,10 @@ from strandline.studies.chosen import refused_at
 from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
 from strandline.studies.keys import StudyFile
-from strandline.studies.keys.observation import ConditionFile, ObservationFile
+from strandline.studies.keys.observation import COLUMN, ConditionFile, ConditionNoise, ObservationFile
 from strandline.studies.known_model import as_in_ledgers
-from strandline.studies.observed import SyntheticNoise, read_points, require_plausible
+from strandline.studies.noise import build_noise, require_fits, require_inferable
+from strandline.studies.observed import SyntheticNoise, read_points, read_sds, require_plausible
 from strandline.studies.parse import parse_study
 from strandline.studies.study_runs import StudyRuns
 from strandline.typeset import html_text
@@ -67,8 +71,8 @@ class Study:
     space: ParameterSpace
     fixed: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
-    noise: Noise
-    noises: Mapping[str, Noise]
+    noise: Noise | PointErrors | UnknownErrors
+    noises: Mapping[str, Noise | PointErrors | UnknownErrors]
     observed: Mapping[str, Interface]
     truth: Mapping[str, float] | None
     synthetic_noise: SyntheticNoise | None
@@ -95,8 +99,8 @@ class Study:
         """The runs that the study needs, and which of them its ledgers hold."""
         return StudyRuns(self)
 
-    def noise_of(self, condition: str) -> Noise:
-        """Return the noise of a condition."""
+    def noise_of(self, condition: str) -> Noise | PointErrors | UnknownErrors:
+        """Return the noise of a condition, or the errors of its observed points."""
         return self.noises.get(condition, self.noise)
 
     def observations(self, observed: Mapping[str, Interface]) -> tuple[Observation, ...]:
@@ -132,7 +136,9 @@ def load_study(folder: Path | str) -> Study:
     model = as_in_ledgers(model, (folder / LEDGER, *reuse))
     space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
-    observed, turned = ({}, ()) if truth is not None else _observed(folder, content.observation, model)
+    read = {} if truth is not None else _observed(folder, content.observation, model)
+    observed = {condition: one.interface for condition, one in read.items()}
+    noise, noises = _noises(content, model, {condition: one.sds for condition, one in read.items()})
     study = Study(
         folder=folder,
         name=content.name,
@@ -141,21 +147,33 @@ def load_study(folder: Path | str) -> Study:
         space=space,
         fixed=fixed,
         discrepancies=build.build_discrepancies(content.discrepancy),
-        noise=GaussianNoise(content.noise.squared),
-        noises=_noises(content, model),
+        noise=noise,
+        noises=noises,
         observed=observed,
         truth=truth,
         synthetic_noise=_synthetic_noise(content),
-        turned=turned,
+        turned=tuple(condition for condition, one in read.items() if one.turned),
         settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
         reuse=reuse,
     )
+    for condition, seen in observed.items():
+        require_fits(study.noise_of(condition), seen)
+    stated = [study.noise_of(name) for name in observed or declared_conditions(model)]
+    require_inferable(stated, next(iter(study.discrepancies.values())), by_field=study.settings.surrogate == "field")
     return replace(study, as_loaded=study)
 
 
-def _noises(content: StudyFile, model: ForwardModel) -> dict[str, Noise]:
-    """Return the noise of each condition that has its own."""
+def _noises(
+    content: StudyFile, model: ForwardModel, sds: Mapping[str, Float[np.ndarray, " _"] | None]
+) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
+    """Return the noise, and that of each condition that has its own.
+
+    Args:
+        content: The study file.
+        model: The simulator.
+        sds: Standard deviations of the observed points by condition, if the observations hold them.
+    """
     known = declared_conditions(model)
     for condition in content.noise.conditions:
         if condition not in known:
@@ -165,7 +183,19 @@ def _noises(content: StudyFile, model: ForwardModel) -> dict[str, Noise]:
                 expected=f"some of {', '.join(known)}" if any(known) else "no conditions: the model has a single one",
                 remedy="Correct the name, or remove it.",
             )
-    return {name: GaussianNoise(given.squared) for name, given in content.noise.conditions.items()}
+    names, stated = tuple(content.inputs), dict[str, ConditionNoise](content.noise.conditions)
+    if content.noise.sd == COLUMN:
+        stated = {**dict.fromkeys(sds, content.noise), **stated}
+    unused = [name for name, one in sds.items() if one is not None and stated.get(name, content.noise).sd != COLUMN]
+    if unused:
+        raise InvalidStudy(
+            "observation.sd: the noise does not take it",
+            value=f"condition {unused[0]}" if unused[0] else f"noise.sd: {content.noise.sd}",
+            expected=f"`noise: {{sd: {COLUMN}, unit: um}}`",
+            remedy="Write that, or remove observation.sd.",
+        )
+    noises = {name: build_noise(given, names, sds.get(name)) for name, given in stated.items()}
+    return build_noise(content.noise, names, next(iter(sds.values()), None)), noises
 
 
 def _settings(content: StudyFile, model: ForwardModel) -> Settings:
@@ -216,18 +246,23 @@ def _synthetic_noise(content: StudyFile) -> SyntheticNoise | None:
     return SyntheticNoise(source.noise.sd, content.seed if seed is None else seed)
 
 
-def _observed(
-    folder: Path, source: ObservationFile | list[ConditionFile], model: ForwardModel
-) -> tuple[dict[str, Interface], tuple[str, ...]]:
-    """Return the observed interfaces by condition, and the conditions whose points were reversed."""
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """An observed interface, whether its points were reversed, and their standard deviations, mm, if it has them."""
+
+    interface: Interface
+    turned: bool
+    sds: Float[np.ndarray, " point"] | None
+
+
+def _observed(folder: Path, source: ObservationFile | list[ConditionFile], model: ForwardModel) -> dict[str, _Read]:
+    """Return the observed interfaces by condition."""
     files = {item.condition: item for item in source} if isinstance(source, list) else {"": source}
     known = declared_conditions(model)
     for condition in files:
         if condition not in known:
             raise _unknown_condition(condition, known)
-    read = {condition: _read(folder, item, model) for condition, item in files.items()}
-    turned = tuple(condition for condition, (_, was_turned) in read.items() if was_turned)
-    return {condition: interface for condition, (interface, _) in read.items()}, turned
+    return {condition: _read(folder, item, model) for condition, item in files.items()}
 
 
 def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
@@ -247,16 +282,19 @@ def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
     )
 
 
-def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> tuple[Interface, bool]:
-    """Return an observed interface in the same direction as the model's, and whether it was reversed for that."""
+def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> _Read:
+    """Return an observed interface in the same direction as the model's."""
     path = folder / str(source.file)
     interface = read_points(path, str(source.unit), options=source.reading)
+    sds = read_sds(path, str(source.unit), options=source.reading)
     undeformed = undeformed_interface(model)
     if undeformed is None:
-        return interface, False
+        return _Read(interface, False, sds)
     require_plausible(f"observation {path.name}", interface, undeformed, unit=str(source.unit))
     turned = interface.runs_against(undeformed)
-    return (interface.reversed() if turned else interface), turned
+    if not turned:
+        return _Read(interface, False, sds)
+    return _Read(interface.reversed(), True, None if sds is None else sds[::-1])
 
 
 def _reused_ledger(folder: Path, other: str) -> Path:

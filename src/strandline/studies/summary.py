@@ -12,15 +12,19 @@ import numpy as np
 
 from strandline.calibration import Calibration
 from strandline.design.refinement import shifts
-from strandline.likelihood import InterfaceLikelihood
+from strandline.discrepancy import Discrepancy
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood, compared
+from strandline.likelihood.compared import adapted
 from strandline.posterior import Posterior, Reading
 from strandline.posterior.quadrature import QuadratureResult, mixture
+from strandline.report.fit import fit_as_json
 from strandline.report.nearness import as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
 from strandline.studies.study import Study
-from strandline.studies.summary_field import certificate, comparison, field_surrogate
+from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
 from strandline.version import __version__
 
@@ -39,7 +43,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         new_runs: Number of forward runs made by this call.
         reused_runs: Number of planned runs that were in a ledger already.
     """
-    sampling = calibration.sampling
+    sampling, nearest = calibration.sampling, _nearest(calibration)
     return {
         "study": study.name,
         "study_sha256": study.text_digest,
@@ -55,7 +59,8 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
             for record in calibration.records
             if record.state == EXCLUDED
         ],
-        "nearest": _nearest(calibration),
+        "nearest": nearest,
+        "misfit": fit_as_json(calibration.misfit, nearest["message"]),
         "refinement": _refinement(calibration),
         "fixed": dict(study.fixed),
         "truth": None if study.truth is None else dict(study.truth),
@@ -208,17 +213,27 @@ def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
     name, discrepancy = next(iter(calibration.problem.discrepancies.items()))
     observations = calibration.problem.observations
     likelihood = InterfaceLikelihood(observations, discrepancy)
+    run = next(record for record in calibration.records if record.ok)
+    nodes = {name: len(interface.points) for name, interface in run.interfaces.items()}
     return {
         "discrepancy": name,
-        "options": _described(discrepancy),
+        "options": _described(adapted(discrepancy, observations[0])),
         "unit": likelihood.unit,
+        **_noise(observations[0], discrepancy, nodes[observations[0].condition]),
         **study.noise.facts,
+        **inferred_noise(calibration),
         "conditions": [
-            {"condition": o.condition, **o.noise.facts, "points": len(o.interface.points)} for o in observations
+            {"condition": o.condition, **_noise(o, discrepancy, nodes[o.condition]), "points": len(o.interface.points)}
+            for o in observations
         ],
         "independent_terms": likelihood.independent_terms,
         "gaussian_constant": likelihood.constant,
     }
+
+
+def _noise(observation: Observation, discrepancy: Discrepancy, nodes: int) -> dict[str, float]:
+    """Return the noise of an observation: the errors of its points if they are stated, and the noise of the measure."""
+    return {**observation.noise.facts, **compared(observation, discrepancy, nodes).noise.facts}
 
 
 def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:

@@ -7,8 +7,9 @@ from jaxtyping import Float
 
 from strandline.calibration import Calibration
 from strandline.design.active import BatchCheck, FieldOutcome, Step
+from strandline.interface import UnknownErrors
 
-__all__ = ["certificate", "comparison", "field_surrogate"]
+__all__ = ["certificate", "comparison", "field_surrogate", "inferred_noise"]
 
 TO_MICROMETRES = 1e3
 
@@ -35,6 +36,28 @@ def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, 
         },
         "feasible_mass": found.feasible,
     }
+
+
+def inferred_noise(calibration: Calibration) -> dict[str, Any]:
+    """Return the posterior of unknown noise: sd and correlation length, µm, and the error of the model if allowed."""
+    inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
+    if inferred is None:
+        return {}
+    found, levels = inferred.posterior, {"q05": 0.05, "median": 0.5, "q95": 0.95}
+    quantiles = found.quantiles(list(levels.values()))
+    of: dict[str, Any] = {
+        f"{name}_um": dict(zip(levels, (TO_MICROMETRES * value for value in values), strict=True))
+        for name, values in quantiles.items()
+    }
+    noises = [seen.noise for seen in calibration.problem.observations]
+    of["stated"] = all(isinstance(one, UnknownErrors) and one.stated for one in noises)
+    if len(found.causes) > 1:
+        of["model_error"] = {
+            "probability": found.probability_of_model_error,
+            "amplitude_um": TO_MICROMETRES * found.model_error,
+            "spread": found.spread,
+        }
+    return {"inferred_noise": of}
 
 
 def certificate(calibration: Calibration) -> dict[str, Any] | None:

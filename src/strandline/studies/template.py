@@ -26,13 +26,16 @@ inputs:
   nu: {{prior: {{uniform: [-0.8, 0.5]}}}}               # Poisson's ratio
 
 # The observed interface. For your own:  observation: {{file: observed.csv, unit: mm}}   (x, y; one point a line)
+# with  discrepancy: {{normal_offset: {{}}}}  and  noise: {{sd: 3, unit: um}}
 observation: {{synthetic: {{E: 400, nu: 0.3, V_in: 100}}}}
 
 # How a simulated interface is compared with the observed one:
-# currents (RKHS norm; quadrature: refined | centre) | closest_point | measurement_lines
+# currents (RKHS norm; quadrature: refined | centre) | closest_point | measurement_lines | tracked_points
+# normal_offset (best for a measured interface: it weighs the points by their errors)
 discrepancy: {{currents: {{width: 0.005, quadrature: refined}}}}
 
 # Variance of the noise, in the unit of the squared discrepancy (mm^2), or its standard deviation (sd: ...).
+# With a unit, sd is that of an observed point:  noise: {{sd: 3, unit: um}}   (`strandline noise` estimates it)
 noise: {{variance: 0.0005}}
 
 # Which forward runs: one batch after the other where the posterior lies, at most so many; it stops when it is sure.

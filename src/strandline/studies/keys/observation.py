@@ -5,10 +5,22 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from strandline.interface import is_condition
-from strandline.studies.keys.scalars import VARIANCES, Number, Seed
-from strandline.studies.keys.section import Section
+from strandline.studies.keys.scalars import VARIANCES, Name, Number, Seed
+from strandline.studies.keys.section import Section, Switch
 
-__all__ = ["ONE", "SEVERAL", "ConditionFile", "Noise", "ObservationFile", "Observed"]
+__all__ = [
+    "COLUMN",
+    "KNOWN",
+    "ONE",
+    "RANGE",
+    "SEVERAL",
+    "UNKNOWN",
+    "ConditionFile",
+    "ConditionNoise",
+    "Noise",
+    "ObservationFile",
+    "Observed",
+]
 
 ONE, SEVERAL = "[one]", "[several]"
 """Branches of `observation`, as pydantic names them in the location of an error."""
@@ -44,6 +56,8 @@ class ObservationFile(Section):
     cells: Any = None
     points: Any = None
     select: Any = None
+    hide: Any = None
+    sd: Any = None
     near: Any = None
     keep: Any = None
     start: Any = None
@@ -114,20 +128,74 @@ Observed = Annotated[
 ]
 
 
+NotNegative = Annotated[Number, Field(ge=0)]
+KNOWN, UNKNOWN, RANGE, COLUMN = "[known]", "[unknown]", "[range]", "column"
+"""Branches of `noise.sd` and `noise.length`."""
+
+
+def _how(value: Any) -> str:
+    if isinstance(value, list):
+        return RANGE
+    return {"unknown": UNKNOWN, "column": f"[{COLUMN}]"}.get(value, KNOWN) if isinstance(value, str) else KNOWN
+
+
+_Range = Annotated[tuple[Number, Number], Tag(RANGE)]
+_Unknown = Annotated[Literal["unknown"], Tag(UNKNOWN)]
+_Column = Annotated[Literal["column"], Tag(f"[{COLUMN}]")]
+Sd = Annotated[Annotated[Number, Field(gt=0), Tag(KNOWN)] | _Unknown | _Range | _Column, Discriminator(_how)]
+Length = Annotated[Annotated[Number, Field(ge=0), Tag(KNOWN)] | _Unknown | _Range, Discriminator(_how)]
+
+
+class Unknown(Section):
+    """Errors that all points of an observed interface share."""
+
+    shift: NotNegative = 0.0
+    """standard deviation of the position of the whole interface along each axis, in `noise.unit`"""
+    rotation: NotNegative = 0.0
+    """standard deviation of its rotation, degrees"""
+    scale: NotNegative = 0.0
+    """standard deviation of its scale, as a share: `0.005` for half a per cent"""
+    offset: NotNegative = 0.0
+    """standard deviation of a common offset along the normals, such as that of a threshold, in `noise.unit`"""
+    shared: Switch = False
+    """whether shift, rotation and scale are the same in all conditions, as with a fixed camera"""
+
+
 class ConditionNoise(Section):
-    """σ_N² or σ_N of one condition."""
+    """Noise of one condition: of the measure, or with a `unit` of the observed points."""
 
     variance: Annotated[Number, Field(gt=0)] | None = None
     """σ_N² of the condition NAME, instead of the study's"""
-    sd: Annotated[Number, Field(gt=0)] | None = None
-    """instead of `variance`: its σ_N"""
+    sd: Sd | None = None
+    """instead of `variance`: its σ_N, or with `unit` that of its points"""
+    unit: Literal["mm", "um", "µm", "m"] | None = None
+    """as `noise.unit`, for the condition NAME"""
+    length: Length | None = None
+    """as `noise.length`, for the condition NAME"""
+    unknown: Unknown | None = None
+    model_error: Switch = False
+    """as `noise.model_error`, for the condition NAME"""
+    spread: list[Name] = []
+    """as `noise.spread`, for the condition NAME"""
+
+    @property
+    def of_points(self) -> bool:
+        """Whether the noise is that of the observed points."""
+        return self.unit is not None
 
     @model_validator(mode="after")
     def _one_of_both(self) -> "ConditionNoise":
         if (self.variance is None) == (self.sd is None):
             raise ValueError("either `variance` or `sd`")
+        if self.of_points and self.variance is not None:
+            raise ValueError("`unit` with the `sd` of the observed points only: a `variance` is that of the measure")
+        if not self.of_points and not isinstance(self.sd, float | None):
+            raise ValueError("an unknown `sd` with the `unit` of the observed points: mm, um or m")
+        for name in ("length", "unknown", "model_error", "spread"):
+            if getattr(self, name) not in (None, False, []) and not self.of_points:
+                raise ValueError(f"`{name}` with the `sd` of the observed points and its `unit`: mm, um or m")
         low, high = VARIANCES
-        if not low <= self.squared <= high:
+        if isinstance(self.sd, float | None) and not low <= self.squared <= high:
             raise ValueError(f"a σ_N² from {low:g} to {high:g}, the square of σ_N: the likelihood overflows beyond")
         return self
 
@@ -136,14 +204,24 @@ class ConditionNoise(Section):
         """σ_N²; infinite if σ_N is missing or its square overflows."""
         if self.variance is not None:
             return self.variance
-        return float(self.sd) ** 2 if self.sd is not None and self.sd < 1e150 else float("inf")
+        return self.sd**2 if isinstance(self.sd, float) and self.sd < 1e150 else float("inf")
 
 
 class Noise(ConditionNoise):
-    """σ_N² or σ_N of the likelihood, for every condition without its own."""
+    """Noise of every condition without its own."""
 
     variance: Annotated[Number, Field(gt=0)] | None = None
     """σ_N², in the unit of d² (mm²)"""
-    sd: Annotated[Number, Field(gt=0)] | None = None
-    """instead of `variance`: σ_N"""
+    sd: Sd | None = None
+    """instead of `variance`: σ_N; or with `unit` the standard deviation of [an observed point](../how-to/noise.md);
+    `unknown` or a range [low, high] lets the residuals decide, `column` takes those of `observation.sd`"""
+    unit: Literal["mm", "um", "µm", "m"] | None = None
+    """`mm`, `um`, `µm` or `m`: `sd` is that of an observed point along the normal; every measure follows from it"""
+    length: Length | None = None
+    """correlation length of the points' errors along the interface, in `unit`, `unknown` or a range as for `sd`;
+    default: 0, independent points"""
+    model_error: Switch = False
+    """whether the model may err by [a smooth offset along the interface](../how-to/model-error.md) of unknown size"""
+    spread: list[Name] = []
+    """inputs that may [differ from condition to condition](../how-to/model-error.md) by an unknown amount"""
     conditions: dict[str, ConditionNoise] = {}

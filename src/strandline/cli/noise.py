@@ -1,0 +1,147 @@
+"""`strandline noise`: the errors of measured contours, as the key `noise` of study.yaml."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from strandline.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from strandline.discrepancy import Repeats, Roughness
+    from strandline.interface import Interface, PointErrors
+
+__all__ = ["command"]
+
+
+@click.command("noise")
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
+@click.option("--unit", required=True, metavar="UNIT", help="Unit of the coordinates: mm, um (or µm) or m.")
+@click.option("--window", type=float, metavar="LENGTH", help="One contour only: smooth it over this length, in UNIT.")
+@click.option(
+    "--read",
+    "reading",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="How to read the files, e.g. columns=[x,y]; repeatable.",
+)
+def command(files: tuple[Path, ...], unit: str, window: float | None, reading: tuple[str, ...]) -> None:
+    """Estimate the errors of the points in FILEs, and print the key `noise` for study.yaml.
+
+    Several files, or a folder of them, are contours of one state from repeated pictures. A single file is compared with
+    itself smoothed, which shows less.
+    """
+    from strandline.discrepancy import errors_from_repeats, errors_from_roughness
+    from strandline.studies.observed import TO_MM
+
+    paths, options = _files(files), _options(reading)
+    contours = [_contour(path, unit, options) for path in paths]
+    if len(contours) == 1:
+        found = errors_from_roughness(contours[0], window=None if window is None else TO_MM[unit] * window)
+        _show(_of_one(found, len(contours[0].points), unit), found.errors, found.notes, unit)
+        return
+    if window is not None:
+        raise _refused("--window", f"{window:g} with {len(contours)} files", "a single file", "Leave it out.")
+    repeats = errors_from_repeats(contours)
+    _show(_of_several(repeats, len(contours), unit), repeats.errors, repeats.notes, unit)
+
+
+def _of_one(found: "Roughness", points: int, unit: str) -> str:
+    step, window = _length(found.spacing, unit), _length(found.window, unit)
+    return f"1 contour of {points} points {step} apart, compared with itself smoothed over {window}"
+
+
+def _of_several(found: "Repeats", contours: int, unit: str) -> str:
+    return f"{contours} contours, compared at {found.places} places {_length(found.spacing, unit)} apart"
+
+
+def _show(compared: str, errors: "PointErrors", notes: Sequence[str], unit: str) -> None:
+    """Print what was compared, the errors, remarks, and the key for study.yaml."""
+    click.echo(compared)
+    click.echo(f"  sd of a point along the normal: {_length(errors.sd, unit)}")
+    click.echo(f"  correlation length: {_length(errors.length, unit)}")
+    for line in _common(errors, unit):
+        click.echo(f"  {line}")
+    for note in notes:
+        click.echo(f"  note: {note}")
+    click.echo(f"for study.yaml:\n{_key(errors, unit)}")
+
+
+def _common(errors: "PointErrors", unit: str) -> Iterator[str]:
+    """Yield a line on the errors that all points of a contour share, unless there are none."""
+    lengths = {"shift": errors.shift, "offset": errors.offset}
+    shown = [f"{name} {_length(mm, unit)}" for name, mm in lengths.items() if mm > 0]
+    shown += [f"rotation {_digits(errors.rotation)} degrees"] if errors.rotation > 0 else []
+    shown += [f"scale {_digits(errors.scale)}"] if errors.scale > 0 else []
+    if shown:
+        yield f"common to all points of a contour, sd over the contours: {', '.join(shown)}"
+
+
+def _key(errors: "PointErrors", unit: str) -> str:
+    """Return the key `noise` with these errors."""
+    mm = _in_mm(unit)
+    values = {
+        "shift": errors.shift / mm,
+        "rotation": errors.rotation,
+        "scale": errors.scale,
+        "offset": errors.offset / mm,
+    }
+    unknown = ", ".join(f"{name}: {_digits(value)}" for name, value in values.items() if value > 0)
+    common = f", unknown: {{{unknown}}}" if unknown else ""
+    return f"noise: {{sd: {_digits(errors.sd / mm)}, length: {_digits(errors.length / mm)}, unit: {unit}{common}}}"
+
+
+def _length(mm: float, unit: str) -> str:
+    return f"{_digits(mm / _in_mm(unit))} {unit}"
+
+
+def _in_mm(unit: str) -> float:
+    from strandline.studies.observed import TO_MM
+
+    return TO_MM[unit]
+
+
+def _digits(value: float) -> str:
+    """Return a number with three digits, without an exponent where that is short."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def _contour(path: Path, unit: str, options: Mapping[str, Any]) -> "Interface":
+    from strandline.studies.observed import read_points
+
+    return read_points(path, unit, what="contour", options=options)
+
+
+def _files(given: Sequence[Path]) -> list[Path]:
+    """Return the files, those of a folder by name."""
+    found: list[Path] = []
+    for path in given:
+        if path.is_dir():
+            inside = sorted(one for one in path.iterdir() if one.is_file() and not one.name.startswith("."))
+            if not inside:
+                raise _refused("folder of contours", f"{path}, without files", "a file for each contour", "Correct it.")
+            found += inside
+        else:
+            found.append(path)
+    return found
+
+
+def _options(reading: Sequence[str]) -> dict[str, Any]:
+    """Return how to read the files, with values as in study.yaml; what is no YAML, like a comma, is a text."""
+    from strandline.studies.yaml_text import load_yaml
+
+    found: dict[str, Any] = {}
+    for text in reading:
+        name, equals, value = text.partition("=")
+        if not (equals and name.strip() and value.strip()):
+            raise _refused("--read", text, "NAME=VALUE, e.g. columns=[x,y]", "Correct the option.")
+        try:
+            found[name.strip()] = load_yaml(value)
+        except InvalidInput:
+            found[name.strip()] = value.strip()
+    return found
+
+
+def _refused(what: str, value: str, expected: str, remedy: str) -> InvalidInput:
+    return InvalidInput(what, value=value, expected=expected, remedy=remedy)

@@ -1,0 +1,281 @@
+"""Would the intervals of a study contain the truth as often as they say? Its experiment repeated, without a run.
+
+Each replicate is written to coverage.jsonl as it ends, so that a stopped command goes on where it was stopped.
+"""
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from strandline.calibration import Observer
+from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
+from strandline.calibration.experiment import Experiment
+from strandline.calibration.field_quality import TOLERATED, TOLERATED_SHARE, FieldQuality, field_quality
+from strandline.calibration.learning import known_field
+from strandline.calibration.source import Source, posterior_source, prior_source
+from strandline.design.active import Knowledge
+from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
+from strandline.interface import Noise, PointErrors, UnknownErrors
+from strandline.likelihood.set_aside import Judge
+from strandline.numerics.one_thread import one_thread
+from strandline.numerics.precision import use_double
+from strandline.posterior import Posterior
+from strandline.report import write_coverage
+from strandline.runs import Ledger, Progress, RunRecord
+from strandline.runs.soundness import outcome_digest
+from strandline.studies.check import finished_posterior
+from strandline.studies.check_file import posterior_digest
+from strandline.studies.coverage_file import TO_MICROMETRES, ReplicateFile, describe_coverage
+from strandline.studies.first_run import observations_of
+from strandline.studies.folder import COVERAGE, REPLICATES, require_writable, told_if_unwritable, write_json
+from strandline.studies.study import Study
+from strandline.studies.study_runs import settled
+from strandline.version import __version__
+
+__all__ = ["StudyCoverage", "coverage", "runs_to_learn_from"]
+
+FEWEST_REPLICATES = 20
+MOST_ROWS, FEWEST_RUNS = 400, 50
+"""Values and derivatives from which the interface is learnt in a study that learns the log-likelihood; fewest runs."""
+
+SOURCES = ("prior", "posterior")
+
+
+@dataclass(frozen=True)
+class StudyCoverage:
+    """How often the intervals of a study contain the truth.
+
+    Args:
+        content: Content of coverage.json.
+        found: What the replicates show.
+        page: Path of coverage.html.
+    """
+
+    content: dict[str, Any]
+    found: CoverageFound
+    page: Path
+
+    def __repr__(self) -> str:
+        return f"<StudyCoverage of {self.content['study']}: {self.found.verdict}>"
+
+
+def coverage(
+    study: Study,
+    *,
+    replicates: int = 200,
+    source: str = "prior",
+    seed: int = 1,
+    measure: str | None = None,
+    observer: Observer | None = None,
+) -> StudyCoverage:
+    """Repeat the experiment of a finished study at other true inputs, and count how often its intervals contain them.
+
+    The surrogate of the interface, learnt from the study's runs, takes the place of the simulator. Replicate k depends
+    on the seed and on k alone: more of them, or a second call after a stop, add to those that are known. Writes
+    coverage.jsonl, coverage.json, coverage.html and two figures.
+
+    Args:
+        study: A finished study, from `load_study`.
+        replicates: Number of repetitions, at least 20.
+        source: Where the true inputs come from: the ``prior``, or the ``posterior`` in posterior.nc, which then also
+            takes the place of the prior in the analysis.
+        seed: Seed of all random numbers, 0 or above.
+        measure: Name of a measure of the study; its first by default.
+        observer: Receives the progress.
+
+    Raises:
+        InvalidInput: An argument is out of its range, or no errors of the points have the stated σ_N².
+        InvalidStudy: The study is not finished, its folder cannot be written to, or the surrogate of the interface is
+            not good enough.
+        LedgerError: The ledger is damaged, or belongs to another model.
+        TooFewRuns: Too few runs succeeded to learn the interface.
+    """
+    name = _measure(study, measure)
+    _require_arguments(replicates, source, seed)
+    study.runs.require_finished()
+    posterior = finished_posterior(study, purpose="draw from") if source == "posterior" else None
+    require_writable(study.folder)
+    use_double()
+    tell = observer or Observer()
+    tell.stage("surrogate")
+    with one_thread():
+        knowledge = _knowledge(study, name)
+        origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
+        quality = field_quality(origin)
+        _require_good(quality, source)
+        experiment = repeatable(origin)
+        tell.stage("replicates")
+        file = ReplicateFile(study.folder / REPLICATES, _key(study, name, seed, posterior))
+        with _alone(study.folder / REPLICATES), told_if_unwritable(study.folder):
+            made = tuple(_replicates(experiment, origin, file, replicates, seed, tell))
+    tell.stage("report")
+    found = CoverageFound(study.space.names, made)
+    content = describe_coverage(study, found, experiment, quality, source=source, seed=seed, measure=name)
+    with told_if_unwritable(study.folder):
+        page = write_coverage(content, study.folder)
+        write_json(study.folder / COVERAGE, content)
+    return StudyCoverage(content, found, page)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock of the replicates' file.
+
+    Raises:
+        InvalidStudy: Another command holds it.
+    """
+    lock = FileLock(path.with_suffix(".lock"))
+    with told_if_unwritable(path.parent):
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise InvalidStudy(
+                f"{path} is in use",
+                value="another `strandline coverage` of this study",
+                expected="one at a time",
+                remedy="Wait for the other one to end, or stop it; its replicates are kept.",
+            ) from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _replicates(
+    experiment: Experiment, source: Source, file: ReplicateFile, number: int, seed: int, tell: Observer
+) -> Iterator[Replicate]:
+    """Yield the replicates in their order; only those that are not known are made."""
+    known, begun = file.read(), time.monotonic()
+    reused = done = sum(k in known for k in range(number))
+    for k in range(number):
+        one = known.get(k)
+        if one is None:
+            one = replicated(experiment, source, seed=seed, number=k)
+            file.append(one)
+            done += 1
+            tell.part(Progress(number, done, done, 0, reused, time.monotonic() - begun))
+        yield one
+
+
+def _measure(study: Study, name: str | None) -> str:
+    if name is not None and name not in study.discrepancies:
+        raise InvalidInput(
+            "measure of the coverage",
+            value=name,
+            expected=f"one of the study's: {', '.join(study.discrepancies)}",
+            remedy="Name one of them, or add it to study.yaml under discrepancy.",
+        )
+    return next(iter(study.discrepancies)) if name is None else name
+
+
+def _require_arguments(replicates: int, source: str, seed: int) -> None:
+    if replicates < FEWEST_REPLICATES:
+        raise InvalidInput(
+            "replicates of the coverage",
+            value=replicates,
+            expected=f"at least {FEWEST_REPLICATES}",
+            remedy="200 are a good start; more make the bands narrower.",
+        )
+    if source not in SOURCES:
+        raise InvalidInput(
+            "source of the true inputs", value=source, expected=" or ".join(SOURCES), remedy="Choose one of them."
+        )
+    if seed < 0:
+        raise InvalidInput("seed of the coverage", value=seed, expected="0 or above", remedy="Choose another one.")
+
+
+def _knowledge(study: Study, measure: str) -> Knowledge:
+    """Learn the interface from the study's runs."""
+    observed = observations_of(study)
+    if not observed:
+        raise InvalidStudy(
+            "the synthetic observation is not in the ledger",
+            value="no run that ended ok",
+            expected="the run at the inputs of observation.synthetic",
+            remedy=f"Run the study first: strandline run {study.folder}",
+        )
+    judge = Judge(study.observations(observed), {measure: study.discrepancies[measure]}, study.settings.failures)
+    records = runs_to_learn_from(study)
+    points = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
+    try:
+        return known_field(points, records, judge, study.space)[0]
+    except NoCommonPoints as error:
+        raise InvalidStudy(
+            "coverage needs a surrogate of the interface",
+            value=str(error.value),
+            expected="runs whose interfaces can be brought to common points",
+            remedy="Let the simulator return interfaces of the same kind, best with the same nodes in all runs.",
+        ) from error
+
+
+def runs_to_learn_from(study: Study) -> tuple[RunRecord, ...]:
+    """Return the finished runs of a study from which the interface is learnt."""
+    return _thinned(study, _records(study))
+
+
+def _records(study: Study) -> tuple[RunRecord, ...]:
+    """Return the study's runs in the order in which it asked for them."""
+    runs = study.runs
+    keys = [*runs.design_keys, *(key for some in runs.rounds for key in some)]
+    with Ledger.open(study.ledger_path, model=runs.identity, read_only=True) as ledger:
+        found = {record.key: record for record in settled(ledger, keys, sensitivities=study.sensitivities)}
+    return tuple(found[key] for key in dict.fromkeys(keys) if key in found)
+
+
+def _thinned(study: Study, records: tuple[RunRecord, ...]) -> tuple[RunRecord, ...]:
+    """Return all runs if the study learns the interface, else at most as many as its surrogate can use quickly.
+
+    The first ones of a design are spread over the box, and so are the last ones, unless these are where the posterior
+    lies.
+    """
+    rows = 1 + (study.space.dim if study.sensitivities else 0)
+    most = max(MOST_ROWS // rows, FEWEST_RUNS)
+    if study.settings.surrogate == "field" or len(records) <= most:
+        return records
+    return (*records[: most // 2], *records[-(most // 2) :])
+
+
+def _require_good(quality: FieldQuality, source: str) -> None:
+    if quality.good:
+        return
+    hidden, median, left_out = (TO_MICROMETRES * mm for mm in (quality.hidden, quality.median, quality.left_out))
+    everywhere = "Make more runs over the whole prior, design: {sobol: {runs: …}}, or take --from posterior."
+    raise InvalidStudy(
+        f"the surrogate of the interface is too coarse for truths from the {source}",
+        value=f"errors above {TOLERATED * hidden:.3g} µm at {100 * quality.beyond:.0f} % of the draws "
+        f"(median {median:.3g} µm; at left-out runs {left_out:.3g} µm)",
+        expected=f"at most {100 * TOLERATED_SHARE:.0f} %, since the noise hides shifts of {hidden:.3g} µm only",
+        remedy=everywhere if source == "prior" else "Make more runs where the posterior lies: an active design does.",
+    )
+
+
+def _noise(one: Noise | PointErrors | UnknownErrors) -> str:
+    """Return all that is stated about a noise."""
+    return repr(one) if isinstance(one, PointErrors | UnknownErrors) else f"{type(one).__qualname__}: {one.facts}"
+
+
+def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> str:
+    """Return a digest of everything that a replicate depends on, apart from its number."""
+    runs, noises = study.runs, [study.noise, *study.noises.values()]
+    keys = frozenset(runs.needed_keys)
+    facts = {
+        "study": study.text_digest,
+        "model": runs.identity,
+        "runs": outcome_digest(study.ledger_path, keys),
+        "inputs": repr(study.space),
+        "measure": f"{measure}: {study.discrepancies[measure]!r}",
+        "noise": [_noise(one) for one in noises],
+        "conditions": list(study.noises),
+        "posterior": None if posterior is None else posterior_digest(posterior),
+        "seed": seed,
+        "version": __version__,
+    }
+    return sha256(json.dumps(facts).encode()).hexdigest()

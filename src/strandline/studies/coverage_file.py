@@ -1,0 +1,155 @@
+"""coverage.jsonl and coverage.json: the replicates of an experiment one by one, and what they show together."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.calibration.coverage import CoverageFound, Replicate
+from strandline.calibration.experiment import CoordinateErrors, Experiment
+from strandline.calibration.field_quality import FieldQuality
+from strandline.interface import Noise, PointErrors, UnknownErrors
+from strandline.studies.study import Study
+from strandline.studies.summary import versions
+from strandline.version import __version__
+
+__all__ = ["ReplicateFile", "describe_coverage"]
+
+TO_MICROMETRES = 1e3
+ARRAYS = ("truth", "ranks", "mean", "sd", "limit")
+
+
+@dataclass(frozen=True)
+class ReplicateFile:
+    """A file of replicates, one a line, each with the digest of all that it depends on; others are left alone.
+
+    Args:
+        path: The file; it need not exist.
+        key: Digest of what the replicates to read and to write depend on, apart from their numbers.
+    """
+
+    path: Path
+    key: str
+
+    def read(self) -> dict[int, Replicate]:
+        """Return the replicates by number; remove a last line that was not written to its end."""
+        if not self.path.is_file():
+            return {}
+        content = self.path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if len(whole) < len(content):
+            with self.path.open("r+b") as file:
+                file.truncate(len(whole))
+        entries = (_parsed(line) for line in whole.splitlines())
+        return {int(one["number"]): _replicate(one) for one in entries if one.get("of") == self.key}
+
+    def append(self, one: Replicate) -> None:
+        """Add a replicate."""
+        arrays = {name: getattr(one, name).tolist() for name in ARRAYS}
+        entry = {"of": self.key, "number": one.number, **arrays, "effective": one.effective, "by": one.by}
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry) + "\n")
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    """Return the content of a line; empty if it is not one of ours."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _replicate(entry: Mapping[str, Any]) -> Replicate:
+    arrays = {name: np.array(entry[name], float) for name in ARRAYS}
+    return Replicate(number=int(entry["number"]), effective=float(entry["effective"]), by=entry["by"], **arrays)
+
+
+def describe_coverage(
+    study: Study,
+    found: CoverageFound,
+    experiment: Experiment,
+    quality: FieldQuality,
+    *,
+    source: str,
+    seed: int,
+    measure: str,
+) -> dict[str, Any]:
+    """Return the content of coverage.json."""
+    return {
+        "study": study.name,
+        "study_sha256": study.text_digest,
+        "version": __version__,
+        "versions": versions(),
+        "model": study.runs.identity,
+        "source": source,
+        "seed": seed,
+        "replicates": len(found.replicates),
+        "measure": measure,
+        "noise": _noise(study, experiment),
+        "surrogate": {
+            "runs": experiment.surrogate.runs,
+            "hidden_um": TO_MICROMETRES * quality.hidden,
+            "error_um": {"median": TO_MICROMETRES * quality.median, "q95": TO_MICROMETRES * quality.q95},
+            "left_out_error_um": TO_MICROMETRES * quality.left_out,
+            "beyond": quality.beyond,
+        },
+        "calibrated": found.calibrated,
+        "remarks": list(found.remarks),
+        "inputs": _inputs(study, found),
+        "sampling": {
+            "importance": sum(one.by == "importance" for one in found.replicates),
+            "smc": sum(one.by == "smc" for one in found.replicates),
+            "effective": float(np.median([one.effective for one in found.replicates])),
+        },
+    }
+
+
+def _inputs(study: Study, found: CoverageFound) -> dict[str, Any]:
+    ratios, means, spreads = found.of_limit, found.z.mean(axis=0), found.z.std(axis=0, ddof=1)
+    return {
+        parameter.name: {
+            "label": parameter.shown,
+            "unit": parameter.unit,
+            "inside": band.inside,
+            "p_value": band.p_value,
+            "intervals": [
+                {"level": one.level, **{part: float(getattr(one, part)[i]) for part in ("found", "low", "high")}}
+                for one in found.intervals
+            ],
+            "z_mean": float(means[i]),
+            "z_sd": float(spreads[i]),
+            "sd": float(found.sd[i]),
+            "of_limit": float(ratios[i]),
+            "ranks": found.ranks[:, i].tolist(),
+            "band": {part: getattr(band, part).tolist() for part in ("places", "found", "low", "high")},
+        }
+        for i, (parameter, band) in enumerate(zip(study.space, found.bands, strict=True))
+    }
+
+
+def _noise(study: Study, experiment: Experiment) -> list[dict[str, Any]]:
+    return [
+        {
+            "condition": name,
+            "stated": isinstance(study.noise_of(name), PointErrors),
+            "drawn": errors.facts,
+            "analysed": dict(experiment.noises[name].facts),
+            "in_words": _in_words(errors, study.noise_of(name)),
+        }
+        for name, errors in experiment.errors.items()
+    ]
+
+
+def _in_words(errors: PointErrors | CoordinateErrors, noise: Noise | PointErrors | UnknownErrors) -> str:
+    sd = f"{TO_MICROMETRES * errors.sd:.3g} µm"
+    if isinstance(errors, CoordinateErrors):
+        return f"independent errors of all coordinates, sd {sd}"
+    if isinstance(noise, PointErrors):
+        return f"errors of the points as study.yaml states them, sd {sd}"
+    if isinstance(noise, UnknownErrors):
+        return f"errors of the points as inferred from the real observation, sd {sd}"
+    return f"independent errors of the points along the normals, sd {sd}, for which the stated σ_N² is right"

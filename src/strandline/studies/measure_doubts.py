@@ -1,0 +1,89 @@
+"""Doubts about the measures of a study, from the observed interface and one run: turning lines, nodes not observed."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.discrepancy import ClosestPoint, MeasurementLines
+from strandline.discrepancy.contours.paths import path_of
+from strandline.discrepancy.search.nearest import closest_points
+from strandline.interface import Interface, Observation
+from strandline.likelihood.compared import adapted
+from strandline.runs import RunRecord
+from strandline.studies.first_run import observations_of
+from strandline.studies.study import Study
+
+__all__ = ["measure_lines"]
+
+MOST_SCATTER = 10.0
+"""Scatter of the measurement lines' directions, degrees, above which it is worth a warning."""
+STEADY = 3.0
+"""Scatter that the suggested option leaves, degrees."""
+PIECE = 4.0
+"""Shortest piece of outline that is suggested, in spacings of the observed points."""
+BEYOND = 3.0
+"""Spacings by which the simulated interface may reach beyond the observed one."""
+_END = 0.1
+"""Share of the observed points that show in which direction an end points."""
+
+
+def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield a warning for lines that turn with the noise, and for a measure that charges what was not observed."""
+    for condition, seen in observations_of(study).items():
+        observation = Observation(seen, study.noise_of(condition), condition)
+        run, of = record.interfaces[condition], f" ({condition})" if condition else ""
+        if seen.dim != 2 or run.dim != 2:
+            continue
+        for chosen in study.discrepancies.values():
+            measure = adapted(chosen, observation)
+            if isinstance(measure, MeasurementLines):
+                yield from _turning(measure, seen, of)
+            elif isinstance(measure, ClosestPoint):
+                yield from _unseen(measure, seen, run, of)
+
+
+def _turning(measure: MeasurementLines, seen: Interface, of: str) -> Iterator[str]:
+    scatter = measure.scatter(seen)
+    if scatter > MOST_SCATTER:
+        yield (
+            f"warning{of}: the directions of the measurement lines scatter by {scatter:.0f}°, because they turn with "
+            "the noise of single points; take them from longer pieces of the interface, "
+            f"`smooth: {_steady_piece(measure, seen, scatter)}` (mm), or take the measure normal_offset"
+        )
+
+
+def _steady_piece(measure: MeasurementLines, seen: Interface, scatter: float) -> str:
+    """Return a length in mm, rounded up, over which points as noisy as these turn a chord by 3°.
+
+    Independent errors of sd s at its ends turn a chord of length w by √2 s/w.
+    """
+    spacing = float(np.median(seen.lengths))
+    present = max(measure.smooth or 0.0, spacing)
+    length = max(PIECE * spacing, present * scatter / STEADY)
+    digit = 10.0 ** (math.floor(math.log10(length)) - 1)
+    return f"{math.ceil(length / digit - 1e-6) * digit:.2g}"  # 1e-6: rounding is no reason to go up
+
+
+def _unseen(measure: ClosestPoint, seen: Interface, run: Interface, of: str) -> Iterator[str]:
+    if measure.direction == "to_simulated" or seen.closed or run.closed:
+        return
+    spacing = max(float(np.median(one.lengths)) for one in (seen, run))
+    path, simulated = path_of(seen), path_of(run)
+    beyond = max(_beyond(path, seen, simulated[-1]), _beyond(path[::-1], seen, simulated[0]))
+    if beyond > BEYOND * spacing:
+        yield (
+            f"warning{of}: the simulated interface reaches {beyond:.3g} mm beyond an end of the observed one, and "
+            "closest_point charges its nodes there; if only a part was observed, take `direction: to_simulated` or "
+            "the measure normal_offset"
+        )
+
+
+def _beyond(path: Float[np.ndarray, "point 2"], seen: Interface, tip: Float[np.ndarray, "2"]) -> float:
+    """Return how far a tip lies beyond the last point of the observed path, along it, mm; 0 if it lies beside it."""
+    end = path[-1]
+    along = end - path[-1 - max(1, round(_END * (len(path) - 1)))]
+    if not np.allclose(closest_points(tip[None], seen).points[0], end, rtol=0.0, atol=1e-9 * float(np.ptp(path))):
+        return 0.0
+    return max(float((tip - end) @ along) / float(np.linalg.norm(along)), 0.0)

@@ -1,0 +1,101 @@
+"""Widths predicted before any campaign, against those of the study itself and against plain linear algebra."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.studies.test_run_study import rerun
+
+from strandline.calibration import Observer
+from strandline.runs import InProcess, RunRecord
+from strandline.runs.record import RunRequest, attempt
+from strandline.studies import Study, load_study, run_study
+from strandline.studies.early_widths import slopes_by_regression
+from strandline.studies.expected_widths import (
+    expected_sd,
+    neighbours,
+    slopes_by_differences,
+    slopes_by_sensitivities,
+    width_lines,
+)
+from strandline.testing.studies import write_study
+
+AT = np.array([400.0, 0.02])
+
+
+def run(study: Study, x: np.ndarray, folder: Path) -> RunRecord:
+    inputs = {**study.fixed, **study.space.as_mapping(x)}
+    return attempt(study.model, RunRequest("key", inputs), folder)
+
+
+def predicted(folder: Path, **changes: Any) -> np.ndarray:
+    study = load_study(write_study(folder, **changes))
+    record, x = run(study, AT, folder), neighbours(study.space, AT)
+    slopes = slopes_by_differences(record, [run(study, row, folder) for row in x], AT, x)
+    assert slopes is not None
+    return expected_sd(study, record.interfaces, slopes, {})
+
+
+@pytest.mark.usefixtures("without_report")
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"discrepancy": {"normal_offset": {}}, "noise": {"sd": 3, "unit": "um"}},
+        {"discrepancy": {"normal_offset": {}}, "noise": {"sd": 3, "unit": "um", "unknown": {"rotation": 1.0}}},
+    ],
+)
+def test_they_are_those_of_the_posterior(tmp_path: Path, changes: dict[str, Any]) -> None:
+    expected = predicted(tmp_path / "before", **changes)
+    done = rerun(tmp_path / "study", **{"name": "beam", **changes}).summary["inputs"]
+    assert expected == pytest.approx([done["E"]["sd"], done["tilt"]["sd"]], rel=0.2)
+
+
+def test_more_noise_and_global_errors_widen(tmp_path: Path) -> None:
+    base = {"discrepancy": {"normal_offset": {}}}
+    some = [
+        predicted(tmp_path, **base, noise={"sd": 1, "unit": "um"}),
+        predicted(tmp_path, **base, noise={"sd": 3, "unit": "um"}),
+        predicted(tmp_path, **base, noise={"sd": 3, "unit": "um", "unknown": {"rotation": 2.0}}),
+    ]
+    assert some[0][0] < some[1][0]
+    assert some[1][1] < some[2][1]
+
+
+def test_what_the_data_hardly_tell_is_said(tmp_path: Path) -> None:
+    study = load_study(write_study(tmp_path))
+    lines = list(width_lines(study, np.array([5.0, 0.0113]), "2 more runs"))
+    assert lines[0].startswith("expected posterior (linearised, from 2 more runs): E ± 5 (")
+    assert lines[1] == "warning: with this noise the data hardly tell tilt"
+
+
+@pytest.mark.usefixtures("without_report")
+def test_a_campaign_says_them_after_its_first_runs(tmp_path: Path) -> None:
+    """Once, and as `check` does; a run on finished runs says nothing."""
+    notes: list[str] = []
+    changes = {"discrepancy": {"normal_offset": {}}, "noise": {"sd": 3, "unit": "um"}}
+    study = load_study(write_study(tmp_path / "study", **changes))
+    run_study(study, executor=InProcess(), observer=Observer(note=notes.append))
+    (line,) = [note for note in notes if note.startswith("expected posterior")]
+    assert "from the first 12 runs" in line
+    (found,) = re.findall(r"E ± (\S+)", line)
+    assert float(found) == pytest.approx(predicted(tmp_path / "before", **changes)[0], rel=0.3)
+
+
+def test_slopes_by_regression_are_those_of_the_model(tmp_path: Path) -> None:
+    study, random = load_study(write_study(tmp_path)), np.random.default_rng(1)
+    records = [run(study, AT + [0.5, 1e-4] * random.standard_normal(2), tmp_path) for _ in range(12)]
+    slopes = slopes_by_regression(records, study.space.names, records[0])
+    assert slopes is not None
+    x = records[0].interfaces[""].points[:, 0]
+    np.testing.assert_allclose(slopes[""][:, 1, 1], x, rtol=1e-3)
+    assert slopes_by_regression(records[:2], study.space.names, records[0]) is None
+
+
+def test_runs_without_slopes_give_none(tmp_path: Path) -> None:
+    study = load_study(write_study(tmp_path))
+    record = run(study, AT, tmp_path)
+    assert slopes_by_sensitivities(record, study.space.names) is None
+    assert slopes_by_differences(record, [record], AT, neighbours(study.space, AT)) is None

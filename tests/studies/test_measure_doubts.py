@@ -1,0 +1,88 @@
+"""What `strandline check` doubts about measures: lines that turn with the noise, nodes that were not observed."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strandline.discrepancy import MeasurementLines
+from strandline.interface import Interface
+from strandline.runs import InProcess, RunRecord, RunRequest
+from strandline.studies import Study, load_study
+from strandline.studies.measure_doubts import _steady_piece, measure_lines
+from strandline.testing.studies import beam, write_study
+
+INPUTS = {"E": 430.0, "tilt": 0.02, "load": 1e-5}
+OBSERVED = {"file": "observed.csv", "unit": "mm"}
+
+
+def study_of(folder: Path, points: np.ndarray, measure: dict[str, object]) -> Study:
+    folder.mkdir()
+    np.savetxt(folder / "observed.csv", points, delimiter=",")
+    return load_study(write_study(folder, observation=OBSERVED, discrepancy=measure))
+
+
+@pytest.fixture
+def record() -> RunRecord:
+    (found,) = InProcess()(beam, [RunRequest("key", INPUTS)])
+    return found
+
+
+def told(folder: Path, record: RunRecord, points: np.ndarray, **measure: object) -> list[str]:
+    return list(measure_lines(study_of(folder, points, measure), record))
+
+
+def noisy(record: RunRecord, share: float, number: int = 120) -> np.ndarray:
+    """Return points on the run's interface, which is nearly horizontal, off in height by a share of their spacing."""
+    points = record.interfaces[""].resampled(number).points
+    heights = share * points[-1, 0] / number * np.random.default_rng(1).standard_normal(number)
+    return points + np.stack([0 * heights, heights], axis=1)
+
+
+@pytest.mark.parametrize(("share", "warns"), [(0.02, False), (0.4, True)])
+def test_lines_that_turn_with_the_noise(tmp_path: Path, record: RunRecord, share: float, warns: bool) -> None:
+    points = noisy(record, share)
+    lines = told(tmp_path / "one", record, points, measurement_lines={"lines": 10})
+    assert bool(lines) == warns
+    if warns:
+        (line,) = lines
+        assert "normal_offset" in line
+        (smooth,) = (float(value) for value in re.findall(r"`smooth: ([0-9.]+)`", line))
+        assert MeasurementLines(smooth=smooth).scatter(Interface.polyline(points)) <= 3.0
+        assert told(tmp_path / "two", record, points, measurement_lines={"lines": 10, "smooth": smooth}) == []
+
+
+@pytest.mark.parametrize(("scatter", "expected"), [(10.5, "0.04"), (30.0, "0.1"), (31.0, "0.11")])
+def test_the_piece_has_at_least_four_spacings(scatter: float, expected: str) -> None:
+    seen = Interface.polyline(np.stack([0.01 * np.arange(50), np.zeros(50)], axis=1))
+    assert _steady_piece(MeasurementLines(), seen, scatter) == expected
+
+
+@pytest.mark.parametrize(
+    ("part", "options", "warns"),
+    [
+        (slice(None), {}, False),
+        (slice(0, 11), {}, True),
+        (slice(6, None), {"direction": "symmetric"}, True),
+        (slice(0, 11), {"direction": "to_simulated"}, False),
+        (slice(0, 15), {}, False),
+    ],
+    ids=["whole", "end cut", "begin cut", "the way that is right", "two spacings"],
+)
+def test_nodes_beyond_the_end_of_a_partly_seen_interface(
+    tmp_path: Path, record: RunRecord, part: slice, options: dict[str, str], warns: bool
+) -> None:
+    points = record.interfaces[""].points[part]
+    lines = told(tmp_path / "s", record, points, closest_point=options)
+    assert bool(lines) == warns
+    assert all("direction: to_simulated" in line and "normal_offset" in line for line in lines)
+
+
+def test_a_tip_that_lies_beside_the_observed_one_is_not_beyond_it(tmp_path: Path, record: RunRecord) -> None:
+    points = record.interfaces[""].points * np.array([1.0, -3.0])
+    assert told(tmp_path / "s", record, points, closest_point={}) == []
+
+
+def test_measures_without_doubts_say_nothing(tmp_path: Path, record: RunRecord) -> None:
+    assert told(tmp_path / "s", record, record.interfaces[""].points[:10], normal_offset={}) == []

@@ -1,0 +1,158 @@
+"""Noise of the observed points in a study file: what it becomes, and a study from its file to its posterior."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.studies.test_run_study import rerun
+
+from strandline.errors import InvalidInput
+from strandline.interface import GaussianNoise, PointErrors
+from strandline.studies import load_study
+from strandline.testing.studies import write_study
+
+STATED = {"sd": 3, "length": 15, "unit": "um"}
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"sd": 3, "unit": "um"}, PointErrors(0.003)),
+        (STATED, PointErrors(0.003, 0.015)),
+        ({"sd": 0.003, "length": 0.015, "unit": "mm"}, PointErrors(0.003, 0.015)),
+        (
+            {**STATED, "unknown": {"shift": 8, "rotation": 0.5, "scale": 0.005, "offset": 2, "shared": True}},
+            PointErrors(0.003, 0.015, 0.008, 0.5, 0.005, 0.002, True),
+        ),
+        ({"sd": 0.5}, GaussianNoise(0.25)),
+        ({"variance": 0.5}, GaussianNoise(0.5)),
+    ],
+)
+def test_lengths_become_mm(tmp_path: Path, given: dict[str, Any], expected: Any) -> None:
+    noise = load_study(write_study(tmp_path, noise=given)).noise
+    assert type(noise) is type(expected)
+    for name, value in vars(expected).items():
+        assert getattr(noise, name) == pytest.approx(value)
+
+
+@pytest.mark.usefixtures("without_report")
+@pytest.mark.parametrize("measure", ["normal_offset", "closest_point"])
+def test_a_study_with_noise_of_the_points(tmp_path: Path, measure: str) -> None:
+    outcome = rerun(tmp_path / "beam", discrepancy={measure: {}}, noise=STATED)
+    (condition,) = outcome.summary["likelihood"]["conditions"]
+    assert condition["point_sd"] == pytest.approx(0.003)
+    assert condition["correlation_length"] == pytest.approx(0.015)
+    assert (condition["noise_variance"] == 1.0) == (measure == "normal_offset")
+    estimate = outcome.summary["inputs"]["E"]
+    assert abs(estimate["mean"] - 400.0) < 3 * estimate["sd"]
+
+
+@pytest.mark.usefixtures("without_report")
+def test_wider_noise_gives_a_wider_posterior(tmp_path: Path) -> None:
+    def sd(name: str, **noise: Any) -> float:
+        """Return the sd of a well-known input: of one that fills its prior, it says little."""
+        changes = {"discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}}
+        done = rerun(tmp_path / name, noise={**STATED, **noise}, **changes)
+        return float(done.summary["inputs"]["E"]["sd"])
+
+    assert 1.5 * sd("narrow", sd=0.3) < sd("wide", sd=0.6) < 0.8 * sd("unknown", sd=0.6, unknown={"offset": 3})
+
+
+EDGE = "x,y,sd\n" + "".join(f"{0.0625 * k},{0.12 * (k / 16) ** 2},{0.001 * (1 + k % 3)}\n" for k in range(17))
+
+
+def of_a_table(folder: Path, noise: dict[str, Any], **options: Any) -> Any:
+    folder.mkdir(exist_ok=True)
+    (folder / "edge.csv").write_text(EDGE)
+    return write_study(folder, observation={"file": "edge.csv", "unit": "mm", **options}, noise=noise)
+
+
+COLUMN = {"sd": "column", "length": 20, "unit": "um"}
+
+
+def test_each_point_has_the_sd_of_its_column(tmp_path: Path) -> None:
+    options = {"columns": ["x", "y"], "sd": "sd", "hide": {"x": [0.3, 0.4]}}
+    study = load_study(of_a_table(tmp_path, {**COLUMN, "unknown": {"offset": 2}}, **options))
+    seen = study.observed[""]
+    errors = study.noise_of("")
+    assert isinstance(errors, PointErrors)
+    expected = np.array([0.001 * (1 + k % 3) for k in range(17) if not 0.3 <= 0.0625 * k <= 0.4])
+    np.testing.assert_allclose(errors.sds(seen), expected)
+    assert (errors.length, errors.offset) == pytest.approx((0.02, 0.002))
+    np.testing.assert_allclose(errors.model(seen).local, expected**2, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("noise", "options", "said"),
+    [
+        (COLUMN, {"columns": [1, 2]}, "observation: {file: …, sd: COLUMN}"),
+        (STATED, {"columns": [1, 2], "sd": "sd"}, "the noise does not take it"),
+        (COLUMN, {"columns": [1, 2], "sd": "s"}, "no column s"),
+        (COLUMN, {"columns": [1, 2], "sd": 0}, "a column, by name or by number"),
+        (COLUMN, {"columns": [1, 2], "sd": "x"}, "standard deviation of point 1"),
+        ({**COLUMN, "length": "unknown"}, {"sd": "sd"}, "a known length"),
+        ({**COLUMN, "model_error": True}, {"sd": "sd"}, "no model error"),
+        ({"sd": "column"}, {"sd": "sd"}, "`unit`"),
+    ],
+)
+def test_columns_that_cannot_be_used_are_refused(
+    tmp_path: Path, noise: dict[str, Any], options: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        load_study(of_a_table(tmp_path, noise, **options))
+    assert said in str(caught.value)
+
+
+def test_a_synthetic_observation_has_no_column(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="a table with the standard deviation"):
+        load_study(write_study(tmp_path, noise=COLUMN))
+
+
+def test_a_correlation_longer_than_the_interface_is_refused_before_any_run(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="correlation length"):
+        rerun(tmp_path / "beam", noise={**STATED, "length": 1e7})
+
+
+@pytest.mark.parametrize(
+    ("noise", "said"),
+    [
+        ({"sd": "unknown", "unit": "um"}, "the measure normal_offset and a surrogate of the field"),
+        ({"sd": [1, 5], "unit": "um"}, "the measure normal_offset and a surrogate of the field"),
+        ({**STATED, "model_error": True}, "the measure normal_offset and a surrogate of the field"),
+        ({**STATED, "spread": ["tilt"]}, "several, whose inputs may differ"),
+        ({**STATED, "spread": ["E", "nu"]}, "some of E, tilt"),
+        ({"sd": [5, 1], "unit": "um"}, "0 < low < high"),
+        ({"sd": 3, "length": [0, 1], "unit": "um"}, "0 < low < high"),
+    ],
+)
+def test_unknown_noise_that_nothing_can_infer_is_refused(tmp_path: Path, noise: dict[str, Any], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        load_study(write_study(tmp_path, noise=noise))
+
+
+@pytest.mark.usefixtures("without_report")
+def test_a_study_with_unknown_noise(tmp_path: Path) -> None:
+    outcome = rerun(
+        tmp_path / "beam",
+        observation={"synthetic": {"E": 400, "tilt": 0.02, "load": 1e-5}, "noise": {"sd": 0.003}},
+        discrepancy={"normal_offset": {}},
+        noise={"sd": "unknown", "length": "unknown", "unit": "um", "model_error": True},
+        surrogate={"field": {}},
+    )
+    found = outcome.summary["likelihood"]["inferred_noise"]
+    assert 1.0 < found["sd_um"]["median"] < 9.0
+    assert found["sd_um"]["q05"] < found["sd_um"]["median"] < found["sd_um"]["q95"]
+    assert 0 <= found["model_error"]["probability"] <= 1
+
+
+KEYS = Path("docs/reference/summary.md").read_text("utf-8")
+
+
+@pytest.mark.usefixtures("without_report")
+def test_the_keys_of_noise_in_the_summary_are_described(tmp_path: Path) -> None:
+    everything = {**STATED, "unknown": {"shift": 8, "rotation": 0.5, "scale": 0.005, "offset": 2}}
+    stated = rerun(tmp_path / "stated", discrepancy={"normal_offset": {}}, noise=everything).summary["likelihood"]
+    others = {"discrepancy", "options", "unit", "conditions", "independent_terms", "gaussian_constant"}
+    for key in stated.keys() - others:
+        assert f"`likelihood.{key}`" in KEYS
