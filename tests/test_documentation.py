@@ -237,6 +237,8 @@ def test_every_key_of_the_summary_is_described(finished: Path, uncertain: dict[s
     summary = json.loads((finished / "studies/biofilm-uniform/summary.json").read_text("utf-8"))
     described = {key for row in rows("reference/summary.md", "key") for key in code(row[0])}
     described -= {"quadrature_check", "under_uncertainty.cut.quadrature_check"}
+    stated = ("point_sd", "correlation_length", "shift_sd", "rotation_sd", "scale_sd", "offset_sd", "inferred_noise")
+    described = {key for key in described if not key.startswith(tuple(f"likelihood.{name}" for name in stated))}
     described = {key.replace("READING", reading) for key in described for reading in ("joint", "cut")}
     known = set(generic(summary)) | {key for key in generic(uncertain) if key.startswith("under_uncertainty.")}
     known = {key for key in known if not key.startswith("under_uncertainty.cut.quadrature_check.")}
@@ -357,6 +359,8 @@ def test_the_program_that_checks_a_posterior_runs(finished: Path) -> None:
     "page",
     [
         "how-to/change-without-runs.md",
+        "how-to/model-error.md",
+        "how-to/noise.md",
         "how-to/own-observation.md",
         "how-to/several-experiments.md",
         "how-to/uncertain-experiment.md",

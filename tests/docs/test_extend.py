@@ -77,7 +77,10 @@ def test_its_surrogate_makes_a_study(doors: ModuleType, tmp_path: Path) -> None:
     assert posterior.sd[0] == pytest.approx(0.01, rel=0.2)
     found = json.loads((tmp_path / "summary.json").read_text("utf-8"))["surrogate"]
     assert (found["n_train"], found["hyperparameters"], found["optimiser"]) == (24, None, None)
-    assert (tmp_path / "report.html").is_file()
+    report = (tmp_path / "report.html").read_text("utf-8")
+    assert "Leave-a-tenth-out" in report
+    assert "Leave-one-out" not in report
+    assert "my_doors:Quadratic</td>" in report
 
 
 def test_its_noise_model_is_used(doors: ModuleType) -> None:

@@ -1,0 +1,185 @@
+"""How often 90 % intervals contain the truth on the biofilm, for each noise and each measure, and how wide they are.
+
+The field surrogate learns from Sobol runs of the real model. Truths are drawn from the prior, observations with the
+stated noise from the predicted outline, and posteriors are integrated on a grid around the estimate.
+
+    python -m verification.validation.noise_coverage [--observations 200] [--runs 64] [--ledger FOLDER] [NOISE ...]
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from jaxtyping import Float
+from verification.validation.tables import Table
+
+from strandline.design import sobol
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, NormalOffset
+from strandline.errors import InvalidInput
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
+from strandline.likelihood import FieldLikelihood
+from strandline.likelihood.compared import with_variance
+from strandline.likelihood.joint_errors import error_model
+from strandline.likelihood.linearised import linearise
+from strandline.models.biofilm.model import Biofilm
+from strandline.numerics.precision import use_double
+from strandline.posterior.uniformity import coverage_of, uniformity
+from strandline.runs import Ledger, LocalProcesses, run_campaign
+from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
+
+LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
+SPACING = 0.005
+"""Distance of the observed points, mm."""
+GLOBAL = {"shift": 0.008, "rotation": 0.5, "scale": 0.005, "offset": 0.002}
+NOISES = {
+    "white 1 µm": PointErrors(0.001),
+    "white 3 µm": PointErrors(0.003),
+    "white 6 µm": PointErrors(0.006),
+    "3 µm over 15 µm": PointErrors(0.003, 0.015),
+    "3 µm over 60 µm": PointErrors(0.003, 0.060),
+    "3 µm over 15 µm, global errors": PointErrors(0.003, 0.015, **GLOBAL),
+}
+MEASURES: dict[str, Discrepancy] = {
+    "normal_offset": NormalOffset(),
+    "closest_point": ClosestPoint(),
+    "measurement_lines, 40": MeasurementLines(40),
+    "currents, 0.1 mm": Currents(0.1),
+}
+OTHERS: dict[str, Discrepancy] = {
+    "closest_point, to_observed": ClosestPoint(direction="to_observed"),
+    "closest_point, length": ClosestPoint(weighting="length"),
+    "measurement_lines, 10": MeasurementLines(10),
+    "currents, 0.02 mm": Currents(0.02),
+}
+"""Further measures, with `--others`."""
+REACH, PLACES = 5.0, 25
+"""Half the width of the grid in standard deviations of the linearised posterior, and its nodes along each input."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Ranks of the truths and standard deviations of the posteriors, shape (observation, 2), and those of the limit."""
+
+    ranks: Float[np.ndarray, "observation 2"]
+    sds: Float[np.ndarray, "observation 2"]
+    limits: Float[np.ndarray, "observation 2"]
+
+    def row(self, noise: str, measure: str) -> tuple[object, ...]:
+        """Return coverage in %, p-values of the ranks' uniformity, and widths relative to the Cramér–Rao limit."""
+        cover = 100 * coverage_of(self.ranks, 0.9).found
+        p = [uniformity(self.ranks[:, k]).p_value for k in (0, 1)]
+        wide = np.median(self.sds / self.limits, axis=0)
+        return noise, measure, *cover.tolist(), *p, *wide.tolist()
+
+
+def surrogate(runs: int, folder: Path) -> FieldSurrogate:
+    """Return the field of the biofilm over E and ν, from the finished runs in `folder` and those that are missing."""
+    x = LOW + (HIGH - LOW) * sobol(runs, 2)
+    inputs = [{"E": float(a), "nu": float(b), "V_in": 100.0} for a, b in x]
+    model = Biofilm(mesh="default")
+    with Ledger.open(folder / "ledger.sqlite", model=model) as ledger:
+        records = run_campaign(model, inputs, ledger=ledger, executor=LocalProcesses())
+    good = [k for k, record in enumerate(records) if record.ok]
+    return fit_field(FieldTraining(x[good], [records[k].interfaces for k in good], None, LOW, HIGH), tolerance=1e-6)
+
+
+def observed(field: FieldSurrogate, truth: Float[np.ndarray, " 2"], errors: PointErrors, seed: int) -> Interface:
+    """Return an outline drawn around the predicted one."""
+    predicted = field.interfaces(truth)[""]
+    number = round(float(predicted.lengths.sum()) / SPACING) + 1
+    return errors.draw(predicted.resampled(number), np.random.default_rng([7, seed]))
+
+
+def limit(field: FieldSurrogate, seen: Interface, errors: PointErrors) -> tuple[np.ndarray, np.ndarray]:
+    """Return the estimate and the standard deviations of the linearised posterior: the limit of Cramér and Rao."""
+    lin = linearise(field, [Observation(seen, errors)], [errors])
+    information = np.linalg.inv(lin.covariance(error_model([Observation(seen, errors)], [errors])))
+    covariance = np.linalg.inv(information + np.diag(12 / (HIGH - LOW) ** 2))
+    return lin.at, np.sqrt(np.diag(covariance))
+
+
+def posterior(
+    likelihood: FieldLikelihood,
+    truth: Float[np.ndarray, " 2"],
+    at: Float[np.ndarray, " 2"],
+    sd: Float[np.ndarray, " 2"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rank of the truth and standard deviation in each input, by quadrature on a grid that adapts."""
+    for _ in range(8):
+        low, high = np.maximum(at - REACH * sd, LOW), np.minimum(at + REACH * sd, HIGH)
+        axes = [np.linspace(low[k], high[k], PLACES) for k in (0, 1)]
+        x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        values = likelihood.plug_in(x)
+        weights = np.exp(values - values.max()).reshape(PLACES, PLACES)
+        weights[[0, -1]] *= 0.5
+        weights[:, [0, -1]] *= 0.5
+        weights /= weights.sum()
+        marginals = weights.sum(axis=1), weights.sum(axis=0)
+        mean = np.array([m @ a for m, a in zip(marginals, axes, strict=True)])
+        found = np.sqrt([m @ (a - c) ** 2 for m, a, c in zip(marginals, axes, mean, strict=True)])
+        inside = (low <= LOW) | (mean - 4 * found > low), (high >= HIGH) | (mean + 4 * found < high)
+        step = (high - low) / (PLACES - 1)
+        if all(one.all() for one in inside) and (found > 1.2 * step).all():
+            break
+        at, sd = mean, np.where(found > 1.2 * step, 1.2 * found, np.maximum(0.5 * found, 0.25 * step))
+    ranks = [np.interp(t, a, np.cumsum(m) - 0.5 * m) for t, a, m in zip(truth, axes, marginals, strict=True)]
+    return np.array(ranks), found
+
+
+def measured(field: FieldSurrogate, errors: PointErrors, number: int, *, more: bool) -> Iterator[tuple[str, Found]]:
+    """Yield what each measure finds, a control with points taken as independent, and inferred noise."""
+    truths = LOW + (HIGH - LOW) * np.random.default_rng(11).random((number, 2))
+    seen = [observed(field, truth, errors, k) for k, truth in enumerate(truths)]
+    limits = [limit(field, one, errors) for one in seen]
+    others = {name: getattr(errors, name) for name in ("shift", "rotation", "scale", "offset")}
+    cases: list[tuple[str, Discrepancy, PointErrors | UnknownErrors]] = [
+        *((name, measure, errors) for name, measure in (MEASURES | (OTHERS if more else {})).items()),
+        ("normal_offset, s and ℓ unknown", NormalOffset(), UnknownErrors(**others)),
+        ("control: points independent, no global errors", NormalOffset(), PointErrors(errors.sd)),
+    ]
+    for name, measure, noise in cases:
+        used = noise
+        if isinstance(measure, Currents):  # its rule takes seconds: that of the first observation serves for all
+            used = with_variance(Observation(seen[0], noise), measure, len(field.interfaces(truths[0])[""].points))
+        found, sds = [], []
+        for truth, one, at in zip(truths, seen, limits, strict=True):
+            try:
+                found.append(posterior(FieldLikelihood(field, (Observation(one, used),), measure), truth, *at))
+                sds.append(at[1])
+            except InvalidInput:  # no variance of the measure fits this noise
+                continue
+        said = name if len(found) == number else f"{name} ({number - len(found)} refused)"
+        if found:
+            yield said, Found(*(np.array(part) for part in zip(*found, strict=True)), np.array(sds))
+
+
+def main() -> None:
+    """Print the table, a row at a time."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("noises", nargs="*", help="parts of the names of noises; default: all")
+    parser.add_argument("--observations", type=int, default=200)
+    parser.add_argument("--others", action="store_true", help="further measures, too")
+    parser.add_argument("--runs", type=int, default=64)
+    parser.add_argument("--ledger", type=Path, help="folder of the runs; default: a new one, removed at the end")
+    options = parser.parse_args()
+    use_double()
+    columns = ("noise", "measure", "E covered, %", "ν covered, %", "p(E)", "p(ν)", "sd(E) / limit", "sd(ν) / limit")
+    formats = ("s", "s", ".1f", ".1f", ".3f", ".3f", ".2f", ".2f")
+    with TemporaryDirectory() as scratch:
+        folder = options.ledger or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        field = surrogate(options.runs, folder)
+    rows = []
+    for name, errors in NOISES.items():
+        if not options.noises or any(word in name for word in options.noises):
+            for measure, found in measured(field, errors, options.observations, more=options.others):
+                rows.append(found.row(name, measure))
+                print(*rows[-1], sep="  ", flush=True)
+    print(Table("noise_coverage", "Coverage of 90 % intervals", columns, formats, tuple(rows)).markdown())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""Studies of the biofilm with 1 µm of white noise: with the likelihood of these errors, and with the study's σ_N².
+
+True inputs are drawn from the prior, and observations with this noise are analysed in both ways. A surrogate of the
+interface stands for the simulator in both, also where it errs by more than this noise hides. Needs the finished runs of
+the studies.
+
+    python -m verification.validation.own_likelihood [--replicates 200] [--published 100] FOLDER [FOLDER ...]
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from verification.validation.tables import Table
+
+from strandline.calibration.coverage import CoverageFound, repeatable, replicated
+from strandline.calibration.field_quality import field_quality
+from strandline.calibration.learning import known_field
+from strandline.calibration.source import prior_source
+from strandline.discrepancy import NormalOffset
+from strandline.interface import PointErrors
+from strandline.likelihood.set_aside import Judge
+from strandline.numerics.one_thread import one_thread
+from strandline.numerics.precision import use_double
+from strandline.studies import Study, load_study
+from strandline.studies.coverage import runs_to_learn_from
+from strandline.studies.first_run import observations_of
+
+ERRORS = PointErrors(0.001)
+
+
+def rows(study: Study, replicates: int, published: int) -> Iterator[tuple[object, ...]]:
+    """Yield a row for each input with the likelihood of the noise, then with the study's own."""
+    (name, measure), noise = next(iter(study.discrepancies.items())), study.noise
+    own = replace(study, noise=ERRORS, discrepancies={"normal_offset": NormalOffset()})
+    judge = Judge(own.observations(observations_of(study)), own.discrepancies, study.settings.failures)
+    records = runs_to_learn_from(study)
+    points = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
+    with one_thread():
+        knowledge = known_field(points, records, judge, study.space)[0]
+        source = prior_source(knowledge, study.space)
+        quality = field_quality(source)
+        print(f"{study.name}: the surrogate errs by {1e3 * quality.median:.2g} µm", flush=True)
+        experiment = repeatable(source)
+        analyses = {
+            "normal_offset, s = 1 µm": (experiment, replicates),
+            f"{name}, study's σ_N²": (
+                replace(experiment, measure=measure, noises=dict.fromkeys(experiment.noises, noise)),
+                published,
+            ),
+        }
+        for label, (one, number) in analyses.items():
+            begun = perf_counter()
+            found = CoverageFound(
+                study.space.names, tuple(replicated(one, source, seed=3, number=k) for k in range(number))
+            )
+            seconds = perf_counter() - begun
+            for i, parameter in enumerate(study.space):
+                cover = [100 * interval.found[i] for interval in found.intervals]
+                yield (
+                    study.name,
+                    label,
+                    number,
+                    parameter.name,
+                    float(found.sd[i]),
+                    float(found.of_limit[i]),
+                    *cover,
+                    float(found.z[:, i].std()),
+                    "yes" if found.bands[i].inside else "no",
+                    seconds / number,
+                )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, help="folders of finished studies")
+    parser.add_argument("--replicates", type=int, default=200)
+    parser.add_argument("--published", type=int, default=100, help="replicates with the study's σ_N², which cost more")
+    options = parser.parse_args()
+    use_double()
+    columns = ("study", "likelihood", "observations", "input", "mean sd", "sd / limit")
+    columns += ("50 % cover", "90 % cover", "sd of z", "ranks in band", "s each")
+    formats = ("s", "s", "d", "s", ".3g", ".2f", ".0f", ".0f", ".2f", "s", ".2f")
+    found: list[tuple[object, ...]] = []
+    for folder in options.folders:
+        for row in rows(load_study(folder), options.replicates, options.published):
+            found.append(row)
+            print(*row, sep="  ", flush=True)
+    print(Table("own_likelihood", "1 µm of white noise", columns, formats, tuple(found)).markdown())
+
+
+if __name__ == "__main__":
+    main()
