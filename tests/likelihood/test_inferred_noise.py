@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, qmc
 
-from strandline.discrepancy import NormalOffset
+from strandline.discrepancy import NormalOffset, WhitenedOffset
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
@@ -149,6 +149,25 @@ def test_a_model_that_errs_is_noticed_and_widens_the_posterior() -> None:
     _, known = grid(Observation(wrong(1, 0.004), PointErrors(0.001)))
     _, erring = grid(Observation(wrong(1, 0.004), ERRING))
     assert (erring > 2 * known).all()
+
+
+def test_the_posterior_without_the_error_is_that_of_the_stated_noise() -> None:
+    """But for uneven distances of the points; also where a model without error has no probability left."""
+    seen = wrong(1, 0.02)
+    found = infer_noise(surrogate(), [Observation(seen, ERRING)])
+    assert found is not None
+    assert found.without is not None
+    stated = WhitenedOffset(PointErrors(0.001))
+    one, other = arch(TRUTH), arch(TRUTH + np.array([0.004, 0.01]))
+    difference = found.without.one({"": one}) - found.without.one({"": other})
+    assert difference == pytest.approx(-0.5 * (stated(one, seen) - stated(other, seen)), rel=0.05)
+    unknown = infer_noise(surrogate(), [Observation(seen, UnknownErrors(model_error=True))])
+    assert unknown is not None
+    assert unknown.without is not None
+    assert unknown.without.levels.min() > 100 * 0.001**2
+    plain = infer_noise(surrogate(), [Observation(seen, UnknownErrors())])
+    assert plain is not None
+    assert plain.without is None
 
 
 def test_waves_have_the_covariance_of_the_process() -> None:

@@ -144,6 +144,9 @@ def test_a_study_with_unknown_noise(tmp_path: Path) -> None:
     assert 1.0 < found["sd_um"]["median"] < 9.0
     assert found["sd_um"]["q05"] < found["sd_um"]["median"] < found["sd_um"]["q95"]
     assert 0 <= found["model_error"]["probability"] <= 1
+    without, with_it = found["without_model_error"]["E"], outcome.summary["inputs"]["E"]
+    assert 0 < without["sd"] < 1.3 * with_it["sd"]
+    assert abs(without["mean"] - 400.0) < 4 * without["sd"]
 
 
 KEYS = Path("docs/reference/summary.md").read_text("utf-8")

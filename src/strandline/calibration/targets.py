@@ -7,7 +7,7 @@ that it allows.
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -19,6 +19,7 @@ from strandline.calibration.cut_posterior import LARGEST_DIM, cut_by_quadrature
 from strandline.design.active import Certificate, FieldOutcome, Knowledge, VarianceEffect
 from strandline.design.refinement import SAMPLING
 from strandline.likelihood import OnHost, evaluated, predicted
+from strandline.likelihood.mixture import Mixture
 from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Cut, Posterior
@@ -176,8 +177,19 @@ class FieldTarget:
         effective = float(1.0 / (weights @ ratios**2))
         effect = VarianceEffect((posterior.mean - plain.mean) / posterior.sd, posterior.sd / plain.sd, effective)
         feasible = float(posterior.weights @ np.exp(self.knowledge.log_feasibility(posterior.draws)))
-        compared = None if self.beside is None else _moments_by(self.beside, self.space, seed)
-        return Checks(field=FieldOutcome(self.knowledge, effect, feasible, self.certificate, compared))
+        compared = None if self.beside is None else _moments_by(self.beside.mean, self.space, seed)
+        inferred = self.knowledge.likelihood.inferred
+        without = None
+        if inferred is not None and inferred.without is not None:
+            without = _moments_by(partial(self._by, inferred.without), self.space, seed)
+        return Checks(field=FieldOutcome(self.knowledge, effect, feasible, self.certificate, compared, without))
+
+    def _by(self, likelihood: Mixture, x: Points) -> Values:
+        """Return log L of the predicted interface by another likelihood."""
+        surrogate = self.knowledge.surrogate
+        templates = {name: layout.template for name, layout in surrogate.layouts.items()}
+        values = likelihood.many(surrogate.points(surrogate.mean(x)), templates)
+        return np.asarray(values + self.knowledge.log_feasibility(x))
 
 
 def _posterior(
@@ -208,10 +220,10 @@ def quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> Q
     return found if (np.diag(found.covariance) > 0).all() else None
 
 
-def _moments_by(process: Predictor, space: ParameterSpace, seed: int) -> dict[str, Point]:
-    """Return mean and standard deviations of the posterior from a surrogate of the log-likelihood."""
+def _moments_by(log_likelihood: Callable[[Points], Values], space: ParameterSpace, seed: int) -> dict[str, Point]:
+    """Return mean and standard deviations of the posterior of another log-likelihood."""
     initial = space.prior_quantiles(np.random.default_rng(seed).random((COMPARED, space.dim)))
-    found = sample(jax.random.key(seed), OnHost(process.mean), space.log_prior, initial, settings=SAMPLING)
+    found = sample(jax.random.key(seed), OnHost(log_likelihood), space.log_prior, initial, settings=SAMPLING)
     moments = Weighted(found.positions, np.exp(found.log_weights))
     return {"mean": moments.mean, "sd": moments.sd}
 

@@ -87,11 +87,13 @@ class InferredNoise:
         likelihood: The likelihood.
         posterior: Posterior of the noise and of the model's errors.
         explained: What these errors do to the residuals, in root mean square of the posterior, mm.
+        without: The likelihood of a model that does not err, with its own noise; None if no error was allowed.
     """
 
     likelihood: Mixture
     posterior: NoisePosterior
     explained: Float[np.ndarray, "seen cause"]
+    without: Mixture | None = None
 
     def at_median(self, observations: Sequence[Observation]) -> tuple[Observation, ...]:
         """Return the observations with the posterior medians of s and ℓ as if they were known."""
@@ -116,7 +118,11 @@ def infer_noise(surrogate: FieldSurrogate, observations: Sequence[Observation]) 
     causes = causes_of(lin, observations, unknown[0])
     found = posterior_of_noise(lin, observations, unknown, causes, near=first)
     size = np.sqrt(found.weights.sum(axis=(1, 2)) @ causes.scales**2)
-    return InferredNoise(_mixture(lin, tuple(observations), unknown, causes, found), found, causes.columns * size)
+    without, seen = None, tuple(observations)
+    if len(causes.compared) > 1:
+        none = Causes(causes.compared[:1], causes.columns, causes.scales[:1])
+        without = _mixture(lin, seen, unknown, none, posterior_of_noise(lin, seen, unknown, none))
+    return InferredNoise(_mixture(lin, seen, unknown, causes, found), found, causes.columns * size, without)
 
 
 def posterior_of_noise(

@@ -57,6 +57,12 @@ def inferred_noise(calibration: Calibration) -> dict[str, Any]:
             "amplitude_um": TO_MICROMETRES * found.model_error,
             "spread": found.spread,
         }
+    without = None if calibration.field is None else calibration.field.without_error
+    if without is not None:
+        of["without_model_error"] = {
+            name: {"mean": float(without["mean"][i]), "sd": float(without["sd"][i])}
+            for i, name in enumerate(calibration.problem.space.names)
+        }
     return {"inferred_noise": of}
 
 

@@ -68,6 +68,7 @@ class FieldOutcome:
         feasible: Posterior mean of the probability that a run succeeds, relative to the safest one.
         certificate: Certificate of an active design; None for a fixed design.
         compared: Means and standard deviations of the posterior from the log-likelihood surrogate of the same runs.
+        without_error: The same of the posterior of a model that does not err, if an error was allowed for.
     """
 
     knowledge: Knowledge
@@ -75,3 +76,4 @@ class FieldOutcome:
     feasible: float
     certificate: Certificate | None = None
     compared: Mapping[str, Float[np.ndarray, " dim"]] | None = None
+    without_error: Mapping[str, Float[np.ndarray, " dim"]] | None = None
