@@ -2,9 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from strandline.discrepancy import ClosestPoint, MeasurementLines, NormalOffset, TrackedPoints, signed_distances
+from strandline.discrepancy import (
+    ClosestPoint,
+    Currents,
+    Discrepancy,
+    MeasurementLines,
+    NormalOffset,
+    TrackedPoints,
+    signed_distances,
+)
 from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors
 from strandline.likelihood import InterfaceLikelihood, compared
@@ -145,3 +154,28 @@ def test_many_with_global_errors_are_as_one_by_one() -> None:
     points = np.stack([arch(height).points for height in np.linspace(0.28, 0.32, 20)])
     each = [one.measure(Interface(row, arch().cells), one.observation.interface) for row in points]
     np.testing.assert_allclose(one.measure.many(points, arch(), one.observation.interface), each, rtol=1e-9)
+
+
+@pytest.mark.parametrize("measure", [MeasurementLines(30), Currents(0.1)])
+def test_global_errors_are_followed_to_the_most_probable_ones(measure: Discrepancy) -> None:
+    """Against a minimisation over the five of them that needs no derivatives."""
+    seen = Observation(drawn(0.3, ERRORS, 6), ERRORS)
+    one = compared(seen, measure, 61)
+    assert isinstance(one.measure, Registered)
+    for height in (0.3, 0.31):
+        nodes, middle = arch(height).points[None], seen.interface.points.mean(axis=0)
+
+        def f(g: np.ndarray, nodes: np.ndarray = nodes, middle: np.ndarray = middle) -> float:
+            moved = Interface(ERRORS.followed(nodes, arch(), g[None], middle=middle)[0], arch().cells)
+            return one.measure.measure(moved, seen.interface) / one.measure.variance + float(g @ g)
+
+        least = minimize(f, np.zeros(5), method="Powell", options={"xtol": 1e-3, "ftol": 1e-6}).fun
+        assert one.measure(arch(height), seen.interface) == pytest.approx(least, abs=0.2 + 0.01 * least)
+
+
+@pytest.mark.parametrize("measure", [MeasurementLines(30), ClosestPoint(direction="to_simulated")])
+def test_outlines_far_away_do_not_look_near(measure: Discrepancy) -> None:
+    one = compared(Observation(drawn(0.3, ERRORS, 7), ERRORS), measure, 61)
+    heights = (0.05, 0.1, 0.15, 0.2, 0.5)
+    values = [one.measure(arch(height), one.observation.interface) for height in heights]
+    assert min(values) > 0.99 * one.measure(arch(0.2), one.observation.interface) > 500

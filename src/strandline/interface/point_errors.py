@@ -180,8 +180,6 @@ class PointErrors:
     ) -> Float[np.ndarray, "run node xyz"]:
         """Return simulated interfaces after the shift, rotation, scale and offset that the observation has.
 
-        Scale and offset act along their normals alone, so that the interfaces do not slide along themselves.
-
         Args:
             points: Nodes of the simulated interfaces, mm.
             template: A simulated interface, for its cells.
@@ -189,11 +187,9 @@ class PointErrors:
             middle: Point about which the observation was turned and scaled, mm.
         """
         shift, rotation, scale, offset = self._sizes(by, template.dim)
-        arm = points - middle
-        if scale.any() or offset.any():
-            normals = node_normals(points, template.cells)
-            along = scale * np.einsum("rnx,rnx->rn", normals, arm) + offset
-            arm = arm + along[..., None] * normals
+        arm = (1 + scale)[..., None] * (points - middle)
+        if offset.any():
+            arm = arm + offset[..., None] * node_normals(points, template.cells)
         return np.asarray(middle + shift[:, None] + np.einsum("rnx,ryx->rny", arm, rotations(rotation)))
 
     def _sizes(self, by: Float[np.ndarray, "run error"], dim: int) -> list[Float[np.ndarray, "run _"]]:

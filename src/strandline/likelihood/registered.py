@@ -1,12 +1,9 @@
 """A measure whose observation may be shifted, turned, scaled or offset by a little: these errors are integrated out.
 
-With g the global errors in their standard deviations, the likelihood is ∫ exp(-½ d²(g)/σ_N²) N(g; 0, I) dg. Signed
-distances of the observed points tell the most probable g₀ for each simulated interface, which follows the observation
-by it. For small h = g₀ - g, d²(h)/σ_N² = f + bᵀh + ½ hᵀHh, so that the integral is, but for a constant,
-
-    exp(-½ [f + |g₀|² - ½ (b - 2g₀)ᵀ (H + 2I)⁻¹ (b - 2g₀)]).
-
-b comes from the observation moved ahead and behind by h; H hardly changes and is computed once.
+With g the global errors in their standard deviations, the likelihood is ∫ exp(-½ f(g)) dg, f(g) = d²(g)/σ_N² + |g|²,
+where the simulated interface has followed the observation by g. Signed distances of the observed points tell a first g,
+Newton's steps lead from there to the least f, and the likelihood is exp(-½ min f) but for a constant (Laplace). The
+Hessian H of d²/σ_N² hardly changes and is computed once; it also corrects one-sided differences to the second order.
 """
 
 from dataclasses import dataclass
@@ -24,13 +21,15 @@ __all__ = ["Registered", "curvature_inverse"]
 
 STEP = 0.5
 """Step of the finite differences, in standard deviations of the global errors."""
+NEWTON = 2
+"""Newton's steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Registered:
     """d²/σ_N² with the global errors of the observation integrated out; without a unit.
 
-    Each evaluation takes 1 + 2k evaluations of the measure; k, the number of global errors, is up to five in the plane.
+    Each evaluation takes 3 + 2k evaluations of the measure; k, the number of global errors, is up to five in the plane.
 
     Args:
         measure: The measure d².
@@ -58,24 +57,33 @@ class Registered:
     def _values(
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"]:
-        number, middle = self.errors.global_errors(observed.dim), observed.points.mean(axis=0)
+        number = self.errors.global_errors(observed.dim)
+        middle = observed.points.mean(axis=0)
+
+        def f(g: Float[np.ndarray, "run error"]) -> Float[np.ndarray, " run"]:
+            moved = self.errors.followed(points, template, g, middle=middle)
+            squares = squared_discrepancies(self.measure, moved, template, observed)
+            return np.asarray(squares / self.variance + (g**2).sum(axis=1))
+
         g = WhitenedOffset(self.errors).global_errors(points, template, observed)
-        points = self.errors.followed(points, template, g, middle=middle)
-        moves = STEP * differences(number)[: 1 + 2 * number]
-        moved = [self.errors.moved(observed, by) for by in moves]
-        here, *others = [squared_discrepancies(self.measure, points, template, one) / self.variance for one in moved]
-        slopes = (np.array(others[:number]) - np.array(others[number:])).T / (2 * STEP) - 2 * g
-        left = here + (g**2).sum(axis=1) - 0.5 * ((slopes @ self.inverse) * slopes).sum(axis=1)
-        return np.asarray(np.maximum(left, 0.0))
+        least = here = f(g)
+        bend = 0.5 * STEP * np.diag(np.linalg.inv(self.inverse))
+        for _ in range(NEWTON):
+            slopes = np.array([(f(g + STEP * e) - here) / STEP for e in np.eye(number)]).T - bend
+            g = g - slopes @ self.inverse
+            here = f(g)
+            least = np.minimum(least, here)
+        return np.asarray(least)
 
 
 def curvature_inverse(
     measure: Discrepancy, variance: float, errors: PointErrors, observed: Interface, nodes: int
 ) -> Float[np.ndarray, "error error"]:
     """Return (H + 2I)⁻¹ at the observation itself, as simulated interfaces with this number of nodes see it."""
-    number = errors.global_errors(observed.dim)
+    moves = STEP * differences(errors.global_errors(observed.dim))
     template = observed.resampled(nodes) if observed.dim == 2 else observed
-    moved = [errors.moved(observed, STEP * by) for by in differences(number)]
-    squares = np.array([float(measure(template, one)) for one in moved])
-    values, vectors = np.linalg.eigh(second_differences(squares, number) / (variance * STEP**2))
+    points = np.repeat(template.points[None], len(moves), axis=0)
+    moved = errors.followed(points, template, moves, middle=observed.points.mean(axis=0))
+    squares = squared_discrepancies(measure, moved, template, observed)
+    values, vectors = np.linalg.eigh(second_differences(squares, moves.shape[1]) / (variance * STEP**2))
     return np.asarray((vectors / (np.maximum(values, 0.0) + 2.0)) @ vectors.T)
