@@ -123,6 +123,7 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
         ),
         ({"noise": {"sd": 1, "unit": "um", "length": -5}}, "noise.length", -5, "greater than or equal to 0"),
         ({"noise": {"sd": -1, "unit": "um"}}, "noise.sd", -1, "greater than 0"),
+        ({"noise": {"sd": "unkown", "unit": "um"}}, "noise.sd", "unkown", "a range [low, high], `unknown` or `column`"),
         ({"noise": {"sd": 1, "unit": "inch"}}, "noise.unit", "inch", "'mm', 'um', 'µm' or 'm'"),
         ({"noise": {"sd": 1, "unit": "um", "unknown": {"shift": -5}}}, "noise.unknown.shift", -5, "or equal to 0"),
         ({"name": "a/b"}, "name", "a/b", "letters, digits"),

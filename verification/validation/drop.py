@@ -4,7 +4,10 @@ The contour is the half level of a photograph (CC0, from the pendantdrop project
 equation as a Python function. The noise is not measured but set to half a pixel per point: use the times, not the
 widths.
 
-    python -m verification.validation.drop PICTURE [--direction to_observed] [--weighting sum] [--batches 8]
+    python -m verification.validation.drop PICTURE [--measure normal_offset] [--direction to_observed] [--runs 70]
+
+With `normal_offset`, points are correlated over two pixels, and the position, rotation, scale and offset of the whole
+contour are uncertain too.
 """
 
 import argparse
@@ -68,7 +71,7 @@ def contour(picture: Path) -> sl.Interface:
     return sl.Interface.polyline(points[np.linspace(0, len(points) - 1, OBSERVED).round().astype(int)])
 
 
-def problem(observed: sl.Interface, measure: sl.ClosestPoint) -> sl.Problem:
+def problem(observed: sl.Interface, measure: sl.Discrepancy, noise: float | sl.PointErrors) -> sl.Problem:
     """Return the calibration of surface tension, apex radius, place and tilt."""
     top, middle = observed.points[:, 1].max(), 0.5 * (observed.points[:, 0].min() + observed.points[:, 0].max())
     space = sl.ParameterSpace(
@@ -81,9 +84,7 @@ def problem(observed: sl.Interface, measure: sl.ClosestPoint) -> sl.Problem:
         )
     )
     length = 0.5 * float(observed.lengths.sum()) + 0.15
-    return sl.Problem(
-        bubble, space, {"length": length}, (sl.Observation(observed, NOISE**2),), {"closest_point": measure}
-    )
+    return sl.Problem(bubble, space, {"length": length}, (sl.Observation(observed, noise),), {"measure": measure})
 
 
 def cpu() -> float:
@@ -111,13 +112,19 @@ def main() -> None:
     """Run the design and print a line for each batch."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("picture", type=Path)
+    parser.add_argument("--measure", choices=("closest_point", "normal_offset"), default="closest_point")
     parser.add_argument("--direction", choices=DIRECTIONS, default="to_simulated")
     parser.add_argument("--weighting", choices=WEIGHTINGS, default="sum")
     parser.add_argument("--runs", type=int, default=70)
     chosen = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     observed = contour(chosen.picture)
-    asked = problem(observed, sl.ClosestPoint(direction=chosen.direction, weighting=chosen.weighting))
+    if chosen.measure == "closest_point":
+        measure = sl.ClosestPoint(direction=chosen.direction, weighting=chosen.weighting)
+        asked = problem(observed, measure, NOISE**2)
+    else:
+        errors = sl.PointErrors(NOISE, 2 * PIXEL, shift=PIXEL, rotation=0.1, scale=0.002, offset=0.5 * PIXEL)
+        asked = problem(observed, sl.NormalOffset(), errors)
     print(f"{len(observed.points)} observed points, {observed.lengths.sum():.2f} mm; {NODES} simulated ones")
     settings = sl.Settings(
         runs=14,

@@ -102,6 +102,7 @@ def _posterior(
     def log_densities(
         x: Float[np.ndarray, "point dim"],
     ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+        """Return the logarithms of the source's density and of the posterior's, -∞ outside the box."""
         first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
         inside = source.inside(x)
         if inside.any():

@@ -16,8 +16,13 @@ __all__ = ["command"]
 
 
 @click.command("noise")
-@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
-@click.option("--unit", required=True, metavar="UNIT", help="Unit of the coordinates: mm, um (or µm) or m.")
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--unit",
+    required=True,
+    metavar="UNIT",
+    help="Unit of the coordinates: mm, um (or µm) or m.",
+)
 @click.option("--window", type=float, metavar="LENGTH", help="One contour only: smooth it over this length, in UNIT.")
 @click.option(
     "--read",
@@ -35,6 +40,8 @@ def command(files: tuple[Path, ...], unit: str, window: float | None, reading: t
     from strandline.discrepancy import errors_from_repeats, errors_from_roughness
     from strandline.studies.observed import TO_MM
 
+    if unit not in TO_MM:
+        raise _refused("--unit", unit, f"one of {', '.join(TO_MM)}", "Correct the option.")
     paths, options = _files(files), _options(reading)
     contours = [_contour(path, unit, options) for path in paths]
     if len(contours) == 1:

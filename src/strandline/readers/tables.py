@@ -86,7 +86,7 @@ def _columns(
     name: str, rows: Sequence[Row], titles: Sequence[str], columns: Sequence[str | int]
 ) -> Float[np.ndarray, "point column"]:
     """Return columns of a table."""
-    chosen = [_place(name, column, titles, rows[0][1]) for column in columns]
+    chosen = [_place(name, column, titles, rows[0][1], pair=len(columns) > 1) for column in columns]
     for number, fields in rows:
         if len(fields) <= max(chosen) or not all(_is_number(fields[k]) for k in chosen):
             raise refused(
@@ -97,12 +97,12 @@ def _columns(
     return np.array([[float(fields[k]) for k in chosen] for _, fields in rows])
 
 
-def _place(name: str, column: str | int, titles: Sequence[str], fields: Sequence[str]) -> int:
+def _place(name: str, column: str | int, titles: Sequence[str], fields: Sequence[str], *, pair: bool) -> int:
     if isinstance(column, int):
         return column - 1
     if list(titles).count(column) != 1:
         shown = ", ".join(titles) or "no line of column names"
-        remedy = _say_columns(titles, len(fields))
+        remedy = _say_columns(titles, len(fields)) if pair else "Name the column in `sd`, or give its number from 1."
         raise refused(f"{name} has no column {column}", shown, f"one column called {column}", remedy)
     return titles.index(column)
 

@@ -24,6 +24,7 @@ def noting_widths(observer: Observer, study: Study) -> Observer:
     needed = 1 if study.sensitivities else RUNS_PER_INPUT * (study.space.dim + 1)
 
     def run(record: RunRecord, progress: Progress) -> None:
+        """Tell of a run; after the last one needed, also of the widths."""
         observer.run(record, progress)
         if record.ok and len(first) < needed:
             first.append(record)

@@ -45,6 +45,7 @@ def signed_sums(
     both = np.column_stack([weights, features])
 
     def block(task: tuple[Any, Int[np.ndarray, " some"]]) -> Float[np.ndarray, "some sum"]:
+        """Return the sums of some runs, padded to a number of runs that is compiled already."""
         pairs, rows = task
         length = ample(max(len(rows), FEWEST))
         some = corners[np.pad(rows, (0, length - len(rows)), mode="edge")] - centre
@@ -79,6 +80,7 @@ def _loop() -> Any:
         last: Any,
         number: Any,
     ) -> Any:
+        """Return the sums, shape (sum, run)."""
         polyline: Frames = frames(across, up, cells)
         runs = across.shape[1]
 

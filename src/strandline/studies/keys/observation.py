@@ -1,8 +1,9 @@
 """The keys `observation` and `noise` of study.yaml."""
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from strandline.interface import is_condition
 from strandline.studies.keys.scalars import VARIANCES, Name, Number, Seed
@@ -139,11 +140,39 @@ def _how(value: Any) -> str:
     return {"unknown": UNKNOWN, "column": f"[{COLUMN}]"}.get(value, KNOWN) if isinstance(value, str) else KNOWN
 
 
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _number_or(words: tuple[str, ...]) -> Callable[[Any], Any]:
+    """Return a validator that refuses a mistyped word and says which words there are."""
+
+    def check(value: Any) -> Any:
+        if isinstance(value, str) and value not in words and not _is_number(value):
+            *others, last = ("a number", "a range [low, high]", *(f"`{word}`" for word in words))
+            raise ValueError(f"{', '.join(others)} or {last}")
+        return value
+
+    return check
+
+
 _Range = Annotated[tuple[Number, Number], Tag(RANGE)]
 _Unknown = Annotated[Literal["unknown"], Tag(UNKNOWN)]
 _Column = Annotated[Literal["column"], Tag(f"[{COLUMN}]")]
-Sd = Annotated[Annotated[Number, Field(gt=0), Tag(KNOWN)] | _Unknown | _Range | _Column, Discriminator(_how)]
-Length = Annotated[Annotated[Number, Field(ge=0), Tag(KNOWN)] | _Unknown | _Range, Discriminator(_how)]
+Sd = Annotated[
+    Annotated[Number, Field(gt=0), Tag(KNOWN)] | _Unknown | _Range | _Column,
+    Discriminator(_how),
+    BeforeValidator(_number_or(("unknown", COLUMN))),
+]
+Length = Annotated[
+    Annotated[Number, Field(ge=0), Tag(KNOWN)] | _Unknown | _Range,
+    Discriminator(_how),
+    BeforeValidator(_number_or(("unknown",))),
+]
 
 
 class Unknown(Section):
