@@ -32,8 +32,18 @@ def test_a_flipped_run_near_the_observation_is_outvoted() -> None:
 def test_runs_of_another_kind_and_far_beyond_numbers_do_not_count() -> None:
     ring = Interface.polyline(np.column_stack([np.cos(6 * S[:-1]), np.sin(6 * S[:-1])]), closed=True)
     huge = Interface.polyline(1e160 * RUNS[0].points)
-    assert not oriented_like_runs(arch(0.8), [ring, huge, *RUNS]).flipped
-    assert not oriented_like_runs(arch(0.8), [ring]).flipped
+    assert not oriented_like_runs(ring, [RUNS[0].reversed()]).flipped
+    assert not oriented_like_runs(arch(0.8), [huge.reversed(), *RUNS]).flipped
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_an_arc_of_a_closed_outline_faces_the_same_side(reverse: bool) -> None:
+    angle = np.linspace(0.0, 2 * np.pi, 90, endpoint=False)
+    radius = 1 + 0.4 * np.cos(3 * angle)  # with hollows, in which an arc bends the other way
+    ring = Interface.polyline(np.column_stack([radius * np.cos(angle), radius * np.sin(angle)]), closed=True)
+    for first in (0, 12, 25, 40):
+        arc = Interface.polyline(ring.points[first : first + 14] * 1.01)
+        assert oriented_like_runs(arc.reversed() if reverse else arc, [ring]).flipped == reverse
 
 
 @pytest.mark.parametrize("reverse", [False, True])

@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, PointErrors, arc_lengths, point_normals, spacings
+from strandline.interface import Interface, Observation, PointErrors, arc_lengths, point_normals, spacings
 from strandline.interface.correlated import correlated
 
 ALL = PointErrors(0.004, 0.02, shift=0.01, rotation=0.5, scale=0.005, offset=0.003)
@@ -217,3 +217,14 @@ def test_errors_on_a_surface_are_correlated_as_stated() -> None:
     distance = np.linalg.norm(ball.points[0] - ball.points, axis=1)
     near = int(np.argsort(distance)[6])
     assert np.corrcoef(fields[:, 0], fields[:, near])[0, 1] == pytest.approx(np.exp(-distance[near] / 0.1), abs=0.15)
+
+
+def test_an_observation_turned_round_keeps_the_errors_of_each_point() -> None:
+    errors = PointErrors.of_each([0.001, 0.002, 0.004], shift=0.01)
+    seen = Observation(Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.5]])), errors, "a")
+    turned = seen.reversed()
+    assert isinstance(turned.noise, PointErrors)
+    assert (turned.condition, turned.noise.shift) == ("a", 0.01)
+    np.testing.assert_allclose(turned.noise.sds(turned.interface), [0.004, 0.002, 0.001])
+    np.testing.assert_array_equal(turned.interface.points, seen.interface.points[::-1])
+    assert Observation(seen.interface, 0.5).reversed().noise == Observation(seen.interface, 0.5).noise

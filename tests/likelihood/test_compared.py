@@ -14,7 +14,7 @@ from strandline.discrepancy import (
     TrackedPoints,
     signed_distances,
 )
-from strandline.errors import InvalidInput
+from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors
 from strandline.likelihood import InterfaceLikelihood, compared
 from strandline.likelihood.registered import Registered
@@ -179,3 +179,17 @@ def test_outlines_far_away_do_not_look_near(measure: Discrepancy) -> None:
     heights = (0.05, 0.1, 0.15, 0.2, 0.5)
     values = [one.measure(arch(height), one.observation.interface) for height in heights]
     assert min(values) > 0.99 * one.measure(arch(0.2), one.observation.interface) > 500
+
+
+def test_global_errors_need_interfaces_in_the_same_direction() -> None:
+    seen = Observation(drawn(0.3, ERRORS, 4), ERRORS)
+    with pytest.raises(InvalidInterface, match="opposite sides"):
+        InterfaceLikelihood((seen,), NormalOffset())(arch().reversed())
+    shared = Observation(seen.interface, PointErrors(0.003, shift=0.01, shared=True), "a")
+    both = shared_errors([shared, Observation(seen.interface, shared.noise, "b")], NormalOffset())
+    assert both is not None
+    with pytest.raises(InvalidInterface, match="opposite sides"):
+        both.square({"a": arch(), "b": arch().reversed()})
+    alone = Observation(seen.interface, PointErrors(0.003))
+    values = [InterfaceLikelihood((alone,), NormalOffset())(one) for one in (arch(0.31), arch(0.31).reversed())]
+    assert values[0] == pytest.approx(values[1])

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.discrepancy import ClosestPoint, TrackedPoints
+from strandline.discrepancy import ClosestPoint, NormalOffset, TrackedPoints
 from strandline.errors import CampaignStopped, InvalidInterface, NoCommonPoints
-from strandline.interface import Interface, Observation
+from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.set_aside import Judge, says_whether_runs_succeed
 from strandline.runs import FailurePolicy, RunRecord
 
@@ -69,6 +69,17 @@ def test_where_no_run_can_be_compared_the_measure_says_why() -> None:
 def test_most_runs_flipped_is_how_the_model_runs() -> None:
     records = [record(i, Interface.polyline(curve(0.3 + 0.001 * i)[::-1])) for i in range(8)]
     assert all(one.ok for one in judge().usable(records))
+
+
+def test_the_errors_of_each_point_are_turned_with_the_points() -> None:
+    errors = PointErrors.of_each(np.linspace(0.001, 0.01, 21))
+    seen = Observation(Interface.polyline(curve(0.3, 21)[::-1]), errors)
+    found = Judge((seen,), {"normal_offset": NormalOffset()}, FailurePolicy())
+    found.usable(regular())
+    (turned,) = found.observations
+    assert found.turned == ("",)
+    assert isinstance(turned.noise, PointErrors)
+    np.testing.assert_allclose(turned.noise.sds(turned.interface), errors.sds(seen.interface)[::-1])
 
 
 def test_another_measure_leaves_out_its_runs_alone() -> None:

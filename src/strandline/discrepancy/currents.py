@@ -12,8 +12,8 @@ from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.products.kernel_integrals import centre_product, natural_scale, refined_product
 from strandline.discrepancy.products.many_currents import Rule, currents_of_many
 from strandline.discrepancy.products.surface_integrals import refined_surface_product
-from strandline.discrepancy.protocol import require_alike
-from strandline.errors import InvalidInput, InvalidInterface
+from strandline.discrepancy.protocol import require_alike, require_same_direction
+from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors
 
 __all__ = ["QUADRATURES", "Currents"]
@@ -71,13 +71,7 @@ class Currents:
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d² ≥ 0, mm² (mm⁴); a value below 0 from rounding counts as 0."""
         require_alike(simulated, observed)
-        if simulated.runs_against(observed):
-            raise InvalidInterface(
-                "the simulated interface runs against the observed one",
-                value="normals that point to opposite sides",
-                expected="both run through from the same end, or facing the same side",
-                remedy="Turn the observed interface round: oriented_like(observed, simulated).",
-            )
+        require_same_direction(simulated, observed)
         bound = _bound(self, Snapshot.of(observed))
         cross = self._product(simulated, observed, bound.share)
         own = self._product(simulated, simulated, bound.share)

@@ -19,7 +19,8 @@ def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Orient
 
     Args:
         observed: The observed interface.
-        runs: Simulated interfaces; those of another kind (open, closed, surface) are ignored.
+        runs: Simulated interfaces; a surface is ignored if the observation is a polyline, and so on, and an open run if
+            the observation is closed.
     """
     apart = [(_distance(observed, run), k) for k, run in enumerate(runs) if _alike(observed, run)]
     votes = [observed.runs_against(runs[k]) for _, k in sorted(apart)[:NEAREST]]
@@ -29,13 +30,13 @@ def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Orient
 
 def _alike(observed: Interface, run: Interface) -> bool:
     """Return whether a run can be compared: it is of the same kind and the squares of its coordinates are finite."""
-    same = run.dim == observed.dim and run.closed == observed.closed
+    same = run.dim == observed.dim and (run.closed or not observed.closed)
     return same and float(np.abs(run.points).max()) < LARGEST
 
 
 def _distance(observed: Interface, run: Interface) -> float:
     """Return how far a run is from the observation, whatever its direction; used only for sorting."""
-    if observed.dim == 3 or observed.closed:
+    if observed.dim == 3 or run.closed:
         return float(np.linalg.norm(observed.points.mean(axis=0) - run.points.mean(axis=0)))
     mine, theirs = observed.resampled(SHARES).points, run.resampled(SHARES).points
     return min(float(np.sum((mine - other) ** 2)) for other in (theirs, theirs[::-1]))

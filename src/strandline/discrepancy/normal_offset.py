@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.discrepancy.memo import Snapshot
-from strandline.discrepancy.protocol import require_alike
+from strandline.discrepancy.protocol import require_alike, require_same_direction
 from strandline.discrepancy.registration import Sums, linear_sums
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.discrepancy.search.signed_sums import signed_sums
@@ -72,7 +72,14 @@ class WhitenedOffset:
     unit: ClassVar[str] = "1"
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
-        """Return d²."""
+        """Return d².
+
+        Raises:
+            InvalidInterface: With global errors, interfaces that run in opposite directions.
+        """
+        require_alike(simulated, observed)
+        if self.errors.global_errors(observed.dim):
+            require_same_direction(simulated, observed)
         return float(self.many(simulated.points[None], simulated, observed)[0])
 
     def model(self, observed: Interface) -> ErrorModel:

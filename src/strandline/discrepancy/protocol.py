@@ -19,6 +19,7 @@ __all__ = [
     "independent_terms",
     "require_alike",
     "require_polylines",
+    "require_same_direction",
     "unit_of",
 ]
 
@@ -137,4 +138,19 @@ def require_alike(simulated: Interface, observed: Interface) -> None:
             value=f"points with {simulated.dim} and with {observed.dim} coordinates",
             expected="two polylines in the plane or two surfaces in space",
             remedy="Compare like with like.",
+        )
+
+
+def require_same_direction(simulated: Interface, observed: Interface) -> None:
+    """Refuse interfaces whose normals point to opposite sides.
+
+    Raises:
+        InvalidInterface: one runs from the other end, or faces the other side.
+    """
+    if simulated.runs_against(observed):
+        raise InvalidInterface(
+            "the simulated interface runs against the observed one",
+            value="normals that point to opposite sides",
+            expected="both run through from the same end, or facing the same side",
+            remedy="Turn the observed interface round: oriented_like(observed, simulated).",
         )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from strandline.errors import InvalidInterface
 from strandline.interface import triangles
@@ -149,8 +150,8 @@ class Interface:
         """Return whether `other`, roughly the same interface, runs from the other end or faces the other side.
 
         Open polylines are compared point by point at equal shares of their length, closed ones by the sign of the
-        area they enclose; two closed surfaces by the sign of the volume they enclose, other surfaces by the mean cosine
-        between the normals of triangles that are near each other.
+        area they enclose; two closed surfaces by the sign of the volume they enclose; other surfaces, and an open
+        polyline with a closed one, by the mean cosine between the normals of cells that are near each other.
 
         Raises:
             InvalidInterface: one is a polyline, the other a surface.
@@ -164,7 +165,11 @@ class Interface:
             )
         if self.dim == 3:
             return self._faces_away(other)
-        if self.closed or other.closed:
+        if self.closed != other.closed:
+            arc, ring = (self, other) if other.closed else (other, self)
+            nearest = cKDTree(ring.centres).query(arc.centres)[1]
+            return bool((arc.normals * ring.normals[nearest]).sum() < 0)
+        if self.closed:
             return bool(self._signed_area() * other._signed_area() < 0)
         mine, theirs = self._shares, other._shares
         return bool(np.sum((mine - theirs[::-1]) ** 2) < np.sum((mine - theirs) ** 2))

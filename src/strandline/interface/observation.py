@@ -46,6 +46,12 @@ class Observation:
         object.__setattr__(self, "noise", noise)
         object.__setattr__(self, "condition", condition)
 
+    def reversed(self) -> "Observation":
+        """Return the same observation in the other direction; standard deviations of its points go with them."""
+        each = isinstance(self.noise, PointErrors) and self.interface.dim == 2
+        noise = self.noise.reversed() if each and isinstance(self.noise, PointErrors) else self.noise
+        return Observation(self.interface.reversed(), noise, self.condition)
+
 
 def is_condition(name: object) -> bool:
     """Return whether `name` can name a condition: "" for the only one, else a short text valid in file names."""

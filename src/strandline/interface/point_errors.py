@@ -13,7 +13,7 @@ over lengths well above ℓ, and never singular.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -85,6 +85,10 @@ class PointErrors:
                     expected=f"at most {MOST[name]:g}" + (" degrees" if name == "rotation" else ", a share"),
                     remedy=f"Correct {name}.",
                 )
+
+    def reversed(self) -> "PointErrors":
+        """Return the errors of the same points in the opposite order."""
+        return replace(self, shares=self.shares[::-1])
 
     @property
     def facts(self) -> dict[str, float]:

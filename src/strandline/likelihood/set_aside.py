@@ -143,8 +143,8 @@ class Judge:
         self._oriented, observations, turned = True, [], []
         for seen in self.observations:
             runs = [record.interfaces[seen.condition] for record in good if seen.condition in record.interfaces]
-            interface, against = oriented_like_runs(seen.interface, runs)
-            observations.append(replace(seen, interface=interface))
+            against = oriented_like_runs(seen.interface, runs).flipped
+            observations.append(seen.reversed() if against else seen)
             turned += [seen.condition] if against else []
         if turned:
             self.observations, self.turned = tuple(observations), tuple(turned)

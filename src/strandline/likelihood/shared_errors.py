@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import Discrepancy, NormalOffset
+from strandline.discrepancy.protocol import require_same_direction
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 from strandline.likelihood.joint_errors import JointErrors, Points
 from strandline.likelihood.residuals import sums_of
@@ -30,7 +31,13 @@ class SharedErrors:
         return self.joint.model
 
     def square(self, interfaces: Mapping[str, Interface]) -> float:
-        """Return d² of simulated interfaces by condition."""
+        """Return d² of simulated interfaces by condition.
+
+        Raises:
+            InvalidInterface: One runs against its observation.
+        """
+        for seen in self.joint.observations:
+            require_same_direction(interfaces[seen.condition], seen.interface)
         points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
         return float(self.many(points, interfaces)[0])
 

@@ -134,7 +134,7 @@ def _observations(study: Study) -> tuple[Observation, ...]:
 def _oriented(seen: Observation, records: Sequence[RunRecord]) -> Observation:
     """Return the observation with its points in the same direction as those of the runs."""
     runs = [record.interfaces[seen.condition] for record in records if record.ok]
-    return dataclasses.replace(seen, interface=oriented_like_runs(seen.interface, runs).interface)
+    return seen.reversed() if oriented_like_runs(seen.interface, runs).flipped else seen
 
 
 def _run(

@@ -9,7 +9,7 @@ import numpy as np
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, count_of_distances, oriented_like_runs
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
-from strandline.interface import Interface, Observation
+from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length
 from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import Ledger, RunRecord, run_key
@@ -98,7 +98,8 @@ def facing(study: Study, record: RunRecord) -> Study:
     found = {name: oriented_like_runs(seen, [record.interfaces[name]]) for name, seen in study.observed.items()}
     turned = tuple(name for name, one in found.items() if one.flipped)
     observed = {name: one.interface for name, one in found.items()}
-    return replace(study, observed=observed, turned=(*study.turned, *turned))
+    noises = {name: noise.reversed() for name in turned if isinstance(noise := study.noise_of(name), PointErrors)}
+    return replace(study, observed=observed, noises={**study.noises, **noises}, turned=(*study.turned, *turned))
 
 
 def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:

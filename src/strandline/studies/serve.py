@@ -199,8 +199,11 @@ def _observations(study: Study, solve: Solve, example: RunRecord) -> tuple[Obser
         observed = noisy(
             _required(solve(study.truth), "of the synthetic observation").interfaces, study.synthetic_noise
         )
-    turned = {n: oriented_like_runs(seen, [example.interfaces[n]]).interface for n, seen in observed.items()}
-    return study.observations(turned)
+    found = []
+    for seen in study.observations(observed):
+        against = oriented_like_runs(seen.interface, [example.interfaces[seen.condition]]).flipped
+        found.append(seen.reversed() if against else seen)
+    return tuple(found)
 
 
 def _required(record: RunRecord, what: str) -> RunRecord:
