@@ -77,6 +77,23 @@ def _ranges(one: object) -> list[list[float]]:
     return [quantiles["sd"], quantiles["length"]]
 
 
+@pytest.mark.parametrize("stated", [(1e-4, 0.1), (1e-6, 1.0), (1e-3, 0.004)])
+def test_a_range_is_a_prior_and_no_coarser_grid(stated: tuple[float, float]) -> None:
+    free = infer_noise(surrogate(), [observed(4)])
+    found = infer_noise(surrogate(), [observed(4, noise=UnknownErrors(stated, offset=0.002))])
+    assert free is not None
+    assert found is not None
+    for level in (0.05, 0.5, 0.95):
+        (one,), (other,) = (noise.posterior.quantiles([level])["sd"] for noise in (free, found))
+        assert one == pytest.approx(other, rel=0.03)
+    # the evidence falls with the width of the prior
+    twice = infer_noise(surrogate(), [observed(4, noise=UnknownErrors((stated[0], stated[1] ** 2 / stated[0])))])
+    once = infer_noise(surrogate(), [observed(4, noise=UnknownErrors(stated))])
+    assert twice is not None
+    assert once is not None
+    assert once.posterior.log_evidence - twice.posterior.log_evidence == pytest.approx(np.log(2), abs=0.05)
+
+
 def test_many_are_as_one_by_one() -> None:
     found = infer_noise(surrogate(), [observed(4)])
     assert found is not None

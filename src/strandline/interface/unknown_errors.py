@@ -96,7 +96,7 @@ class UnknownErrors:
         self.known(1.0, longest).require_fits(seen)
 
     def sds(self, otherwise: Float[np.ndarray, " guess"]) -> Float[np.ndarray, " sd"]:
-        """Return values of the sd to be compared, mm: `otherwise` unless it has a range or is known."""
+        """Return values of the sd to be compared, mm: `otherwise`, cut to the range if there is one, unless it is known."""
         return _values(self.sd, otherwise)
 
     def lengths(self, otherwise: Float[np.ndarray, " guess"]) -> Float[np.ndarray, " length"]:
@@ -114,5 +114,8 @@ def _values(given: Known, otherwise: Float[np.ndarray, " guess"]) -> Float[np.nd
     if given is None:
         return otherwise
     if isinstance(given, tuple):
-        return np.geomspace(*given, len(otherwise))
+        low, high = (float(np.clip(end, *given)) for end in (otherwise[0], otherwise[-1]))
+        if not low < high:
+            low, high = given
+        return np.geomspace(low, high, len(otherwise))
     return np.array([max(float(given), 1e-12)])

@@ -44,7 +44,8 @@ class NoisePosterior:
         lengths: Values of ℓ, mm.
         causes: Errors of the model compared; the first is none.
         weights: Probabilities, shape (cause, sd, length), whose sum is 1.
-        log_evidence: Log density of the residuals, averaged over the grid, without the constant -½ n log 2π.
+        log_evidence: Log density of the residuals, averaged over the prior, or over the grid where no range is stated,
+            without the constant -½ n log 2π.
     """
 
     sds: Float[np.ndarray, " sd"]
@@ -148,6 +149,7 @@ def posterior_of_noise(
     log_density[1:] -= np.log(max(len(log_density) - 1, 1))
     whole = float(logsumexp(log_density))
     log_evidence = whole - float(np.log(len(sds) * len(lengths) * (1 if len(log_density) == 1 else 2)))
+    log_evidence += _log_share(unknown[0].sd, sds) + _log_share(unknown[0].length, lengths)
     return NoisePosterior(sds, lengths, causes.compared, np.exp(log_density - whole), log_evidence)
 
 
@@ -158,7 +160,7 @@ def _grid(
     spacing = float(np.mean([spacings(one).mean() for one in interfaces]))
     shortest = 0.5 * min(float(one.lengths.sum()) for one in interfaces)
     longest = max(0.1 * max(float(one.lengths.sum()) for one in interfaces), 2 * spacing)
-    low, high = 0.1 * spacing, min(longest, shortest)
+    low, high = unknown.length if isinstance(unknown.length, tuple) else (0.1 * spacing, min(longest, shortest))
     rms = max(float(np.sqrt(np.mean(lin.residuals**2))), 1e-6 * spacing)
     least, most = (0.003 if unknown.model_error else 0.1) * rms, 4 * rms
     if near is not None:
@@ -166,6 +168,13 @@ def _grid(
         least, most = found["sd"][0] / WIDER, found["sd"][1] * WIDER
         low, high = found["length"][0] / WIDER, min(found["length"][1] * WIDER, shortest)
     return unknown.sds(np.geomspace(least, most, SDS)), unknown.lengths(np.geomspace(low, high, LENGTHS))
+
+
+def _log_share(given: tuple[float, float] | float | None, values: Float[np.ndarray, " value"]) -> float:
+    """Return the log prior probability of the values' range: 0 unless a wider one was stated."""
+    if not isinstance(given, tuple):
+        return 0.0
+    return float(np.log(np.log(values[-1] / values[0]) / np.log(given[1] / given[0])))
 
 
 def _shared(observations: Sequence[Observation], unknown: Sequence[UnknownErrors]) -> Float[np.ndarray, "seen error"]:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from strandline.calibration.misfit.best_fit import BestFit
 from strandline.calibration.misfit.prediction import Prediction
 from strandline.calibration.misfit.residuals import Residuals
+from strandline.calibration.misfit.verdict import FAMILIES, LEVEL
 from strandline.discrepancy import (
     Currents,
     Discrepancy,
@@ -31,7 +32,7 @@ from strandline.posterior import Posterior
 
 __all__ = ["PredictiveShares", "predictive_shares"]
 
-DRAWS, FEW_DRAWS = 256, 32
+DRAWS, FEW_DRAWS = 2 * round(FAMILIES / LEVEL), 32
 """Draws of the posterior; the few for surfaces, which are compared one by one, are too few to flag a model."""
 SYMMETRIC = (Currents, TrackedPoints)
 """Measures in which both interfaces can change places: many drawn observations are compared at once."""

@@ -13,12 +13,14 @@ from jaxtyping import Float
 
 from strandline.calibration.misfit.best_fit import BestFit
 from strandline.calibration.misfit.residuals import Residuals
+from strandline.calibration.misfit.verdict import FAMILIES, LEVEL
 from strandline.interface import Observation, arc_lengths, steady_lengths
 
 __all__ = ["Parts", "Span", "Statistics", "corrected", "drawn_statistics", "observed_statistics", "parts_of", "tail"]
 
-DRAWS = 4000
-"""Drawn observations; their number limits how small a p-value can be."""
+DRAWS, TESTS = 4000, 2
+"""Fewest drawn observations, and tests of each part of an arc. The number of draws limits how small a p-value can be:
+there are enough of them to flag a model by one part alone, after the correction for the number of tests."""
 BLOCK = 500
 """Draws processed together; this bounds the memory."""
 PARTS, FEWEST_POINTS = 6, 4
@@ -96,8 +98,9 @@ def observed_statistics(residuals: Residuals, fit: BestFit, parts: Parts) -> Sta
 def drawn_statistics(residuals: Residuals, fit: BestFit, parts: Parts, random: np.random.Generator) -> Statistics:
     """Return the statistics of drawn observations of the model, with inputs drawn from their priors."""
     whole, causes, found = fit.with_causes(residuals.model), fit.causes, []
-    for first in range(0, DRAWS, BLOCK):
-        number = min(BLOCK, DRAWS - first)
+    draws = max(DRAWS, 2 * round(FAMILIES * TESTS * len(parts.spans) / LEVEL))
+    for first in range(0, draws, BLOCK):
+        number = min(BLOCK, draws - first)
         caused = random.standard_normal((number, causes.shape[1])) @ causes.T
         drawn = residuals.drawn(number, random) + caused
         found.append(_statistics(residuals, whole.solved(drawn), parts))
