@@ -125,7 +125,8 @@ def _subsets_of_fonts_made_once() -> Iterator[None]:
 def _coarse_misfit() -> Iterator[None]:
     """Judge the fit from few runs and draws: every calibration does it."""
     with pytest.MonkeyPatch.context() as patch:
-        for place, value in {"prediction.MOST_RUNS": 16, "reference.DRAWS": 400, "predictive.DRAWS": 32}.items():
+        few = {"prediction.MOST_RUNS": 16, "reference.DRAWS": 400, "reference.PER_PART": 0, "predictive.DRAWS": 32}
+        for place, value in few.items():
             patch.setattr(f"strandline.calibration.misfit.{place}", value)
         yield
 

@@ -13,7 +13,9 @@ from tests.discrepancy.surfaces import sheet
 from strandline.calibration import Calibration, Misfit, Problem, Settings, calibrate
 from strandline.calibration.misfit import Prediction, by_runs, judge, misfit_of
 from strandline.calibration.misfit.best_fit import BestFit
-from strandline.calibration.misfit.reference import corrected, drawn_statistics
+from strandline.calibration.misfit.predictive import DRAWS
+from strandline.calibration.misfit.reference import PER_PART, corrected, drawn_statistics
+from strandline.calibration.misfit.verdict import verdict_on
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset, TrackedPoints
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.noise_rule import noise_variance
@@ -36,7 +38,8 @@ Change = Callable[[np.ndarray], np.ndarray]
 @pytest.fixture(autouse=True)
 def _all_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Undo what the other tests save."""
-    for place, value in {"prediction.MOST_RUNS": 64, "reference.DRAWS": 4000, "predictive.DRAWS": 256}.items():
+    draws = {"reference.DRAWS": 4000, "reference.PER_PART": PER_PART, "predictive.DRAWS": DRAWS}
+    for place, value in ({"prediction.MOST_RUNS": 64} | draws).items():
         monkeypatch.setattr(f"strandline.calibration.misfit.{place}", value)
 
 
@@ -165,6 +168,7 @@ def p_values(number: int = 60) -> np.ndarray:
 @pytest.fixture
 def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("strandline.calibration.misfit.reference.DRAWS", 500)
+    monkeypatch.setattr("strandline.calibration.misfit.reference.PER_PART", 0)
     monkeypatch.setattr("strandline.calibration.misfit.predictive.DRAWS", 20)
 
 
@@ -347,6 +351,20 @@ def test_errors_that_leave_no_residual_are_named(
     assert "other values of E, nu make up for" in text
     assert all(words in text for words in told)
     assert not any(words in text for words in silent)
+
+
+@pytest.mark.parametrize("conditions", [1, 2, 5])
+def test_each_kind_of_test_alone_can_flag_a_model(conditions: int) -> None:
+    """Even the least p-value is above the level if there are too few draws."""
+    names = tuple(f"load {k}" for k in range(conditions))
+    seen = [Observation(drawn(LOCAL, k), LOCAL, name) for k, name in enumerate(names)]
+    bent = Interface.polyline(seen[0].interface.points + S * 12 * (np.abs(INNER - 0.5) < 0.04)[:, None])
+    observations = (Observation(bent, LOCAL, names[0]), *seen[1:])
+    found = misfit_of(predicted(names), observations, NormalOffset(), posterior(), seed=1)
+    parts = [region.p_value for one in found.conditions for region in one.regions]
+    assert min(parts) < 0.01 / 3
+    assert verdict_on(0.5, 0.5, found.conditions, run_alone=False).flagged
+    assert verdict_on(0.5, 1 / (1 + DRAWS), (), run_alone=False).flagged
 
 
 def test_p_values_are_corrected_as_holm_does() -> None:

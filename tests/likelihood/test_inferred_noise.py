@@ -7,11 +7,11 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, qmc
 
-from strandline.discrepancy import NormalOffset, WhitenedOffset
+from strandline.discrepancy import ClosestPoint, Discrepancy, NormalOffset, WhitenedOffset
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
-from strandline.likelihood.inferred_noise import _log_evidences
+from strandline.likelihood.inferred_noise import _log_evidences, require_inferable
 from strandline.likelihood.joint_errors import error_model
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.model_error import offset_scales, offset_waves
@@ -92,6 +92,33 @@ def test_a_range_is_a_prior_and_no_coarser_grid(stated: tuple[float, float]) -> 
     assert twice is not None
     assert once is not None
     assert once.posterior.log_evidence - twice.posterior.log_evidence == pytest.approx(np.log(2), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("noises", "measure", "by_field", "said"),
+    [
+        ((UNKNOWN,), ClosestPoint(), True, "the measure ClosestPoint"),
+        ((UNKNOWN,), NormalOffset(), False, "a surrogate of the log-likelihood"),
+        ((UNKNOWN, ERRORS), NormalOffset(), True, "an observation without"),
+        ((UNKNOWN, UnknownErrors(0.002)), NormalOffset(), True, "different unknown noise"),
+    ],
+)
+def test_unknown_noise_that_nothing_infers_is_refused(
+    noises: tuple[PointErrors | UnknownErrors, ...], measure: Discrepancy, by_field: bool, said: str
+) -> None:
+    seen = [observed(k, noise=noise) for k, noise in enumerate(noises)]
+    with pytest.raises(InvalidInput, match=said):
+        require_inferable(seen, measure, by_field=by_field)
+    require_inferable(seen[:1], NormalOffset(), by_field=True)
+
+
+def test_what_is_known_of_the_observations_afterwards() -> None:
+    likelihood = FieldLikelihood(surrogate(), (observed(4),), NormalOffset())
+    (one,) = likelihood.known_observations
+    assert isinstance(one.noise, PointErrors)
+    assert one.noise.sd == pytest.approx(0.002, rel=0.4)
+    stated = FieldLikelihood(surrogate(), (observed(4, noise=ERRORS),), NormalOffset())
+    assert stated.known_observations[0].noise == ERRORS
 
 
 def test_many_are_as_one_by_one() -> None:

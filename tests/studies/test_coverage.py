@@ -17,7 +17,7 @@ from strandline.calibration.field_quality import FieldQuality
 from strandline.cli import main
 from strandline.discrepancy import NormalOffset
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
-from strandline.interface import GaussianNoise, PointErrors
+from strandline.interface import GaussianNoise, Interface, PointErrors
 from strandline.runs import Ledger, Progress
 from strandline.studies.coverage import _thinned, coverage
 from strandline.studies.doctor import examine
@@ -136,10 +136,13 @@ def test_other_configurations_are_not_mixed(folder: Path) -> None:
     for one in others:
         coverage(study, replicates=20, **one)
     coverage(dataclasses.replace(study, noise=GaussianNoise(0.004**2)), replicates=20)
-    assert len(lines(folder)) == 80
-    assert len({json.loads(line)["of"] for line in lines(folder)}) == 4
+    ((condition, seen),) = study.observed.items()
+    longer = {condition: Interface.polyline(1.01 * seen.points)}
+    coverage(dataclasses.replace(study, observed=longer), replicates=20)
+    assert len(lines(folder)) == 100
+    assert len({json.loads(line)["of"] for line in lines(folder)}) == 5
     coverage(study, replicates=20)
-    assert len(lines(folder)) == 80
+    assert len(lines(folder)) == 100
     assert (folder / "coverage.json").read_bytes() == first["coverage.json"]
 
 

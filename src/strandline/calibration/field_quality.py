@@ -47,7 +47,7 @@ def field_quality(source: Source) -> FieldQuality:
     The errors that it expects count more if those at left-out runs are larger than expected.
     """
     surrogate, likelihood = source.knowledge.surrogate, source.knowledge.likelihood
-    hidden = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.observations)
+    hidden = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
     weights = np.exp(source.log_weights)
     chosen = np.random.default_rng(0).choice(len(weights), DRAWS, p=weights / weights.sum())
     errors = max(1.0, _surprise(surrogate)) * surrogate.predicted_error(source.points[chosen])

@@ -16,6 +16,7 @@ from strandline.design import sobol
 from strandline.design.active import Active, ActiveRuns, Certificate, Knowledge, learn
 from strandline.design.refinement import Learnt, Refinement, Round, refine
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
+from strandline.interface import UnknownErrors
 from strandline.likelihood.set_aside import Judge, SetAside
 from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
@@ -129,6 +130,8 @@ class Learning:
         try:
             learnt, knowledge = self._by_field(begin, choosing)
         except NoCommonPoints as error:
+            if any(isinstance(seen.noise, UnknownErrors) for seen in self.problem.observations):
+                raise  # only a surrogate of the interface can infer the noise
             self.judge.forget_exceptions()
             asked = begin if choosing is None else choosing.asked
             return replace(self._instead(asked), no_field=str(error.value))

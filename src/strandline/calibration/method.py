@@ -20,6 +20,7 @@ from strandline.calibration.cut_posterior import under_uncertainty
 from strandline.calibration.learning import Learning
 from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
 from strandline.calibration.targets import Target
+from strandline.likelihood.inferred_noise import require_inferable
 from strandline.models.protocol import require_conditions
 from strandline.numerics.precision import use_double
 from strandline.parameters import ParameterSpace
@@ -63,6 +64,8 @@ def calibrate(
     use_double()
     require_conditions((o.condition for o in problem.observations), problem.model)
     settings, executor, tell = settings or Settings(), executor or InProcess(), observer or Observer()
+    measure = next(iter(problem.discrepancies.values()))
+    require_inferable(problem.observations, measure, by_field=settings.surrogate == "field")
     watch, space = Stopwatch(), problem.space
     learning = Learning(problem, settings, ledger, executor, tell, watch)
     lesson = learning.lesson(given)

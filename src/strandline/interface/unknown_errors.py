@@ -96,7 +96,7 @@ class UnknownErrors:
         self.known(1.0, longest).require_fits(seen)
 
     def sds(self, otherwise: Float[np.ndarray, " guess"]) -> Float[np.ndarray, " sd"]:
-        """Return values of the sd to be compared, mm: `otherwise`, cut to the range if there is one, unless it is known."""
+        """Return values of the sd to be compared, mm: `otherwise`, or what of it is in the range."""
         return _values(self.sd, otherwise)
 
     def lengths(self, otherwise: Float[np.ndarray, " guess"]) -> Float[np.ndarray, " length"]:

@@ -103,6 +103,11 @@ class FieldLikelihood:
             )
         return found
 
+    @property
+    def known_observations(self) -> tuple[Observation, ...]:
+        """The observations, with the posterior medians of a noise that was inferred as if they were known."""
+        return tuple(self.observations) if self.inferred is None else self.inferred.at_median(self.observations)
+
     @cached_property
     def _shared(self) -> SharedErrors | None:
         return shared_errors(self.observations, self.discrepancy)

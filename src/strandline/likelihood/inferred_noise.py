@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
+from strandline.discrepancy import Discrepancy, NormalOffset
+from strandline.errors import InvalidInput
 from strandline.interface import ErrorModel, Interface, Observation, UnknownErrors, arc_lengths, spacings
 from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.linearised import Linearised, linearise
@@ -24,7 +26,7 @@ from strandline.likelihood.mixture import Mixture
 from strandline.likelihood.model_error import Cause, Causes, causes_of
 from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["InferredNoise", "NoisePosterior", "infer_noise", "posterior_of_noise"]
+__all__ = ["InferredNoise", "NoisePosterior", "infer_noise", "posterior_of_noise", "require_inferable"]
 
 SDS, LENGTHS = 33, 15
 WIDER = 1.5
@@ -103,6 +105,41 @@ class InferredNoise:
             Observation(o.interface, o.noise.known(sd, length), o.condition)
             for o in observations
             if isinstance(o.noise, UnknownErrors)
+        )
+
+
+def require_inferable(observations: Sequence[Observation], measure: Discrepancy, *, by_field: bool) -> None:
+    """Refuse unknown noise where nothing can infer it: it would count with a first guess.
+
+    Args:
+        observations: The observations.
+        measure: The measure that defines the posterior.
+        by_field: Whether a surrogate learns the interface.
+
+    Raises:
+        InvalidInput: Measure, surrogate or observations do not fit unknown noise.
+    """
+    unknown = [one.noise for one in observations if isinstance(one.noise, UnknownErrors)]
+    if not unknown:
+        return
+    for one in observations:
+        if isinstance(one.noise, UnknownErrors):
+            one.noise.require_fits(one.interface)
+    value, expected = "", "the measure NormalOffset() and Settings(surrogate='field')"
+    if not isinstance(measure, NormalOffset):
+        value = f"the measure {type(measure).__name__}"
+    elif not by_field:
+        value = "a surrogate of the log-likelihood"
+    elif len(unknown) < len(observations):
+        value, expected = "an observation without", "unknown noise in every observation, or in none"
+    elif len({(one.sd, one.length, one.model_error, one.spread) for one in unknown}) > 1:
+        value, expected = "different unknown noise", "the same sd, length, model_error and spread in all observations"
+    if value:
+        raise InvalidInput(
+            "unknown noise of the observed points, or a model error",
+            value=value,
+            expected=expected,
+            remedy="Change it, or state the noise, e.g. PointErrors(sd=0.003).",
         )
 
 

@@ -53,7 +53,7 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
         return
     cut, problem = calibration.under_uncertainty.cut, calibration.problem
     measure = next(iter(problem.discrepancies.values()))
-    hidden = min(noise_length(seen, measure) for seen in problem.observations)
+    hidden = min(noise_length(seen, measure) for seen in found.knowledge.likelihood.known_observations)
     errors = found.knowledge.surrogate.predicted_error(cut.extended.draws)
     of_value = np.array([np.median(errors[cut.value_index == k]) for k in range(len(cut.values))])
     unsure = of_value > UNSURE * hidden

@@ -23,7 +23,7 @@ from strandline.calibration.learning import known_field
 from strandline.calibration.source import Source, posterior_source, prior_source
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
-from strandline.interface import Noise, PointErrors, UnknownErrors
+from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood.set_aside import Judge
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
@@ -262,6 +262,10 @@ def _noise(one: Noise | PointErrors | UnknownErrors) -> str:
     return repr(one) if isinstance(one, PointErrors | UnknownErrors) else f"{type(one).__qualname__}: {one.facts}"
 
 
+def _points_digest(seen: Interface) -> str:
+    return sha256(seen.points.tobytes() + seen.cells.tobytes()).hexdigest()
+
+
 def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> str:
     """Return a digest of everything that a replicate depends on, apart from its number."""
     runs, noises = study.runs, [study.noise, *study.noises.values()]
@@ -274,6 +278,7 @@ def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> 
         "measure": f"{measure}: {study.discrepancies[measure]!r}",
         "noise": [_noise(one) for one in noises],
         "conditions": list(study.noises),
+        "observed": {name: _points_digest(seen) for name, seen in observations_of(study).items()},
         "posterior": None if posterior is None else posterior_digest(posterior),
         "seed": seed,
         "version": __version__,

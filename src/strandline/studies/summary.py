@@ -4,7 +4,7 @@ import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass, replace
 from importlib import metadata
 from typing import Any
 
@@ -168,7 +168,10 @@ def _runs(calibration: Calibration) -> dict[str, Any]:
 def _nearest(calibration: Calibration) -> dict[str, Any]:
     """Return how near the best run comes to each observation."""
     values = np.asarray(next(iter(calibration.log_likelihoods.values())))
-    return as_json(nearest_runs(calibration.problem, calibration.records, values))
+    problem = calibration.problem
+    if calibration.field is not None:
+        problem = replace(problem, observations=calibration.field.knowledge.likelihood.known_observations)
+    return as_json(nearest_runs(problem, calibration.records, values))
 
 
 def _refinement(calibration: Calibration) -> list[dict[str, Any]]:

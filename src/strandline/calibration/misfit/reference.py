@@ -18,9 +18,9 @@ from strandline.interface import Observation, arc_lengths, steady_lengths
 
 __all__ = ["Parts", "Span", "Statistics", "corrected", "drawn_statistics", "observed_statistics", "parts_of", "tail"]
 
-DRAWS, TESTS = 4000, 2
-"""Fewest drawn observations, and tests of each part of an arc. The number of draws limits how small a p-value can be:
-there are enough of them to flag a model by one part alone, after the correction for the number of tests."""
+DRAWS, PER_PART = 4000, 4 * round(FAMILIES / LEVEL)
+"""Fewest drawn observations, in all and for each part of an arc. Their number limits how small a p-value can be: one
+part alone can flag a model, after the correction for its two tests and those of the other parts."""
 BLOCK = 500
 """Draws processed together; this bounds the memory."""
 PARTS, FEWEST_POINTS = 6, 4
@@ -98,7 +98,7 @@ def observed_statistics(residuals: Residuals, fit: BestFit, parts: Parts) -> Sta
 def drawn_statistics(residuals: Residuals, fit: BestFit, parts: Parts, random: np.random.Generator) -> Statistics:
     """Return the statistics of drawn observations of the model, with inputs drawn from their priors."""
     whole, causes, found = fit.with_causes(residuals.model), fit.causes, []
-    draws = max(DRAWS, 2 * round(FAMILIES * TESTS * len(parts.spans) / LEVEL))
+    draws = max(DRAWS, PER_PART * len(parts.spans))
     for first in range(0, draws, BLOCK):
         number = min(BLOCK, draws - first)
         caused = random.standard_normal((number, causes.shape[1])) @ causes.T

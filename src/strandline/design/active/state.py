@@ -92,6 +92,12 @@ def learn(
     hidden = min(noise_length(seen, discrepancy) for seen in observations)
     training = FieldTraining(x[ok], interfaces, _gradients(good, names, space.names), space.low, space.high)
     surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
+    likelihood = FieldLikelihood(surrogate, observations, discrepancy)
+    if likelihood.inferred is not None:
+        guess, hidden = hidden, min(noise_length(seen, discrepancy) for seen in likelihood.known_observations)
+        if hidden < guess:
+            surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
+            likelihood = FieldLikelihood(surrogate, observations, discrepancy)
     if surrogate.registration_error > hidden:
         raise NoCommonPoints(
             "interfaces of the runs for a surrogate of the field",
@@ -103,7 +109,7 @@ def learn(
     told = np.array([says_whether_runs_succeed(record) for record in records], bool)
     feasibility = learn_feasibility(z[told], ok[told])
     highest = float(feasibility.log_probability(z).max())
-    return Knowledge(x, ok, FieldLikelihood(surrogate, observations, discrepancy), feasibility, highest)
+    return Knowledge(x, ok, likelihood, feasibility, highest)
 
 
 @dataclass(frozen=True, eq=False)
