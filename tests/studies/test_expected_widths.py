@@ -9,6 +9,7 @@ import pytest
 from tests.studies.test_run_study import rerun
 
 from strandline.calibration import Observer
+from strandline.interface import Interface
 from strandline.runs import InProcess, RunRecord
 from strandline.runs.record import RunRequest, attempt
 from strandline.studies import Study, load_study, run_study
@@ -99,3 +100,22 @@ def test_runs_without_slopes_give_none(tmp_path: Path) -> None:
     record = run(study, AT, tmp_path)
     assert slopes_by_sensitivities(record, study.space.names) is None
     assert slopes_by_differences(record, [record], AT, neighbours(study.space, AT)) is None
+
+
+def test_slopes_by_regression_hold_at_the_run_and_not_in_the_mean() -> None:
+    """Planted in the mean over the box: a second-order effect, which a linear fit spreads over both inputs."""
+    t, random = np.linspace(0.0, 1.0, 9), np.random.default_rng(1)
+
+    def height(a: float, b: float) -> np.ndarray:
+        return a * t + b * t**2 + 0.5 * a * b * t + 0.3 * a**2
+
+    def record(a: float, b: float) -> RunRecord:
+        return RunRecord(f"{a}", {"a": a, "b": b}, "ok", {"": Interface.polyline(np.stack([t, height(a, b)], axis=1))})
+
+    records = [record(*row) for row in random.uniform(0.0, 2.0, size=(12, 2)).tolist()]
+    for middle in records[:3]:
+        slopes = slopes_by_regression(records, ("a", "b"), middle)
+        assert slopes is not None
+        a, b = middle.inputs["a"], middle.inputs["b"]
+        np.testing.assert_allclose(slopes[""][:, 1, 0], t + 0.5 * b * t + 0.6 * a, atol=1e-9)
+        np.testing.assert_allclose(slopes[""][:, 1, 1], t**2 + 0.5 * a * t, atol=1e-9)

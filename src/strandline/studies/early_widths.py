@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from strandline.calibration import Observer
 from strandline.errors import InvalidInput, NumericsError
@@ -36,18 +37,35 @@ def noting_widths(observer: Observer, study: Study) -> Observer:
 
 
 def slopes_by_regression(records: Sequence[RunRecord], names: Sequence[str], middle: RunRecord) -> Slopes | None:
-    """Return d(points)/d(input) by least squares, mm per unit of the input; None for runs with different nodes."""
-    x = np.array([[record.inputs[name] for name in names] for record in records], float)
-    terms = np.column_stack([np.ones(len(x)), x - x.mean(axis=0)])
+    """Return d(points)/d(input) at a run by least squares, mm per unit of the input; None for runs with other nodes.
+
+    A second-order polynomial is fitted, as far as there are twice as many runs as terms: slopes in the mean over a wide
+    box hide that two inputs have nearly the same effect.
+    """
+    x, at = (np.array([[one.inputs[name] for name in names] for one in some], float) for some in (records, [middle]))
+    unit = np.maximum(x.std(axis=0), 1e-300)
+    terms = _terms((x - at) / unit)
     found = {}
     for condition, interface in middle.interfaces.items():
         shapes = {record.interfaces[condition].points.shape for record in records}
         if len(shapes) > 1 or np.linalg.matrix_rank(terms) < terms.shape[1]:
             return None
         points = np.array([record.interfaces[condition].points.ravel() for record in records])
-        slopes = np.linalg.lstsq(terms, points, rcond=None)[0][1:]
+        slopes = np.linalg.lstsq(terms, points, rcond=None)[0][1 : 1 + len(names)] / unit[:, None]
         found[condition] = slopes.T.reshape(*interface.points.shape, len(names))
     return found
+
+
+def _terms(z: Float[np.ndarray, "run dim"]) -> Float[np.ndarray, "run term"]:
+    """Return 1, z and, for enough runs, the squares and then also the products of the inputs."""
+    runs, dim = z.shape
+    linear = np.column_stack([np.ones(runs), z])
+    products = [z[:, i] * z[:, j] for i in range(dim) for j in range(i)]
+    for more in ([z**2, *products], [z**2]):
+        terms = np.column_stack([linear, *more])
+        if 2 * terms.shape[1] <= runs:
+            return terms
+    return linear
 
 
 def _lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
