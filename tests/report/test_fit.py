@@ -57,8 +57,8 @@ def test_a_model_that_does_not() -> None:
     assert found.flagged
     assert found.text == (
         "The model does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm of condition V50 the observed "
-        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; the posterior's width then means "
-        "little."
+        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; do not rely on the "
+        "posterior's width."
     )
 
 
@@ -87,10 +87,25 @@ def test_the_limits(p: float, d: float, length: float, flagged: bool) -> None:
     assert ("s²ℓ of the residuals is 4.9 times" in found.text) == (flagged and length == 0.05)
 
 
+def test_only_the_reason_is_given() -> None:
+    """A corrected p-value that is not small is no reason; residuals that are long are."""
+    found = verdict(condition(FINE, length=0.05), p=0.04)
+    assert found == Verdict(
+        "The model does not explain the observation: s²ℓ of the residuals is 4.9 times that of the stated noise; do "
+        "not rely on the posterior's width.",
+        flagged=True,
+    )
+    both = verdict(condition(FINE, length=0.05), p=0.001)
+    assert "observation (p = 0.003): s²ℓ of the residuals is 4.9 times" in both.text
+    doubtful = replace(FINE, p_value=0.04)
+    assert "near s" not in verdict(condition(doubtful, length=0.05), p=0.04).text
+
+
 def test_a_single_run_proves_nothing() -> None:
     found = verdict(condition(BAD), run_alone=True)
     assert not found.flagged
-    assert "is not known" in found.text
+    assert found.text.startswith("The best run does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm")
+    assert found.text.endswith(", but no surrogate could be built to check the inputs between the runs.")
     assert verdict(condition(FINE), run_alone=True).text.startswith("The model explains")
 
 

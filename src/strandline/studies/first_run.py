@@ -217,10 +217,8 @@ def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
         return
     for condition, interface in finer.items():
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""
-        moved, noise = (
-            float(np.linalg.norm(interface.points - run.points, axis=1).max()),
-            noise_of(study, run, condition),
-        )
+        moved = float(np.linalg.norm(interface.points - run.points, axis=1).max())
+        noise = noise_of(study, run, condition)
         yield f"next finer mesh{of}: the interface differs by at most {_length(moved)}, {noise.times(moved)}"
         if moved > MESH_SHARE * noise.mm and study.truth is None:
             yield (
