@@ -225,6 +225,18 @@ def test_a_study_with_unknown_noise(tmp_path: Path) -> None:
     assert abs(without["mean"] - 400.0) < 4 * without["sd"]
 
 
+@pytest.mark.usefixtures("without_report")
+def test_the_first_condition_has_its_own_noise_in_the_summary(tmp_path: Path) -> None:
+    noise = {"sd": 30, "unit": "um", "conditions": {"light": {"sd": 10, "length": 15, "unit": "um"}}}
+    changes = {**TWO_LOADS_STUDY, "discrepancy": {"closest_point": {}}, "noise": noise}
+    found = rerun(tmp_path / "study", **changes).summary["likelihood"]
+    light, heavy = found["conditions"]
+    assert (light["condition"], heavy["condition"]) == ("light", "heavy")
+    assert (light["point_sd"], heavy["point_sd"]) == pytest.approx((0.01, 0.03))
+    for key in ("point_sd", "correlation_length", "noise_variance"):
+        assert found[key] == light[key]
+
+
 KEYS = Path("docs/reference/summary.md").read_text("utf-8")
 
 
