@@ -170,6 +170,34 @@ def test_the_section_comes_before_the_posterior_and_its_verdict_first(reported: 
     assert '<p class="warnings"><strong>' not in text
 
 
+def of_noise(reported: Any, stated: bool, sd: tuple[float, ...], length: tuple[float, ...], **others: Any) -> str:
+    """Return the report on a study with this inferred noise: quantiles in µm."""
+    levels = ("q05", "median", "q95")
+    found = {name: dict(zip(levels, one, strict=True)) for name, one in (("sd_um", sd), ("length_um", length))}
+    likelihood = {**reported.outcome.summary["likelihood"], "inferred_noise": {**found, "stated": stated, **others}}
+    summary = {**reported.outcome.summary, "likelihood": likelihood}
+    text = str(template("report.html.j2").render(s=summary, figures=[], study_text="", check=None, picture=None))
+    return text.replace("&nbsp;", " ")
+
+
+def test_noise_that_is_stated_has_no_quantiles(reported: Any) -> None:
+    error = {"probability": 0.97, "amplitude_um": 2.04, "spread": 0.0}
+    without = {"E": {"mean": 401.0, "sd": 2.0}}
+    stated = {"model_error": error, "without_model_error": without}
+    text = of_noise(reported, True, (3.0, 3.0, 3.0), (1e-9, 1e-9, 1e-9), **stated)
+    assert "<p>Noise: standard deviation of a point 3 µm, correlation length 0 µm." in text
+    assert "The model has an error with probability 0.97: a smooth offset of 2 µm." in text
+    assert "It allows for model error. Without it: " in text
+
+
+def test_inferred_noise_has_quantiles(reported: Any) -> None:
+    text = of_noise(reported, False, (2.0, 3.0, 4.0), (15.0, 15.0, 15.0))
+    assert (
+        "<p>The noise is inferred from the residuals (median, 5 % and 95 % quantile): standard deviation of a point "
+        "3 (2 to 4) µm, correlation length 15 µm." in text
+    )
+
+
 def test_the_first_line_says_that_it_does_not_fit(reported: Any) -> None:
     text = rendered(reported, misfit(condition(FINE, BAD)))
     after = text[text.index("</h1>") + 5 :].lstrip()

@@ -32,7 +32,7 @@ __all__ = ["GLOBAL", "ErrorModel", "PointErrors"]
 GLOBAL = ("shift", "rotation", "scale", "offset")
 """Names of the errors that all points share."""
 MOST = {"rotation": 45.0, "scale": 0.5}
-"""Largest standard deviations, degrees and a share: larger values are surely mistakes."""
+"""Largest standard deviations, degrees and a share; larger values are surely mistakes."""
 
 
 @dataclass(frozen=True)
