@@ -192,6 +192,15 @@ def test_steady_lines_have_a_noise_variance():
     assert MeasurementLines(10).noise_variance(correlated, seen) is None
 
 
+def test_a_closed_outline_has_no_ends_to_leave_out():
+    angle = np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
+    circle = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+    errors = PointErrors(1e-3, 0.3)
+    whole, trimmed = (MeasurementLines(20, smooth=0.1, trim=trim) for trim in (0.0, 0.25))
+    np.testing.assert_array_equal(whole.place(circle), trimmed.place(circle))
+    assert whole.noise_variance(errors, circle) == trimmed.noise_variance(errors, circle)
+
+
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.2])
 def test_the_scatter_is_that_of_the_segments(share):
     noisy = [PointErrors(share * SPACING).draw(half_circle(), np.random.default_rng(k)) for k in range(10)]

@@ -199,6 +199,34 @@ def sphere(number: int = 600) -> Interface:
     return Interface(points, np.ascontiguousarray(cells).astype(int))
 
 
+@pytest.mark.parametrize(
+    ("sds", "said"),
+    [
+        ([1e-3, -1e-3, 2e-3], "standard deviation of point 2: got -0.001"),
+        ([1e-3, 0.0], "standard deviation of point 2: got 0"),
+        ([np.nan, 1e-3], "standard deviation of point 1: got nan"),
+        ([1e-3, np.inf], "standard deviation of point 2: got inf"),
+        ([], "got no standard deviation"),
+    ],
+)
+def test_sds_of_points_are_above_zero(sds: list[float], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        PointErrors.of_each(sds)
+
+
+def test_other_numbers_of_points_take_the_root_mean_square() -> None:
+    errors = PointErrors.of_each([1e-3, 7e-3], length=0.02)
+    assert errors.of_points(2) is errors
+    assert errors.of_points(3) == PointErrors(5e-3, 0.02)
+    assert ALL.of_points(3) is ALL
+
+
+def test_the_local_part_has_no_global_errors() -> None:
+    assert ALL.local_part == PointErrors(0.004, 0.02)
+    own = PointErrors.of_each([1e-3, 7e-3], shift=0.1)
+    assert own.local_part == PointErrors.of_each([1e-3, 7e-3])
+
+
 def test_surfaces_have_normals_areas_and_global_errors() -> None:
     ball = sphere()
     assert spacings(ball).sum() == pytest.approx(ball.areas.sum())

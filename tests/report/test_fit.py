@@ -57,8 +57,8 @@ def test_a_model_that_does_not() -> None:
     assert found.flagged
     assert found.text == (
         "The model does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm of condition V50 the observed "
-        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; the posterior's width then means "
-        "little."
+        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; do not rely on the "
+        "posterior's width."
     )
 
 
@@ -87,10 +87,25 @@ def test_the_limits(p: float, d: float, length: float, flagged: bool) -> None:
     assert ("s²ℓ of the residuals is 4.9 times" in found.text) == (flagged and length == 0.05)
 
 
+def test_only_the_reason_is_given() -> None:
+    """A corrected p-value that is not small is no reason; residuals that are long are."""
+    found = verdict(condition(FINE, length=0.05), p=0.04)
+    assert found == Verdict(
+        "The model does not explain the observation: s²ℓ of the residuals is 4.9 times that of the stated noise; do "
+        "not rely on the posterior's width.",
+        flagged=True,
+    )
+    both = verdict(condition(FINE, length=0.05), p=0.001)
+    assert "observation (p = 0.003): s²ℓ of the residuals is 4.9 times" in both.text
+    doubtful = replace(FINE, p_value=0.04)
+    assert "near s" not in verdict(condition(doubtful, length=0.05), p=0.04).text
+
+
 def test_a_single_run_proves_nothing() -> None:
     found = verdict(condition(BAD), run_alone=True)
     assert not found.flagged
-    assert "is not known" in found.text
+    assert found.text.startswith("The best run does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm")
+    assert found.text.endswith(", but no surrogate could be built to check the inputs between the runs.")
     assert verdict(condition(FINE), run_alone=True).text.startswith("The model explains")
 
 
@@ -153,6 +168,34 @@ def test_the_section_comes_before_the_posterior_and_its_verdict_first(reported: 
     assert "1.96" not in section
     assert "<td>2</td>" in section
     assert '<p class="warnings"><strong>' not in text
+
+
+def of_noise(reported: Any, stated: bool, sd: tuple[float, ...], length: tuple[float, ...], **others: Any) -> str:
+    """Return the report on a study with this inferred noise: quantiles in µm."""
+    levels = ("q05", "median", "q95")
+    found = {name: dict(zip(levels, one, strict=True)) for name, one in (("sd_um", sd), ("length_um", length))}
+    likelihood = {**reported.outcome.summary["likelihood"], "inferred_noise": {**found, "stated": stated, **others}}
+    summary = {**reported.outcome.summary, "likelihood": likelihood}
+    text = str(template("report.html.j2").render(s=summary, figures=[], study_text="", check=None, picture=None))
+    return text.replace("&nbsp;", " ")
+
+
+def test_noise_that_is_stated_has_no_quantiles(reported: Any) -> None:
+    error = {"probability": 0.97, "amplitude_um": 2.04, "spread": 0.0}
+    without = {"E": {"mean": 401.0, "sd": 2.0}}
+    stated = {"model_error": error, "without_model_error": without}
+    text = of_noise(reported, True, (3.0, 3.0, 3.0), (1e-9, 1e-9, 1e-9), **stated)
+    assert "<p>Noise: standard deviation of a point 3 µm, correlation length 0 µm." in text
+    assert "The model has an error with probability 0.97: a smooth offset of 2 µm." in text
+    assert "It allows for model error. Without it: " in text
+
+
+def test_inferred_noise_has_quantiles(reported: Any) -> None:
+    text = of_noise(reported, False, (2.0, 3.0, 4.0), (15.0, 15.0, 15.0))
+    assert (
+        "<p>The noise is inferred from the residuals (median, 5 % and 95 % quantile): standard deviation of a point "
+        "3 (2 to 4) µm, correlation length 15 µm." in text
+    )
 
 
 def test_the_first_line_says_that_it_does_not_fit(reported: Any) -> None:

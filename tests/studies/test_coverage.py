@@ -277,8 +277,8 @@ def test_a_coarse_surrogate_is_refused(
     coarse = FieldQuality(hidden=0.001, median=0.002, q95=0.004, left_out=0.003, beyond=0.62)
     monkeypatch.setattr("strandline.studies.coverage.field_quality", lambda source: coarse)
     words = (
-        f"truths from the {source}: got errors above 0.5 µm at 62 % of the draws (median 2 µm; at left-out runs 3 µm); "
-        "expected at most 5 %, since the noise hides shifts of 1 µm only. Make more runs"
+        f"is not accurate enough over the {source}: got errors above 0.5 µm at 62 % of the draws (median 2 µm; at "
+        "left-out runs 3 µm); expected at most 5 %, since the noise hides shifts of 1 µm only. Make more runs"
     )
     refused(folder, ["--from", source], words, capsys)
     with pytest.raises(InvalidInput, match=remedy):

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from tests.studies.test_run_study import rerun
 
 from strandline.calibration import Observer
-from strandline.interface import Interface
+from strandline.errors import NumericsError
+from strandline.interface import Interface, PointErrors, steady_normals
 from strandline.runs import InProcess, RunRecord
 from strandline.runs.record import RunRequest, attempt
 from strandline.studies import Study, load_study, run_study
@@ -21,7 +23,7 @@ from strandline.studies.expected_widths import (
     slopes_by_sensitivities,
     width_lines,
 )
-from strandline.testing.studies import write_study
+from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 AT = np.array([400.0, 0.02])
 
@@ -65,11 +67,59 @@ def test_more_noise_and_global_errors_widen(tmp_path: Path) -> None:
     assert some[1][1] < some[2][1]
 
 
-def test_what_the_data_hardly_tell_is_said(tmp_path: Path) -> None:
+def test_errors_that_conditions_share_are_counted_once(tmp_path: Path) -> None:
+    """A shift that both conditions share cancels in their difference, as dense algebra says."""
+
+    def widths(*, shared: bool) -> tuple[np.ndarray, float]:
+        noise = {"sd": 10, "unit": "um", "unknown": {"shift": 200, "shared": shared}}
+        measure = {"discrepancy": {"normal_offset": {}}}
+        study = load_study(write_study(tmp_path, **{**TWO_LOADS_STUDY, **measure, "noise": noise}))
+        record, at = run(study, np.array([400.0]), tmp_path), np.array([400.0])
+        x = neighbours(study.space, at)
+        slopes = slopes_by_differences(record, [run(study, row, tmp_path) for row in x], at, x)
+        errors = study.noise_of("light")
+        assert slopes is not None
+        assert isinstance(errors, PointErrors)
+        seen = [record.interfaces[name] for name in ("light", "heavy")]
+        middle = np.concatenate([one.points for one in seen]).mean(axis=0)
+        models = [errors.model(one, middle=middle) for one in seen]
+        C = np.diag(np.concatenate([one.local for one in models]))
+        B = np.vstack([one.shared for one in models]) if shared else block_diag(*[one.shared for one in models])
+        normals = [steady_normals(one, 0.2) for one in seen]
+        J = np.concatenate(
+            [(n * slopes[c][:, :, 0]).sum(axis=1) for n, c in zip(normals, ("light", "heavy"), strict=True)]
+        )
+        information = J @ np.linalg.solve(C + B @ B.T, J) + 1 / (0.3413 * 260) ** 2
+        return expected_sd(study, record.interfaces, slopes, {}), float(information**-0.5)
+
+    (together,), expected = widths(shared=True)
+    assert together == pytest.approx(expected, rel=0.02)
+    (apart,), expected = widths(shared=False)
+    assert apart == pytest.approx(expected, rel=0.02)
+    assert together < 0.95 * apart
+
+
+@pytest.mark.filterwarnings("ignore:.*invalid value:RuntimeWarning")
+def test_slopes_that_are_not_finite_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study = load_study(write_study(tmp_path))
+    record = run(study, AT, tmp_path)
+    slopes = {"": np.full((*record.interface.points.shape, 2), np.nan)}
+    with pytest.raises(NumericsError, match="no finite widths"):
+        expected_sd(study, record.interfaces, slopes, {})
+
+    def singular(matrix: np.ndarray) -> np.ndarray:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(np.linalg, "inv", singular)
+    with pytest.raises(NumericsError, match="no finite widths: Singular matrix"):
+        expected_sd(study, record.interfaces, {"": np.ones_like(slopes[""])}, {})
+
+
+def test_what_the_data_barely_constrain_is_said(tmp_path: Path) -> None:
     study = load_study(write_study(tmp_path))
     lines = list(width_lines(study, np.array([5.0, 0.0113]), "2 more runs"))
     assert lines[0].startswith("expected posterior (linearised, from 2 more runs): E ± 5 (")
-    assert lines[1] == "warning: with this noise the data hardly tell tilt"
+    assert lines[1] == "warning: with this noise the data barely constrain tilt"
 
 
 @pytest.mark.usefixtures("without_report")

@@ -172,6 +172,25 @@ def test_a_norm_has_a_noise_length(tmp_path: Path, capsys: pytest.CaptureFixture
     assert min(squares) < 1e-4 < max(squares)
 
 
+@pytest.mark.parametrize("measure", [{"currents": {"width": 0.05}}, CLOSEST], ids=["currents", "closest_point"])
+def test_an_sd_of_each_point_and_another_number_of_nodes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, measure: dict[str, Any]
+) -> None:
+    """The simulated and the undeformed interface have 17 nodes, the observed one 33 points."""
+    fine = Interface.polyline(points).resampled(33).points
+    folder = observe(tmp_path / "s", np.column_stack([fine, np.tile([0.002, 0.003, 0.004], 11)]))
+    shown = checked(
+        folder,
+        capsys,
+        simulator=resting,
+        observation={**OBSERVED, "columns": [1, 2], "sd": 3},
+        discrepancy=measure,
+        noise={"sd": "column", "length": 50, "unit": "um"},
+    )
+    assert "largest displacement: " in shown
+    assert "next finer mesh: " in shown
+
+
 @pytest.mark.parametrize(
     ("simulator", "observation", "words", "warns"),
     [

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from tests.studies.test_run_study import rerun
 
-from strandline.errors import InvalidInput
-from strandline.interface import GaussianNoise, PointErrors
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
 from strandline.studies import load_study
-from strandline.testing.studies import write_study
+from strandline.studies.noise import require_stated
+from strandline.testing.studies import TWO_LOADS_STUDY, two_loads, write_study
 
 STATED = {"sd": 3, "length": 15, "unit": "um"}
 
@@ -91,8 +92,8 @@ def test_each_point_has_the_sd_of_its_column(tmp_path: Path) -> None:
         (COLUMN, {"columns": [1, 2], "sd": "s"}, "no column s"),
         (COLUMN, {"columns": [1, 2], "sd": 0}, "a column, by name or by number"),
         (COLUMN, {"columns": [1, 2], "sd": "x"}, "standard deviation of point 1"),
-        ({**COLUMN, "length": "unknown"}, {"sd": "sd"}, "a known length"),
-        ({**COLUMN, "model_error": True}, {"sd": "sd"}, "no model error"),
+        ({**COLUMN, "length": "unknown"}, {"sd": "sd"}, "State the length, or write `sd: unknown`."),
+        ({**COLUMN, "model_error": True}, {"sd": "sd"}, "Remove model_error and spread."),
         ({"sd": "column"}, {"sd": "sd"}, "`unit`"),
     ],
 )
@@ -102,6 +103,81 @@ def test_columns_that_cannot_be_used_are_refused(
     with pytest.raises(InvalidInput) as caught:
         load_study(of_a_table(tmp_path, noise, **options))
     assert said in str(caught.value)
+
+
+def of_two_loads(folder: Path, observation: dict[str, Any], noise: dict[str, Any], **changes: Any) -> Any:
+    """Write a study of two loads, with the sd of each point in the third column of its files."""
+    files = [{"condition": name, "file": f"{name}.csv", "unit": "um", **keys} for name, keys in observation.items()]
+    write_study(folder, **{**TWO_LOADS_STUDY, "observation": files, "noise": noise, **changes})
+    for name, interface in two_loads({"E": 400.0, "load": 1e-5}, folder).interfaces.items():
+        points = interface.points * 1000
+        np.savetxt(folder / f"{name}.csv", np.column_stack([points, np.full(len(points), 3.0)]), delimiter=",")
+    return folder
+
+
+def test_a_condition_of_its_own_noise_has_no_column(tmp_path: Path) -> None:
+    with_sd, without = {"columns": [1, 2], "sd": 3}, {"columns": [1, 2]}
+    for first in ({"light": without, "heavy": with_sd}, {"heavy": with_sd, "light": without}):
+        study = load_study(of_two_loads(tmp_path, first, {**COLUMN, "conditions": {"light": STATED}}))
+        assert study.noise_of("light") == PointErrors(0.003, 0.015)
+        heavy = study.noise_of("heavy")
+        assert isinstance(heavy, PointErrors)
+        np.testing.assert_allclose(heavy.sds(study.observed["heavy"]), 0.003)
+
+
+SHARED = {**STATED, "unknown": {"shift": 8, "rotation": 0.5, "shared": True}}
+OWN = {**STATED, "unknown": {"shift": 8, "rotation": 0.5}}
+OTHER = {**STATED, "unknown": {"shift": 9, "rotation": 0.5, "shared": True}}
+
+
+@pytest.mark.parametrize(
+    ("noise", "said"),
+    [
+        ({**OWN, "conditions": {"light": SHARED}}, "condition light: got condition heavy with its own errors"),
+        ({**SHARED, "conditions": {"light": {"variance": 1}}}, "got condition light with its own errors"),
+        ({**SHARED, "conditions": {"light": OTHER}}, "got condition heavy with another shift, rotation or scale"),
+    ],
+)
+def test_errors_that_only_some_conditions_share_are_refused(tmp_path: Path, noise: dict[str, Any], said: str) -> None:
+    with pytest.raises(InvalidStudy, match=said):
+        load_study(write_study(tmp_path, **{**TWO_LOADS_STUDY, "noise": noise}))
+
+
+def test_conditions_may_share_errors_and_have_their_own_sd_and_offset(tmp_path: Path) -> None:
+    own = {**SHARED, "sd": 5, "unknown": {**SHARED["unknown"], "offset": 2}}
+    noise = {**SHARED, "conditions": {"light": own}}
+    study = load_study(write_study(tmp_path, **{**TWO_LOADS_STUDY, "noise": noise}))
+    assert study.noise_of("light") == PointErrors(0.005, 0.015, 0.008, 0.5, offset=0.002, shared=True)
+
+
+BY_FIELD = {"discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}}
+
+
+@pytest.mark.parametrize(
+    ("noise", "changes", "said"),
+    [
+        (
+            {**STATED, "conditions": {"light": {"sd": "unknown", "unit": "um"}}},
+            BY_FIELD,
+            "State the same unknown sd, length or model_error for every condition, or for none.",
+        ),
+        ({**SHARED, "model_error": True}, BY_FIELD, "expected a known sd and length, no model_error and no spread"),
+    ],
+)
+def test_the_remedy_is_the_right_one(tmp_path: Path, noise: dict[str, Any], changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        load_study(write_study(tmp_path, **{**TWO_LOADS_STUDY, "noise": noise, **changes}))
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("noise", "value"),
+    [(UnknownErrors(), "unknown"), (UnknownErrors(0.003, 0.015, model_error=True), "a model error")],
+)
+def test_commands_that_need_a_known_noise_say_so(noise: UnknownErrors, value: str) -> None:
+    with pytest.raises(InvalidStudy, match=f"`strandline serve` needs a known noise: got {value};"):
+        require_stated([PointErrors(0.003), noise], "strandline serve")
+    require_stated([PointErrors(0.003), GaussianNoise(1.0)], "strandline serve")
 
 
 def test_a_synthetic_observation_has_no_column(tmp_path: Path) -> None:
@@ -147,6 +223,18 @@ def test_a_study_with_unknown_noise(tmp_path: Path) -> None:
     without, with_it = found["without_model_error"]["E"], outcome.summary["inputs"]["E"]
     assert 0 < without["sd"] < 1.3 * with_it["sd"]
     assert abs(without["mean"] - 400.0) < 4 * without["sd"]
+
+
+@pytest.mark.usefixtures("without_report")
+def test_the_first_condition_has_its_own_noise_in_the_summary(tmp_path: Path) -> None:
+    noise = {"sd": 30, "unit": "um", "conditions": {"light": {"sd": 10, "length": 15, "unit": "um"}}}
+    changes = {**TWO_LOADS_STUDY, "discrepancy": {"closest_point": {}}, "noise": noise}
+    found = rerun(tmp_path / "study", **changes).summary["likelihood"]
+    light, heavy = found["conditions"]
+    assert (light["condition"], heavy["condition"]) == ("light", "heavy")
+    assert (light["point_sd"], heavy["point_sd"]) == pytest.approx((0.01, 0.03))
+    for key in ("point_sd", "correlation_length", "noise_variance"):
+        assert found[key] == light[key]
 
 
 KEYS = Path("docs/reference/summary.md").read_text("utf-8")

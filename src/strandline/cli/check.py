@@ -95,7 +95,7 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
 
     guessed = [seen.noise for seen in study.observations(study.observed or record.interfaces)]
     if any(isinstance(noise, UnknownErrors) for noise in guessed):
-        yield "the noise is unknown: a tenth of the points' spacing stands for it here"
+        yield "the noise is unknown; this check assumes a tenth of the point spacing and predicts no widths"
         return
     names = study.space.names
     slopes, source = widths.slopes_by_sensitivities(record, names), "sensitivities of this run"

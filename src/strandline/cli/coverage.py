@@ -26,8 +26,7 @@ __all__ = ["command"]
 def command(study: Path, replicates: int, source: str, seed: int, measure: str | None, quiet: bool) -> None:
     """Repeat the experiment of STUDY at other true inputs and count how often its intervals contain them.
 
-    The surrogate of the interface stands in for the simulator: no forward run is made. Started again, it goes on where
-    it was stopped.
+    The surrogate of the interface stands in for the simulator: no forward run is made. Run it again to resume.
     """
     from strandline.cli.progress import observing
     from strandline.studies import load_study
@@ -54,4 +53,6 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
     for one in content["noise"]:
         click.echo(f"{one['condition'] or 'drawn with'}: {one['in_words']}")
     sampling = content["sampling"]
-    click.echo(f"sampled by importance {sampling['importance']}, by tempering {sampling['smc']}\npage: {page}")
+    click.echo(
+        f"{sampling['importance']} posteriors by importance sampling, {sampling['smc']} by tempering\npage: {page}"
+    )

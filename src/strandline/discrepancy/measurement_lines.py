@@ -152,10 +152,8 @@ class MeasurementLines:
         if isinstance(self.lines, int) and errors.sd > _STEADY * self._piece(observed):
             return None
         lengths = steady_lengths(observed)
-        spacing, apart = (
-            float(lengths.mean()),
-            (1 - 2 * (self.trim or 0.0)) * float(lengths.sum()) / self.terms(observed),
-        )
+        apart = (1 - 2 * self._trimmed(observed)) * float(lengths.sum()) / self.terms(observed)
+        spacing = float(lengths.mean())
         alike = math.exp(-spacing / errors.length) if errors.length > 0 else 0.0
         if errors.sd * math.sqrt(2 * (1 - alike)) > _ROUGH * spacing:
             return None
@@ -188,6 +186,10 @@ class MeasurementLines:
         """Return the number of independent distances: one per line."""
         return self.lines if isinstance(self.lines, int) else len(self.lines)
 
+    def _trimmed(self, observed: Interface) -> float:
+        """Return the share of the interface at each end that gets no line; a closed one has no end."""
+        return 0.0 if observed.closed else self.trim or 0.0
+
     def _piece(self, observed: Interface) -> float:
         """Return the length of the piece whose direction a line takes, mm: at least that of a segment."""
         return max(self.smooth or 0.0, float(np.median(observed.lengths)))
@@ -206,8 +208,7 @@ class MeasurementLines:
 def _placed(measure: MeasurementLines, snapshot: Snapshot) -> Bases:
     observed = snapshot.interface
     if isinstance(measure.lines, int):
-        trim = 0.0 if observed.closed else measure.trim or 0.0
-        return _equally_spaced(observed, measure.lines, measure.smooth, trim)
+        return _equally_spaced(observed, measure.lines, measure.smooth, measure._trimmed(observed))
     lines = np.array(measure.lines, float)
     lines[:, 2:] /= np.hypot(lines[:, 2], lines[:, 3])[:, None]
     offsets = _nearest_crossings(observed.points, observed.cells, lines)

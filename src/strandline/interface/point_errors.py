@@ -32,7 +32,7 @@ __all__ = ["GLOBAL", "ErrorModel", "PointErrors"]
 GLOBAL = ("shift", "rotation", "scale", "offset")
 """Names of the errors that all points share."""
 MOST = {"rotation": 45.0, "scale": 0.5}
-"""Largest standard deviations, degrees and a share: beyond, an interface is not nearly where it should be."""
+"""Largest standard deviations, degrees and a share; larger values are surely mistakes."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,12 @@ class PointErrors:
 
     @classmethod
     def of_each(cls, sds: Sequence[float] | Float[np.ndarray, " point"], **others: Any) -> "PointErrors":
-        """Return errors with a standard deviation for each point, mm; `sd` is their root mean square."""
+        """Return errors with a standard deviation for each point, mm; `sd` is their root mean square.
+
+        Raises:
+            InvalidInput: A standard deviation that is not above 0 or not finite, or none at all.
+        """
+        _require_sds(sds)
         rms = float(np.sqrt(np.mean(np.square(sds))))
         return cls(rms, shares=tuple((np.asarray(sds, float) / rms).tolist()), **others)
 
@@ -89,6 +94,15 @@ class PointErrors:
     def reversed(self) -> "PointErrors":
         """Return the errors of the same points in the opposite order."""
         return replace(self, shares=self.shares[::-1])
+
+    @property
+    def local_part(self) -> "PointErrors":
+        """The same errors without the global ones."""
+        return PointErrors(self.sd, self.length, shares=self.shares)
+
+    def of_points(self, number: int) -> "PointErrors":
+        """Return the errors of an interface with this number of points: if it is another one, all have `sd`."""
+        return self if len(self.shares) in (0, number) else replace(self, shares=())
 
     @property
     def facts(self) -> dict[str, float]:
@@ -291,6 +305,24 @@ class ErrorModel:
     def log_det(self) -> float:
         """log det C, by the matrix determinant lemma."""
         return float(np.log(self.local).sum() + 2 * np.log(np.diag(self._factor)).sum())
+
+
+def _require_sds(sds: Sequence[float] | Float[np.ndarray, " point"]) -> None:
+    if not len(sds):
+        raise InvalidInput(
+            "errors of the observed points",
+            value="no standard deviation",
+            expected="one for each point",
+            remedy="Give them, or state one that holds for all points.",
+        )
+    for number, sd in enumerate(sds, start=1):
+        if not (math.isfinite(sd) and sd > 0):
+            raise InvalidInput(
+                f"standard deviation of point {number}",
+                value=float(sd),
+                expected="a finite number above 0",
+                remedy="Correct it, or leave the point out.",
+            )
 
 
 def _numbers(dim: int) -> dict[str, int]:

@@ -69,6 +69,13 @@ class UnknownErrors:
         """Whether both sd and correlation length are known, so that only an error of the model is inferred."""
         return isinstance(self.sd, float) and isinstance(self.length, float)
 
+    @property
+    def inferred(self) -> str:
+        """What is inferred, in words."""
+        if not self.stated:
+            return "unknown"
+        return "a model error" if self.model_error else "a spread"
+
     def known(self, sd: float, length: float) -> PointErrors:
         """Return the errors with this sd and correlation length, mm."""
         return PointErrors(sd, length, self.shift, self.rotation, self.scale, self.offset)
@@ -88,9 +95,11 @@ class UnknownErrors:
         if seen.dim == 3:
             raise InvalidInput(
                 "noise of points on a surface",
-                value="unknown",
-                expected="a known sd and correlation length",
-                remedy="State them, e.g. noise: {sd: 3, length: 15, unit: um}.",
+                value=self.inferred,
+                expected="a known sd and correlation length, and no model error",
+                remedy="Remove `model_error` and `spread`."
+                if self.stated
+                else "State them, e.g. noise: {sd: 3, length: 15, unit: um}.",
             )
         longest = self.length[1] if isinstance(self.length, tuple) else self.length or 0.0
         self.known(1.0, longest).require_fits(seen)

@@ -1,7 +1,7 @@
 """Likelihoods of the observed interfaces: of the model's runs, or of what a surrogate predicts."""
 
 from strandline.likelihood.compared import Compared, compared, errors_of
-from strandline.likelihood.field import FieldLikelihood, OnHost, noise_length
+from strandline.likelihood.field import FieldLikelihood, OnHost, noise_length, sd_of_distances
 from strandline.likelihood.inferred_noise import InferredNoise, NoisePosterior, infer_noise
 from strandline.likelihood.interfaces import InterfaceLikelihood
 from strandline.likelihood.learnt import evaluated, predicted
@@ -19,4 +19,5 @@ __all__ = [
     "infer_noise",
     "noise_length",
     "predicted",
+    "sd_of_distances",
 ]

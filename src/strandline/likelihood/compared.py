@@ -117,7 +117,7 @@ def adapted(measure: Discrepancy, observation: Observation) -> Discrepancy:
 def compared(observation: Observation, measure: Discrepancy, nodes: int) -> Compared:
     """Return how an observation is compared with simulated interfaces that have this number of nodes.
 
-    Errors that are to be inferred count with a first guess; `infer_noise` replaces it.
+    Unknown errors are replaced by a first guess; `infer_noise` infers them.
 
     Raises:
         InvalidInput: The errors of the points are stated, and no noise variance of the measure fits them.

@@ -10,15 +10,15 @@ from jaxtyping import Float, Int
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
-from strandline.discrepancy import Discrepancy, NormalOffset, squared_discrepancies
+from strandline.discrepancy import Discrepancy, NormalOffset, count_of_distances, squared_discrepancies
 from strandline.errors import InvalidInput
-from strandline.interface import Observation, PointErrors
+from strandline.interface import Interface, Observation
 from strandline.likelihood.compared import compared, errors_of
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
 from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
-__all__ = ["FieldLikelihood", "OnHost", "noise_length"]
+__all__ = ["FieldLikelihood", "OnHost", "noise_length", "sd_of_distances"]
 
 DRAWS = 16
 """Fields drawn at each point for the expected likelihood; they come in pairs of opposite sign."""
@@ -146,13 +146,19 @@ def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     """
     errors = errors_of(observation)
     if errors is not None:
-        observation = Observation(
-            observation.interface, PointErrors(errors.sd, errors.length, shares=errors.shares), observation.condition
-        )
+        observation = Observation(observation.interface, errors.local_part, observation.condition)
     seen = observation.interface
     extent = float(np.ptp(seen.points, axis=0).max())
     found = [_shift(observation, discrepancy, axis, extent) for axis in np.eye(seen.dim)]
     return float(np.mean(found))
+
+
+def sd_of_distances(observation: Observation, discrepancy: Discrepancy, simulated: Interface) -> float | None:
+    """Return the standard deviation of a distance, mm, or of a point; None if d² is no sum of squared distances."""
+    if count_of_distances(discrepancy, simulated, observation.interface) is None:
+        return None
+    errors = errors_of(observation)
+    return errors.sd if errors is not None else float(np.sqrt(compared(observation, discrepancy, 0).noise.scale))
 
 
 def _shift(

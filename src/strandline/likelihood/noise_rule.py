@@ -55,9 +55,8 @@ def noise_variance(
         InvalidInput: No variance fits the measure, or the correlation is longer than half the interface.
     """
     errors.require_fits(observed)
-    local = PointErrors(errors.sd, errors.length, shares=errors.shares)
     try:
-        return _variance(MeasureKey.of(measure), Snapshot.of(observed), local, nodes, draws)
+        return _variance(MeasureKey.of(measure), Snapshot.of(observed), errors.local_part, nodes, draws)
     except NumericsError as error:
         raise InvalidInput(
             f"noise of {type(measure).__name__}",

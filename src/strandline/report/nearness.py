@@ -18,8 +18,8 @@ from strandline.discrepancy import (
     unit_mistake,
 )
 from strandline.errors import InvalidInput, NumericsError
-from strandline.interface import Interface, Observation
-from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.runs import RunRecord
 
 __all__ = ["Nearest", "as_json", "nearest_runs", "nothing_near"]
@@ -116,7 +116,8 @@ def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: lis
     noise = None
     far = residual > FAR or distance > extent(seen.interface)
     if far:
-        noise = _noise(seen, measure, simulated)
+        sd = sd_of_distances(seen, measure, simulated)
+        noise = noise_length(seen, measure) if sd is None else sd
         far = distance > FAR * noise and _outside(seen, runs, FAR * noise)
     centres = [interface.points.mean(axis=0) for interface in (simulated, seen.interface)]
     return Nearest(
@@ -144,13 +145,6 @@ def _log_likelihood(problem: Problem, measure: Discrepancy, runs: list[RunRecord
             return -np.inf
 
     return np.array([value(record) for record in runs])
-
-
-def _noise(seen: Observation, measure: Discrepancy, simulated: Interface) -> float:
-    if count_of_distances(measure, simulated, seen.interface) is not None:
-        errors = errors_of(seen)
-        return errors.sd if errors is not None else float(np.sqrt(compared(seen, measure, 0).noise.scale))
-    return noise_length(seen, measure)
 
 
 def _outside(seen: Observation, runs: list[RunRecord], least: float) -> bool:

@@ -47,8 +47,8 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
     if inferred is not None and inferred.posterior.probability_of_model_error > ERRS:
         yield (
-            f"The model errs, with probability {inferred.posterior.probability_of_model_error:.2g}: the posterior "
-            "allows for that, but what it means for other loads is not known."
+            f"The model is wrong with probability {inferred.posterior.probability_of_model_error:.2g}. The posterior "
+            "allows for this error, but says nothing about other loads."
         )
     if calibration.field is None:
         yield from _impossible(calibration)

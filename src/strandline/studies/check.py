@@ -70,7 +70,7 @@ def check_posterior(
     require_writable(study.folder)
     tell, begun = observer or Observer(), time.perf_counter()
     observations = _observations(study)
-    require_stated((seen.noise for seen in observations), "check")
+    require_stated((seen.noise for seen in observations), "strandline posterior check")
     chosen = subset(posterior.weights, draws, study.settings.seed)
     positions, surrogate = posterior.draws[chosen], posterior.log_likelihood[chosen]
     tell.stage("draws")

@@ -105,24 +105,33 @@ def coverage(
     require_writable(study.folder)
     use_double()
     tell = observer or Observer()
-    tell.stage("surrogate")
     with one_thread():
-        knowledge = _knowledge(study, name)
-        origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
-        quality = field_quality(origin)
-        _require_good(quality, source)
+        tell.stage("surrogate")
+        origin, quality = _origin(study, name, source, posterior)
         experiment = repeatable(origin)
         tell.stage("replicates")
         file = ReplicateFile(study.folder / REPLICATES, _key(study, name, seed, posterior))
-        with _alone(study.folder / REPLICATES), told_if_unwritable(study.folder):
-            made = tuple(_replicates(experiment, origin, file, replicates, seed, tell))
+        found = CoverageFound(study.space.names, _made(experiment, origin, file, replicates, seed, tell))
     tell.stage("report")
-    found = CoverageFound(study.space.names, made)
     content = describe_coverage(study, found, experiment, quality, source=source, seed=seed, measure=name)
-    with told_if_unwritable(study.folder):
-        page = write_coverage(content, study.folder)
-        write_json(study.folder / COVERAGE, content)
-    return StudyCoverage(content, found, page)
+    return StudyCoverage(content, found, _written(content, study.folder))
+
+
+def _origin(study: Study, measure: str, source: str, posterior: Posterior | None) -> tuple[Source, FieldQuality]:
+    """Return where the true inputs come from, and how good the surrogate of the interface is there."""
+    knowledge = _knowledge(study, measure)
+    origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
+    quality = field_quality(origin)
+    _require_good(quality, source)
+    return origin, quality
+
+
+def _written(content: dict[str, Any], folder: Path) -> Path:
+    """Write coverage.json, coverage.html and its figures; return the path of the page."""
+    with told_if_unwritable(folder):
+        page = write_coverage(content, folder)
+        write_json(folder / COVERAGE, content)
+    return page
 
 
 @contextmanager
@@ -147,6 +156,14 @@ def _alone(path: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def _made(
+    experiment: Experiment, source: Source, file: ReplicateFile, number: int, seed: int, tell: Observer
+) -> tuple[Replicate, ...]:
+    """Return all replicates, written to their file while nobody else writes to it."""
+    with _alone(file.path), told_if_unwritable(file.path.parent):
+        return tuple(_replicates(experiment, source, file, number, seed, tell))
 
 
 def _replicates(
@@ -249,7 +266,7 @@ def _require_good(quality: FieldQuality, source: str) -> None:
     hidden, median, left_out = (TO_MICROMETRES * mm for mm in (quality.hidden, quality.median, quality.left_out))
     everywhere = "Make more runs over the whole prior, design: {sobol: {runs: …}}, or take --from posterior."
     raise InvalidStudy(
-        f"the surrogate of the interface is too coarse for truths from the {source}",
+        f"the surrogate of the interface is not accurate enough over the {source}",
         value=f"errors above {TOLERATED * hidden:.3g} µm at {100 * quality.beyond:.0f} % of the draws "
         f"(median {median:.3g} µm; at left-out runs {left_out:.3g} µm)",
         expected=f"at most {100 * TOLERATED_SHARE:.0f} %, since the noise hides shifts of {hidden:.3g} µm only",

@@ -25,7 +25,7 @@ def noting_widths(observer: Observer, study: Study) -> Observer:
     needed = 1 if study.sensitivities else RUNS_PER_INPUT * (study.space.dim + 1)
 
     def run(record: RunRecord, progress: Progress) -> None:
-        """Tell of a run; after the last one needed, also of the widths."""
+        """Report a run, and after enough runs the widths."""
         observer.run(record, progress)
         if record.ok and len(first) < needed:
             first.append(record)
@@ -69,7 +69,7 @@ def _terms(z: Float[np.ndarray, "run dim"]) -> Float[np.ndarray, "run term"]:
 
 
 def _lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
-    """Return the expected widths in sentences; none where they cannot be told."""
+    """Return the expected widths in sentences; none if they cannot be computed."""
     names, seen = study.space.names, study.observed or records[0].interfaces
     if any(isinstance(study.noise_of(condition), UnknownErrors) for condition in seen):
         return []
@@ -82,5 +82,5 @@ def _lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
         return []
     try:
         return list(width_lines(study, expected_sd(study, middle.interfaces, slopes, study.observed), source))
-    except (InvalidInput, NumericsError, np.linalg.LinAlgError):
+    except (InvalidInput, NumericsError):
         return []  # what the measure refuses is reported elsewhere

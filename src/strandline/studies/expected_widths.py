@@ -5,10 +5,13 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy import squared_discrepancies
+from strandline.calibration.footprint import footprint
+from strandline.discrepancy import Discrepancy, squared_discrepancies
+from strandline.errors import NumericsError
 from strandline.interface import Interface, Observation
 from strandline.likelihood import compared, noise_length
 from strandline.likelihood.noise_rule import differences, second_differences
+from strandline.likelihood.shared_errors import shared_errors
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 from strandline.studies.study import Study
@@ -16,9 +19,10 @@ from strandline.studies.study import Study
 __all__ = ["expected_sd", "neighbours", "slopes_by_differences", "slopes_by_sensitivities", "width_lines"]
 
 HARDLY = 0.8
-"""Share of the prior's sd above which the data hardly tell an input."""
+"""Share of the prior's sd above which the data barely constrain an input."""
 STEP = 0.05
 """Step of the further runs, in widths of the box."""
+_OfInputs = Float[np.ndarray, " dim"]
 Slopes = Mapping[str, Float[np.ndarray, "point xyz dim"]]
 
 
@@ -55,40 +59,84 @@ def expected_sd(
 ) -> Float[np.ndarray, " dim"]:
     """Return the posterior's standard deviation of each input if the interface is linear in them.
 
-    The observation is taken to be the simulated interface itself, with as many points as the observed one.
+    The observation is taken to be the part of the simulated interface that was observed.
 
     Args:
         study: The study.
         interfaces: Interfaces of the run at which the slopes hold, by condition.
         slopes: Derivatives of its points.
-        observed: Observed interfaces, if known; only their numbers of points count.
+        observed: Observed interfaces, if known; only the places of their points along the interface count.
+
+    Raises:
+        InvalidInput: The measure refuses the interfaces, or no noise variance of it fits the errors of the points.
+        NumericsError: The slopes give no finite widths.
     """
-    dim = study.space.dim
-    information = np.diag(1 / _prior_sd(study.space) ** 2)
-    for condition in observed or interfaces:
-        template, slope = interfaces[condition], slopes[condition]
-        points = len(observed[condition].points) if condition in observed else len(template.points)
-        seen = Observation(template.resampled(points) if template.dim == 2 else template, study.noise_of(condition))
-        measure = next(iter(study.discrepancies.values()))
-        one = compared(seen, measure, len(template.points))
-        far = np.linalg.norm(slope, axis=1).max(axis=0)
-        steps = noise_length(seen, measure) / np.maximum(far, 1e-300)
-        moved = template.points + np.einsum("nad,kd->kna", slope, steps * differences(dim))
-        squares = squared_discrepancies(one.measure, moved, template, seen.interface)
-        H = second_differences(-2 * one.noise.log_density(squares), dim) / np.outer(steps, steps)
-        values, vectors = np.linalg.eigh(H)
-        information += 0.5 * (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
+    prior = np.diag(1 / _prior_sd(study.space) ** 2)
+    try:
+        information = prior + _information(study, interfaces, slopes, observed)
+        found = np.sqrt(np.diag(np.linalg.inv(information)))
+    except np.linalg.LinAlgError as error:
+        raise NumericsError(f"the slopes of the interface give no finite widths: {error}") from error
+    if not np.isfinite(found).all():
+        raise NumericsError("the slopes of the interface give no finite widths")
+    return np.asarray(found)
+
+
+def _information(
+    study: Study, interfaces: Mapping[str, Interface], slopes: Slopes, observed: Mapping[str, Interface]
+) -> Float[np.ndarray, "dim dim"]:
+    """Return what the observations add to the prior's precision; errors that they share count once."""
+    measure, dim = next(iter(study.discrepancies.values())), study.space.dim
+    seen = [_seen(study, name, interfaces[name], observed.get(name)) for name in observed or interfaces]
+    steps = {one.condition: _steps(one, measure, slopes[one.condition]) for one in seen}
+    shared = shared_errors(seen, measure)
+    if shared is not None:
+        least = np.min(list(steps.values()), axis=0)
+        points = {name: _moved(interfaces[name], slopes[name], least) for name in steps}
+        return _curvature(shared.many(points, interfaces), least)
+    information = np.zeros((dim, dim))
+    for one in seen:
+        template, step = interfaces[one.condition], steps[one.condition]
+        with_noise = compared(one, measure, len(template.points))
+        moved = _moved(template, slopes[one.condition], step)
+        squares = squared_discrepancies(with_noise.measure, moved, template, one.interface)
+        information += _curvature(-2 * with_noise.noise.log_density(squares), step)
+    return information
+
+
+def _seen(study: Study, condition: str, simulated: Interface, observed: Interface | None) -> Observation:
+    """Return the part of the simulated interface that was observed, with the same points, as an observation."""
+    seen = simulated
+    if observed is not None and observed.dim == simulated.dim:
+        seen = Interface(footprint(observed, simulated).on(simulated.points), observed.cells)
+    return study.observation(seen, condition)
+
+
+def _steps(seen: Observation, measure: Discrepancy, slope: Float[np.ndarray, "point xyz dim"]) -> _OfInputs:
+    """Return the change of each input that moves the interface by as much as the noise hides."""
+    return np.asarray(noise_length(seen, measure) / np.maximum(np.linalg.norm(slope, axis=1).max(axis=0), 1e-300))
+
+
+def _moved(
+    template: Interface, slope: Float[np.ndarray, "point xyz dim"], steps: _OfInputs
+) -> Float[np.ndarray, "move point xyz"]:
+    return np.asarray(template.points + np.einsum("nad,kd->kna", slope, steps * differences(len(steps))))
+
+
+def _curvature(squares: Float[np.ndarray, " move"], steps: _OfInputs) -> Float[np.ndarray, "dim dim"]:
+    """Return half the Hessian of d²/σ_N², without directions in which it is negative."""
+    values, vectors = np.linalg.eigh(second_differences(squares, len(steps)) / np.outer(steps, steps))
+    return np.asarray(0.5 * (vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def width_lines(study: Study, sd: Float[np.ndarray, " dim"], source: str) -> Iterator[str]:
-    """Yield the expected standard deviation of each input, and a warning for inputs that the data hardly tell."""
+    """Yield the expected standard deviation of each input, and a warning for inputs that the data barely constrain."""
     prior = _prior_sd(study.space)
     shown = [f"{p.name} ± {s:.3g} ({s / w:.2g} of its prior)" for p, s, w in zip(study.space, sd, prior, strict=True)]
     yield f"expected posterior (linearised, from {source}): {', '.join(shown)}"
     blind = [p.name for p, s, w in zip(study.space, sd, prior, strict=True) if s > HARDLY * w and not p.nuisance]
     if blind:
-        yield f"warning: with this noise the data hardly tell {', '.join(blind)}"
+        yield f"warning: with this noise the data barely constrain {', '.join(blind)}"
 
 
 def _prior_sd(space: ParameterSpace) -> Float[np.ndarray, " dim"]:

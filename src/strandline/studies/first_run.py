@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
-from strandline.discrepancy import Discrepancy, apart, count_of_distances, oriented_like_runs
+from strandline.discrepancy import Discrepancy, apart, oriented_like_runs
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, PointErrors
-from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length
+from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length, sd_of_distances
 from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.studies.observed import noisy, require_plausible
@@ -62,12 +62,9 @@ def noise_of(study: Study, interface: Interface, condition: str = "") -> NoiseLe
     The sd of an observed point or σ_N if the measure sums squared distances; otherwise the shift of `interface` for
     which d² = σ_N².
     """
-    measure, seen = _measure(study), Observation(interface, study.noise_of(condition))
-    if count_of_distances(measure, interface, interface) is not None:
-        errors = errors_of(seen)
-        sd = errors.sd if errors is not None else np.sqrt(compared(seen, measure, 0).noise.scale)
-        return NoiseLength(float(sd), True)
-    return NoiseLength(noise_length(seen, measure), False)
+    measure, seen = _measure(study), study.observation(interface, condition)
+    sd = sd_of_distances(seen, measure, interface)
+    return NoiseLength(noise_length(seen, measure), False) if sd is None else NoiseLength(sd, True)
 
 
 def observations_of(study: Study) -> Mapping[str, Interface]:
@@ -153,7 +150,7 @@ def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
         of, noise = f" ({condition})" if condition else "", noise_of(study, undeformed, condition)
         moved = _largest_displacement(run, undeformed)
         yield f"largest displacement{of}: {_length(moved)}, {noise.times(moved)}"
-        if _hidden(measure, run, Observation(undeformed, study.noise_of(condition))):
+        if _hidden(measure, run, study.observation(undeformed, condition)):
             yield f"warning{of}: the displacement is below the noise: the data cannot show it"
 
 
@@ -221,7 +218,8 @@ def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
         return
     for condition, interface in finer.items():
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""
-        moved, noise = float(np.linalg.norm(interface.points - run.points, axis=1).max()), noise_of(study, run)
+        moved = float(np.linalg.norm(interface.points - run.points, axis=1).max())
+        noise = noise_of(study, run, condition)
         yield f"next finer mesh{of}: the interface differs by at most {_length(moved)}, {noise.times(moved)}"
         if moved > MESH_SHARE * noise.mm and study.truth is None:
             yield (

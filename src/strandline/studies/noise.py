@@ -1,6 +1,6 @@
 """The noise that a study states: of the measure, or of the observed points."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from strandline.readers.options import TO_MM
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.observation import COLUMN, ConditionNoise, Unknown
 
-__all__ = ["build_noise", "require_fits", "require_inferable", "require_stated"]
+__all__ = ["build_noise", "require_fits", "require_inferable", "require_shared", "require_stated"]
 
 Stated = float | str | tuple[float, float] | None
 
@@ -58,7 +58,10 @@ def build_noise(
             return PointErrors(sd, length, **common, shared=unknown.shared)
         if unknown.shared:
             raise InvalidInput(
-                "noise.unknown.shared", value=True, expected="a known sd and length", remedy="Leave shared out."
+                "noise.unknown.shared",
+                value=True,
+                expected="a known sd and length, no model_error and no spread",
+                remedy="Leave shared out.",
             )
         return UnknownErrors(sd, length, **common, model_error=given.model_error, spread=spread)
 
@@ -78,12 +81,13 @@ def _require_ranges(given: ConditionNoise) -> None:
 def _of_each(
     sds: Float[np.ndarray, " point"] | None, length: object, given: ConditionNoise, **others: Any
 ) -> PointErrors:
-    if not isinstance(length, float) or given.model_error or given.spread:
+    known = isinstance(length, float)
+    if not known or given.model_error or given.spread:
         raise InvalidInput(
             "noise.sd",
-            value=f"{COLUMN}, with an unknown length or a model error",
+            value=f"{COLUMN}, with {'a model error or a spread' if known else 'an unknown length'}",
             expected="a known length and no model error",
-            remedy="State the length, or write `sd: unknown`.",
+            remedy="Remove model_error and spread." if known else "State the length, or write `sd: unknown`.",
         )
     assert sds is not None
     return PointErrors.of_each(sds, length=length, **others)
@@ -126,33 +130,62 @@ def require_inferable(noises: Iterable[object], measure: Discrepancy, *, by_fiel
             remedy="State them once, under noise.",
         )
     unknown = [isinstance(noise, UnknownErrors) for noise in noises]
-    if any(unknown) and not (all(unknown) and by_field and isinstance(measure, NormalOffset)):
-        what, expected = f"the measure {type(measure).__name__}", "the measure normal_offset"
-        if not by_field:
-            what, expected = (
-                "a surrogate of the log-likelihood",
-                "the measure normal_offset and a surrogate of the field",
-            )
-        elif not all(unknown):
-            what, expected = "a condition without", "unknown noise, or a model error, in every condition"
+    if any(unknown) and not all(unknown):
         raise InvalidStudy(
             "noise: an unknown sd or length, or a model error",
-            value=what,
-            expected=expected,
+            value="a condition without",
+            expected="unknown noise, or a model error, in every condition",
+            remedy="State the same unknown sd, length or model_error for every condition, or for none.",
+        )
+    if any(unknown) and not (by_field and isinstance(measure, NormalOffset)):
+        raise InvalidStudy(
+            "noise: an unknown sd or length, or a model error",
+            value=f"the measure {type(measure).__name__}" if by_field else "a surrogate of the log-likelihood",
+            expected="the measure normal_offset" + ("" if by_field else " and a surrogate of the field"),
             remedy="Write `discrepancy: {normal_offset: {}}` and `surrogate: {field: {}}`, or state the noise.",
         )
 
 
-def require_stated(noises: Iterable[object], what: str) -> None:
+def require_shared(noises: Mapping[str, object]) -> None:
+    """Refuse errors shared by the conditions if not all conditions share them, or state different ones.
+
+    Args:
+        noises: Noise by condition.
+
+    Raises:
+        InvalidStudy: A condition has other errors of its position, rotation and scale than those that share them.
+    """
+    stated = {
+        name: (one.shift, one.rotation, one.scale) if isinstance(one, PointErrors) and one.shared else None
+        for name, one in noises.items()
+    }
+    first = next((name for name, one in stated.items() if one is not None), None)
+    other = next((name for name, one in stated.items() if first is not None and one != stated[first]), None)
+    if other is not None:
+        own = stated[other] is None
+        raise InvalidStudy(
+            f"noise.unknown.shared of condition {first}",
+            value=f"condition {other} with {'its own errors' if own else 'another shift, rotation or scale'}",
+            expected="the same shift, rotation and scale, shared by all conditions",
+            remedy=f"State the same shift, rotation and scale for {other}, with `shared: true`, or leave shared out.",
+        )
+
+
+def require_stated(noises: Iterable[object], command: str) -> None:
     """Refuse unknown noise where the true model's log-likelihood is needed, which then depends on all runs.
+
+    Args:
+        noises: Noise of each condition.
+        command: The command that needs it.
 
     Raises:
         InvalidStudy: The noise of a condition is to be inferred.
     """
-    if any(isinstance(noise, UnknownErrors) for noise in noises):
+    found = next((noise for noise in noises if isinstance(noise, UnknownErrors)), None)
+    if found is not None:
         raise InvalidStudy(
-            f"noise of a study to {what}",
-            value="unknown",
+            f"`{command}` needs a known noise",
+            value=found.inferred,
             expected="a known sd and length, and no model error",
             remedy="State what the study found, in summary.json under likelihood.inferred_noise.",
         )

@@ -165,7 +165,7 @@ def served_models(
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
     observations = _observations(study, solve, example)
-    require_stated((seen.noise for seen in observations), "serve")
+    require_stated((seen.noise for seen in observations), "strandline serve")
     likelihood = InterfaceLikelihood(observations, next(iter(study.discrepancies.values())))
     return tuple(_Served(study, solve, differentiate, likelihood, outside).models(example))
 

@@ -28,7 +28,7 @@ from strandline.studies.folder import LEDGER
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import COLUMN, ConditionFile, ConditionNoise, ObservationFile
 from strandline.studies.known_model import as_in_ledgers
-from strandline.studies.noise import build_noise, require_fits, require_inferable
+from strandline.studies.noise import build_noise, require_fits, require_inferable, require_shared
 from strandline.studies.observed import SyntheticNoise, read_points, read_sds, require_plausible
 from strandline.studies.parse import parse_study
 from strandline.studies.study_runs import StudyRuns
@@ -103,6 +103,12 @@ class Study:
         """Return the noise of a condition, or the errors of its observed points."""
         return self.noises.get(condition, self.noise)
 
+    def observation(self, interface: Interface, condition: str) -> Observation:
+        """Return an interface as if it had been observed; if points have their own sd, others have their rms."""
+        noise = self.noise_of(condition)
+        stated = noise.of_points(len(interface.points)) if isinstance(noise, PointErrors) else noise
+        return Observation(interface, stated, condition)
+
     def observations(self, observed: Mapping[str, Interface]) -> tuple[Observation, ...]:
         """Return observed interfaces by condition with their noise."""
         return tuple(Observation(seen, self.noise_of(name), name) for name, seen in observed.items())
@@ -159,8 +165,10 @@ def load_study(folder: Path | str) -> Study:
     )
     for condition, seen in observed.items():
         require_fits(study.noise_of(condition), seen)
-    stated = [study.noise_of(name) for name in observed or declared_conditions(model)]
-    require_inferable(stated, next(iter(study.discrepancies.values())), by_field=study.settings.surrogate == "field")
+    stated = {name: study.noise_of(name) for name in observed or declared_conditions(model)}
+    require_shared(stated)
+    measure, by_field = next(iter(study.discrepancies.values())), study.settings.surrogate == "field"
+    require_inferable(stated.values(), measure, by_field=by_field)
     return replace(study, as_loaded=study)
 
 
@@ -195,7 +203,8 @@ def _noises(
             remedy="Write that, or remove observation.sd.",
         )
     noises = {name: build_noise(given, names, sds.get(name)) for name, given in stated.items()}
-    return build_noise(content.noise, names, next(iter(sds.values()), None)), noises
+    first = next((one for one in sds.values() if one is not None), None)
+    return build_noise(content.noise, names, first), noises
 
 
 def _settings(content: StudyFile, model: ForwardModel) -> Settings:

@@ -67,7 +67,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "synthetic_noise": None if study.synthetic_noise is None else asdict(study.synthetic_noise),
         "inputs": _inputs(calibration),
         "log_evidence": calibration.posterior.log_evidence,
-        "likelihood": _likelihood(study, calibration),
+        "likelihood": _likelihood(calibration),
         "surrogate": _surrogate(calibration.surrogate)
         if calibration.field is None
         else field_surrogate(calibration, calibration.field),
@@ -211,8 +211,8 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
-    """Return measure, noise, conditions, and the Gaussian constant that the log-likelihood leaves out."""
+def _likelihood(calibration: Calibration) -> dict[str, Any]:
+    """Return the measure, the noise of the first condition and of each, and the constant left out of the likelihood."""
     name, discrepancy = next(iter(calibration.problem.discrepancies.items()))
     observations = calibration.problem.observations
     likelihood = InterfaceLikelihood(observations, discrepancy)
@@ -223,7 +223,6 @@ def _likelihood(study: Study, calibration: Calibration) -> dict[str, Any]:
         "options": _described(adapted(discrepancy, observations[0])),
         "unit": likelihood.unit,
         **_noise(observations[0], discrepancy, nodes[observations[0].condition]),
-        **study.noise.facts,
         **inferred_noise(calibration),
         "conditions": [
             {"condition": o.condition, **_noise(o, discrepancy, nodes[o.condition]), "points": len(o.interface.points)}

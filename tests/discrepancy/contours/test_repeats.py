@@ -148,7 +148,7 @@ def opened(one: Interface) -> Interface:
         ([ellipse(100), ellipse(29)], "points of contour 2: got 29"),
         ([ellipse(100), opened(ellipse(100))], "contour 1 is closed, contour 2 open"),
         ([ellipse(100), Interface.polyline(1000 * ellipse(100).points, closed=True)], "in the same unit"),
-        ([ellipse(100), ellipse(100)], "agree exactly"),
+        ([ellipse(100), ellipse(100)], "identical contours; expected one contour per picture"),
         ([hill(100), Interface.polyline(hill(100).points + np.array([5.0, 0.0]))], "that all contours show"),
         ([ellipse(100), Interface.polyline(ellipse(100).points[:60], closed=True)], "gap"),
     ],

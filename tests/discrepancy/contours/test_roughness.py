@@ -86,7 +86,7 @@ def test_notes_say_where_the_length_cannot_be_trusted() -> None:
     assert "do not trust the length" in short.notes[-1]
     white = errors_from_roughness(PointErrors(0.001).draw(ellipse(), np.random.default_rng(4)), window=0.3)
     assert not any("do not trust" in note for note in white.notes)
-    assert "reads low" in " ".join(white.notes)
+    assert "is underestimated" in " ".join(white.notes)
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,8 @@ __all__ = ["invisible", "misfit_of"]
 
 STREAM = 5
 """Keeps these random numbers apart from all others of the same seed."""
+NOTICED = 0.1
+"""Model error, in standard deviations of the noise, below which the verdict does not mention it."""
 _ONE_SIDE = 0.5
 """Least length of the mean unit normal of a part of an arc that lies on one side of the prediction."""
 
@@ -91,7 +93,10 @@ def _judged(
     p_value = float(tail(drawn.whole, seen.whole))
     verdict = verdict_on(p_value, predictive.whole, conditions, run_alone=prediction.run_alone)
     notes = (*_notes(residuals, prediction), *failed, unseen)
-    text = _allowed(verdict.text, explained)
+    size = _model_error(residuals, explained)
+    text = verdict.text
+    if size:
+        text = f"Allowing for a model error of {1e3 * size:.2g} µm, {text[0].lower()}{text[1:]}"
     return Misfit(text, verdict.flagged, p_value, predictive.whole, conditions, notes)
 
 
@@ -168,27 +173,33 @@ def _notes(residuals: Residuals, prediction: Prediction) -> list[str]:
             "Only σ_N² of the measure is stated: independent errors of the points that have the same σ_N², with a "
             f"standard deviation of {' or '.join(assumed)}, stand for the noise."
         )
-    if residuals.model.shared.any():
-        kinds = [name for name in GLOBAL if any(getattr(one.errors, name) > 0 for one in residuals.stated)]
-        found.append(f"The most probable {' and '.join(kinds) or 'error of the model'} of the observation was removed.")
+    removed = [name for name in GLOBAL if any(getattr(one.errors, name) > 0 for one in residuals.stated)]
+    if residuals.model.shared[:, residuals.joint.model.shared.shape[1] :].any():
+        removed.append("model error")
+    if removed:
+        were = "was" if len(removed) == 1 else "were"
+        found.append(f"The most probable {_listed(removed, 'and')} {were} removed from the residuals.")
     return found
 
 
-def _allowed(verdict: str, explained: Float[np.ndarray, "seen cause"] | None) -> str:
-    """Return the verdict with what the model was allowed to err by, if that is more than nothing."""
+def _model_error(residuals: Residuals, explained: Float[np.ndarray, "seen cause"] | None) -> float:
+    """Return the error of the model that was allowed for, root mean square, mm; 0 if it is negligible."""
     size = 0.0 if explained is None else float(np.sqrt(np.mean((explained**2).sum(axis=1))))
-    if size <= 0:
-        return verdict
-    return f"With the error of {1e3 * size:.2g} µm that it was allowed to make: {verdict[0].lower()}{verdict[1:]}"
+    noise = float(np.sqrt(np.mean([one.errors.sd**2 for one in residuals.stated])))
+    return size if size > NOTICED * noise else 0.0
 
 
 def invisible(observations: Sequence[Observation], names: Sequence[str], fixed: Sequence[str]) -> str:
     """Return which errors no residual can show, in two sentences."""
     scaled = all(isinstance(seen.noise, PointErrors) and seen.noise.scale > 0 for seen in observations)
-    scale = "" if scaled else ", and much of a wrong scale of the picture"
-    known = ", ".join(fixed or ("a load", "an inflow"))
+    known = ", ".join([*(fixed or ("a load", "an inflow")), "a density or any other factor"])
+    scale = "" if scaled else ", or most of a wrong picture scale"
     return (
-        f"No residual shows an error that other values of {', '.join(names)} make up for: a wrong value of {known}, of "
-        f"a density or of any other known quantity that only multiplies them{scale}. Such an error moves the posterior "
-        "and leaves the fit as good as it is."
+        f"Residuals cannot reveal an error that {_listed(names, 'or')} can compensate for: a wrong value of "
+        f"{known}{scale}. Such an error shifts the posterior without worsening the fit."
     )
+
+
+def _listed(names: Sequence[str], joined_by: str) -> str:
+    *others, last = names
+    return f"{', '.join(others)} {joined_by} {last}" if others else last

@@ -10,17 +10,15 @@ from strandline.design.active import learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import StrandlineError
 from strandline.interface import Interface, Observation
+from strandline.likelihood.joint_errors import Points
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["Points", "Prediction", "by_field", "by_runs"]
+__all__ = ["Prediction", "by_field", "by_runs"]
 
 RUNS_PER_INPUT, MOST_RUNS = 8, 64
 """Runs from which a field is learnt for this purpose: so many for each input and for the mean, and at most."""
-
-Points = Mapping[str, Float[np.ndarray, "_ _ _"]]
-"""Points of interfaces by condition, one interface a row, mm."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.misfit.prediction import Points
 from strandline.discrepancy import Discrepancy
 from strandline.interface import ErrorModel, Interface, Observation
-from strandline.likelihood.joint_errors import JointErrors
+from strandline.likelihood.joint_errors import JointErrors, Points
 from strandline.likelihood.residual_noise import StatedErrors, stated_errors
 from strandline.likelihood.residuals import residuals_of
 from strandline.likelihood.shared_errors import shared_errors

@@ -1,6 +1,6 @@
 """The answer to whether the model fits, in words."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from strandline.calibration.misfit.result import ConditionMisfit, Region
@@ -45,32 +45,29 @@ def verdict_on(
     if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL):
         small = ", and the residuals are small for the noise that was stated" if p_value > SMALL else ""
         return Verdict(f"The model explains the {what}: {_said(p_value)}{small}.", flagged=False)
+    because = _reason(conditions, ratio, least)
     if run_alone:
         return Verdict(
-            f"Whether the model explains the {what} is not known: the best run does not ({_said(least)}), and nothing "
-            "could be predicted between the runs.",
+            f"The best run does not explain the {what}{because}, but no surrogate could be built to check the inputs "
+            "between the runs.",
             flagged=False,
         )
-    because = next(_reasons(conditions, ratio), "")
-    return Verdict(
-        f"The model does not explain the {what} ({_said(least)}){because}; the posterior's width then means little.",
-        flagged=True,
-    )
+    text = f"The model does not explain the {what}{because}; do not rely on the posterior's width."
+    return Verdict(text, flagged=True)
 
 
 def _said(p: float) -> str:
     return f"p < {LEAST:g}" if p < LEAST else f"p = {p:.2g}"
 
 
-def _reasons(conditions: Sequence[ConditionMisfit], ratio: float) -> Iterator[str]:
-    """Yield where the residuals are largest if a part of an arc is conspicuous; else that they are long."""
+def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float) -> str:
+    """Return the p-value and where the residuals are largest if that is why; else, or if no part stands out, s²ℓ."""
     found = [(region.p_value, -region.excess, one.condition, region) for one in conditions for region in one.regions]
-    if found:
-        p_value, _, condition, region = min(found, key=lambda one: one[:2])
-        if p_value < DOUBTFUL:
-            yield f": {_where(condition, region)}"
-    if ratio > RATIO:
-        yield f": s²ℓ of the residuals is {_short(ratio)} times that of the stated noise"
+    p_value, _, condition, region = min(found, key=lambda one: one[:2], default=(1.0, 0.0, "", None))
+    said = f" ({_said(least)})" if least < LEVEL else ""
+    if said and region is not None and p_value < DOUBTFUL:
+        return f"{said}: {_where(condition, region)}"
+    return f"{said}: s²ℓ of the residuals is {_short(ratio)} times that of the stated noise" if ratio > RATIO else said
 
 
 def _where(condition: str, region: Region) -> str:

@@ -225,9 +225,9 @@ def _local(offsets: Float[np.ndarray, "contour place"], frame: _Frame) -> Correl
     if not math.sqrt(covariance[0]) > 1e-9 * frame.step:
         raise InvalidInput(
             "contours of one state",
-            value="contours that agree exactly",
-            expected="contours from pictures of their own",
-            remedy="Give each picture's contour once.",
+            value="identical contours",
+            expected="one contour per picture",
+            remedy="Remove the duplicates.",
         )
     removed = frame.basis.shape[1] * autocovariance(np.ascontiguousarray(frame.basis.T), closed=closed)
     return restored(covariance, removed)
@@ -264,7 +264,7 @@ def _notes(local: Correlated, contours: int) -> list[str]:
         notes.append(f"{contours} contours only: take the common errors as a guess; {FEW} or more show them better")
     if local.cut:
         notes.append(
-            "errors are alike over a large part of the outline: sd and length read low; is it one state, or does the "
-            "outline change from picture to picture?"
+            "errors are correlated over much of the outline, so sd and length are underestimated; did the outline "
+            "change between pictures?"
         )
     return notes

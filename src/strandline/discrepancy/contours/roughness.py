@@ -95,7 +95,7 @@ def _smoothed_away(path: Float[np.ndarray, "point 2"], half: int, *, closed: boo
         raise InvalidInput(
             "roughness of the contour",
             value=f"{math.sqrt(covariance[0]):.3g} mm",
-            expected="a contour whose points have errors of their own",
+            expected="a contour that still has its noise",
             remedy="Give the contour as it was found in the picture, neither smoothed nor drawn.",
         )
     return restored(covariance, _removed(half, len(covariance))), step
@@ -113,8 +113,8 @@ def _notes(*, short: bool) -> list[str]:
     """Return remarks on any single contour, and on a window that is short against the correlation length."""
     notes = [
         "one contour does not show a shift, rotation, scale or offset of the whole: state them under `unknown`",
-        "errors that are alike over much of the window look like shape, so that sd² × length reads low; corners and "
-        "bends shorter than the window look like errors, so that it reads high; repeated pictures tell them apart",
+        "errors correlated over most of the window look like shape, so sd² × length is underestimated; corners and "
+        "bends shorter than the window look like errors, so it is overestimated; repeated pictures tell them apart",
     ]
     if short:
         notes.append(

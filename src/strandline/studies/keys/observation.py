@@ -217,7 +217,7 @@ class ConditionNoise(Section):
         if (self.variance is None) == (self.sd is None):
             raise ValueError("either `variance` or `sd`")
         if self.of_points and self.variance is not None:
-            raise ValueError("`unit` with the `sd` of the observed points only: a `variance` is that of the measure")
+            raise ValueError("`unit` goes with `sd`; a `variance` is already in the unit of d²")
         if not self.of_points and not isinstance(self.sd, float | None):
             raise ValueError("an unknown `sd` with the `unit` of the observed points: mm, um or m")
         for name in ("length", "unknown", "model_error", "spread"):
@@ -245,7 +245,8 @@ class Noise(ConditionNoise):
     """instead of `variance`: σ_N; or with `unit` the standard deviation of [an observed point](../how-to/noise.md);
     `unknown` or a range [low, high] lets the residuals decide, `column` takes those of `observation.sd`"""
     unit: Literal["mm", "um", "µm", "m"] | None = None
-    """`mm`, `um`, `µm` or `m`: `sd` is that of an observed point along the normal; every measure follows from it"""
+    """`mm`, `um`, `µm` or `m`: `sd` is that of an observed point along the normal; strandline derives the noise of
+    every measure from it"""
     length: Length | None = None
     """correlation length of the points' errors along the interface, in `unit`, `unknown` or a range as for `sd`;
     default: 0, independent points"""
