@@ -86,3 +86,24 @@ def test_a_tip_that_lies_beside_the_observed_one_is_not_beyond_it(tmp_path: Path
 
 def test_measures_without_doubts_say_nothing(tmp_path: Path, record: RunRecord) -> None:
     assert told(tmp_path / "s", record, record.interfaces[""].points[:10], normal_offset={}) == []
+
+
+@pytest.mark.parametrize(
+    ("measure", "warns"),
+    [
+        ({"currents": {"width": 0.05}}, True),
+        ({"measurement_lines": {"lines": 10}}, True),
+        ({"closest_point": {"direction": "to_observed"}}, True),
+        ({"closest_point": {"direction": "to_simulated", "weighting": "length"}}, True),
+        ({"closest_point": {"direction": "to_simulated"}}, False),
+        ({"normal_offset": {}}, False),
+    ],
+)
+def test_a_gap_in_the_observed_points(
+    tmp_path: Path, record: RunRecord, measure: dict[str, dict[str, object]], warns: bool
+) -> None:
+    points = noisy(record, 0.0)
+    (name,) = measure
+    assert not any("apart" in line for line in told(tmp_path / "whole", record, points, **measure)), name
+    gapped = np.concatenate([points[:50], points[65:]])
+    assert any("apart" in line for line in told(tmp_path / "gap", record, gapped, **measure)) == warns

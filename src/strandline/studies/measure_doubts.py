@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy import ClosestPoint, MeasurementLines
+from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, NormalOffset
 from strandline.discrepancy.contours.paths import path_of
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.interface import Interface, Observation
@@ -23,6 +23,10 @@ STEADY = 3.0
 """Scatter that the suggested option leaves, degrees."""
 PIECE = 4.0
 """Shortest piece of outline that is suggested, in spacings of the observed points."""
+GAP = 5.0
+"""Longest distance of neighbouring points, in their median, that is no gap."""
+TO_POINTS = "to_simulated", "sum"
+"""Direction and weighting of closest_point with which only the observed points count."""
 BEYOND = 3.0
 """Spacings by which the simulated interface may reach beyond the observed one."""
 _END = 0.1
@@ -38,10 +42,24 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
             continue
         for chosen in study.discrepancies.values():
             measure = adapted(chosen, observation)
+            yield from _gap(measure, seen, of)
             if isinstance(measure, MeasurementLines):
                 yield from _turning(measure, seen, of)
             elif isinstance(measure, ClosestPoint):
                 yield from _unseen(measure, seen, run, of)
+
+
+def _gap(measure: Discrepancy, seen: Interface, of: str) -> Iterator[str]:
+    """Yield a warning for a gap that the measure takes for a straight piece of the observed interface."""
+    points_only = isinstance(measure, NormalOffset)
+    points_only |= isinstance(measure, ClosestPoint) and (measure.direction, measure.weighting) == TO_POINTS
+    longest = float(seen.lengths.max())
+    if not points_only and len(seen.lengths) > 2 and longest > GAP * float(np.median(seen.lengths)):
+        yield (
+            f"warning{of}: neighbouring observed points are up to {longest:.3g} mm apart, {GAP:g} times the usual "
+            "distance or more, and the measure takes such a gap for a straight piece of the interface; if nothing was "
+            "seen there, take the measure normal_offset"
+        )
 
 
 def _turning(measure: MeasurementLines, seen: Interface, of: str) -> Iterator[str]:
