@@ -113,7 +113,7 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
         ({"noise": {"sd": 1, "variance": 1}}, "noise", {"sd": 1, "variance": 1}, "either `variance` or `sd`"),
         ({"noise": {"sd": 0}}, "noise.sd", 0, "greater than 0"),
         ({"noise": {"sd": float("nan")}}, "noise.sd", None, "a finite number"),
-        ({"noise": {"variance": 1, "unit": "um"}}, "noise", None, "a `variance` is that of the measure"),
+        ({"noise": {"variance": 1, "unit": "um"}}, "noise", None, "a `variance` is already in the unit of d²"),
         ({"noise": {"sd": 1, "length": 5}}, "noise", None, "`length` with the `sd` of the observed points"),
         (
             {"noise": {"sd": 1, "unknown": {"shift": 5}}},
