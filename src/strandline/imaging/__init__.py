@@ -1,0 +1,31 @@
+"""Pictures → the interface in them, with its errors."""
+
+from strandline.imaging.clicks import Clicks, ScaleBar
+from strandline.imaging.clicks_file import read_clicks, write_clicks
+from strandline.imaging.edge import EDGES, Edge, find_edge
+from strandline.imaging.edge_errors import EdgeErrors
+from strandline.imaging.frame import Frame
+from strandline.imaging.paths.first_path import typed_path
+from strandline.imaging.paths.read import read_path
+from strandline.imaging.picture import Picture, Stack
+from strandline.imaging.read import read_picture, read_stack
+from strandline.imaging.reading import PictureReading
+
+__all__ = [
+    "EDGES",
+    "Clicks",
+    "Edge",
+    "EdgeErrors",
+    "Frame",
+    "Picture",
+    "PictureReading",
+    "ScaleBar",
+    "Stack",
+    "find_edge",
+    "read_clicks",
+    "read_path",
+    "read_picture",
+    "read_stack",
+    "typed_path",
+    "write_clicks",
+]

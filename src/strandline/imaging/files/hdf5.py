@@ -1,0 +1,95 @@
+"""HDF5 and MATLAB 7.3: an array (…, row, column), which MATLAB stores with its axes reversed."""
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.imaging.files.contents import PictureFile, require_pixels
+from strandline.imaging.reading import PictureReading
+from strandline.readers.problems import Unreadable, refused
+from strandline.registry import suggestion
+
+__all__ = ["read_hdf5"]
+
+MOST_LISTED = 8
+"""Datasets that a message names."""
+
+
+def read_hdf5(path: Path, how: PictureReading, name: str) -> PictureFile:
+    """Return the picture in a dataset of numbers.
+
+    Raises:
+        Unreadable: The file is of another kind or does not say which dataset to take, or it is too large.
+    """
+    h5py = importlib.import_module("h5py")
+    if not h5py.is_hdf5(path):
+        raise refused(
+            f"{name} is no HDF5 file",
+            _beginning(path),
+            "a whole HDF5 file, or one that MATLAB saved as version 7.3",
+            "In MATLAB, save it with the option '-v7.3'.",
+        )
+    file = h5py.File(path, "r")
+    try:
+        return _opened(file, h5py, how, name)
+    except BaseException:
+        file.close()
+        raise
+
+
+def _opened(file: Any, h5py: Any, how: PictureReading, name: str) -> PictureFile:
+    key, notes = _dataset(file, h5py, how.dataset, name)
+    values = file[key]
+    if values.is_virtual or values.external:
+        raise refused(
+            f"{name}: {key} refers to other files", key, "an array in the file itself", "Save it in one file."
+        )
+    if values.size and not values.id.get_storage_size():
+        raise refused(f"{name}: {key} was never written", "no numbers", "an array with its numbers")
+    reversed_axes = "MATLAB_class" in values.attrs
+    columns, rows = values.shape[-2:] if reversed_axes else values.shape[:-3:-1]
+    require_pixels(name, rows, columns)
+    leading = values.shape[:-2]
+
+    def load(frame: int) -> Any:
+        found = np.asarray(values[np.unravel_index(frame, leading)] if leading else values[()])
+        return found.T if reversed_axes else found
+
+    if reversed_axes:
+        notes = (*notes, "axes of the MATLAB array turned back to (row, column)")
+    axes = tuple((f"axis {k}", length) for k, length in enumerate(leading) if length != 1)
+    return PictureFile((rows, columns), load, axes, notes=notes, close=file.close)
+
+
+def _dataset(file: Any, h5py: Any, asked: str | None, name: str) -> tuple[str, tuple[str, ...]]:
+    """Return the name of the dataset and a note if the study does not name it."""
+    found: list[str] = []
+
+    def visit(key: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.ndim >= 2 and item.dtype.kind in "fiub":
+            found.append(key)
+
+    file.visititems(visit)
+    key = (asked or "").strip("/")
+    if asked is None and len(found) == 1:
+        return found[0], (f"array {found[0]}, the only one in the file",)
+    if key in found:
+        return key, (f"array {key}",)
+    raise _no_dataset(found, asked, name)
+
+
+def _no_dataset(found: list[str], asked: str | None, name: str) -> Unreadable:
+    listed = ", ".join(found[:MOST_LISTED]) + (", …" if len(found) > MOST_LISTED else "")
+    if not found:
+        return refused(f"{name} holds no picture", asked, "a dataset of numbers with two or more axes")
+    if asked is None:
+        remedy = f"Add `dataset: {found[0]}` or another to the picture."
+        return refused(f"{name} holds several arrays", listed, "the name of one of them", remedy)
+    return refused(f"{name} has no array {asked}", asked, f"one of {listed}", suggestion(asked, found, "Choose one."))
+
+
+def _beginning(path: Path) -> str:
+    with path.open("rb") as file:
+        return f"a file that begins with {file.read(16)!r}"

@@ -1,0 +1,99 @@
+"""Pixel coordinates ↔ coordinates of the model, in mm."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.imaging.checked import keys_of, number, pair, unfit, word
+
+__all__ = ["Frame"]
+
+SIGN_X = {"right": 1.0, "left": -1.0}
+SIGN_Y = {"up": -1.0, "down": 1.0}
+"""Direction of an axis of the model in the picture → its sign; y of pixels points down."""
+EXAMPLE = "{origin: [212, 640], x: right, y: up, rotation: 0.0}"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where the model lies in a picture.
+
+    A point m of the model, in mm, appears at the pixel origin + S R(rotation) m / pixel: R turns from the model's x
+    axis towards its y axis, and S = diag(±1, ±1) points the axes as `x` and `y` say.
+
+    Args:
+        origin: Pixel (x, y) of the model's (0, 0); the centre of the top left pixel is (0, 0), y points down.
+        pixel: Size of a pixel along x and along y, mm.
+        x: Direction of the model's x axis in the picture, ``right`` or ``left``, before the rotation.
+        y: Direction of its y axis, ``up`` or ``down``, before the rotation.
+        rotation: Angle by which the model is turned in the picture, degrees, from its x axis towards its y axis.
+
+    Raises:
+        InvalidInput: A direction that does not exist, or another number that is not finite.
+    """
+
+    origin: tuple[float, float]
+    pixel: tuple[float, float]
+    x: str = "right"
+    y: str = "up"
+    rotation: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, check in CHECKS.items():
+            check(getattr(self, name), f"frame.{name}")
+        for size in pair(self.pixel, "frame.pixel", "two lengths in mm"):
+            number(size, "frame.pixel", "two lengths above 0, in mm", low=5e-324)
+
+    @classmethod
+    def from_options(cls, options: object, place: str, *, pixel: tuple[float, float]) -> "Frame":
+        """Return the frame that a study file gives at `place`, for a picture with this size of a pixel, mm.
+
+        Raises:
+            InvalidInput: An option is missing, unknown or cannot be used.
+        """
+        given = keys_of(options, CHECKS, place, EXAMPLE)
+        if given.get("origin") is None:
+            raise unfit(f"{place}.origin", None, "the pixel [x, y] of the model's (0, 0)", f"Add it, e.g. {EXAMPLE}.")
+        values = {name: CHECKS[name](value, f"{place}.{name}") for name, value in given.items() if value is not None}
+        return cls(pixel=pixel, **values)
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether a curve that turns from x to y in pixels turns from y to x in the model."""
+        return SIGN_X[self.x] * SIGN_Y[self.y] < 0
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "2 2"]:
+        """Matrix that turns differences of pixel coordinates into differences of model coordinates, mm."""
+        angle = math.radians(self.rotation)
+        back = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        return back * [SIGN_X[self.x] * self.pixel[0], SIGN_Y[self.y] * self.pixel[1]]
+
+    def to_mm(self, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
+        """Return points given in pixels as points of the model, mm.
+
+        Args:
+            points: Pixel coordinates (x, y), shape (point, 2).
+        """
+        return np.asarray((points - np.array(self.origin)) @ self.matrix.T)
+
+    def to_pixels(self, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
+        """Return points of the model, mm, as pixel coordinates (x, y); the inverse of `to_mm`.
+
+        Args:
+            points: Points of the model, shape (point, 2).
+        """
+        return np.asarray(points @ np.linalg.inv(self.matrix).T + np.array(self.origin))
+
+
+CHECKS: dict[str, Callable[[Any, str], Any]] = {
+    "origin": lambda value, place: pair(value, place, "the pixel [x, y] of the model's (0, 0)"),
+    "x": lambda value, place: word(value, SIGN_X, place),
+    "y": lambda value, place: word(value, SIGN_Y, place),
+    "rotation": lambda value, place: number(value, place, "an angle from -360 to 360 degrees", -360.0, 360.0),
+}
+"""Option → check (value, place) that returns the value."""

@@ -1,0 +1,190 @@
+"""The edge as a path over all normals at once, for speckle: a template, a likelihood, and a random walk.
+
+All normals share the mean profile T(v) across the edge. A normal on which the edge lies at o has the log-likelihood
+-κ Σ k (I/m + log m) with m = g T(u - o): the grey values I are gamma distributed with mean m and shape k, like the
+intensity of speckle (k = 1 for one look), and light and shadow multiply them by a gain g that is smooth along the edge.
+If they are Gaussian it is -κ Σ (I - m)²/2σ² with m = T(u - o) + g: light adds to logarithms. Neighbouring samples are
+not independent, so κ is one over the number of them that count as one. The offsets follow a random walk along the edge.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter
+
+from strandline.errors import InvalidInput
+from strandline.imaging.course import Course
+from strandline.imaging.doubts import require_intensity, require_speckle
+from strandline.imaging.located import NO_SCATTER, Located, Scatter
+from strandline.imaging.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
+from strandline.imaging.random_walk import Walk, walk
+from strandline.imaging.strip import Picture, Strip, strip_along
+from strandline.imaging.template import Template, learnt_template, levelled
+
+__all__ = ["MarkovPath"]
+
+_SLOW = 7.5
+"""Standard deviation of the Gaussian whose result is taken off residuals before they are correlated: what varies over
+more than 15 px is no speckle."""
+_LAGS = 8.0
+"""Longest distance at which samples are taken as correlated, px."""
+_EDGE = 1.4
+"""Samples at an edge that count as one, over those away from it, measured on rendered scans: beside the edge both sides
+share the scatterers of the brighter one."""
+_SIDE = 10.0
+"""Side of the square over which grey values are averaged to define the contrast to noise, px."""
+_DRAWS, _SEED = 40, 16
+_LONGEST = 200
+"""Longest distance along the edge at which drawn paths are correlated, px."""
+_OVERLAP = 60
+"""Normals by which a closed path overlaps itself."""
+
+
+@dataclass(frozen=True)
+class MarkovPath:
+    """Find the edge as a path over all normals at once.
+
+    Args:
+        likelihood: ``gamma`` for linear intensity, ``gaussian`` for cameras and for log intensity.
+        reach: Largest distance of the edge from the path, px.
+        support: Length of the profile beyond that, on either side, px.
+        step: Distance of samples and candidates, px.
+        drift: Standard deviation τ of a step of the random walk, px; at least half of `step`.
+        rounds: Number of times that template, gain, κ and path are found in turn, in each pass.
+        bias: Standard deviation of a common offset where the edge is straight, px.
+        passes: Number of passes.
+    """
+
+    likelihood: Literal["gamma", "gaussian"] = "gamma"
+    reach: float = 10.0
+    support: float = 10.0
+    step: float = 0.5
+    drift: float = 0.3
+    rounds: int = 4
+    bias: float = 0.4
+    passes: int = 2
+
+    def __post_init__(self) -> None:
+        if self.drift < 0.5 * self.step:
+            raise InvalidInput(
+                "drift of the path of an edge",
+                value=self.drift,
+                expected=f"at least half the distance of candidates, {0.5 * self.step:g} px",
+                remedy="Raise the drift or lower the step: otherwise the path could not move.",
+            )
+
+    def locate(self, picture: Picture, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+        """Return the edge near a course; see `EdgeMethod`."""
+        if self.likelihood == "gamma":
+            require_intensity(picture)
+        strip = strip_along(picture, course, reach=self.reach + self.support, step=self.step)
+        places = strip.places[np.abs(strip.places) <= self.reach + 1e-9]
+        offsets, even = np.zeros(len(course.points)), strip
+        for turn in range(self.rounds):
+            template, shift = learnt_template(even, offsets)
+            expected = template.at(strip.places - (offsets + shift)[:, None])
+            even = levelled(strip, expected, relative=self.likelihood == "gamma")
+            speckle = _Speckle.of(even, expected, relative=self.likelihood == "gamma")
+            table = self._table(even, template, places, speckle)
+            draws = _DRAWS if counted is not None and turn == self.rounds - 1 else 0
+            path = _walk(table, places, self.drift, course.closed, draws)
+            offsets = path.mean
+        if self.likelihood == "gamma" and counted is not None:
+            require_speckle(speckle.skewness, math.sqrt(speckle.variance))
+        found = strip.usable[:, np.abs(strip.places) <= self.support / 2].mean(axis=1) > 0.5
+        return Located(
+            strip=strip,
+            offsets=offsets,
+            sds=path.sd,
+            found=found,
+            at_limit=found & (np.abs(offsets) > self.reach - 1.0),
+            scatter=NO_SCATTER if counted is None else _scatter(path, found & counted),
+            blur=template.blur,
+            contrast=template.left - template.right,
+            contrast_to_noise=speckle.contrast_to_noise(template),
+            facts={"kappa": speckle.kappa, "speckle_variance": speckle.variance, "skewness": speckle.skewness},
+        )
+
+    def _table(
+        self, strip: Strip, template: Template, places: Float[np.ndarray, " candidate"], speckle: "_Speckle"
+    ) -> Float[np.ndarray, "normal candidate"]:
+        """Return the log-likelihood of each candidate on each normal."""
+        m = template.at(strip.places - places[:, None])
+        usable, weight = strip.usable.astype(float), speckle.kappa / speckle.variance
+        if self.likelihood == "gamma":
+            m = np.maximum(m, 1e-6 * float(m.max()))
+            return np.asarray(-weight * (strip.samples @ (1 / m).T + usable @ np.log(m).T))
+        return np.asarray(-0.5 * weight * (usable @ (m**2).T - 2 * strip.samples @ m.T))
+
+
+@dataclass(frozen=True)
+class _Speckle:
+    """Residuals of a strip: relative ones, I/m - 1, or additive ones.
+
+    Args:
+        variance: Their variance.
+        kappa: One over the number of samples that count as one.
+        area: Area that counts as one, px².
+        skewness: Their skewness.
+        relative: Whether they are relative.
+    """
+
+    variance: float
+    kappa: float
+    area: float
+    skewness: float
+    relative: bool
+
+    @classmethod
+    def of(cls, strip: Strip, expected: Float[np.ndarray, "normal place"], *, relative: bool) -> "_Speckle":
+        usable = strip.usable.astype(float)
+        scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max())) if relative else 1.0
+        residuals = np.where(strip.usable, (strip.samples - expected) / scale, 0.0)
+        slow = gaussian_filter(residuals, (_SLOW, _SLOW / strip.step))
+        residuals = np.where(
+            strip.usable, residuals - slow / np.maximum(gaussian_filter(usable, (_SLOW, _SLOW / strip.step)), 1e-9), 0
+        )
+        number = max(float(usable.sum()), 1.0)
+        variance = max(float((residuals**2).sum()) / number, 1e-300)
+        covariance = autocovariance(residuals, strip.usable)
+        along, across = covariance[: round(_LAGS) + 1, 0], covariance[0, : round(_LAGS / strip.step) + 1]
+        together = math.prod(2 * sum_to_first_zero(lags / max(lags[0], 1e-300)) for lags in (along, across))
+        skewness = float((residuals**3).sum()) / number / variance**1.5
+        area = together * strip.step
+        kappa = 1 / max(_EDGE * together, 1.0)
+        return cls(variance, kappa, area, skewness, relative)
+
+    def contrast_to_noise(self, template: Template) -> float:
+        """Return the contrast over the noise of the mean over a square of 10 × 10 px on the brighter side."""
+        level = max(template.left, template.right) if self.relative else 1.0
+        return abs(template.left - template.right) / (level * math.sqrt(self.variance * self.area) / _SIDE)
+
+
+def _walk(
+    table: Float[np.ndarray, "normal candidate"],
+    places: Float[np.ndarray, " candidate"],
+    drift: float,
+    closed: bool,
+    draws: int,
+) -> Walk:
+    """Return the path, of a closed one without the overlap that makes its ends meet."""
+    random = np.random.default_rng(_SEED) if draws else None
+    if not closed:
+        return walk(table, places, drift, draws=draws, random=random)
+    over = min(_OVERLAP, len(table))
+    path = walk(np.concatenate([table[-over:], table, table[:over]]), places, drift, draws=draws, random=random)
+    inner = slice(over, over + len(table))
+    return Walk(path.mean[inner], path.sd[inner], path.draws[:, inner])
+
+
+def _scatter(path: Walk, counted: Bool[np.ndarray, " normal"]) -> Scatter:
+    """Return standard deviation and correlation length of drawn paths about their mean."""
+    apart = (path.draws - path.mean)[:, counted]
+    lags = min(apart.shape[1] - 1, _LONGEST)
+    products = np.array([(apart[:, : apart.shape[1] - k] * apart[:, k:]).mean() for k in range(lags + 1)])
+    if not products[0] > 0:
+        return Scatter(float(path.sd[counted].mean()), LEAST_LENGTH)
+    return Scatter(math.sqrt(products[0]), max(sum_to_first_zero(products / products[0]), LEAST_LENGTH))

@@ -1,0 +1,144 @@
+"""A picture file → the picture, linear in intensity, with the size of its pixels."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from strandline.errors import InvalidInput
+from strandline.imaging.files.contents import PictureFile, require_pixels
+from strandline.imaging.files.opening import checksum, listed, loaded, opened
+from strandline.imaging.linear import intensity
+from strandline.imaging.picture import Picture, Stack
+from strandline.imaging.pixel_size import PixelSize, agreed
+from strandline.imaging.reading import PictureReading
+from strandline.readers.problems import refused
+
+__all__ = ["read_frames", "read_picture", "read_stack"]
+
+Paths = Path | Sequence[Path]
+
+
+def read_picture(paths: Paths, how: PictureReading) -> Picture:
+    """Return the picture in a file, or the mean of several frames of one state.
+
+    Args:
+        paths: Path of the file, or of several files with one frame each; their mean is taken, linear in intensity.
+        how: How to read them.
+
+    Raises:
+        Unreadable: A file is missing, damaged, too large, not finite, or does not fit the options; frames that differ
+            in size.
+        InvalidInput: An optional package is missing.
+    """
+    frames = read_frames(paths, how)
+    first = next(frames)
+    total, count = first.values, 1
+    for frame in frames:
+        _require_same(first, frame)
+        total = total + frame.values if count == 1 else np.add(total, frame.values, out=total)
+        count += 1
+    if count == 1:
+        return first
+    notes = (*first.notes, f"mean of {count} frames")
+    files = listed(paths)
+    return replace(first, values=total / count, name=_name(files), sha256=checksum(files), notes=notes)
+
+
+def read_frames(paths: Paths, how: PictureReading) -> Iterator[Picture]:
+    """Yield the pictures whose mean `read_picture` takes, one at a time.
+
+    Args:
+        paths: Path of a file, or of several.
+        how: How to read them.
+
+    Raises:
+        InvalidInput: As `read_picture`.
+    """
+    for path in listed(paths):
+        with opened(path, how) as file:
+            digest = checksum([path])
+            size = agreed(how.pixel, file.size, path.name)
+            numbers = range(file.frames) if how.average else (_page(file, how, path.name),)
+            for k in numbers:
+                values, notes = intensity(loaded(file, k, path.name), how, path.name)
+                frame = (f"frame {k} of {file.frames}{_layers(file)}",) if file.frames > 1 and not how.average else ()
+                said = (*_size_notes(size, how.index), *file.notes, *frame, *notes)
+                yield Picture(values, (size.x, size.y / (how.index or 1.0)), path.name, digest, said)
+
+
+def read_stack(paths: Paths, how: PictureReading) -> Stack:
+    """Return the stack of pictures in a file, or in several files with one plane each.
+
+    Args:
+        paths: Path of a file, or of several in the order of their planes.
+        how: How to read them; its pixel size has the distance of the planes unless the header states it.
+
+    Raises:
+        InvalidInput: As `read_picture`; a file with one plane, with several axes besides row and column, or without
+            the distance of the planes; a page or an average.
+    """
+    files = listed(paths)
+    if how.page is not None or how.average:
+        raise InvalidInput(
+            "page or average of a stack", value=how.given, expected="neither", remedy="A stack takes all its planes."
+        )
+    depth, size = _extent(files, how)
+    pictures = read_frames(files, how if len(files) > 1 else replace(how, average=True))
+    first = next(pictures)
+    values = np.empty((depth, *first.values.shape))
+    values[0] = first.values
+    for k, picture in enumerate(pictures, 1):
+        _require_same(first, picture)
+        values[k] = picture.values
+    notes = (f"stack of {depth} planes, {1e3 * size:.6g} µm apart", *first.notes)
+    return Stack(values, (*first.pixel, size), _name(files), checksum(files), notes)
+
+
+def _extent(files: Sequence[Path], how: PictureReading) -> tuple[int, float]:
+    """Return the number of planes and their distance, mm."""
+    name = files[0].name
+    with opened(files[0], how) as file:
+        depth = len(files) if len(files) > 1 else file.frames
+        if depth == 1 or (len(files) == 1 and (len(file.axes) != 1 or file.axes[0][0] in ("T", "C"))):
+            found = _layers(file).strip(" ()") or "one plane"
+            raise refused(f"{name} holds no stack", found, "several planes along one axis", "Save one stack in a file.")
+        require_pixels(name, depth, *file.shape)
+        size = agreed(how.pixel, file.size, name)
+    if size.z is None:
+        expected = "the distance of the planes of a stack"
+        raise refused(
+            f"{name} does not state z", None, expected, "Add z to `pixel`, e.g. {x: 6, y: 6, z: 10, unit: um}."
+        )
+    return depth, size.z
+
+
+def _name(files: Sequence[Path]) -> str:
+    return files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more"
+
+
+def _page(file: PictureFile, how: PictureReading, name: str) -> int:
+    page = how.page or 0
+    if page < file.frames:
+        return page
+    expected = f"a frame from 0 to {file.frames - 1}{_layers(file)}"
+    raise refused(f"{name} has no such page", page, expected, "Correct `page`.")
+
+
+def _layers(file: PictureFile) -> str:
+    return f" ({', '.join(f'{axis} {length}' for axis, length in file.axes)})" if len(file.axes) else ""
+
+
+def _size_notes(size: PixelSize, index: float | None) -> tuple[str, ...]:
+    plain = PixelSize(size.x, size.y)
+    notes = (f"pixel size {plain} from {size.source}",)
+    return notes if index is None or index == 1 else (*notes, f"index {index:g} divides y")
+
+
+def _require_same(first: Picture, other: Picture) -> None:
+    """Refuse frames of another size."""
+    if first.values.shape != other.values.shape or not np.allclose(first.pixel, other.pixel, rtol=1e-6, atol=0):
+        raise refused(
+            f"{other.name} differs from {first.name}", repr(other), repr(first), "Give frames of one camera and scale."
+        )

@@ -1,0 +1,238 @@
+"""Edges in small pictures whose truth is known."""
+
+import numpy as np
+import pytest
+from tests.imaging.pictures import circle, disc, speckle, straight
+from verification.validation.rendered import Camera, Scan, arch, clicks
+
+from strandline.discrepancy.normal_offset import signed_distances
+from strandline.errors import InvalidInput
+from strandline.imaging.edge import EDGES, find_edge
+from strandline.imaging.located import EdgeMethod
+from strandline.imaging.markov_path import MarkovPath
+from strandline.interface import Interface
+
+LINE = np.array([[5.0, 31.5], [60.0, 29.0], [134.0, 31.0]])
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_every_method_follows_the_protocol(name: str) -> None:
+    way = EDGES[name]
+    assert isinstance(way, EdgeMethod)
+    assert way.bias > 0
+    assert way.passes > 0
+
+
+@pytest.mark.parametrize(("slope", "at"), [(0.0, 30.0), (0.0, 30.37), (0.1, 25.2)])
+def test_a_blurred_step_without_noise_is_found_to_a_thousandth_of_a_pixel(slope: float, at: float) -> None:
+    path = LINE + np.outer([1, 1, 1], [0.0, at - 30.0]) + np.outer(LINE[:, 0], [0.0, slope])
+    edge = find_edge(straight(at=at, slope=slope, blur=2.0), path)
+    off = (edge.points[:, 1] - at - slope * edge.points[:, 0]) / np.hypot(1.0, slope)
+    bent = 2e-3 if slope else 1e-3  # bilinear interpolation of a step that crosses rows
+    np.testing.assert_allclose(off, 0.0, atol=bent)
+    assert edge.errors.blur == pytest.approx(2.0, abs=0.05)
+    assert edge.errors.contrast == pytest.approx(-2.0, abs=1e-3)
+
+
+def test_contour_of_a_step_without_noise() -> None:
+    edge = find_edge(straight(at=30.37), LINE, method="contour")
+    np.testing.assert_allclose(edge.points[:, 1], 30.37, atol=5e-3)
+    assert edge.errors.blur == pytest.approx(1.5, rel=0.15)
+
+
+def test_gaussian_path_of_a_step() -> None:
+    picture = straight(at=30.37) + 0.02 * np.random.default_rng(1).standard_normal((60, 140))
+    edge = find_edge(picture, LINE, method=MarkovPath("gaussian", step=0.25, drift=0.2))
+    np.testing.assert_allclose(edge.points[:, 1], 30.37, atol=0.1)
+
+
+@pytest.mark.parametrize(("solid", "radial"), [("bright", 1.0), ("dark", -1.0)])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_circle_runs_with_the_solid_on_its_right_whichever_way_it_was_clicked(
+    solid: str, radial: float, backwards: bool
+) -> None:
+    path = circle()[::-1] if backwards else circle()
+    edge = find_edge(disc(), path, solid=solid, closed=True)
+    away = edge.points - 59.5
+    radius = np.linalg.norm(away, axis=1)
+    np.testing.assert_allclose(radius, 40.0, atol=0.02)
+    np.testing.assert_allclose((edge.normals * away).sum(axis=1) / radius, radial, atol=1e-3)
+    turns = np.roll(edge.points, -1, axis=0) - edge.points
+    assert np.sign((away[:, 0] * turns[:, 1] - away[:, 1] * turns[:, 0]).mean()) == radial  # clockwise as seen
+    assert edge.closed
+    assert edge.errors.radius == pytest.approx(40.0, rel=0.05)
+    in_house = Interface.polyline(edge.points * [1.0, -1.0], closed=True)  # y up
+    np.testing.assert_allclose(
+        (in_house.normals * edge.normals * [1.0, -1.0]).sum(axis=1) / in_house.lengths, 1.0, atol=0.01
+    )
+
+
+def test_the_solid_under_a_line_is_on_its_right() -> None:
+    edge = find_edge(straight(), LINE[::-1])
+    assert (np.diff(edge.points[:, 0]) > 0).all()
+    np.testing.assert_allclose(edge.normals, np.broadcast_to([0.0, -1.0], edge.normals.shape), atol=1e-2)
+    assert (np.diff(find_edge(straight(), LINE, solid="dark").points[:, 0]) < 0).all()
+
+
+def test_pixels_that_are_not_square() -> None:
+    path = circle(stretch=2.0, middle=(59.5, 29.5))
+    edge = find_edge(disc((60, 120), stretch=2.0, blur=2.0), path, closed=True, pixel=(0.005, 0.010))
+    square = find_edge(disc(), circle(), closed=True, pixel=(0.005, 0.005))
+    away = (edge.points - [59.5, 29.5]) * [0.005, 0.010]
+    radius = np.linalg.norm(away, axis=1)
+    np.testing.assert_allclose(radius, 0.2, atol=0.05 * 0.005)
+    np.testing.assert_allclose((edge.normals * away).sum(axis=1) / radius, 1.0, atol=2e-3)
+    assert edge.arc[-1] == pytest.approx(2 * np.pi * 0.2, rel=0.02)
+    assert edge.errors.spacing == pytest.approx(0.005, rel=0.02)
+    assert edge.errors.radius == pytest.approx(0.2, rel=0.1)
+    assert edge.errors.offset == pytest.approx(0.1 * 0.005 * np.sqrt(2.5), rel=0.1)  # rms of the sides of a pixel
+    assert square.errors.offset == pytest.approx(0.1 * 0.005, rel=0.1)
+
+
+@pytest.mark.parametrize("method", ["erf", "contour"])
+def test_errors_of_a_camera_are_those_that_the_truth_shows(method: str) -> None:
+    bias, off, own, levels = [], [], [], []
+    for seed in range(6):
+        random = np.random.default_rng([5, seed])
+        line, region = arch((136, 280), random)
+        edge = find_edge(Camera()(region, (136, 280), random), clicks(line, random), method=method)
+        distance = signed_distances(edge.points, Interface.polyline(line[::3]))
+        bias.append(distance.mean())
+        off.append(distance.std())
+        own.append(edge.errors.sd)
+        levels.append(edge.errors.level)
+        assert np.abs(distance).max() < 2.0
+        assert edge.errors.contrast_to_noise == pytest.approx(9.5, rel=0.15)  # light falls by 10 %
+    s = np.sqrt(np.mean(np.square(off)))
+    assert abs(np.mean(bias)) < 0.05
+    assert s < 0.25
+    assert 0.8 < np.mean(own) / s < 1.25
+    assert np.mean(levels) < 0.08
+
+
+def test_errors_of_a_scan_are_those_that_the_truth_shows() -> None:
+    bias, off, own = [], [], []
+    for seed in range(4):
+        random = np.random.default_rng([6, seed])
+        line, region = arch((170, 233), random)
+        edge = find_edge(Scan()(region, (170, 233), random), clicks(line, random), method="path")
+        distance = signed_distances(edge.points, Interface.polyline(line[::3]))
+        bias.append(distance.mean())
+        off.append(distance.std())
+        own.append(edge.errors.sd)
+        assert np.abs(distance).max() < 4.0
+        assert edge.errors.offset >= 0.4
+    s = np.sqrt(np.mean(np.square(off)))
+    assert abs(np.mean(bias)) < 0.3
+    assert s < 0.9
+    assert 0.7 < np.mean(own) / s < 1.3
+
+
+def test_the_same_picture_gives_the_same_edge_bit_for_bit() -> None:
+    random = np.random.default_rng(8)
+    line, region = arch((170, 233), random)
+    picture, path = Scan()(region, (170, 233), random), clicks(line, random)
+    one, two = (find_edge(picture, path, method="path") for _ in range(2))
+    assert (one.points == two.points).all()
+    assert one.errors == two.errors
+
+
+def test_noise_that_doubles_doubles_the_error() -> None:
+    noise = np.random.default_rng(3).standard_normal((60, 140))
+    quiet, loud = (find_edge(straight() + size * noise, LINE).errors for size in (0.1, 0.2))
+    assert loud.sd / quiet.sd == pytest.approx(2.0, rel=0.1)
+    assert quiet.contrast_to_noise == pytest.approx(20.0, rel=0.1)
+
+
+def test_excluded_polygons_and_trimming_leave_points_out() -> None:
+    picture = straight()
+    picture[20:40, 60:80] = 7.0
+    hole = np.array([[56.0, 10.0], [84.0, 10.0], [84.0, 50.0], [56.0, 50.0]])
+    edge = find_edge(picture, LINE, exclude=[hole], trim=0.1)
+    x = edge.points[:, 0]
+    assert not ((x > 56) & (x < 84)).any()
+    assert x.min() > 5 + 0.09 * 129
+    assert x.max() < 134 - 0.09 * 129
+    np.testing.assert_allclose(edge.points[:, 1], 30.3, atol=2e-3)
+
+
+def test_values_that_are_not_finite_do_not_count() -> None:
+    picture = straight()
+    picture[:, 40:44] = np.nan
+    edge = find_edge(picture, LINE)
+    assert not ((edge.points[:, 0] > 39) & (edge.points[:, 0] < 44)).any()
+    np.testing.assert_allclose(edge.points[:, 1], 30.3, atol=2e-3)
+
+
+def test_a_thin_part_is_not_looked_at_across() -> None:
+    """Samples beyond the other side of a thin solid do not spoil the step on this side."""
+    picture = straight(at=30.0, blur=1.0) - straight(at=44.0, blur=1.0)
+    ring = np.array([[10.0, 30.0], [130.0, 30.0], [130.0, 44.0], [10.0, 44.0]])
+    ends = [[-1.0, 10.0], [35.0, 10.0], [35.0, 59.0], [-1.0, 59.0]], [[105.0, 10.0], [141, 10], [141, 59], [105, 59]]
+    edge = find_edge(picture, ring, closed=True, exclude=[np.array(one) for one in ends])
+    upper = edge.points[:, 1] < 37.0
+    assert upper.sum() == pytest.approx(70, abs=8)
+    np.testing.assert_allclose(edge.points[upper, 1], 30.0, atol=0.01)
+    np.testing.assert_allclose(edge.points[~upper, 1], 44.0, atol=0.01)
+
+
+def noisy(size: float) -> np.ndarray:
+    return straight() + size * np.random.default_rng(4).standard_normal((60, 140))
+
+
+REFUSED = {
+    "number of points": ((straight(), LINE[:2] * [0.5, 1.0]), {}),
+    "contrast over noise": ((noisy(2.0), LINE), {}),
+    "at the limit": ((straight(at=46.0), LINE), {}),
+    "crosses itself": ((straight(), np.array([[5.0, 30], [100, 30], [100, 50], [50, 10]])), {}),
+    "leaves the picture": ((straight(), LINE + np.array([10.0, 0.0])), {}),
+    "path along the edge": ((straight(), LINE[:1]), {}),
+    "finite": ((straight(), LINE * np.nan), {}),
+    "normals of the path cross": (
+        (straight(), np.array([[5.0, 29], [130, 29], [130, 33], [5, 33.0]])),
+        {"closed": True},
+    ),
+    "grey values of the picture": ((np.zeros((60, 140, 3)), LINE), {}),
+    "pixel size": ((straight(), LINE), {"pixel": (0.0, 1.0)}),
+    "side of the solid": ((straight(), LINE), {"solid": "left"}),
+    "left out": ((straight(), LINE), {"trim": 0.5}),
+    "method to find an edge": ((straight(), LINE), {"method": "erff"}),
+    "intensity of the scan": ((straight() - 2.0, LINE), {"method": "path"}),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_refused_in_one_line(what: str) -> None:
+    arguments, options = REFUSED[what]
+    with pytest.raises(InvalidInput) as refusal:
+        find_edge(*arguments, **options)
+    assert what in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_blur_above_a_third_of_the_smallest_radius_is_refused() -> None:
+    small = {"radius": 11.0, "middle": (29.5, 29.5)}
+    with pytest.raises(InvalidInput, match="blur of the edge"):
+        find_edge(disc((60, 60), radius=10.0, blur=4.0), circle(**small), closed=True)
+    assert find_edge(disc((60, 60), radius=10.0, blur=1.0), circle(**small), closed=True).errors.blur < 2.0
+
+
+def test_a_logarithmic_display_scan_is_refused_as_intensity() -> None:
+    random = np.random.default_rng(2)
+    scan = speckle(4 * straight() - 3, random)
+    assert find_edge(scan, LINE, method="path").errors.facts["skewness"] > 1.0
+    display = np.clip(120 + 20 * np.log(scan), 0, 255).round()
+    with pytest.raises(InvalidInput, match="do not scatter like the intensity of speckle"):
+        find_edge(display, LINE, method="path")
+    with pytest.raises(InvalidInput, match="do not scatter like the intensity of speckle"):
+        find_edge(noisy(0.1), LINE, method="path")
+
+
+def test_averaged_speckle_is_intensity() -> None:
+    scan = speckle(4 * straight() - 3, np.random.default_rng(2), looks=8)
+    edge = find_edge(scan, LINE, method="path")
+    np.testing.assert_allclose(edge.points[:, 1].mean(), 30.3, atol=0.3)
+
+
+def test_a_repr_fits_a_line() -> None:
+    assert len(repr(find_edge(straight(), LINE))) < 120

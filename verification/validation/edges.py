@@ -1,0 +1,173 @@
+"""How well edges are found in rendered pictures, and how well their own errors are known.
+
+Cameras (blur 1.5 px, contrast/noise 10) and OCT B-scans (10 dB, exponential speckle, three shadows) of arches like the
+biofilm's. Paths are 12 clicks, off by 2.5 px; both ends are trimmed by 5 %.
+
+    python -m verification.validation.edges [--pictures 40] [--only PART ...]
+"""
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from verification.validation.rendered import Camera, Scan, arch, clicks, covered
+from verification.validation.tables import Table
+
+from strandline.discrepancy.normal_offset import signed_distances
+from strandline.errors import InvalidInput
+from strandline.imaging.edge import Edge, find_edge
+from strandline.imaging.located import EdgeMethod
+from strandline.imaging.markov_path import MarkovPath
+from strandline.interface import Interface
+
+CAMERA, SCAN = (136, 280), (170, 233)
+"""Rows and columns."""
+GAUSSIAN = MarkovPath(likelihood="gaussian", step=0.25, drift=0.2, bias=0.1)
+FAR = 4.0
+"""Distance from the truth beyond which a point is wrong, px."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Pictures of one kind and the way their edges are found."""
+
+    name: str
+    method: str | EdgeMethod
+    render: Camera | Scan
+    change: Callable[[Float[np.ndarray, "row column"]], Float[np.ndarray, "row column"]] = np.asarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a picture."""
+        return CAMERA if isinstance(self.render, Camera) else SCAN
+
+
+CASES = (
+    Case("camera, erf", "erf", Camera()),
+    Case("camera, contour", "contour", Camera()),
+    Case("camera, path gaussian", GAUSSIAN, Camera()),
+    Case("camera, contrast/noise 3, erf", "erf", Camera(contrast_to_noise=3.0)),
+    Case("camera, blur 4, erf", "erf", Camera(blur=4.0)),
+    Case("OCT 10 dB, path", "path", Scan()),
+    Case("OCT 10 dB, speckle 0.85 px, path", "path", Scan(speckle=0.85)),
+    Case("OCT 10 dB, unshadowed noise floor, path", "path", Scan(floor=0.5)),
+    Case("OCT 6 dB, path", "path", Scan(contrast=6.0)),
+    Case("OCT 10 dB, shadows anywhere, path", "path", Scan(over=(0.0, 1.0))),
+    Case("OCT 10 dB, log, path gaussian", MarkovPath(likelihood="gaussian"), Scan(), np.log),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """One picture: signed distances of the points from the truth, px, the edge, and seconds."""
+
+    off: Float[np.ndarray, " point"]
+    edge: Edge
+    seconds: float
+
+
+def found(case: Case, seed: int) -> Found | None:
+    """Return the edge in one picture, or None where it was refused."""
+    random = np.random.default_rng([3, seed])
+    line, region = arch(case.shape, random)
+    picture, path = case.change(case.render(region, case.shape, random)), clicks(line, random)
+    path = np.clip(path, 0.0, np.array(case.shape[::-1]) - 1.0)
+    start = time.perf_counter()
+    try:
+        edge = find_edge(picture, path, method=case.method)
+    except InvalidInput as refusal:
+        print(f"  {case.name}, picture {seed}: {str(refusal).partition('.')[0]}", flush=True)
+        return None
+    seconds = time.perf_counter() - start
+    return Found(signed_distances(edge.points, Interface.polyline(line[::3])), edge, seconds)
+
+
+def true_length(parts: list[Float[np.ndarray, " point"]], spacing: float) -> float:
+    """Return the integral correlation length of errors about their means, px, up to the first zero."""
+    lags = min(min(len(part) for part in parts) - 1, 150)
+    centred = [part - part.mean() for part in parts]
+    products = np.array([np.mean([(one[: len(one) - k] * one[k:]).mean() for one in centred]) for k in range(lags)])
+    below = np.flatnonzero(products <= 0)
+    return spacing * (0.5 + float(products[1 : below[0] if below.size else None].sum() / products[0]))
+
+
+def row(case: Case, pictures: int) -> tuple[object, ...]:
+    """Return bias, its sd over pictures, s, ℓ, s²ℓ, own values over these, and wrong points for one kind of picture."""
+    all_found = [one for one in (found(case, seed) for seed in range(pictures)) if one is not None]
+    off = [one.off for one in all_found]
+    if not off:
+        return case.name, 0, *([None] * 13)
+    means = np.array([part.mean() for part in off])
+    sds = np.array([part.std() for part in off])
+    s, errors = float(np.sqrt(np.mean(sds**2))), [one.edge.errors for one in all_found]
+    length = true_length(off, errors[0].spacing)
+    own, own_length, level = (np.array([getattr(e, name) for e in errors]) for name in ("sd", "length", "level"))
+    return (
+        case.name,
+        len(off),
+        float(means.mean()),
+        float(means.std()),
+        float(np.sqrt(np.mean([e.offset**2 for e in errors]))),
+        s,
+        length,
+        s**2 * length,
+        float(own.mean()) / s,
+        float((own / s).min()),
+        float((own / s).max()),
+        float(own_length.mean()) / length,
+        float(level.mean()) / (s**2 * length),
+        100 * float((np.abs(np.concatenate(off)) > FAR).mean()),
+        float(np.median([one.seconds for one in all_found])),
+    )
+
+
+COLUMNS = (
+    "picture, method", "found", "bias, px", "its sd", "own offset", "s, px", "ℓ, px", "s²ℓ", "own s / s", "smallest",
+    "largest", "own ℓ / ℓ", "own s²ℓ / s²ℓ", "points > 4 px off, %", "seconds",
+)  # fmt: skip
+FORMATS = ("s", "d", "+.3f", ".3f", ".2f", ".3f", ".2f", ".3f", ".2f", ".2f", ".2f", ".2f", ".2f", ".2f", ".3f")
+
+
+def megapixel(repeats: int = 3) -> Iterator[tuple[object, ...]]:
+    """Yield points and seconds for a closed edge in a picture of a megapixel, one row per method."""
+    angle = np.linspace(0.0, 2 * np.pi, 4001)[:-1]
+    radius = 300.0 * (1 + 0.2 * np.cos(3 * angle))
+    line = 500.0 + np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    random, shape = np.random.default_rng(1), (1000, 1000)
+    pictures = {"erf": Camera()(line, shape, random), "contour": Camera()(line, shape, random)}
+    pictures["path"] = Scan()(line, shape, random)
+    assert covered(line, shape).max() <= 1.0 + 1e-12
+    path = line[::100] + random.normal(0.0, 2.5, (40, 2))
+    for method, picture in pictures.items():
+        seconds = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            edge = find_edge(picture, path, method=method, closed=True)
+            seconds.append(time.perf_counter() - start)
+        off = signed_distances(edge.points, Interface.polyline(line, closed=True))
+        yield method, len(edge.points), min(seconds), float(off.mean()), float(off.std()), edge.errors.sd
+
+
+def main() -> None:
+    """Print the tables, a row at a time."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pictures", type=int, default=40)
+    parser.add_argument("--only", nargs="*", help="parts of the names of cases; default: all")
+    options = parser.parse_args()
+    rows = []
+    for case in CASES:
+        if not options.only or any(word in case.name for word in options.only):
+            rows.append(row(case, options.pictures))
+            print(*(format(x, f) if x is not None else "" for x, f in zip(rows[-1], FORMATS, strict=True)), flush=True)
+    print(Table("edges", "Edges in rendered pictures", COLUMNS, FORMATS, tuple(rows)).markdown())
+    if not options.only:
+        columns = ("method", "points", "seconds", "bias, px", "s, px", "own s, px")
+        formats = ("s", "d", ".2f", "+.3f", ".3f", ".3f")
+        print(Table("edges_megapixel", "A megapixel", columns, formats, tuple(megapixel())).markdown())
+
+
+if __name__ == "__main__":
+    main()
