@@ -1,0 +1,442 @@
+"""A person's whole way in a real browser: from the page to a saved file whose coordinates are the places clicked on.
+
+The picture holds bright dots at known pixels. A test finds them on screenshots, so that nothing of the page's own
+conversion between screen and picture is used, and clicks there.
+"""
+
+import io
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import ndimage
+
+from strandline.errors import InvalidInput
+from strandline.imaging.clicks import Clicks
+from strandline.imaging.clicks_file import as_json, read_clicks
+from strandline.report import click_picture
+from strandline.report.click_page import write_click_page
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+
+SHA = "0123456789abcdef" * 4
+WIDTH, HEIGHT = 640, 480
+DOTS = np.array([(x, y) for y in range(60, 480, 90) for x in range(50, 640, 90)], dtype=float)
+DOTS += np.arange(len(DOTS))[:, None] * [1, 2] % 7
+"""Pixels (x, y) of the dots, row by row, a few pixels off a grid."""
+EXACT = 1e-3
+"""Error, in pixels, of clicks where a pixel of the picture fills one of the screen."""
+READY = "Ready to save."
+
+
+def picture() -> Any:
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    values = np.zeros((HEIGHT, WIDTH))
+    for column, row in DOTS:
+        values += np.exp(-((x - column) ** 2 + (y - row) ** 2) / (2 * 1.5**2))
+    return values
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=CHROMIUM)
+        yield launched
+        launched.close()
+
+
+class Person:
+    """Somebody who sees the page, points and types."""
+
+    def __init__(self, page: Any) -> None:
+        self.page, self.downloads, self.requests, self.errors = page, [], [], []
+        page.on("download", lambda download: self.downloads.append(download))
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", lambda message: self.errors.append(message.text))
+
+    def open(self, path: Path) -> None:
+        self.page.goto(path.as_uri())
+        self.page.wait_for_selector("#stage[data-ready]")
+
+    def seen(self) -> Any:
+        """Return where the dots are on the screen, as pixels (x, y) of a screenshot of the picture."""
+        self.page.wait_for_timeout(80)
+        box = self.page.locator("#picture").bounding_box()
+        left, top = np.ceil([box["x"], box["y"]]).astype(int)
+        shot = self.page.screenshot(style="#marks { visibility: hidden }")
+        light = np.asarray(Image.open(io.BytesIO(shot)).convert("L")).astype(float)[
+            top : int(box["y"] + box["height"]), left : int(box["x"] + box["width"])
+        ]
+        light = np.where(light > 70, light - 70, 0.0)
+        spots, number = ndimage.label(light)
+        whole = [
+            k
+            for k, (rows, columns) in enumerate(ndimage.find_objects(spots), 1)
+            if rows.start > 0 and columns.start > 0 and rows.stop < len(light) and columns.stop < light.shape[1]
+        ]
+        assert number
+        centres = np.array(ndimage.center_of_mass(light, spots, whole))[:, ::-1]
+        return np.add(centres, [left, top])
+
+    def places(self) -> Any:
+        """Return where each dot is on the screen while all are visible: they lie in rows."""
+        found = self.seen()
+        assert len(found) == len(DOTS)
+        rows = found[np.argsort(found[:, 1])].reshape(5, 7, 2)
+        return np.concatenate([row[np.argsort(row[:, 0])] for row in rows])
+
+    def choose(self, label: str) -> None:
+        self.page.get_by_role("radio", name=label).check()
+
+    def click(self, place: Any) -> None:
+        self.page.mouse.click(*np.round(place))
+
+    def press(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def click_closely(self, dot: int) -> None:
+        """Zoom in on a dot with the wheel, click on it, and return to the whole picture."""
+        place = self.places()[dot]
+        self.page.mouse.move(*np.round(place))
+        for _ in range(5):
+            self.page.mouse.wheel(0, -100)
+        near = self.seen()
+        self.click(near[np.argmin(np.linalg.norm(near - place, axis=1))])
+        self.page.keyboard.press("0")
+
+    def save(self, folder: Path) -> Path:
+        with self.page.expect_download() as download:
+            self.page.get_by_role("button", name="Save").click()
+        path = folder / download.value.suggested_filename
+        download.value.save_as(path)
+        return path
+
+    def refusal(self) -> str:
+        """Press Save, which must not save, and return what the page says."""
+        before = len(self.downloads)
+        self.page.get_by_role("button", name="Save").click()
+        self.page.wait_for_timeout(150)
+        assert len(self.downloads) == before
+        return str(self.page.get_by_role("alert").inner_text())
+
+    def hand_in(self, content: Any) -> None:
+        """Open a file of clicks with these contents."""
+        text = content if isinstance(content, str) else json.dumps(content)
+        file = {"name": "scan.path.json", "mimeType": "application/json", "buffer": text.encode()}
+        self.page.locator("#file").set_input_files(file)
+        playwright.expect(self.page.get_by_role("status")).to_contain_text("pened")
+
+    def status(self, element: str) -> str:
+        return str(self.page.locator(f"#{element}").inner_text())
+
+
+@pytest.fixture
+def person(browser: Any) -> Iterator[Person]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="light")
+    one = Person(context.new_page())
+    yield one
+    assert not one.errors
+    context.close()
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Path:
+    return write_click_page(picture(), tmp_path / "scan.html", name="scan.tif", sha256=SHA)
+
+
+def distance(found: Any, dots: list[int]) -> float:
+    return float(np.linalg.norm(np.asarray(found) - DOTS[dots], axis=1).max())
+
+
+def test_from_the_picture_to_the_saved_file(person: Person, page: Path, tmp_path: Path) -> None:
+    person.open(page)
+    person.press("One pixel of the picture on one of the screen")
+    places = person.places()
+    assert person.status("zoom") == "100 %"
+    np.testing.assert_allclose(places[-1] - places[0], DOTS[-1] - DOTS[0], atol=0.1)
+
+    person.choose("Scale bar")
+    person.click(places[0])
+    person.click(places[6])
+    person.page.keyboard.type("250")  # the field of the length has the focus
+    person.page.get_by_label("Unit of the length").select_option("µm")
+    person.choose("Origin")
+    person.click(places[20])
+
+    person.choose("Path")
+    person.page.keyboard.press("0")
+    for dot in (7, 9, 17):
+        person.click_closely(dot)
+    near = person.places()
+    person.click(near[34])
+    person.page.keyboard.press("Control+z")  # that was the wrong dot
+    assert person.status("of-path") == "3 points"
+    person.click(near[26])
+    person.page.mouse.move(*np.round(near[26]))  # nor is this one, but it can be dragged
+    person.page.mouse.down()
+    person.page.mouse.move(*np.add(np.round(near[19]), [40, 3]), steps=3)
+    person.page.mouse.move(*np.round(near[19]), steps=3)
+    person.page.mouse.up()
+
+    person.press("One pixel of the picture on one of the screen")
+    person.choose("Leave out")
+    places = person.places()
+    for dot in (3, 4, 11, 3):  # the first corner again finishes the region
+        person.click(places[dot])
+    for dot in (5, 13, 12):
+        person.click(places[dot])
+    person.page.keyboard.press("Enter")
+    person.choose("Fixed region")
+    for dot in (28, 30, 22):
+        person.click(places[dot])
+    person.page.keyboard.press("Enter")
+    assert person.status("ready") == READY
+    person.page.screenshot(path=tmp_path / "whole.png")
+    path = person.save(tmp_path)
+    assert path.name == "scan.path.json"
+
+    clicks = read_clicks(path)
+    clicks.require_picture(SHA, (WIDTH, HEIGHT))
+    assert clicks.image == "scan.tif"
+    assert clicks.scale is not None
+    assert clicks.scale.length_mm == 0.25
+    assert clicks.pixel_mm == pytest.approx(0.25 / np.linalg.norm(DOTS[6] - DOTS[0]), rel=1e-6)
+    assert distance([clicks.scale.start, clicks.scale.end], [0, 6]) <= EXACT
+    assert distance([clicks.origin], [20]) <= EXACT
+    assert distance(clicks.path[:3], [7, 9, 17]) <= 0.1  # zoomed by the wheel
+    assert distance(clicks.path[3:], [19]) <= 0.5  # the whole picture at 145 %
+    assert not clicks.closed
+    assert [len(corners) for corners in clicks.exclude] == [3, 3]
+    assert distance(np.concatenate(clicks.exclude), [3, 4, 11, 5, 13, 12]) <= EXACT
+    assert distance(np.concatenate(clicks.fixed), [28, 30, 22]) <= EXACT
+    assert all(url.startswith(("file:", "data:image/png", "blob:")) for url in person.requests)
+
+
+def test_a_saved_file_is_loaded_and_saved_again_digit_by_digit(person: Person, page: Path, tmp_path: Path) -> None:
+    clicks = Clicks(
+        "scan.tif",
+        SHA,
+        (WIDTH, HEIGHT),
+        np.array([[10.123, 1 / 3], [200.5, 30.0], [639.5, 479.5]]),
+        closed=True,
+        origin=(-20.5, 800.0),
+        exclude=(np.array([[0.1, 0.2], [5.0, 0.7], [3.0, 9.0]]),),
+    )
+    again = write_click_page(picture(), tmp_path / "again.html", name="scan.tif", sha256=SHA, clicks=clicks)
+    person.open(again)
+    first = person.save(tmp_path)
+    assert as_json(read_clicks(first)) == as_json(clicks)
+    text = first.read_text()
+    person.open(page)
+    person.hand_in(text)
+    assert person.save(tmp_path).read_text() == text
+
+
+def test_undo_and_redo_lead_back_and_forth(person: Person, page: Path) -> None:
+    person.open(page)
+    places = person.places()
+    for dot in (0, 6, 20):
+        person.click(places[dot])
+    person.page.get_by_label("closed").check()
+    person.page.keyboard.press("Escape")
+    seen = []
+    for _ in range(4):
+        seen.append((person.status("of-path"), person.page.get_by_label("closed").is_checked()))
+        person.press("Undo")
+    assert seen == [("3 points", True), ("3 points", False), ("2 points", False), ("1 point", False)]
+    assert person.status("of-path") == "–"
+    assert person.page.get_by_role("button", name="Undo").is_disabled()
+    for _ in range(4):
+        person.press("Redo")
+    assert person.status("of-path") == "3 points"
+    assert person.page.get_by_label("closed").is_checked()
+
+
+def test_points_are_inserted_deleted_and_moved_by_keys(person: Person, page: Path, tmp_path: Path) -> None:
+    person.open(page)
+    person.press("One pixel of the picture on one of the screen")
+    places = person.places()
+    for dot in (0, 6, 34):
+        person.click(places[dot])
+    middle = (places[0] + places[6]) / 2
+    person.page.mouse.move(*np.round(middle))
+    person.page.mouse.down()
+    person.page.mouse.move(*np.round(places[10]), steps=4)
+    person.page.mouse.up()
+    person.click(places[6])
+    person.page.keyboard.press("Delete")
+    person.page.mouse.move(*np.round(places[28]))
+    person.page.keyboard.press("a")
+    for key in ("ArrowLeft", "ArrowLeft", "ArrowUp", "Shift+ArrowUp"):
+        person.page.keyboard.press(key)
+    found = read_clicks(person.save(tmp_path)).path
+    assert distance(found[:3], [0, 10, 34]) <= EXACT
+    np.testing.assert_allclose(found[3], DOTS[28] - [2, 11], atol=EXACT)
+
+
+def test_a_scale_bar_and_the_view_are_drawn_by_dragging(person: Person, page: Path) -> None:
+    person.open(page)
+    places = person.places()
+    person.choose("Scale bar")
+    person.page.mouse.move(*np.round(places[0]))
+    person.page.mouse.down()
+    person.page.mouse.move(*np.round(places[6]), steps=4)
+    person.page.mouse.up()
+    person.page.get_by_role("spinbutton", name="Length").fill("2")
+    per_pixel = float(person.status("of-scale").removesuffix(" µm/px"))
+    assert per_pixel == pytest.approx(2000 / np.linalg.norm(DOTS[6] - DOTS[0]), rel=5e-3)
+    person.choose("Move the picture")
+    person.page.mouse.move(*np.round(places[20]))
+    person.page.mouse.down()
+    person.page.mouse.move(*np.add(np.round(places[20]), [30, -20]), steps=2)
+    person.page.mouse.up()
+    np.testing.assert_allclose(person.seen().mean(axis=0), np.add(places.mean(axis=0), [30, -20]), atol=0.1)
+
+
+def test_the_coordinates_are_those_of_the_whole_picture(
+    person: Person, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(click_picture, "MOST_PIXELS", 40_000)
+    assert click_picture.shown(picture()).factor == 3
+    target = tmp_path / "small.html"
+    person.open(write_click_page(picture(), target, name="scan.tif", sha256=SHA, pixel_mm=(0.004, 0.002)))
+    places = person.places()
+    zoom = float(person.status("zoom").removesuffix(" %")) / 100
+    np.testing.assert_allclose(places[-1] - places[0], (DOTS[-1] - DOTS[0]) * [zoom, zoom / 2], rtol=0.01)
+    for dot in (0, 6, 34):
+        person.click(places[dot])
+    clicks = read_clicks(person.save(tmp_path))
+    assert clicks.size == (WIDTH, HEIGHT)
+    np.testing.assert_allclose(clicks.path[:, 0], DOTS[[0, 6, 34], 0], atol=0.6)
+    np.testing.assert_allclose(clicks.path[:, 1], DOTS[[0, 6, 34], 1], atol=1.1)  # half as many pixels of the screen
+
+
+def test_what_is_unfinished_cannot_be_saved(person: Person, page: Path, tmp_path: Path) -> None:
+    person.open(page)
+    places = person.places()
+    assert "The path has no points; it needs at least 3." in person.refusal()
+    for dot in (0, 13):
+        person.click(places[dot])
+    assert "The path has 2 points" in person.refusal()
+    for dot in (7, 6):
+        person.click(places[dot])
+    assert "The path crosses or touches itself near x" in person.refusal()
+    person.press("Undo")
+    assert person.status("ready") == READY
+    person.choose("Scale bar")
+    person.click(places[20])
+    assert "The scale bar has one end" in person.refusal()
+    person.click(places[27])
+    assert "The scale bar has no length" in person.refusal()
+    person.page.get_by_role("spinbutton", name="Length").fill("-3")
+    assert "The scale bar has no length" in person.refusal()
+    person.page.get_by_role("spinbutton", name="Length").fill("3")
+    assert person.status("ready") == READY
+    person.choose("Leave out")
+    person.click(places[3])
+    person.click(places[4])
+    assert "Region 1 to leave out has 2 corners" in person.refusal()
+    person.press("Delete region 1")
+    clicks = read_clicks(person.save(tmp_path))
+    assert (len(clicks.path), clicks.exclude) == (3, ())
+
+
+GOOD: dict[str, Any] = {
+    "version": 1,
+    "image": "scan.tif",
+    "sha256": SHA,
+    "size": [WIDTH, HEIGHT],
+    "path": [[10, 10], [90, 30], [40, 80]],
+}
+BAR = {"from": [1, 1], "to": [50, 1], "length_mm": 1}
+CORNERS = [[1, 1], [9, 1], [9, 9]]
+REPAIRABLE: list[tuple[dict[str, Any], str]] = [
+    ({"path": []}, "The path has no points"),
+    ({"path": [[1, 1], [2, 2]]}, "The path has 2 points"),
+    ({"path": [[1, 1], [700, 2], [3, 3]]}, "Point 2 of the path is outside the picture"),
+    ({"path": [[1, 1], [5, 2], [5, 2], [9, 1]]}, "Points 2 and 3 of the path coincide"),
+    ({"path": [[1, 1], [5, 2], [9, 7], [1, 1]], "closed": True}, "Points 4 and 1 of the path coincide"),
+    ({"path": [[10, 10], [20, 20], [20, 10], [10, 20]]}, "crosses or touches itself near x 15.0, y 15.0"),
+    ({"path": [[10, 10], [20, 10], [12, 10]]}, "crosses or touches itself"),
+    ({"scale": {**BAR, "to": [1, 1]}}, "ends of the scale bar coincide"),
+    ({"scale": {**BAR, "to": [1, 481]}}, "The scale bar reaches outside"),
+    ({"scale": {**BAR, "length_mm": 0}}, "The scale bar has no length"),
+    ({"exclude": [CORNERS, CORNERS[:2]]}, "Region 2 to leave out has 2 corners"),
+    ({"fixed": [[[1, 1], [9, 1], [9, 999]]]}, "Region 1 that is fixed reaches outside"),
+]
+NOT_OPENED: list[tuple[Any, str]] = [
+    ("{", "it is not JSON"),
+    ([], "it is no file of clicks"),
+    ({**GOOD, "version": 2}, "its version is 2"),
+    ({**GOOD, "sha256": SHA[::-1]}, "another picture"),
+    ({**GOOD, "size": [HEIGHT, WIDTH]}, "another picture"),
+    ({**GOOD, "path": [[1, 2, 3]]}, "its path is no list of points"),
+    ({**GOOD, "closed": 1}, "closed is neither true nor false"),
+    ({**GOOD, "origin": [1]}, "its origin is no point"),
+    ({**GOOD, "scale": {"from": [1, 1]}}, "its scale bar has no two ends"),
+    ({**GOOD, "exclude": [[1, 2]]}, "its regions are no lists of corners"),
+]
+
+
+def test_the_page_refuses_what_the_reader_refuses(person: Person, page: Path, tmp_path: Path) -> None:
+    person.open(page)
+    path = tmp_path / "bad.path.json"
+    for changes, message in REPAIRABLE:
+        path.write_text(json.dumps({**GOOD, **changes}))
+        with pytest.raises(InvalidInput):
+            read_clicks(path)
+        person.hand_in({**GOOD, **changes})
+        assert message in person.refusal()
+    for content, message in NOT_OPENED:
+        person.hand_in(GOOD)
+        person.hand_in(content)
+        assert re.search(f"scan.path.json was not opened: .*{message}", person.page.get_by_role("alert").inner_text())
+        assert person.status("of-path") == "3 points"
+
+
+def test_page_and_reader_agree_on_paths_that_cross_or_touch(person: Person, page: Path) -> None:
+    rng = np.random.default_rng(3)
+    cases = [
+        (rng.integers(0, 7, (int(rng.integers(3, 8)), 2)).tolist(), bool(rng.integers(2))) for _ in range(600)
+    ]  # so few places that many paths repeat, touch or run back
+    cases += [((100 * rng.random((6, 2))).tolist(), bool(rng.integers(2))) for _ in range(200)]
+    person.open(page)
+    accepted = person.page.evaluate(
+        """(cases) => cases.map(([path, closed]) => {
+          marks = { ...nothing(), path, closed };
+          return problems().length === 0;
+        })""",
+        cases,
+    )
+    expected = [_is_path(points, closed) for points, closed in cases]
+    assert accepted == expected
+    assert 100 < sum(expected) < 700
+
+
+def _is_path(points: Any, closed: bool) -> bool:
+    try:
+        Clicks("scan.tif", SHA, (WIDTH, HEIGHT), np.array(points, dtype=float), closed=closed)
+    except InvalidInput:
+        return False
+    return True
+
+
+def test_brightness_and_contrast_change_the_picture_only_on_the_screen(person: Person, page: Path) -> None:
+    person.open(page)
+    dark = np.asarray(Image.open(io.BytesIO(person.page.screenshot())).convert("L"), dtype=float)
+    person.page.get_by_label("Brightness", exact=True).fill("300")
+    person.page.wait_for_timeout(80)
+    bright = np.asarray(Image.open(io.BytesIO(person.page.screenshot())).convert("L"), dtype=float)
+    middle = np.s_[200:700, 500:1100]
+    assert bright[middle].mean() > 1.3 * dark[middle].mean()
+    person.press("Reset brightness and contrast")
+    assert person.page.get_by_label("Brightness", exact=True).input_value() == "100"
