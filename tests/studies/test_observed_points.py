@@ -111,5 +111,5 @@ def test_options_of_reading_reach_the_observation(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["observed.png", "observed.csv", "observed.vtu"])
 def test_a_picture_is_not_a_contour_yet(tmp_path: Path, begin: bytes, kind: str, name: str) -> None:
     (tmp_path / name).write_bytes(begin + bytes(range(256)))
-    with pytest.raises(InvalidStudy, match=rf"{name} is a picture: got a {kind} image; .*segment it"):
+    with pytest.raises(InvalidStudy, match=rf"{name} is a picture: got a {kind} image; .*observation: .image"):
         load_study(write_study(tmp_path, observation={"file": name, "unit": "mm"}))

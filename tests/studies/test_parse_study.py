@@ -123,7 +123,12 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
         ),
         ({"noise": {"sd": 1, "unit": "um", "length": -5}}, "noise.length", -5, "greater than or equal to 0"),
         ({"noise": {"sd": -1, "unit": "um"}}, "noise.sd", -1, "greater than 0"),
-        ({"noise": {"sd": "unkown", "unit": "um"}}, "noise.sd", "unkown", "a range [low, high], `unknown` or `column`"),
+        (
+            {"noise": {"sd": "unkown", "unit": "um"}},
+            "noise.sd",
+            "unkown",
+            "a range [low, high], `unknown`, `column` or `image`",
+        ),
         ({"noise": {"sd": 1, "unit": "inch"}}, "noise.unit", "inch", "'mm', 'um', 'µm' or 'm'"),
         ({"noise": {"sd": 1, "unit": "um", "unknown": {"shift": -5}}}, "noise.unknown.shift", -5, "or equal to 0"),
         ({"name": "a/b"}, "name", "a/b", "letters, digits"),
@@ -136,7 +141,7 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
         ({"discrepancy": 3}, "discrepancy", 3, "keys with values"),
         ({"observation": {"file": "a.csv"}}, "observation", {"file": "a.csv"}, "`unit: mm`"),
         ({"observation": {"file": "a.csv", "unit": "inch"}}, "observation.unit", "inch", "'mm', 'um', 'µm' or 'm'"),
-        ({"observation": {}}, "observation", {}, "either `file` with its `unit`, or `synthetic`"),
+        ({"observation": {}}, "observation", {}, "one of `file` with its `unit`, `image` and `synthetic`"),
     ],
 )
 def test_wrong_values(tmp_path: Path, changes: dict[str, Any], place: str, value: Any, expected: str) -> None:

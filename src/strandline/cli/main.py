@@ -20,6 +20,7 @@ MOST_DEVICES = 8
 COMMANDS = {
     "init": "Write a commented study folder that runs.",
     "noise": "Estimate the noise of an observation from its contours.",
+    "image": "Find the edge in the picture of a study.",
     "check": "Validate a study and make one forward run.",
     "run": "Do the whole study; go on where it was stopped.",
     "retry": "Make failed runs again, then the rest of the study.",

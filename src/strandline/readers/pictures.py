@@ -40,6 +40,5 @@ def require_no_picture(path: Path, name: str) -> None:
                 f"{name} is a picture",
                 f"a {kind} image",
                 "the points of a contour, two columns x, y in their order along the interface",
-                "A picture is not a contour yet: segment it with an image program, trace the interface, scale pixels "
-                "to a length, and give the points.",
+                "To find the interface in it, write `observation: {image: {file: …}}`; see the guide on pictures.",
             )

@@ -11,22 +11,30 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
 from strandline.readers.options import TO_MM
 from strandline.studies.chosen import refused_at
-from strandline.studies.keys.observation import COLUMN, ConditionNoise, Unknown
+from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise, Unknown
+from strandline.studies.observations import Found
 
-__all__ = ["build_noise", "require_fits", "require_inferable", "require_shared", "require_stated"]
+__all__ = [
+    "build_noise",
+    "require_fits",
+    "require_inferable",
+    "require_offset",
+    "require_shared",
+    "require_stated",
+]
 
 Stated = float | str | tuple[float, float] | None
 
 
 def build_noise(
-    given: ConditionNoise, names: Sequence[str], sds: Float[np.ndarray, " point"] | None = None
+    given: ConditionNoise, names: Sequence[str], found: Found | None = None
 ) -> Noise | PointErrors | UnknownErrors:
     """Return the noise that a section states, lengths in mm.
 
     Args:
         given: The section.
         names: Names of the inputs.
-        sds: Standard deviations of the observed points, mm, if the observation holds them.
+        found: What was read of the observed interface, if it is known already.
 
     Raises:
         InvalidStudy: The noise needs standard deviations that the observation does not hold, or names no input.
@@ -37,6 +45,9 @@ def build_noise(
     common: dict[str, Any] = {"shift": mm * unknown.shift, "rotation": unknown.rotation, "scale": unknown.scale}
     common["offset"] = mm * unknown.offset
     sd, length = _in_mm(given.sd, mm), _in_mm(given.length or 0.0, mm)
+    if given.sd == IMAGE:
+        return _of_picture(given, found)
+    sds = None if found is None else found.sds
     if given.sd == COLUMN and sds is None:
         raise InvalidStudy(
             "noise.sd",
@@ -64,6 +75,52 @@ def build_noise(
                 remedy="Leave shared out.",
             )
         return UnknownErrors(sd, length, **common, model_error=given.model_error, spread=spread)
+
+
+def _of_picture(given: ConditionNoise, found: Found | None) -> PointErrors:
+    """Return the errors that the picture shows, with the common ones that are stated, lengths in mm."""
+    if found is None or found.picture is None:
+        raise InvalidStudy(
+            "noise.sd",
+            value=IMAGE,
+            expected="an observation that comes from a picture",
+            remedy="State the sd of the points, or write `observation: {image: …}`.",
+        )
+    if given.length is not None or given.model_error or given.spread:
+        raise InvalidStudy(
+            "noise.sd",
+            value=f"{IMAGE}, with a length, a model error or a spread",
+            expected="the length that the picture shows, and no model error",
+            remedy="Leave them out, or state sd and length as numbers, as `strandline image` prints them.",
+        )
+    seen = found.picture.errors
+    mm, unknown = TO_MM[str(given.unit)], given.unknown or Unknown()
+    with refused_at():
+        return PointErrors(
+            seen.sd,
+            seen.length,
+            shift=mm * unknown.shift,
+            rotation=unknown.rotation,
+            scale=unknown.scale,
+            offset=mm * unknown.offset or seen.offset,
+            shared=unknown.shared,
+        )
+
+
+def require_offset(given: ConditionNoise) -> None:
+    """Refuse an edge in a picture whose offset along the normals is known exactly: no threshold is.
+
+    Raises:
+        InvalidStudy: `noise.unknown.offset` is 0, or missing beside a known sd.
+    """
+    stated = given.unknown is not None and "offset" in given.unknown.model_fields_set
+    if given.of_points and not (given.unknown and given.unknown.offset) and (stated or given.sd != IMAGE):
+        raise InvalidStudy(
+            "noise.unknown.offset",
+            value=0,
+            expected="above 0 for an edge in a picture, which is always found a little too far in or out",
+            remedy=f"Write `sd: {IMAGE}`, which estimates it, or about 0.1 pixels for a camera, 0.4 for OCT.",
+        )
 
 
 def _require_ranges(given: ConditionNoise) -> None:

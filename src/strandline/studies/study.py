@@ -4,18 +4,13 @@ import hashlib
 import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-
-import numpy as np
-from jaxtyping import Float
 
 from strandline.calibration import Settings
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
-from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
 from strandline.posterior.shown import html_table
@@ -26,11 +21,13 @@ from strandline.studies.chosen import refused_at
 from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
 from strandline.studies.keys import StudyFile
-from strandline.studies.keys.observation import COLUMN, ConditionFile, ConditionNoise, ObservationFile
+from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionFile, ConditionNoise, ObservationFile
 from strandline.studies.known_model import as_in_ledgers
-from strandline.studies.noise import build_noise, require_fits, require_inferable, require_shared
-from strandline.studies.observed import SyntheticNoise, read_points, read_sds, require_plausible
+from strandline.studies.noise import build_noise, require_fits, require_inferable, require_offset, require_shared
+from strandline.studies.observations import Found, read_observations
+from strandline.studies.observed import SyntheticNoise
 from strandline.studies.parse import parse_study
+from strandline.studies.pictures import Photographed
 from strandline.studies.study_runs import StudyRuns
 from strandline.typeset import html_text
 
@@ -58,6 +55,7 @@ class Study:
         truth: The inputs at which the model makes a synthetic observation of each of its conditions, or None.
         synthetic_noise: Noise added to a synthetic observation, or None.
         turned: The conditions whose observed points were in the opposite direction and were reversed.
+        pictures: The pictures, by condition, in which observed interfaces were found.
         settings: How the posterior is computed.
         executor: Where forward runs are made.
         reuse: Ledgers of other studies whose runs are taken over if they fit.
@@ -77,6 +75,7 @@ class Study:
     truth: Mapping[str, float] | None
     synthetic_noise: SyntheticNoise | None
     turned: tuple[str, ...]
+    pictures: Mapping[str, Photographed]
     settings: Settings
     executor: Executor
     reuse: tuple[Path, ...]
@@ -142,9 +141,9 @@ def load_study(folder: Path | str) -> Study:
     model = as_in_ledgers(model, (folder / LEDGER, *reuse))
     space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
-    read = {} if truth is not None else _observed(folder, content.observation, model)
+    read = {} if truth is not None else read_observations(folder, content.observation, model)
     observed = {condition: one.interface for condition, one in read.items()}
-    noise, noises = _noises(content, model, {condition: one.sds for condition, one in read.items()})
+    noise, noises = _noises(content, model, read)
     study = Study(
         folder=folder,
         name=content.name,
@@ -159,6 +158,7 @@ def load_study(folder: Path | str) -> Study:
         truth=truth,
         synthetic_noise=_synthetic_noise(content),
         turned=tuple(condition for condition, one in read.items() if one.turned),
+        pictures={condition: one.picture for condition, one in read.items() if one.picture is not None},
         settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
         reuse=reuse,
@@ -173,14 +173,14 @@ def load_study(folder: Path | str) -> Study:
 
 
 def _noises(
-    content: StudyFile, model: ForwardModel, sds: Mapping[str, Float[np.ndarray, " _"] | None]
+    content: StudyFile, model: ForwardModel, read: Mapping[str, Found]
 ) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
     """Return the noise, and that of each condition that has its own.
 
     Args:
         content: The study file.
         model: The simulator.
-        sds: Standard deviations of the observed points by condition, if the observations hold them.
+        read: What was read of each condition.
     """
     known = declared_conditions(model)
     for condition in content.noise.conditions:
@@ -192,19 +192,26 @@ def _noises(
                 remedy="Correct the name, or remove it.",
             )
     names, stated = tuple(content.inputs), dict[str, ConditionNoise](content.noise.conditions)
-    if content.noise.sd == COLUMN:
-        stated = {**dict.fromkeys(sds, content.noise), **stated}
-    unused = [name for name, one in sds.items() if one is not None and stated.get(name, content.noise).sd != COLUMN]
-    if unused:
+    if content.noise.sd in (COLUMN, IMAGE):
+        stated = {**dict.fromkeys(read, content.noise), **stated}
+    for name, one in read.items():
+        _require_taken(stated.get(name, content.noise), one, name)
+    noises = {name: build_noise(given, names, read.get(name)) for name, given in stated.items()}
+    told = [one for one in read.values() if one.sds is not None or one.picture is not None]
+    return build_noise(content.noise, names, next(iter([*told, *read.values()]), None)), noises
+
+
+def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
+    """Refuse standard deviations of points that the noise leaves aside, and a picture's edge without an offset."""
+    if one.sds is not None and given.sd != COLUMN:
         raise InvalidStudy(
             "observation.sd: the noise does not take it",
-            value=f"condition {unused[0]}" if unused[0] else f"noise.sd: {content.noise.sd}",
+            value=f"condition {condition}" if condition else f"noise.sd: {given.sd}",
             expected=f"`noise: {{sd: {COLUMN}, unit: um}}`",
             remedy="Write that, or remove observation.sd.",
         )
-    noises = {name: build_noise(given, names, sds.get(name)) for name, given in stated.items()}
-    first = next((one for one in sds.values() if one is not None), None)
-    return build_noise(content.noise, names, first), noises
+    if one.picture is not None:
+        require_offset(given)
 
 
 def _settings(content: StudyFile, model: ForwardModel) -> Settings:
@@ -253,57 +260,6 @@ def _synthetic_noise(content: StudyFile) -> SyntheticNoise | None:
         return None
     seed = source.noise.seed
     return SyntheticNoise(source.noise.sd, content.seed if seed is None else seed)
-
-
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """An observed interface, whether its points were reversed, and their standard deviations, mm, if it has them."""
-
-    interface: Interface
-    turned: bool
-    sds: Float[np.ndarray, " point"] | None
-
-
-def _observed(folder: Path, source: ObservationFile | list[ConditionFile], model: ForwardModel) -> dict[str, _Read]:
-    """Return the observed interfaces by condition."""
-    files = {item.condition: item for item in source} if isinstance(source, list) else {"": source}
-    known = declared_conditions(model)
-    for condition in files:
-        if condition not in known:
-            raise _unknown_condition(condition, known)
-    return {condition: _read(folder, item, model) for condition, item in files.items()}
-
-
-def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
-    if not any(known):
-        return InvalidStudy(
-            "observation: the model has a single condition without a name",
-            value=condition,
-            expected="one mapping, observation: {file: …, unit: …}",
-            remedy="Remove the list and `condition`, or let the model declare its `conditions`.",
-        )
-    close = get_close_matches(condition, known, n=1)
-    return InvalidStudy(
-        "observation: the model has no such condition" if condition else "observation: the condition is not named",
-        value=condition or "no name",
-        expected=f"some of {', '.join(known)}",
-        remedy=f"Did you mean {close[0]}?" if close else "Give a list, - {condition: NAME, file: …, unit: …}.",
-    )
-
-
-def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> _Read:
-    """Return an observed interface in the same direction as the model's."""
-    path = folder / str(source.file)
-    interface = read_points(path, str(source.unit), options=source.reading)
-    sds = read_sds(path, str(source.unit), options=source.reading)
-    undeformed = undeformed_interface(model)
-    if undeformed is None:
-        return _Read(interface, False, sds)
-    require_plausible(f"observation {path.name}", interface, undeformed, unit=str(source.unit))
-    turned = interface.runs_against(undeformed)
-    if not turned:
-        return _Read(interface, False, sds)
-    return _Read(interface.reversed(), True, None if sds is None else sds[::-1])
 
 
 def _reused_ledger(folder: Path, other: str) -> Path:

@@ -6,11 +6,13 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from strandline.interface import is_condition
+from strandline.studies.keys.image import ImageFile
 from strandline.studies.keys.scalars import VARIANCES, Name, Number, Seed
 from strandline.studies.keys.section import Section, Switch
 
 __all__ = [
     "COLUMN",
+    "IMAGE",
     "KNOWN",
     "ONE",
     "RANGE",
@@ -67,17 +69,19 @@ class ObservationFile(Section):
     reader: Any = None
     synthetic: dict[str, Number] | None = None
     """instead of `file`: a value for each input; the model makes the observation"""
+    image: ImageFile | None = None
+    """instead of `file`: [a picture](../how-to/picture.md) in which the interface is found"""
     noise: ObservationNoise | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "ObservationFile":
-        if (self.file is None) == (self.synthetic is None):
-            raise ValueError("either `file` with its `unit`, or `synthetic`")
+        if sum(one is not None for one in (self.file, self.synthetic, self.image)) != 1:
+            raise ValueError("one of `file` with its `unit`, `image` and `synthetic`")
         if self.file is None and self.reading:
             raise ValueError(f"`{next(iter(self.reading))}` only with a `file`, since it says how to read it")
         if self.file is not None and self.unit is None:
             raise ValueError("the unit of the coordinates too: `unit: mm` (or um, m)")
-        if self.file is not None and self.noise is not None:
+        if self.synthetic is None and self.noise is not None:
             raise ValueError(
                 "`noise` with `synthetic` only: a file holds its own; σ_N stands under the study's `noise`"
             )
@@ -86,7 +90,7 @@ class ObservationFile(Section):
     @property
     def reading(self) -> dict[str, Any]:
         """How to read the file."""
-        others = {"file", "unit", "synthetic", "noise", "condition"}
+        others = {"file", "unit", "synthetic", "image", "noise", "condition"}
         return {name: value for name, value in self if name not in others and value is not None}
 
 
@@ -130,14 +134,15 @@ Observed = Annotated[
 
 
 NotNegative = Annotated[Number, Field(ge=0)]
-KNOWN, UNKNOWN, RANGE, COLUMN = "[known]", "[unknown]", "[range]", "column"
+KNOWN, UNKNOWN, RANGE, COLUMN, IMAGE = "[known]", "[unknown]", "[range]", "column", "image"
 """Branches of `noise.sd` and `noise.length`."""
 
 
 def _how(value: Any) -> str:
     if isinstance(value, list):
         return RANGE
-    return {"unknown": UNKNOWN, "column": f"[{COLUMN}]"}.get(value, KNOWN) if isinstance(value, str) else KNOWN
+    words = {"unknown": UNKNOWN, COLUMN: f"[{COLUMN}]", IMAGE: f"[{IMAGE}]"}
+    return words.get(value, KNOWN) if isinstance(value, str) else KNOWN
 
 
 def _is_number(text: str) -> bool:
@@ -163,10 +168,11 @@ def _number_or(words: tuple[str, ...]) -> Callable[[Any], Any]:
 _Range = Annotated[tuple[Number, Number], Tag(RANGE)]
 _Unknown = Annotated[Literal["unknown"], Tag(UNKNOWN)]
 _Column = Annotated[Literal["column"], Tag(f"[{COLUMN}]")]
+_Image = Annotated[Literal["image"], Tag(f"[{IMAGE}]")]
 Sd = Annotated[
-    Annotated[Number, Field(gt=0), Tag(KNOWN)] | _Unknown | _Range | _Column,
+    Annotated[Number, Field(gt=0), Tag(KNOWN)] | _Unknown | _Range | _Column | _Image,
     Discriminator(_how),
-    BeforeValidator(_number_or(("unknown", COLUMN))),
+    BeforeValidator(_number_or(("unknown", COLUMN, IMAGE))),
 ]
 Length = Annotated[
     Annotated[Number, Field(ge=0), Tag(KNOWN)] | _Unknown | _Range,
@@ -243,7 +249,8 @@ class Noise(ConditionNoise):
     """σ_N², in the unit of d² (mm²)"""
     sd: Sd | None = None
     """instead of `variance`: σ_N; or with `unit` the standard deviation of [an observed point](../how-to/noise.md);
-    `unknown` or a range [low, high] lets the residuals decide, `column` takes those of `observation.sd`"""
+    `unknown` or a range [low, high] lets the residuals decide, `column` takes those of `observation.sd`,
+    `image` what the picture shows"""
     unit: Literal["mm", "um", "µm", "m"] | None = None
     """`mm`, `um`, `µm` or `m`: `sd` is that of an observed point along the normal; strandline derives the noise of
     every measure from it"""

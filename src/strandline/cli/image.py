@@ -1,0 +1,71 @@
+"""`strandline image`: the edge in the picture of a study, or the page on which to mark it."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from strandline.errors import InvalidStudy
+
+if TYPE_CHECKING:
+    from strandline.studies.picture_files import PictureFiles
+
+__all__ = ["command"]
+
+
+@click.command("image")
+@click.argument("study", type=click.Path(path_type=Path))
+@click.option("--edit", is_flag=True, help="Write a page on which to mark path, scale, origin and regions instead.")
+@click.option("--condition", default=None, metavar="NAME", help="With --edit and several pictures: which one.")
+def command(study: Path, edit: bool, condition: str | None) -> None:
+    """Find the edge in the picture of STUDY and write it into STUDY/image: a table, a picture, its errors.
+
+    With --edit, write a page instead. Open it in a browser, mark the picture, and save the file that `path` names.
+    """
+    if edit:
+        click.echo(f"wrote {_page(study, condition)}: open it in a browser, and save what you mark beside study.yaml")
+        return
+    from strandline.studies import load_study
+    from strandline.studies.picture_files import write_pictures
+
+    loaded = load_study(study)
+    if not loaded.pictures:
+        raise InvalidStudy(
+            "observation",
+            value="no picture",
+            expected="`image: {file: …, path: …, solid: …}`",
+            remedy='See the guide "From a picture", docs/how-to/picture.md.',
+        )
+    for one in write_pictures(loaded.folder, loaded.pictures):
+        for line in _lines(one):
+            click.echo(line)
+    click.echo(f"next: strandline check {study}")
+
+
+def _lines(one: "PictureFiles") -> Iterator[str]:
+    """Yield what was found in one picture."""
+    found = one.content
+    of = f"{one.condition}: " if one.condition else ""
+    yield f"{of}{found['picture']}: edge of {found['points']} points"
+    for note in found["notes"]:
+        yield f"  {note}"
+    micrometres = {name: f"{1e3 * found[name]:.3g} µm" for name in ("sd", "length", "offset", "blur")}
+    yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
+    yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
+    yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
+    yield "  as `noise: {sd: image, unit: um, unknown: {shift: …, rotation: …, scale: …}}` states it"
+    for name, variance in found["noise_variance"].items():
+        yield f"  σ_N² for {name}: {variance:.3g}"
+    for file in one.files:
+        yield f"  wrote {file}"
+
+
+def _page(study: Path, condition: str | None) -> Path:
+    """Write the page for one picture and return its path."""
+    from strandline.studies.parse import parse_study
+    from strandline.studies.picture_files import write_page
+    from strandline.studies.pictures import picture_of
+
+    content, _ = parse_study(study)
+    return write_page(study, picture_of(content.observation, condition))

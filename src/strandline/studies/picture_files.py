@@ -1,0 +1,128 @@
+"""What `strandline image` writes: the edge as a table, a picture of it, and its errors in numbers."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.discrepancy import ClosestPoint, Currents, KnowsPointErrors, MeasurementLines
+from strandline.report.click_page import write_click_page
+from strandline.report.plots.picture import plot_picture
+from strandline.report.plots.style import DOTS_PER_INCH
+from strandline.studies.chosen import refused_at
+from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
+from strandline.studies.keys.image import ImageFile
+from strandline.studies.pictures import Photographed, clicked, read_only_picture
+
+__all__ = ["PictureFiles", "write_page", "write_pictures"]
+
+IMAGE = "image"
+"""Folder, in the study's, of what is written."""
+WIDTH = 0.1
+"""Width of the currents for which a noise variance is given, in extents of the interface."""
+
+
+@dataclass(frozen=True)
+class PictureFiles:
+    """What was written on one picture.
+
+    Args:
+        condition: The observed condition.
+        content: Errors of the edge and where they come from, as in ``image.json``.
+        files: Names of the files, relative to the study's folder.
+    """
+
+    condition: str
+    content: Mapping[str, Any]
+    files: tuple[str, ...]
+
+
+def write_pictures(folder: Path, pictures: Mapping[str, Photographed]) -> list[PictureFiles]:
+    """Write table, picture and numbers of the edge of each condition into ``image/`` of the study's folder.
+
+    Raises:
+        InvalidStudy: The folder cannot be written to.
+    """
+    require_writable(folder)
+    target, out = folder / IMAGE, []
+    with told_if_unwritable(target):
+        target.mkdir(exist_ok=True)
+        for condition, one in pictures.items():
+            stem = f"{condition}-edge" if condition else "edge"
+            content = described(one)
+            rows = np.column_stack([one.interface.points, *_along(one)])
+            with whole_file(target / f"{stem}.csv") as path:
+                np.savetxt(path, rows, delimiter=",", header="x,y,sd,arc", comments="", fmt="%.7g")
+            figure: Any = plot_picture(one.picture, one.path, one.edge)
+            with whole_file(target / f"{stem}.png") as path:
+                figure.savefig(path, dpi=DOTS_PER_INCH, format="png", metadata={"Software": None})
+            write_json(target / f"{stem}.json", content)
+            names = tuple(f"{IMAGE}/{stem}.{suffix}" for suffix in ("csv", "png", "json"))
+            out.append(PictureFiles(condition, content, names))
+    return out
+
+
+def write_page(folder: Path, given: ImageFile) -> Path:
+    """Write the page on which a person marks a picture, with the marks of the file that `path` names if it exists.
+
+    Raises:
+        InvalidStudy: The picture or that file cannot be read, or the folder cannot be written to.
+    """
+    require_writable(folder)
+    picture, known = read_only_picture(folder, given)
+    with refused_at():
+        named = isinstance(given.path, str) and (folder / given.path).is_file()
+        clicks = clicked(folder, given) if named else None
+        target = folder / f"{Path(picture.name).stem}.mark.html"
+        with told_if_unwritable(target):
+            return write_click_page(
+                picture.values,
+                target,
+                name=picture.name,
+                sha256=picture.sha256,
+                clicks=clicks,
+                pixel_mm=picture.pixel if known else None,
+            )
+
+
+def described(one: Photographed) -> dict[str, Any]:
+    """Return the errors of an edge, lengths in mm, and σ_N² of measures that fit them."""
+    e = one.edge.errors
+    return {
+        "picture": one.picture.name,
+        "sha256": one.picture.sha256,
+        "pixel_mm": list(one.picture.pixel),
+        "notes": list(one.picture.notes),
+        "points": len(one.edge.points),
+        "sd": e.sd,
+        "length": e.length,
+        "offset": e.offset,
+        "spacing": e.spacing,
+        "blur": e.blur,
+        "smallest_radius": e.radius,
+        "contrast_to_noise": e.contrast_to_noise,
+        "limit_share": e.limit_share,
+        "facts": e.facts,
+        "noise_variance": _variances(one),
+    }
+
+
+def _along(one: Photographed) -> tuple[np.ndarray, np.ndarray]:
+    """Return standard deviations and arc lengths in the order of the interface."""
+    turned = not one.frame.mirrors
+    sds, arc = one.edge.sds, one.edge.arc
+    return (sds[::-1], arc[-1] - arc[::-1]) if turned else (sds, arc - arc[0])
+
+
+def _variances(one: Photographed) -> dict[str, float]:
+    """Return σ_N² by measure, by the closed form of each."""
+    width = float(f"{WIDTH * np.ptp(one.interface.points, axis=0).max():.1g}")
+    measures: dict[str, KnowsPointErrors] = {
+        "closest_point, to_simulated": ClosestPoint(direction="to_simulated"),
+        "measurement_lines, 40": MeasurementLines(40),
+        f"currents, width {width:g} mm": Currents(width),
+    }
+    found = {name: measure.noise_variance(one.errors, one.interface) for name, measure in measures.items()}
+    return {name: variance for name, variance in found.items() if variance is not None}

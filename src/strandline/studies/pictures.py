@@ -1,0 +1,184 @@
+"""Pictures of a study: the edge in each, in the model's coordinates, with the errors that the picture itself shows."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import InvalidStudy
+from strandline.imaging import (
+    Clicks,
+    Edge,
+    Frame,
+    Picture,
+    PictureReading,
+    find_edge,
+    read_clicks,
+    read_path,
+    read_picture,
+    typed_path,
+)
+from strandline.imaging.pixel_size import PixelSize
+from strandline.interface import Interface, PointErrors
+from strandline.studies.chosen import refused_at
+from strandline.studies.keys.image import ImageFile
+from strandline.studies.keys.observation import ConditionFile, ObservationFile
+
+__all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture"]
+
+PLACE = "observation.image"
+MODEL = "model"
+"""The path of a picture whose first path is the model's own outline."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photographed:
+    """A picture, the edge in it, and where it lies in the model's coordinates.
+
+    Args:
+        picture: The picture.
+        frame: Where the model lies in it.
+        path: First path, from which the search began, in pixels.
+        edge: The edge, in pixels; its errors and arc lengths in mm.
+        interface: The edge as an interface in the model's coordinates, mm.
+    """
+
+    picture: Picture
+    frame: Frame
+    path: Float[np.ndarray, "click 2"]
+    edge: Edge
+    interface: Interface
+
+    @property
+    def name(self) -> str:
+        """Name of the picture's file."""
+        return self.picture.name
+
+    @property
+    def errors(self) -> PointErrors:
+        """Errors of the interface's points that the picture shows: local ones, and a common offset."""
+        found = self.edge.errors
+        return PointErrors(found.sd, found.length, offset=found.offset)
+
+
+def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -> Photographed:
+    """Return the edge in a picture of a study.
+
+    Args:
+        folder: Folder of the study.
+        given: The section `observation.image`.
+        undeformed: The model's undeformed interface, if it has one.
+
+    Raises:
+        InvalidStudy: The picture, the path or another option cannot be used, or the picture shows no edge there.
+    """
+    with refused_at():
+        clicks = clicked(folder, given)
+        picture = read_picture([folder / name for name in given.files], _reading(given, clicks))
+        size = picture.values.shape[1], picture.values.shape[0]
+        if clicks is not None:
+            clicks.require_picture(picture.sha256, size)
+        frame = _frame(given, clicks, picture)
+        path, closed = _path(folder, given, clicks, frame, undeformed, size)
+        exclude = [np.array(corners, float) for corners in given.exclude]
+        edge = find_edge(
+            picture.values,
+            path,
+            method=given.edge,
+            solid=given.solid,
+            closed=closed,
+            exclude=[*exclude, *(clicks.exclude if clicks is not None else ())],
+            pixel=picture.pixel,
+            trim=given.trim,
+        )
+        points = frame.to_mm(edge.points)
+        interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
+    return Photographed(picture, frame, path, edge, interface)
+
+
+def clicked(folder: Path, given: ImageFile) -> Clicks | None:
+    """Return the clicks that the study names, if its path is a file of clicks."""
+    if isinstance(given.path, str) and given.path.endswith(".json"):
+        return read_clicks(folder / given.path)
+    return None
+
+
+def picture_of(source: ObservationFile | list[ConditionFile], condition: str | None) -> ImageFile:
+    """Return the section of the picture of a condition; None for the only one.
+
+    Raises:
+        InvalidStudy: There is no such picture, or there are several.
+    """
+    sections = source if isinstance(source, list) else [source]
+    found = {getattr(one, "condition", ""): one.image for one in sections if one.image is not None}
+    if condition is None and len(found) == 1:
+        return next(iter(found.values()))
+    if condition is None or condition not in found:
+        raise InvalidStudy(
+            "observation with a picture" if condition is None else "--condition",
+            value=condition if condition is not None else f"{len(found)} pictures",
+            expected=f"one of {', '.join(found)}" if any(found) else "`observation: {image: {file: …}}`",
+            remedy="Give its condition, `--condition NAME`." if any(found) else "Correct study.yaml.",
+        )
+    return found[condition]
+
+
+def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
+    """Return the picture alone, and whether study or header state the size of its pixels; else it is 1 mm."""
+    paths = [folder / name for name in given.files]
+    how = PictureReading.from_options(given.reading, PLACE)
+    try:
+        with refused_at():
+            return read_picture(paths, how), True
+    except InvalidStudy:
+        if how.pixel is not None:
+            raise
+        with refused_at():
+            return read_picture(paths, replace(how, pixel=PixelSize(1.0, 1.0, source="nothing yet"))), False
+
+
+def _reading(given: ImageFile, clicks: Clicks | None) -> PictureReading:
+    """Return how to read the picture, with the size of a pixel from a scale bar if the study states none."""
+    how = PictureReading.from_options(given.reading, PLACE)
+    size = None if clicks is None else clicks.pixel_mm
+    if how.pixel is not None or size is None:
+        return how
+    return replace(how, pixel=PixelSize(size, size, source=f"the scale bar in {given.path}"))
+
+
+def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture) -> Frame:
+    """Return where the model lies in the picture; the origin is the clicked one if the study states none."""
+    options: Mapping[str, Any] | Any = {} if given.frame is None else given.frame
+    if isinstance(options, Mapping) and "origin" not in options and clicks is not None and clicks.origin is not None:
+        options = {**options, "origin": list(clicks.origin)}
+    return Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel)
+
+
+def _path(
+    folder: Path,
+    given: ImageFile,
+    clicks: Clicks | None,
+    frame: Frame,
+    undeformed: Interface | None,
+    size: tuple[int, int],
+) -> tuple[Float[np.ndarray, "click 2"], bool]:
+    """Return the first path, in pixels, and whether it is closed."""
+    if clicks is not None:
+        return clicks.path, clicks.closed or given.closed
+    if given.path == MODEL:
+        if undeformed is None or undeformed.dim != 2:
+            raise InvalidStudy(
+                f"{PLACE}.path",
+                value=MODEL,
+                expected="a model with an undeformed outline in the plane",
+                remedy="Click the path: `strandline image STUDY --edit`.",
+            )
+        return frame.to_pixels(undeformed.points), undeformed.closed
+    if isinstance(given.path, str):
+        found = read_path(folder / given.path, size=size)
+    else:
+        found = typed_path(given.path, closed=given.closed, size=size, what=f"{PLACE}.path")
+    return found.points, found.closed or given.closed

@@ -1,0 +1,214 @@
+"""A picture as the observation of a study: where the edge is, its errors, and every bad input."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from scipy.special import ndtr
+
+from strandline.cli import main
+from strandline.errors import InvalidInput
+from strandline.imaging import Clicks, ScaleBar, write_clicks
+from strandline.interface import PointErrors
+from strandline.runs import InProcess
+from strandline.studies import Study, load_study, run_study
+from strandline.studies.picture_files import write_pictures
+from strandline.testing.studies import write_study
+
+PIXEL, SIZE, ORIGIN = 0.01, (220, 160), (10.0, 120.0)
+CLICKS = [[12, 98], [60, 62], [110, 50], [160, 60], [208, 97]]
+
+
+def height(x: np.ndarray) -> np.ndarray:
+    """Return the true edge: row over column, in pixels; the solid is below it."""
+    return 50 + 0.005 * (x - 110) ** 2
+
+
+def picture(folder: Path, *, noise: float = 6.0, seed: int = 1) -> Path:
+    """Write a picture of a dark hump on a bright ground, blurred over 1.5 pixels."""
+    x, y = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    inside = (y - height(x)) / np.sqrt(1 + (0.01 * (x - 110)) ** 2)
+    grey = 200 - 150 * ndtr(inside / 1.5) + noise * np.random.default_rng(seed).standard_normal(x.shape)
+    Image.fromarray(np.clip(np.round(grey), 0, 255).astype(np.uint8)).save(folder / "hump.png")
+    return folder / "hump.png"
+
+
+def written(folder: Path, *, noise: Any = None, **changes: Any) -> Path:
+    """Write a study whose observation is the picture; None removes a key of it."""
+    folder.mkdir(exist_ok=True)
+    if not (folder / "hump.png").exists():
+        picture(folder)
+    image: dict[str, Any] = {
+        "file": "hump.png",
+        "pixel": {"size": 1e3 * PIXEL, "unit": "um"},
+        "frame": {"origin": list(ORIGIN)},
+        "path": CLICKS,
+        "solid": "dark",
+    }
+    image = {key: value for key, value in {**image, **changes}.items() if value is not None}
+    stated = noise or {"sd": "image", "unit": "um", "unknown": {"shift": 5}}
+    return write_study(folder, observation={"image": image}, discrepancy={"normal_offset": {}}, noise=stated)
+
+
+def loaded(folder: Path, **changes: Any) -> Study:
+    return load_study(written(folder, **changes))
+
+
+def off(study: Study) -> np.ndarray:
+    """Return how far the observed points are from the true edge, in pixels along the vertical."""
+    points = study.observed[""].points
+    x, y = ORIGIN[0] + points[:, 0] / PIXEL, ORIGIN[1] - points[:, 1] / PIXEL
+    return np.asarray(y - height(x))
+
+
+def test_the_edge_is_where_it_is_and_its_errors_are_its_own(tmp_path: Path) -> None:
+    study = loaded(tmp_path / "s")
+    errors = off(study)
+    assert abs(errors.mean()) < 0.05
+    assert errors.std() < 0.3
+    noise = study.noise_of("")
+    assert isinstance(noise, PointErrors)
+    assert noise.sd == pytest.approx(PIXEL * errors.std(), rel=0.4)
+    assert noise.offset >= 0.1 * PIXEL
+    assert noise.shift == pytest.approx(0.005)
+    assert 0 < noise.length < 3 * PIXEL
+
+
+def test_an_offset_that_is_stated_counts(tmp_path: Path) -> None:
+    noise = loaded(tmp_path / "s", noise={"sd": "image", "unit": "um", "unknown": {"offset": 7}}).noise_of("")
+    assert isinstance(noise, PointErrors)
+    assert noise.offset == pytest.approx(0.007)
+
+
+def test_the_solid_sets_the_direction_in_every_frame(tmp_path: Path) -> None:
+    """The normals point out of the solid, also where the model's y points down."""
+    up = loaded(tmp_path / "up").observed[""]
+    down = loaded(tmp_path / "down", frame={"origin": list(ORIGIN), "y": "down"}).observed[""]
+    assert up.normals[:, 1].min() > 0
+    assert down.normals[:, 1].max() < 0
+    bright = loaded(tmp_path / "bright", solid="bright").observed[""]
+    assert bright.normals[:, 1].max() < 0
+    np.testing.assert_allclose(np.sort(down.points[:, 1]), np.sort(-up.points[:, 1]), atol=1e-9)
+
+
+def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None:
+    typed = loaded(tmp_path / "s")
+    clicks = Clicks(
+        "hump.png",
+        typed.pictures[""].picture.sha256,
+        SIZE,
+        np.array(CLICKS, float),
+        scale=ScaleBar((20.0, 150.0), (120.0, 150.0), 100 * PIXEL),
+        origin=ORIGIN,
+        exclude=(np.array([[90.0, 30.0], [130.0, 30.0], [130.0, 70.0], [90.0, 70.0]]),),
+    )
+    write_clicks(clicks, tmp_path / "s" / "hump.path.json")
+    study = loaded(tmp_path / "s", path="hump.path.json", pixel=None, frame=None)
+    points = study.observed[""].points
+    assert not ((points[:, 0] > 0.82) & (points[:, 0] < 1.18)).any()
+    assert abs(off(study).mean()) < 0.05
+    assert "scale bar in hump.path.json" in " ".join(study.pictures[""].picture.notes)
+    picture(tmp_path / "s", seed=2)
+    with pytest.raises(InvalidInput, match="hump"):
+        load_study(tmp_path / "s")
+
+
+@pytest.mark.parametrize(
+    ("changes", "noise", "said"),
+    [
+        ({"pixel": None}, None, "pixel"),
+        ({"frame": None}, None, "observation.image.frame.origin"),
+        ({"frame": {"origin": [1, 2], "z": 3}}, None, "frame"),
+        ({"file": "nothing.png"}, None, "nothing.png"),
+        ({"path": "nothing.path.json"}, None, "nothing.path.json"),
+        ({"path": "model"}, None, "observation.image.path"),
+        ({"path": [[1, 2], [3, 4]]}, None, "at least three pixels"),
+        ({"path": [[12, 98], [110, 50], [900, 97]]}, None, "path"),
+        ({"path": [[12, 98], [208, 50], [208, 98], [12, 50]]}, None, "cross"),
+        ({"page": 7}, None, "page"),
+        ({"scale": "log"}, None, "scale"),
+        ({"solid": "grey"}, None, "solid"),
+        ({"trim": 0.49}, None, "points"),
+        ({"file": ["hump.png", "nothing.png"]}, None, "nothing.png"),
+        ({}, {"sd": 2, "unit": "um"}, "noise.unknown.offset"),
+        ({}, {"sd": "image", "unit": "um", "unknown": {"offset": 0}}, "noise.unknown.offset"),
+        ({}, {"sd": "image", "unit": "um", "length": 3}, "noise.sd"),
+    ],
+)
+def test_bad_input_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, Any], noise: Any, said: str
+) -> None:
+    folder = written(tmp_path / "s", noise=noise, **changes)
+    before = sorted(path.name for path in folder.iterdir())
+    with pytest.raises(SystemExit) as ended:
+        main(["image", str(folder)])
+    shown = capsys.readouterr()
+    assert (ended.value.code, shown.out) == (2, "")
+    assert len(shown.err.splitlines()) == 1
+    assert said in shown.err
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_errors_of_a_picture_need_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_study(tmp_path / "s", discrepancy={"normal_offset": {}}, noise={"sd": "image", "unit": "um"})
+    for arguments, said in ((["check"], "comes from a picture"), (["image"], "no picture")):
+        if arguments == ["image"]:
+            folder = write_study(tmp_path / "t")
+        with pytest.raises(SystemExit):
+            main([*arguments, str(folder)])
+        assert said in capsys.readouterr().err
+
+
+def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(tmp_path / "s")
+    main(["image", str(folder)])
+    shown = capsys.readouterr().out
+    files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
+    assert sorted(files) == ["edge.csv", "edge.json", "edge.png"]
+    for words in ("pixel size 10 × 10 µm from the study", "contrast over noise", "σ_N² for currents", "image/edge.csv"):
+        assert words in shown
+    study = load_study(folder)
+    table = np.loadtxt(folder / "image" / "edge.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table[:, :2], study.observed[""].points, atol=1e-6)
+    assert (np.diff(table[:, 3]) > 0).all()
+    content = json.loads(files["edge.json"])
+    assert content["points"] == len(table)
+    assert content["sd"] == pytest.approx(study.pictures[""].errors.sd)
+    write_pictures(folder, study.pictures)
+    assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
+
+
+def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written(tmp_path / "s", path="hump.path.json", pixel=None, frame=None)
+    main(["image", str(folder), "--edit"])
+    assert "hump.mark.html" in capsys.readouterr().out
+    page = (folder / "hump.mark.html").read_text("utf-8")
+    assert "hump.path.json" in page
+    with pytest.raises(SystemExit):
+        main(["image", str(folder), "--edit", "--condition", "late"])
+    assert "--condition" in capsys.readouterr().err
+
+
+def test_the_example_is_sound() -> None:
+    folder = Path(__file__).parents[2] / "examples" / "pendant-drop"
+    content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
+    assert content["noise"]["sd"] == "image"
+    assert len((folder / "drop.py").read_text("utf-8").splitlines()) <= 60
+
+
+@pytest.mark.long
+def test_the_example_finds_the_surface_tension(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = Path(__file__).parents[2] / "examples" / "pendant-drop"
+    monkeypatch.syspath_prepend(str(source))
+    shutil.copytree(source, tmp_path / "drop", ignore=shutil.ignore_patterns("__pycache__"))
+    posterior = run_study(load_study(tmp_path / "drop"), executor=InProcess()).calibration.posterior
+    z = (posterior.mean[0] - 72.4) / posterior.sd[0]
+    assert abs(z) < 3
+    assert 0.3 < posterior.sd[0] < 1.5
