@@ -237,7 +237,7 @@ with Ledger.open(sys.argv[1], model=model) as ledger:
 
 
 def test_nothing_is_lost_or_repeated_when_drivers_are_killed(path: Path, tmp_path: Path) -> None:
-    rng, number, lost = random.Random(1), 200, 0
+    rng, number, lost = random.Random(1), 600, 0
     environment = {**os.environ, VARIABLE: "delete"}
     known: dict[str, bytes] = {}
     for _ in range(3):

@@ -21,6 +21,7 @@ from strandline.interface import GaussianNoise, Interface, PointErrors
 from strandline.runs import Ledger, Progress
 from strandline.studies.coverage import _thinned, coverage
 from strandline.studies.doctor import examine
+from strandline.studies.first_run import observations_of
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 SMALL = {"sampler": {"smc": {"particles": 2000, "rejuvenation_steps": 4}}}
@@ -136,9 +137,9 @@ def test_other_configurations_are_not_mixed(folder: Path) -> None:
     for one in others:
         coverage(study, replicates=20, **one)
     coverage(dataclasses.replace(study, noise=GaussianNoise(0.004**2)), replicates=20)
-    ((condition, seen),) = study.observed.items()
-    longer = {condition: Interface.polyline(1.01 * seen.points)}
-    coverage(dataclasses.replace(study, observed=longer), replicates=20)
+    seen = observations_of(study)[""]
+    longer = dataclasses.replace(study, truth=None, observed={"": Interface.polyline(1.01 * seen.points)})
+    coverage(longer, replicates=20)
     assert len(lines(folder)) == 100
     assert len({json.loads(line)["of"] for line in lines(folder)}) == 5
     coverage(study, replicates=20)
