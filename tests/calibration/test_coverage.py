@@ -94,7 +94,7 @@ def test_wrong_noise_shows(noise: PointErrors, analysed: Noise | PointErrors, wo
 
 @pytest.mark.long
 def test_many_replicates_are_inside_the_bands() -> None:
-    found = repeated(PointErrors(SD, 0.1, shift=0.02, offset=0.01), NormalOffset(), number=300)
+    found = repeated(PointErrors(SD, 0.05, shift=0.02, offset=0.01), NormalOffset(), number=300)
     assert least_p(found) > 1e-3
     assert np.abs(found.z.std(axis=0) - 1).max() < 0.15
     for one in found.intervals:
@@ -102,7 +102,7 @@ def test_many_replicates_are_inside_the_bands() -> None:
         assert (one.high > one.level - 0.03).all()
 
 
-ALL = PointErrors(SD, 0.1, shift=0.02, offset=0.03)
+ALL = PointErrors(SD, 0.05, shift=0.02, offset=0.03)
 
 
 @pytest.mark.long
@@ -111,7 +111,7 @@ ALL = PointErrors(SD, 0.1, shift=0.02, offset=0.03)
     [
         (ALL, PointErrors(SD**2), 25),
         (PointErrors(SD), GaussianNoise(0.5 * SD**2), 400),
-        (ALL, replace(ALL, offset=0.0), 100),
+        (ALL, replace(ALL, offset=0.0), 300),
     ],
     ids=["σ² given for σ", "½ forgotten", "offset dropped"],
 )

@@ -33,10 +33,10 @@ SECONDS_BETWEEN_LINES = 15.0
 
 @contextmanager
 def observing(*, quiet: bool = False) -> Iterator[Observer]:
-    """Yield an observer that shows the progress of the study on standard error."""
+    """Yield an observer that shows the progress of the study on standard error, nothing if `quiet`."""
     console = Console(stderr=True)
     if quiet:
-        yield Observer(note=lambda text: _say(console, text))
+        yield Observer()
     elif console.is_terminal:
         with _bars(console) as bars:
             yield bars
