@@ -12,6 +12,7 @@ from strandline.interface.normals import (
 )
 from strandline.interface.observation import Observation, is_condition
 from strandline.interface.point_errors import GLOBAL, ErrorModel, PointErrors
+from strandline.interface.rotations import as_complex
 from strandline.interface.unknown_errors import UnknownErrors
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "PointErrors",
     "UnknownErrors",
     "arc_lengths",
+    "as_complex",
     "is_condition",
     "normals_at",
     "oriented_like",

@@ -6,6 +6,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from strandline.interface.interface import Interface
+from strandline.interface.rotations import as_complex, as_pairs
 
 __all__ = ["arc_lengths", "node_normals", "normals_at", "point_normals", "spacings", "steady_lengths", "steady_normals"]
 
@@ -66,13 +67,13 @@ def node_normals(
     points: Float[np.ndarray, "run node xyz"], cells: Int[np.ndarray, "cell corner"]
 ) -> Float[np.ndarray, "run node xyz"]:
     """Return unit normals at the nodes of many smooth interfaces with the same cells, on the side of their normals."""
-    first = points[:, cells[:, 0]]
-    if points.shape[2] == 3:
-        area = np.cross(points[:, cells[:, 1]] - first, points[:, cells[:, 2]] - first)
-    else:
-        along = points[:, cells[:, 1]] - first
-        area = np.stack([-along[..., 1], along[..., 0]], axis=2)
     touching = csr_array((np.ones(cells.size), (cells.ravel(), np.repeat(np.arange(len(cells)), cells.shape[1]))))
+    if points.shape[2] == 2:
+        places = as_complex(points)
+        turned = touching @ (1j * (places[:, cells[:, 1]] - places[:, cells[:, 0]])).T
+        return as_pairs((turned / np.abs(turned)).T)
+    first = points[:, cells[:, 0]]
+    area = np.cross(points[:, cells[:, 1]] - first, points[:, cells[:, 2]] - first)
     total = touching @ area.transpose(1, 0, 2).reshape(len(cells), -1)
     normal = total.reshape(points.shape[1], len(points), -1).transpose(1, 0, 2)
     return np.asarray(normal / np.linalg.norm(normal, axis=2, keepdims=True))

@@ -25,7 +25,7 @@ from strandline.errors import InvalidInput
 from strandline.interface.correlated import correlated
 from strandline.interface.interface import Interface
 from strandline.interface.normals import node_normals, spacings, steady_normals
-from strandline.interface.rotations import rotations
+from strandline.interface.rotations import as_complex, as_pairs, rotations
 
 __all__ = ["GLOBAL", "ErrorModel", "PointErrors"]
 
@@ -205,9 +205,12 @@ class PointErrors:
             middle: Point about which the observation was turned and scaled, mm.
         """
         shift, rotation, scale, offset = self._sizes(by, template.dim)
-        arm = (1 + scale)[..., None] * (points - middle)
-        if offset.any():
-            arm = arm + offset[..., None] * node_normals(points, template.cells)
+        normals = node_normals(points, template.cells) if offset.any() else np.zeros((1, 1, template.dim))
+        if template.dim == 2:
+            place, centre, step = as_complex(points), as_complex(middle), as_complex(shift)[:, None]
+            arm = (1 + scale) * (place - centre) + offset * as_complex(normals)
+            return as_pairs(centre + step + np.exp(1j * rotation) * arm)
+        arm = (1 + scale)[..., None] * (points - middle) + offset[..., None] * normals
         return np.asarray(middle + shift[:, None] + np.einsum("rnx,ryx->rny", arm, rotations(rotation)))
 
     def _sizes(self, by: Float[np.ndarray, "run error"], dim: int) -> list[Float[np.ndarray, "run _"]]:

@@ -1,10 +1,20 @@
 """Rotations in the plane and in space."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy.spatial.transform import Rotation
 
-__all__ = ["rotations"]
+__all__ = ["as_complex", "as_pairs", "rotations"]
+
+
+def as_complex(points: Float[np.ndarray, "*case 2"]) -> Complex[np.ndarray, "*case"]:
+    """Return points of the plane as x + iy: turning and moving many of them is several times as fast."""
+    return np.asarray(np.ascontiguousarray(points).view(complex)[..., 0])
+
+
+def as_pairs(points: Complex[np.ndarray, "*case"]) -> Float[np.ndarray, "*case 2"]:
+    """Return points x + iy as rows (x, y)."""
+    return np.ascontiguousarray(points)[..., None].view(float)
 
 
 def rotations(angles: Float[np.ndarray, "run axis"]) -> Float[np.ndarray, "run xyz xyz"]:
