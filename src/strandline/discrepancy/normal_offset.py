@@ -9,10 +9,10 @@ from jaxtyping import Float, Int
 
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_alike, require_same_direction
-from strandline.discrepancy.registration import Sums, linear_sums
+from strandline.discrepancy.registration import ROUGH, Sums, linear_sums
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.discrepancy.search.signed_sums import signed_sums
-from strandline.interface import ErrorModel, Interface, PointErrors
+from strandline.interface import ErrorModel, Interface, PointErrors, as_complex
 
 __all__ = ["NormalOffset", "WhitenedOffset", "signed_distances", "weighted_sums"]
 
@@ -104,7 +104,7 @@ class WhitenedOffset:
         model, seen = self.model(observed), observed.points
         return linear_sums(
             points,
-            lambda some: weighted_sums(seen, some, template, 1 / model.local, model.features),
+            lambda some, rough: weighted_sums(seen, some, template, 1 / model.local, model.features, rough=rough),
             model.shared_errors,
             lambda some, g: self.errors.followed(some, template, g, middle=seen.mean(axis=0)),
             model.gram,
@@ -135,6 +135,8 @@ def weighted_sums(
     template: Interface,
     weights: Float[np.ndarray, " seen"],
     features: Float[np.ndarray, "seen feature"],
+    *,
+    rough: bool = False,
 ) -> Sums:
     """Return Σ w r² and Σ f r over the signed distances r of the observed points, for each simulated interface.
 
@@ -144,8 +146,11 @@ def weighted_sums(
         template: A simulated interface, for its cells.
         weights: Weights w.
         features: Factors f.
+        rough: Whether points of a polyline at equal steps stand for those between them.
     """
     if template.dim == 2:
+        step = max(1, len(seen) // ROUGH) if rough else 1
+        seen, weights, features = seen[::step], step * weights[::step], step * features[::step]
         longer = points if template.closed else _extended(points, template.cells)
         found = signed_sums(seen, longer, template.cells, weights, features)
         if found is not None:
@@ -159,7 +164,8 @@ def _extended(
     points: Float[np.ndarray, "run node 2"], cells: Int[np.ndarray, "cell 2"]
 ) -> Float[np.ndarray, "run node 2"]:
     """Return open polylines whose end segments are longer by a share of the whole."""
-    whole = np.linalg.norm(points[:, cells[:, 1]] - points[:, cells[:, 0]], axis=2).sum(axis=1)
+    places = as_complex(points)
+    whole = np.abs(places[:, cells[:, 1]] - places[:, cells[:, 0]]).sum(axis=1)
     out = points.copy()
     for end, inner in (cells[0], cells[-1, ::-1]):
         step = points[:, end] - points[:, inner]

@@ -3,7 +3,8 @@
 Residuals r are linear in these global errors g only as long as a shift t is small: t²/(2R) is the error for radius of
 curvature R. So g is estimated for each simulated interface, the interface follows the observation by g, and the
 residuals r' of the moved one take the place of r. With r' = e + B (g_true - g), q = r' + B g = e + B g_true is what
-the residuals would be if they were linear.
+the residuals would be if they were linear. This holds for any g near the most probable one: two steps with some
+of the observed points lead there.
 """
 
 from collections.abc import Callable
@@ -12,16 +13,18 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["Sums", "linear_sums"]
+__all__ = ["ROUGH", "Sums", "linear_sums"]
 
 P = TypeVar("P")
 Sums = tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run error"]]
 """rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run."""
+ROUGH = 200
+"""Points of an observed polyline that estimate g, about."""
 
 
 def linear_sums(
     points: P,
-    sums: Callable[[P], Sums],
+    sums: Callable[[P, bool], Sums],
     estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]],
     followed: Callable[[P, Float[np.ndarray, "run error"]], P],
     gram: Float[np.ndarray, "error error"],
@@ -30,15 +33,16 @@ def linear_sums(
 
     Args:
         points: Points of the simulated interfaces, of one condition or of several.
-        sums: Function that returns rᵀ D⁻¹ r and Bᵀ D⁻¹ r for such points.
+        sums: Function that returns rᵀ D⁻¹ r and Bᵀ D⁻¹ r for such points; roughly, from some of the observed points,
+            if its second argument is true.
         estimate: Function that returns the most probable g from Bᵀ D⁻¹ r.
         followed: Function that returns the points after the observation's g.
         gram: Bᵀ D⁻¹ B.
     """
-    squares, products = sums(points)
     if not gram.any():
-        return squares, products
-    g = estimate(products)
-    squares, products = sums(followed(points, g))
+        return sums(points, False)
+    g = estimate(sums(points, True)[1])
+    g = estimate(sums(followed(points, g), True)[1] + g @ gram)
+    squares, products = sums(followed(points, g), False)
     more = g @ gram
     return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more

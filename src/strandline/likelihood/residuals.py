@@ -58,13 +58,15 @@ def _followed(
     return joint.followed(points, templates, by)
 
 
-def _sums(joint: JointErrors, templates: Mapping[str, Interface], model: ErrorModel, points: Points) -> Sums:
+def _sums(
+    joint: JointErrors, templates: Mapping[str, Interface], model: ErrorModel, points: Points, rough: bool
+) -> Sums:
     squares, products, first = [], [], 0
     for seen in joint.observations:
         part = slice(first, first + len(seen.interface.points))
         weights, features = 1 / model.local[part], model.features[part]
         rows, template = points[seen.condition], templates[seen.condition]
-        found = weighted_sums(seen.interface.points, rows, template, weights, features)
+        found = weighted_sums(seen.interface.points, rows, template, weights, features, rough=rough)
         squares.append(found[0])
         products.append(found[1])
         first = part.stop

@@ -15,18 +15,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from strandline.discrepancy.search.blocks import motion, similar
-from strandline.numerics.compiled import WIDEST, ample
+from strandline.numerics.compiled import WIDEST
 from strandline.numerics.threads import double, side_by_side
 
-__all__ = ["ABREAST", "FEWEST", "Frames", "frames", "sums_of_squares", "tasks"]
+__all__ = ["ABREAST", "FEWEST", "Frames", "frames", "padded", "sums_of_squares", "tasks"]
 
 FEWEST = 16
 """Number of runs from which compiling pays off."""
-BLOCK = 384
+BLOCK = 128
 """Runs processed together: the data of one loop fit into a core's cache."""
+FEWEST_ROWS = 16384
+"""Least length of the arrays of rows of pairs; they are padded to few lengths, so that little is compiled."""
 ENOUGH = 64
 """Ratio of pairs compared, in all runs, to pairs bounded, from which it pays to bound again for half the runs."""
-ABREAST = 2
+ABREAST = 4
 """Segments compared with a point in one step of the loop."""
 _SLACK = 1e-9
 """How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
@@ -83,16 +85,21 @@ def tasks(
             yield from tasks(points, corners, cells, half)
         return
     pairs = _Pairs.of(near)
-    for part in np.array_split(rows, 2 * -(-len(rows) // (2 * BLOCK))):  # the same number for each of two threads
-        yield pairs, part
+    for first in range(0, len(rows), BLOCK):
+        yield pairs, rows[first : first + BLOCK]
 
 
 def _rows(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "..."]:
     """Return these runs, padded with the last one to one of a few lengths; all of the array if all runs share it."""
     if len(array) == 1:
         return array
-    length = ample(max(len(rows), FEWEST))
-    return np.asarray(array[np.pad(rows, (0, length - len(rows)), mode="edge")])
+    return np.asarray(array[padded(rows)])
+
+
+def padded(rows: Int[np.ndarray, " some"]) -> Int[np.ndarray, " more"]:
+    """Return rows with the last one repeated up to one of few lengths, so that little is compiled."""
+    length = BLOCK // 4 if len(rows) <= BLOCK // 4 else BLOCK
+    return np.pad(rows, (0, length - len(rows)), mode="edge")
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +129,7 @@ class _Pairs:
         within = np.minimum(place[:, None] + np.arange(ABREAST), (counts - 1)[owner, None])
         segments = cell[(np.cumsum(counts) - counts)[owner, None] + within]
         last = np.append(owner[1:] != owner[:-1], True)
-        room = (1 << (total - 1).bit_length()) - total
+        room = max(FEWEST_ROWS, 1 << 2 * (((total - 1).bit_length() + 1) // 2)) - total  # a power of four
         filled = np.pad(segments, ((0, room), (0, 0))), np.pad(owner, (0, room)), np.pad(last, (0, room))
         return cls(*filled, total)
 

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.discrepancy.search.blocks import similar
-from strandline.discrepancy.search.many_distances import ABREAST, FEWEST, Frames, frames, tasks
-from strandline.numerics.compiled import WIDEST, ample
+from strandline.discrepancy.search.many_distances import ABREAST, FEWEST, Frames, frames, padded, tasks
+from strandline.numerics.compiled import WIDEST
 from strandline.numerics.threads import double, side_by_side
 
 __all__ = ["signed_sums"]
@@ -47,8 +47,7 @@ def signed_sums(
     def block(task: tuple[Any, Int[np.ndarray, " some"]]) -> Float[np.ndarray, "some sum"]:
         """Return the sums of some runs, padded to a number of runs that is compiled already."""
         pairs, rows = task
-        length = ample(max(len(rows), FEWEST))
-        some = corners[np.pad(rows, (0, length - len(rows)), mode="edge")] - centre
+        some = corners[padded(rows)] - centre
         x, y = (np.ascontiguousarray(some[..., axis].T) for axis in (0, 1))
         arguments = pairs.segments, pairs.points, pairs.last, pairs.number
         return np.asarray(_loop()(shared[:, 0], shared[:, 1], both, x, y, cells, *arguments)).T[: len(rows)]
@@ -85,8 +84,8 @@ def _loop() -> Any:
         runs = across.shape[1]
 
         def row(i: Any, state: Any) -> Any:
-            """Compare a point with one row of segments; add its signed distance after its last row."""
-            best, side, total = state
+            """Compare a point with one row of segments; its last row leaves its squared distance, with a sign."""
+            best, side, signed = state
             p = owners[i]
             for k in range(ABREAST):
                 ux, uy, along, off_line, half = (frame[segments[i, k]] for frame in polyline)
@@ -96,11 +95,13 @@ def _loop() -> Any:
                 side = jnp.where(square < best, off, side)
                 best = jnp.minimum(best, square)
             distance = jnp.copysign(jnp.sqrt(best), side)
-            terms = factors[p][:, None] * jnp.where(jnp.arange(factors.shape[1])[:, None] == 0, best, distance)
-            total = total + jnp.where(last[i], terms, 0.0)
-            return jnp.where(last[i], jnp.inf, best), side, total
+            signed = jax.lax.dynamic_update_slice(signed, jnp.copysign(best, side)[None], (p, 0))
+            return jnp.where(last[i], jnp.inf, best), side, signed
 
-        begin = jnp.full(runs, jnp.inf), jnp.zeros(runs), jnp.zeros((factors.shape[1], runs))
-        return jax.lax.fori_loop(0, number, row, begin)[2]
+        begin = jnp.full(runs, jnp.inf), jnp.zeros(runs), jnp.zeros((len(x), runs))
+        signed = jax.lax.fori_loop(0, number, row, begin)[2]
+        squares = jnp.abs(signed)
+        distances = jnp.copysign(jnp.sqrt(squares), signed)
+        return jnp.concatenate([factors[:, :1].T @ squares, factors[:, 1:].T @ distances])
 
     return loop
