@@ -94,7 +94,6 @@ def _loop() -> Any:
                 square = beyond * beyond + off * off
                 side = jnp.where(square < best, off, side)
                 best = jnp.minimum(best, square)
-            distance = jnp.copysign(jnp.sqrt(best), side)
             signed = jax.lax.dynamic_update_slice(signed, jnp.copysign(best, side)[None], (p, 0))
             return jnp.where(last[i], jnp.inf, best), side, signed
 
