@@ -5,14 +5,14 @@ import pytest
 from tests.imaging.pictures import circle, grid
 
 from strandline.imaging.course import course_through, smoothed
-from strandline.imaging.strip import inside_polygon, picture_of, strip_along
+from strandline.imaging.strip import grey_values, inside_polygon, strip_along
 
 
 def test_samples_of_a_plane_are_exact() -> None:
     x, y = grid((50, 80))
     course = course_through(np.array([[10.0, 20], [40, 30], [70, 22]]), closed=False, sigma=3.0)
     for order in (1, 3):
-        strip = strip_along(picture_of(2 * x - 3 * y), course, reach=6.0, order=order)
+        strip = strip_along(grey_values(2 * x - 3 * y), course, reach=6.0, order=order)
         at = course.at(np.broadcast_to(strip.places, strip.samples.shape))
         np.testing.assert_allclose(strip.samples, 2 * at[..., 0] - 3 * at[..., 1], atol=1e-9 if order == 1 else 0.2)
         assert strip.usable.all()
@@ -20,7 +20,7 @@ def test_samples_of_a_plane_are_exact() -> None:
 
 def test_samples_outside_of_the_picture_do_not_count() -> None:
     course = course_through(np.array([[5.0, 3], [70, 3]]), closed=False, sigma=3.0)
-    strip = strip_along(picture_of(np.ones((50, 80))), course, reach=8.0)
+    strip = strip_along(grey_values(np.ones((50, 80))), course, reach=8.0)
     np.testing.assert_array_equal(strip.usable, np.broadcast_to(strip.places <= 3.0, strip.usable.shape))
     assert (strip.samples[~strip.usable] == 0).all()
 
@@ -52,7 +52,7 @@ def test_the_ends_of_an_open_path_stay_in_place() -> None:
 def test_interpolation_takes_out_noise_as_it_says() -> None:
     noise = np.random.default_rng(1).standard_normal((100, 400))
     course = course_through(np.array([[10.0, 30], [390, 60]]), closed=False, sigma=3.0)
-    strip = strip_along(picture_of(noise), course)
+    strip = strip_along(grey_values(noise), course)
     assert strip.samples.var() == pytest.approx(strip.kept, rel=0.05)
 
 

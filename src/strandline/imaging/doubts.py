@@ -8,7 +8,7 @@ from jaxtyping import Float
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.imaging.course import Course
 from strandline.imaging.located import Located
-from strandline.imaging.strip import Picture
+from strandline.imaging.strip import GreyValues
 from strandline.interface import Interface
 
 __all__ = ["require_edge", "require_intensity", "require_path", "require_room", "require_speckle"]
@@ -28,7 +28,7 @@ _SYMMETRIC = 0.5
 distributed ones, 1.2 for amplitudes, 0 for a camera's noise and below 0 for logarithms."""
 
 
-def require_path(path: Float[np.ndarray, "point 2"], picture: Picture, *, closed: bool) -> None:
+def require_path(path: Float[np.ndarray, "point 2"], picture: GreyValues, *, closed: bool) -> None:
     """Refuse a path that is too short, leaves the picture or crosses itself.
 
     Raises:
@@ -123,7 +123,7 @@ def require_edge(located: Located, kept: int, radius: float) -> None:
         )
 
 
-def require_intensity(picture: Picture) -> None:
+def require_intensity(picture: GreyValues) -> None:
     """Refuse grey values below 0 where linear intensity is meant.
 
     Raises:

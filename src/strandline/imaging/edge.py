@@ -17,7 +17,7 @@ from strandline.imaging.erf_step import ErfStep
 from strandline.imaging.half_level import HalfLevel
 from strandline.imaging.located import EdgeMethod, Located
 from strandline.imaging.markov_path import MarkovPath
-from strandline.imaging.strip import Picture, Strip, inside_polygon, picture_of, strip_along
+from strandline.imaging.strip import GreyValues, Strip, grey_values, inside_polygon, strip_along
 from strandline.registry import lookup
 
 __all__ = ["EDGES", "Edge", "find_edge"]
@@ -105,7 +105,7 @@ def find_edge(
             "share of the edge left out at each end", value=trim, expected="0 or above, below 0.5", remedy="Use 0.05."
         )
     way = lookup(EDGES, method, "method to find an edge") if isinstance(method, str) else method
-    picture = picture_of(values, pixel=pixel, exclude=exclude)
+    picture = grey_values(values, pixel=pixel, exclude=exclude)
     path = np.asarray(path, dtype=float)
     require_path(path, picture, closed=closed)
     course = course_through(path * picture.stretch, closed=closed, sigma=SMOOTH)
@@ -115,7 +115,7 @@ def find_edge(
 
 
 def _located(
-    picture: Picture, course: Course, way: EdgeMethod, exclude: Sequence[np.ndarray], trim: float
+    picture: GreyValues, course: Course, way: EdgeMethod, exclude: Sequence[np.ndarray], trim: float
 ) -> tuple[Located, Bool[np.ndarray, " normal"]]:
     """Return the edge of the last pass, and the normals that count."""
     counted = None
@@ -130,7 +130,7 @@ def _located(
     return located, counted
 
 
-def _oriented(picture: Picture, course: Course, solid: str) -> Course:
+def _oriented(picture: GreyValues, course: Course, solid: str) -> Course:
     """Return the course in the direction that has the solid on its right."""
     strip = strip_along(picture, course, step=1.0)
     sides = [strip.usable & (side * strip.places > 1.0) for side in (1.0, -1.0)]
@@ -139,7 +139,7 @@ def _oriented(picture: Picture, course: Course, solid: str) -> Course:
 
 
 def _counted(
-    picture: Picture, course: Course, exclude: Sequence[np.ndarray], trim: float
+    picture: GreyValues, course: Course, exclude: Sequence[np.ndarray], trim: float
 ) -> Bool[np.ndarray, " normal"]:
     """Return the normals that are neither trimmed nor start outside of the picture or in an excluded polygon."""
     at = course.points / picture.stretch
@@ -163,7 +163,7 @@ def _put_right(located: Located) -> Course:
     return smoothed(course.at(offsets), closed=course.closed, sigma=SMOOTH)
 
 
-def _edge(picture: Picture, located: Located, counted: Bool[np.ndarray, " normal"], way: EdgeMethod) -> Edge:
+def _edge(picture: GreyValues, located: Located, counted: Bool[np.ndarray, " normal"], way: EdgeMethod) -> Edge:
     """Return the points that are kept, with their errors, or refuse them."""
     kept, course, unit = located.found & counted, located.course, picture.unit
     curvatures, normals = _put_right(located).curvatures, course.normals[kept]

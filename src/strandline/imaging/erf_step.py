@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from strandline.imaging.course import Course
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
-from strandline.imaging.strip import Picture, Strip, strip_along
+from strandline.imaging.strip import GreyValues, Strip, strip_along
 
 __all__ = ["ErfStep", "Steps", "fit_steps"]
 
@@ -65,7 +65,7 @@ class ErfStep:
     bias: float = 0.1
     passes: int = 2
 
-    def locate(self, picture: Picture, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         strip = strip_along(picture, course, reach=self.reach, step=self.step)
         steps = fit_steps(strip, tolerance=0.02 if counted is None else 1e-5)

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from strandline.imaging.course import Course
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
-from strandline.imaging.strip import Picture, Strip, strip_along
+from strandline.imaging.strip import GreyValues, Strip, strip_along
 from strandline.imaging.template import PLATEAU, Template, learnt_template
 
 __all__ = ["HalfLevel"]
@@ -37,7 +37,7 @@ class HalfLevel:
     bias: float = 0.1
     passes: int = 3
 
-    def locate(self, picture: Picture, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         strip = strip_along(picture, course, reach=self.reach, step=self.step)
         right, left = _levels(strip)

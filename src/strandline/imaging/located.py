@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from strandline.imaging.course import Course
-from strandline.imaging.strip import Picture, Strip
+from strandline.imaging.strip import GreyValues, Strip
 
 __all__ = ["NO_SCATTER", "EdgeMethod", "Located", "Scatter"]
 
@@ -88,7 +88,7 @@ class EdgeMethod(Protocol):
         """Number of times the edge is looked for: from the second time on, near the edge found before."""
         ...
 
-    def locate(self, picture: Picture, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course.
 
         Args:

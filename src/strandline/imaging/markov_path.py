@@ -21,7 +21,7 @@ from strandline.imaging.doubts import require_intensity, require_speckle
 from strandline.imaging.located import NO_SCATTER, Located, Scatter
 from strandline.imaging.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
 from strandline.imaging.random_walk import Walk, walk
-from strandline.imaging.strip import Picture, Strip, strip_along
+from strandline.imaging.strip import GreyValues, Strip, strip_along
 from strandline.imaging.template import Template, learnt_template, levelled
 
 __all__ = ["MarkovPath"]
@@ -76,7 +76,7 @@ class MarkovPath:
                 remedy="Raise the drift or lower the step: otherwise the path could not move.",
             )
 
-    def locate(self, picture: Picture, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         if self.likelihood == "gamma":
             require_intensity(picture)
@@ -140,6 +140,7 @@ class _Speckle:
 
     @classmethod
     def of(cls, strip: Strip, expected: Float[np.ndarray, "normal place"], *, relative: bool) -> "_Speckle":
+        """Estimate them from a strip and what is expected of it."""
         usable = strip.usable.astype(float)
         scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max())) if relative else 1.0
         residuals = np.where(strip.usable, (strip.samples - expected) / scale, 0.0)

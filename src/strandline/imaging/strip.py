@@ -10,11 +10,11 @@ from scipy.ndimage import map_coordinates
 from strandline.errors import InvalidInput
 from strandline.imaging.course import Course
 
-__all__ = ["Picture", "Strip", "inside_polygon", "picture_of", "strip_along"]
+__all__ = ["GreyValues", "Strip", "grey_values", "inside_polygon", "strip_along"]
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class GreyValues:
     """Grey values, and which of them count.
 
     Args:
@@ -72,12 +72,12 @@ class Strip:
         return float(self.places[-1])
 
 
-def picture_of(
+def grey_values(
     values: np.ndarray,
     *,
     pixel: tuple[float, float] = (1.0, 1.0),
     exclude: Sequence[Float[np.ndarray, "corner 2"]] = (),
-) -> Picture:
+) -> GreyValues:
     """Return grey values with the pixels that count.
 
     Args:
@@ -104,10 +104,10 @@ def picture_of(
     usable = np.isfinite(values)
     for polygon in exclude:
         usable &= ~_covered(np.asarray(polygon, float), values.shape)
-    return Picture(np.where(np.isfinite(values), values, 0.0), usable, (float(pixel[0]), float(pixel[1])))
+    return GreyValues(np.where(np.isfinite(values), values, 0.0), usable, (float(pixel[0]), float(pixel[1])))
 
 
-def strip_along(picture: Picture, course: Course, *, reach: float = 8.0, step: float = 0.5, order: int = 1) -> Strip:
+def strip_along(picture: GreyValues, course: Course, *, reach: float = 8.0, step: float = 0.5, order: int = 1) -> Strip:
     """Return the picture along the normals of a course.
 
     Args:
