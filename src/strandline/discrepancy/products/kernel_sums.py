@@ -215,9 +215,7 @@ def _tile_sums() -> Callable[..., Any]:
         return total + weight * sums.sum(), None
 
     @partial(jax.jit, compiler_options=WIDEST, static_argnames="close")
-    def tile_sums(
-        x: Any, n: Any, others: Any, begin: Any, end: Any, weights: Any, whole: Any, close: bool
-    ) -> Any:
+    def tile_sums(x: Any, n: Any, others: Any, begin: Any, end: Any, weights: Any, whole: Any, close: bool) -> Any:
         """Return the sum over all tiles and their partners."""
         task = partial(one_tile, others=others, whole=whole, close=close)
         return jax.lax.scan(task, 0.0, (x, n, begin, end, weights))[0]
