@@ -11,7 +11,7 @@ from tests.studies.test_run_study import rerun
 
 from strandline.calibration import Observer
 from strandline.errors import NumericsError
-from strandline.interface import Interface, PointErrors, steady_normals
+from strandline.interface import Interface, PointErrors
 from strandline.runs import InProcess, RunRecord
 from strandline.runs.record import RunRequest, attempt
 from strandline.studies import Study, load_study, run_study
@@ -80,23 +80,27 @@ def test_errors_that_conditions_share_are_counted_once(tmp_path: Path) -> None:
         errors = study.noise_of("light")
         assert slopes is not None
         assert isinstance(errors, PointErrors)
-        seen = [record.interfaces[name] for name in ("light", "heavy")]
-        middle = np.concatenate([one.points for one in seen]).mean(axis=0)
-        models = [errors.model(one, middle=middle) for one in seen]
+        # Between the nodes: at a corner of the simulated polyline the signed distance has a kink.
+        points = {name: record.interfaces[name].points for name in ("light", "heavy")}
+        seen = {name: Interface.polyline(0.5 * (p[1:] + p[:-1])) for name, p in points.items()}
+        middle = np.concatenate([one.points for one in seen.values()]).mean(axis=0)
+        models = [errors.model(one, middle=middle) for one in seen.values()]
         C = np.diag(np.concatenate([one.local for one in models]))
         B = np.vstack([one.shared for one in models]) if shared else block_diag(*[one.shared for one in models])
-        normals = [steady_normals(one, 0.2) for one in seen]
-        J = np.concatenate(
-            [(n * slopes[c][:, :, 0]).sum(axis=1) for n, c in zip(normals, ("light", "heavy"), strict=True)]
-        )
+        J = []
+        for name, p in points.items():
+            across = np.diff(p, axis=0)[:, ::-1] * [-1, 1]
+            slope = 0.5 * (slopes[name][1:, :, 0] + slopes[name][:-1, :, 0])
+            J.append((across / np.linalg.norm(across, axis=1)[:, None] * slope).sum(axis=1))
+        J = np.concatenate(J)
         information = J @ np.linalg.solve(C + B @ B.T, J) + 1 / (0.3413 * 260) ** 2
-        return expected_sd(study, record.interfaces, slopes, {}), float(information**-0.5)
+        return expected_sd(study, record.interfaces, slopes, seen), float(information**-0.5)
 
-    (together,), expected = widths(shared=True)
-    assert together == pytest.approx(expected, rel=0.02)
-    (apart,), expected = widths(shared=False)
-    assert apart == pytest.approx(expected, rel=0.02)
-    assert together < 0.95 * apart
+    (together,), expected_together = widths(shared=True)
+    (apart,), expected_apart = widths(shared=False)
+    assert [together, apart] == pytest.approx([expected_together, expected_apart], rel=0.05)
+    assert together / apart == pytest.approx(expected_together / expected_apart, rel=0.01)
+    assert expected_together < 0.95 * expected_apart
 
 
 @pytest.mark.filterwarnings("ignore:.*invalid value:RuntimeWarning")
