@@ -1,8 +1,8 @@
 """`strandline image`: the edge in the picture of a study, or the page on which to mark it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,7 +17,12 @@ __all__ = ["command"]
 @click.command("image")
 @click.argument("study", type=click.Path(path_type=Path))
 @click.option("--edit", is_flag=True, help="Write a page on which to mark path, scale, origin and regions instead.")
-@click.option("--condition", default=None, metavar="NAME", help="With --edit and several pictures: which one.")
+@click.option(
+    "--condition",
+    default=None,
+    metavar="NAME",
+    help="With --edit and several pictures: which one; `undeformed` is that of the model's outline.",
+)
 def command(study: Path, edit: bool, condition: str | None) -> None:
     """Find the edge in the picture of STUDY and write it into STUDY/image: a table, a picture, its errors.
 
@@ -30,14 +35,14 @@ def command(study: Path, edit: bool, condition: str | None) -> None:
     from strandline.studies.picture_files import write_pictures
 
     loaded = load_study(study)
-    if not loaded.pictures:
+    if not loaded.pictures and loaded.undeformed is None:
         raise InvalidStudy(
             "observation",
             value="no picture",
             expected="`image: {file: …, path: …, solid: …}`",
             remedy='See the guide "From a picture", docs/how-to/picture.md.',
         )
-    for one in write_pictures(loaded.folder, loaded.pictures):
+    for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed):
         for line in _lines(one):
             click.echo(line)
     click.echo(f"next: strandline check {study}")
@@ -54,6 +59,14 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
     yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
     yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
+    if found["registration"] is not None:
+        yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
+    if "outline" in found:
+        smooth = {name: f"{1e3 * found['outline'][name]:.3g} µm" for name in ("sd", "length")}
+        yield f"  smooth outline: sd of a point {smooth['sd']}, correlation length {smooth['length']}; the noise of"
+        yield "  the observation takes them up"
+        yield from (f"  wrote {file}" for file in one.files)
+        return
     yield "  as `noise: {sd: image, unit: um, unknown: {shift: …, rotation: …, scale: …}}` states it"
     for name, variance in found["noise_variance"].items():
         yield f"  σ_N² for {name}: {variance:.3g}"
@@ -61,11 +74,22 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
         yield f"  wrote {file}"
 
 
+def _moved(found: Mapping[str, Any], unit: float) -> str:
+    """Return where the set-up is in the picture; `unit` is the smaller side of a pixel in µm."""
+    right, down = (f"{unit * value:.3g}" for value in found["shift"])
+    shift = f"{right} µm to the right and {down} µm down, sd {unit * found['shift_sd']:.2g} µm"
+    return f"  set-up moved by {shift}; turned by {found['rotation']:.3g}°, sd {found['rotation_sd']:.2g}°"
+
+
 def _page(study: Path, condition: str | None) -> Path:
     """Write the page for one picture and return its path."""
     from strandline.studies.parse import parse_study
-    from strandline.studies.picture_files import write_page
+    from strandline.studies.picture_files import UNDEFORMED, write_page
     from strandline.studies.pictures import picture_of
+    from strandline.studies.undeformed import undeformed_picture
 
     content, _ = parse_study(study)
+    undeformed = undeformed_picture(content.model)
+    if condition == UNDEFORMED and undeformed is not None:
+        return write_page(study, undeformed)
     return write_page(study, picture_of(content.observation, condition))

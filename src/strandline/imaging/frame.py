@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.imaging.checked import keys_of, number, pair, unfit, word
+from strandline.imaging.registration import Registration
 
 __all__ = ["Frame"]
 
@@ -65,6 +66,12 @@ class Frame:
     def mirrors(self) -> bool:
         """Whether a curve that turns from x to y in pixels turns from y to x in the model."""
         return SIGN_X[self.x] * SIGN_Y[self.y] < 0
+
+    def moved(self, registration: Registration) -> "Frame":
+        """Return the frame of another picture, in which the fixed parts of this one were found."""
+        x, y = registration(np.array([self.origin]))[0]
+        turn = -registration.rotation if self.mirrors else registration.rotation
+        return replace(self, origin=(float(x), float(y)), rotation=self.rotation + turn)
 
     @property
     def matrix(self) -> Float[np.ndarray, "2 2"]:

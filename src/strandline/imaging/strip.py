@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from strandline.errors import InvalidInput
 from strandline.imaging.course import Course
 
-__all__ = ["GreyValues", "Strip", "grey_values", "inside_polygon", "strip_along"]
+__all__ = ["GreyValues", "Strip", "covered_by", "grey_values", "inside_polygon", "strip_along"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def grey_values(
     values = values.astype(float)
     usable = np.isfinite(values)
     for polygon in exclude:
-        usable &= ~_covered(np.asarray(polygon, float), values.shape)
+        usable &= ~covered_by(np.asarray(polygon, float), values.shape)
     return GreyValues(np.where(np.isfinite(values), values, 0.0), usable, (float(pixel[0]), float(pixel[1])))
 
 
@@ -142,7 +142,7 @@ def inside_polygon(points: Float[np.ndarray, "*point 2"], polygon: Float[np.ndar
     return inside
 
 
-def _covered(polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int]) -> Bool[np.ndarray, "row column"]:
+def covered_by(polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int]) -> Bool[np.ndarray, "row column"]:
     """Return which pixel centres a polygon contains."""
     covered = np.zeros(shape, dtype=bool)
     if len(polygon) < 3:

@@ -31,6 +31,7 @@ from strandline.studies.keys.failures import Failures
 from strandline.studies.keys.study_file import Input, Quantity, StudyFile
 from strandline.studies.observed import TO_MM, read_points
 from strandline.studies.own_prior import require_prior
+from strandline.studies.undeformed import Undeformed, undeformed_in, without_picture
 from strandline.surrogate import fit_named
 from strandline.surrogate.kernels import kernel_named
 
@@ -54,12 +55,17 @@ MASS_CUT_ACCEPTED = 0.5
 
 
 def build_model(
-    choice: Mapping[str, Mapping[str, Any] | None], folder: Path = Path(), *, sensitivities: bool = False
+    choice: Mapping[str, Mapping[str, Any] | None],
+    folder: Path = Path(),
+    *,
+    sensitivities: bool = False,
+    undeformed: Undeformed | None = None,
 ) -> ForwardModel:
     """Return the forward model that the study names, with sensitivities if the study asks for them.
 
     An option `{file: …, unit: …}` is replaced by the points of that file in `folder`, as an outline in mm; a model with
-    a field `folder` gets the study folder instead and reads files itself.
+    a field `folder` gets the study folder instead and reads files itself. `outline: {image: …}` is replaced by
+    `undeformed`, by default the outline in that picture.
     """
     (name, options) = next(iter(choice.items()))
     if "sensitivities" in (options or {}):
@@ -74,6 +80,9 @@ def build_model(
         model: ForwardModel = construct(factory, options, f"model.{name}", folder=folder)
     else:
         options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
+        undeformed = undeformed or undeformed_in(choice, folder)
+        if undeformed is not None:
+            options["outline"] = {**without_picture(options["outline"]), **undeformed.options}
         model = construct(factory, options, f"model.{name}")
     return _sensitive(model) if sensitivities else model
 

@@ -12,7 +12,7 @@ from strandline.studies.keys import SCHEMA_VERSION, StudyFile, annotation_of, ke
 from strandline.studies.keys.observation import KNOWN, ONE, RANGE, SEVERAL, UNKNOWN, ConditionFile
 from strandline.studies.yaml_text import load_yaml
 
-__all__ = ["parse_study"]
+__all__ = ["first_problem", "parse_study"]
 
 WORDS = {
     "missing": "this key",
@@ -57,7 +57,7 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
     try:
         return StudyFile.model_validate(content), text
     except ValidationError as error:
-        raise _first_problem(error) from None
+        raise first_problem(error) from None
 
 
 def _read(folder: Path) -> str:
@@ -95,19 +95,26 @@ def _load(path: Path, text: str) -> dict[Any, Any]:
     return content
 
 
-def _first_problem(error: ValidationError) -> InvalidStudy:
-    """Translate pydantic's findings: an unknown key first, since it explains missing ones."""
+def first_problem(error: ValidationError, schema: type[BaseModel] = StudyFile, within: str = "") -> InvalidStudy:
+    """Translate pydantic's findings: an unknown key first, since it explains missing ones.
+
+    Args:
+        error: The findings.
+        schema: What was validated.
+        within: Place in the file of the keys that were validated.
+    """
     findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = findings[0]
     refused = first.get("ctx", {}).get("error")
     if isinstance(refused, InvalidStudy):
         return refused
-    place = _place(first["loc"])
+    before = f"{within}." if within else ""
+    place = before + _place(first["loc"])
     unknown = first["type"] == "extra_forbidden"
-    others = {_place(e["loc"]) for e in findings if not (unknown and e["type"] == "missing")} - {place}
+    others = {before + _place(e["loc"]) for e in findings if not (unknown and e["type"] == "missing")} - {place}
     more = f" ({len(others)} more to correct: {', '.join(sorted(others))}.)" if others else ""
     if unknown:
-        return _unknown_key(first["loc"], place, more)
+        return _unknown_key(_known_keys(schema, first["loc"][:-1]), str(first["loc"][-1]), place, more)
     return InvalidStudy(
         f"{STUDY}: {place or 'study'}",
         value=None if first["type"] == "missing" else first["input"],
@@ -120,9 +127,8 @@ def _place(location: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in location if not _is_internal(part))
 
 
-def _unknown_key(location: tuple[int | str, ...], place: str, more: str) -> InvalidStudy:
-    known = _known_keys(StudyFile, location[:-1])
-    close = get_close_matches(str(location[-1]), known, n=1)
+def _unknown_key(known: list[str], given: str, place: str, more: str) -> InvalidStudy:
+    close = get_close_matches(given, known, n=1)
     return InvalidStudy(
         f"{STUDY}: unknown key",
         value=place,

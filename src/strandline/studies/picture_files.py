@@ -1,7 +1,7 @@
 """What `strandline image` writes: the edge as a table, a picture of it, and its errors in numbers."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,14 @@ from strandline.studies.chosen import refused_at
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.pictures import Photographed, clicked, read_only_picture
+from strandline.studies.undeformed import Undeformed
 
-__all__ = ["PictureFiles", "write_page", "write_pictures"]
+__all__ = ["UNDEFORMED", "PictureFiles", "write_page", "write_pictures"]
 
 IMAGE = "image"
 """Folder, in the study's, of what is written."""
+UNDEFORMED = "undeformed"
+"""Name, in files and options, of the picture that gives the model its outline."""
 WIDTH = 0.1
 """Width of the currents for which a noise variance is given, in extents of the interface."""
 
@@ -39,8 +42,15 @@ class PictureFiles:
     files: tuple[str, ...]
 
 
-def write_pictures(folder: Path, pictures: Mapping[str, Photographed]) -> list[PictureFiles]:
+def write_pictures(
+    folder: Path, pictures: Mapping[str, Photographed], undeformed: Undeformed | None = None
+) -> list[PictureFiles]:
     """Write table, picture and numbers of the edge of each condition into ``image/`` of the study's folder.
+
+    Args:
+        folder: Folder of the study.
+        pictures: The pictures with the observed interfaces, by condition.
+        undeformed: The undeformed outline from a picture, whose files begin with ``undeformed-``.
 
     Raises:
         InvalidStudy: The folder cannot be written to.
@@ -49,7 +59,8 @@ def write_pictures(folder: Path, pictures: Mapping[str, Photographed]) -> list[P
     target, out = folder / IMAGE, []
     with told_if_unwritable(target):
         target.mkdir(exist_ok=True)
-        for condition, one in pictures.items():
+        first = {} if undeformed is None else {UNDEFORMED: undeformed.picture}
+        for condition, one in {**first, **pictures}.items():
             stem = f"{condition}-edge" if condition else "edge"
             content = described(one)
             rows = np.column_stack([one.interface.points, *_along(one)])
@@ -61,7 +72,18 @@ def write_pictures(folder: Path, pictures: Mapping[str, Photographed]) -> list[P
             write_json(target / f"{stem}.json", content)
             names = tuple(f"{IMAGE}/{stem}.{suffix}" for suffix in ("csv", "png", "json"))
             out.append(PictureFiles(condition, content, names))
+        if undeformed is not None:
+            out[0] = _with_outline(target, out[0], undeformed)
     return out
+
+
+def _with_outline(target: Path, written: PictureFiles, undeformed: Undeformed) -> PictureFiles:
+    """Write the smooth outline too."""
+    name = f"{UNDEFORMED}-outline.csv"
+    with whole_file(target / name) as path:
+        np.savetxt(path, undeformed.outline.points, delimiter=",", header="x,y", comments="", fmt="%.7g")
+    smooth = {"sd": undeformed.outline.sd, "length": undeformed.outline.length}
+    return replace(written, content={**written.content, "outline": smooth}, files=(*written.files, f"{IMAGE}/{name}"))
 
 
 def write_page(folder: Path, given: ImageFile) -> Path:
@@ -105,6 +127,7 @@ def described(one: Photographed) -> dict[str, Any]:
         "contrast_to_noise": e.contrast_to_noise,
         "limit_share": e.limit_share,
         "facts": e.facts,
+        "registration": None if one.registration is None else asdict(one.registration),
         "noise_variance": _variances(one),
     }
 

@@ -15,10 +15,12 @@ from strandline.imaging import (
     Frame,
     Picture,
     PictureReading,
+    Registration,
     find_edge,
     read_clicks,
     read_path,
     read_picture,
+    registered,
     typed_path,
 )
 from strandline.imaging.pixel_size import PixelSize
@@ -44,6 +46,7 @@ class Photographed:
         path: First path, from which the search began, in pixels.
         edge: The edge, in pixels; its errors and arc lengths in mm.
         interface: The edge as an interface in the model's coordinates, mm.
+        registration: Where the set-up is in the picture, if it was found from another one of it.
     """
 
     picture: Picture
@@ -51,6 +54,7 @@ class Photographed:
     path: Float[np.ndarray, "click 2"]
     edge: Edge
     interface: Interface
+    registration: Registration | None = None
 
     @property
     def name(self) -> str:
@@ -59,9 +63,12 @@ class Photographed:
 
     @property
     def errors(self) -> PointErrors:
-        """Errors of the interface's points that the picture shows: local ones, and a common offset."""
-        found = self.edge.errors
-        return PointErrors(found.sd, found.length, offset=found.offset)
+        """Errors of the interface's points that the picture shows: local ones, a common offset, and of its place."""
+        found, place = self.edge.errors, self.registration
+        if place is None:
+            return PointErrors(found.sd, found.length, offset=found.offset)
+        shift = min(self.picture.pixel) * place.shift_sd
+        return PointErrors(found.sd, found.length, offset=found.offset, shift=shift, rotation=place.rotation_sd)
 
 
 def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -> Photographed:
@@ -81,7 +88,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         size = picture.values.shape[1], picture.values.shape[0]
         if clicks is not None:
             clicks.require_picture(picture.sha256, size)
-        frame = _frame(given, clicks, picture)
+        frame, registration = _placed(folder, given, clicks, picture)
         path, closed = _path(folder, given, clicks, frame, undeformed, size)
         exclude = [np.array(corners, float) for corners in given.exclude]
         edge = find_edge(
@@ -96,7 +103,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         )
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
-    return Photographed(picture, frame, path, edge, interface)
+    return Photographed(picture, frame, path, edge, interface, registration)
 
 
 def clicked(folder: Path, given: ImageFile) -> Clicks | None:
@@ -147,6 +154,29 @@ def _reading(given: ImageFile, clicks: Clicks | None) -> PictureReading:
     if how.pixel is not None or size is None:
         return how
     return replace(how, pixel=PixelSize(size, size, source=f"the scale bar in {given.path}"))
+
+
+def _placed(
+    folder: Path, given: ImageFile, clicks: Clicks | None, picture: Picture
+) -> tuple[Frame, Registration | None]:
+    """Return where the model lies in the picture, if need be by what does not move from another picture to it."""
+    how = given.registration
+    if how is None:
+        return _frame(given, clicks, picture), None
+    marks = None if how.marks is None else read_clicks(folder / how.marks)
+    other = read_picture([folder / name for name in how.files], _reading(given, marks))
+    if marks is not None:
+        marks.require_picture(other.sha256, (other.values.shape[1], other.values.shape[0]))
+    regions = [*(np.array(one, float) for one in how.fixed), *(marks.fixed if marks is not None else ())]
+    if not regions:
+        raise InvalidStudy(
+            f"{PLACE}.registration.marks",
+            value=f"{how.marks}, without a fixed region",
+            expected="a region that does not move with the specimen",
+            remedy="Mark one: `strandline image STUDY --edit`, or give `fixed`.",
+        )
+    found = registered(other.values, picture.values, regions, pixel=picture.pixel)
+    return _frame(given, marks, other).moved(found), found
 
 
 def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture) -> Frame:

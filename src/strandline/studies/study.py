@@ -4,7 +4,7 @@ import hashlib
 import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from strandline.calibration import Settings
@@ -29,6 +29,7 @@ from strandline.studies.observed import SyntheticNoise
 from strandline.studies.parse import parse_study
 from strandline.studies.pictures import Photographed
 from strandline.studies.study_runs import StudyRuns
+from strandline.studies.undeformed import Undeformed, undeformed_in, with_errors_of
 from strandline.typeset import html_text
 
 __all__ = ["Study", "load_study"]
@@ -56,6 +57,7 @@ class Study:
         synthetic_noise: Noise added to a synthetic observation, or None.
         turned: The conditions whose observed points were in the opposite direction and were reversed.
         pictures: The pictures, by condition, in which observed interfaces were found.
+        undeformed: The model's undeformed outline, if it comes from a picture.
         settings: How the posterior is computed.
         executor: Where forward runs are made.
         reuse: Ledgers of other studies whose runs are taken over if they fit.
@@ -76,6 +78,7 @@ class Study:
     synthetic_noise: SyntheticNoise | None
     turned: tuple[str, ...]
     pictures: Mapping[str, Photographed]
+    undeformed: Undeformed | None
     settings: Settings
     executor: Executor
     reuse: tuple[Path, ...]
@@ -136,14 +139,15 @@ def load_study(folder: Path | str) -> Study:
     """
     folder = Path(folder)
     content, text = parse_study(folder)
-    model = build.build_model(content.model, folder, sensitivities=content.sensitivities)
+    undeformed = undeformed_in(content.model, folder)
+    model = build.build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
     model = as_in_ledgers(model, (folder / LEDGER, *reuse))
     space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
     read = {} if truth is not None else read_observations(folder, content.observation, model)
     observed = {condition: one.interface for condition, one in read.items()}
-    noise, noises = _noises(content, model, read)
+    noise, noises = _noises(content, model, read, undeformed)
     study = Study(
         folder=folder,
         name=content.name,
@@ -159,6 +163,7 @@ def load_study(folder: Path | str) -> Study:
         synthetic_noise=_synthetic_noise(content),
         turned=tuple(condition for condition, one in read.items() if one.turned),
         pictures={condition: one.picture for condition, one in read.items() if one.picture is not None},
+        undeformed=undeformed,
         settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
         reuse=reuse,
@@ -173,7 +178,7 @@ def load_study(folder: Path | str) -> Study:
 
 
 def _noises(
-    content: StudyFile, model: ForwardModel, read: Mapping[str, Found]
+    content: StudyFile, model: ForwardModel, read: Mapping[str, Found], undeformed: Undeformed | None
 ) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
     """Return the noise, and that of each condition that has its own.
 
@@ -181,6 +186,7 @@ def _noises(
         content: The study file.
         model: The simulator.
         read: What was read of each condition.
+        undeformed: The undeformed outline, if it comes from a picture.
     """
     known = declared_conditions(model)
     for condition in content.noise.conditions:
@@ -198,7 +204,11 @@ def _noises(
         _require_taken(stated.get(name, content.noise), one, name)
     noises = {name: build_noise(given, names, read.get(name)) for name, given in stated.items()}
     told = [one for one in read.values() if one.sds is not None or one.picture is not None]
-    return build_noise(content.noise, names, next(iter([*told, *read.values()]), None)), noises
+    noise = build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
+    if undeformed is not None:
+        with_errors = partial(with_errors_of, undeformed, conditions=len(read))
+        noises = {name: with_errors(noises.get(name, noise), one.interface) for name, one in read.items()}
+    return noise, noises
 
 
 def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:

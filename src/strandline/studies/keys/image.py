@@ -7,9 +7,31 @@ from pydantic import Field, model_validator
 from strandline.studies.keys.scalars import Number
 from strandline.studies.keys.section import Section, Switch
 
-__all__ = ["ImageFile"]
+__all__ = ["ImageFile", "RegisteredTo"]
 
 Place = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class RegisteredTo(Section):
+    """Another picture of the same set-up, and what does not move from one to the other."""
+
+    to: str | Annotated[list[str], Field(min_length=1)]
+    """the other picture, e.g. of the undeformed specimen, or frames of it; `frame` is then the model's place in it"""
+    marks: str | None = None
+    """file of clicks on that picture, with its fixed regions and the origin"""
+    fixed: list[Annotated[list[Place], Field(min_length=3)]] = []
+    """or the fixed regions themselves, polygons in pixels of that picture"""
+
+    @model_validator(mode="after")
+    def _a_region(self) -> "RegisteredTo":
+        if self.marks is None and not self.fixed:
+            raise ValueError("the regions that do not move: `fixed: [[[x, y], …]]`, or `marks: FILE.path.json`")
+        return self
+
+    @property
+    def files(self) -> list[str]:
+        """The files of the other picture."""
+        return [self.to] if isinstance(self.to, str) else list(self.to)
 
 
 class ImageFile(Section):
@@ -35,6 +57,9 @@ class ImageFile(Section):
     frame: Any = None
     """where the model's (0, 0) is, `{origin: [212, 640]}` in pixels from the left and the top; with `x: left` or
     `y: down` if the model's axes point there, and `rotation` in degrees"""
+    registration: RegisteredTo | None = None
+    """where the set-up is in this picture: [found](../how-to/picture.md#two-pictures-of-one-specimen) from another one
+    of it"""
     path: str | list[Place]
     """the interface, roughly: a file of clicks (`strandline image STUDY --edit` makes one), three or more pixels
     [[x, y], …], or `model`, the model's own outline"""

@@ -1,0 +1,211 @@
+"""An edge with noise → the smooth outline of a body on a floor, with the errors that are left.
+
+The outline is the marked path plus an offset along its normals: a Gaussian process (Matérn 5/2) whose amplitude and
+length are those that make the edge most probable (Rasmussen and Williams, Gaussian Processes for Machine Learning,
+2006, ch. 2 and 5). Between the edge's last points and the floor it follows the marked path, with an error that grows.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+
+from strandline.errors import InvalidInput
+
+__all__ = ["Outlined", "outline_of"]
+
+NODES = 400
+"""Nodes of the outline."""
+MOST = 600
+"""Most points of the edge that are used as they are: of more, neighbours are averaged."""
+LONGEST_GAP = 0.05
+"""Greatest height of an end of the path above the floor, as a share of the path's length."""
+ROUNDED = 7
+"""Decimals of the coordinates in mm, so that computers that round differently make the same model."""
+_SUBDIVIDED = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Outlined:
+    """A smooth outline and its errors.
+
+    Args:
+        points: Points (x, y) from one foot to the other, on the floor y = 0 at both ends, mm, shape (point, 2).
+        sd: Standard deviation of a point along its normal, mm: what is left of the edge's errors.
+        length: Correlation length of these errors, mm.
+        amplitude: Standard deviation of the offset from the marked path, mm.
+        reach: Length over which that offset changes, mm.
+        root: Matrix whose product with standard normal numbers draws an error of each point, shape (point, point).
+        normals: Unit normals, shape (point, 2).
+    """
+
+    points: Float[np.ndarray, "point 2"]
+    sd: float
+    length: float
+    amplitude: float
+    reach: float
+    root: Float[np.ndarray, "point point"]
+    normals: Float[np.ndarray, "point 2"]
+
+    def draws(self, number: int, seed: int) -> Float[np.ndarray, "draw point 2"]:
+        """Return outlines that the edge allows, shape (draw, point, 2), mm; their feet stay on the floor."""
+        random = np.random.default_rng(seed).standard_normal((number, self.root.shape[1]))
+        moved = self.points + (random @ self.root.T)[:, :, None] * self.normals
+        moved[:, [0, -1], 1] = 0.0
+        return np.asarray(moved)
+
+
+def outline_of(
+    edge: Float[np.ndarray, "point 2"], path: Float[np.ndarray, "click 2"], *, sd: float, length: float
+) -> Outlined:
+    """Return the outline of a body on the floor y = 0 from its edge.
+
+    Args:
+        edge: Points of the edge in order, mm, shape (point, 2).
+        path: Marked path from foot to foot in the same direction, mm, shape (click, 2).
+        sd: Standard deviation of a point of the edge along its normal, mm.
+        length: Correlation length of these errors, mm; 0 for independent points.
+
+    Raises:
+        InvalidInput: An end of the path is far above the floor.
+    """
+    base = _Base(path)
+    places, offsets = base.located(edge)
+    spacing = float(np.median(np.linalg.norm(np.diff(edge, axis=0), axis=1)))
+    level = sd**2 * max(spacing, 2 * length)
+    places, offsets, spacing = _averaged(places, offsets, spacing)
+    process = _Process(places, offsets, level / spacing)
+    at = np.linspace(0.0, base.arc[-1], NODES)
+    mean, covariance = process.at(at)
+    line = base.points(at) + mean[:, None] * base.normals(at)
+    points, kept = _on_floor(line)
+    inner = covariance[kept, kept]
+    seen = (at[kept] >= places.min()) & (at[kept] <= places.max())
+    left = math.sqrt(float(np.median(np.diag(inner)[seen])))
+    root = cholesky(inner + 1e-9 * inner.diagonal().max() * np.eye(len(inner)), lower=True)
+    normals = base.normals(at[kept])
+    return Outlined(
+        np.round(points, ROUNDED), left, level / (2 * left**2), process.amplitude, process.reach, root, normals
+    )
+
+
+class _Base:
+    """A cubic spline through the marked path, by its arc length."""
+
+    def __init__(self, path: Float[np.ndarray, "click 2"]) -> None:
+        chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        fine = CubicSpline(chord, path)(np.linspace(0.0, chord[-1], 40 * len(path)))
+        self.arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
+        self.spline = CubicSpline(self.arc, fine)
+
+    def points(self, at: Float[np.ndarray, " place"]) -> Float[np.ndarray, "place 2"]:
+        """Return its points at these arc lengths."""
+        return np.asarray(self.spline(at))
+
+    def normals(self, at: Float[np.ndarray, " place"]) -> Float[np.ndarray, "place 2"]:
+        """Return its unit normals, on the left of the path when y points up."""
+        tangents = self.spline(at, 1)
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        return np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
+
+    def located(
+        self, edge: Float[np.ndarray, "point 2"]
+    ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+        """Return arc length and offset along the normal of the base's nearest points, in order of arc length."""
+        at = np.linspace(0.0, self.arc[-1], _SUBDIVIDED * len(edge))
+        nearest = cKDTree(self.points(at)).query(edge)[1]
+        found = at[nearest]
+        for _ in range(3):  # Newton steps to the foot of the perpendicular
+            away, slope = edge - self.points(found), self.spline(found, 1)
+            found = np.clip(found + (away * slope).sum(axis=1) / (slope**2).sum(axis=1), 0.0, self.arc[-1])
+        offsets = ((edge - self.points(found)) * self.normals(found)).sum(axis=1)
+        order = np.argsort(found, kind="stable")
+        return found[order], offsets[order]
+
+
+class _Process:
+    """The offsets as a Gaussian process with the most probable amplitude and length."""
+
+    def __init__(
+        self, places: Float[np.ndarray, " point"], offsets: Float[np.ndarray, " point"], variance: float
+    ) -> None:
+        self.places, self.offsets, self.variance = places, offsets, variance
+        spread, extent = max(float(np.std(offsets)), math.sqrt(variance)), float(np.ptp(places))
+        bounds = [(math.log(0.1 * spread), math.log(10 * spread)), (math.log(0.01 * extent), math.log(2 * extent))]
+        starts = ([math.log(spread), math.log(share * extent)] for share in (0.05, 0.2))
+        found = min(
+            (minimize(self._loss, start, bounds=bounds, method="L-BFGS-B") for start in starts), key=lambda one: one.fun
+        )
+        self.amplitude, self.reach = (float(one) for one in np.exp(found.x))
+
+    def _covariance(
+        self, a: Float[np.ndarray, " a"], b: Float[np.ndarray, " b"], amplitude: float, reach: float
+    ) -> Float[np.ndarray, "a b"]:
+        r = math.sqrt(5.0) * np.abs(a[:, None] - b) / reach
+        return np.asarray(amplitude**2 * (1 + r + r**2 / 3) * np.exp(-r))
+
+    def _loss(self, logs: Float[np.ndarray, " 2"]) -> float:
+        """Return minus the log evidence."""
+        K = self._covariance(self.places, self.places, *np.exp(logs)) + self.variance * np.eye(len(self.places))
+        factor = cho_factor(K, lower=True, overwrite_a=True)
+        return float(0.5 * self.offsets @ cho_solve(factor, self.offsets) + np.log(np.diag(factor[0])).sum())
+
+    def at(
+        self, where: Float[np.ndarray, " place"]
+    ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, "place place"]]:
+        """Return mean and covariance of the offsets at these arc lengths."""
+        how = self.amplitude, self.reach
+        K = self._covariance(self.places, self.places, *how) + self.variance * np.eye(len(self.places))
+        across = self._covariance(where, self.places, *how)
+        factor = cho_factor(K, lower=True)
+        mean = across @ cho_solve(factor, self.offsets)
+        return mean, self._covariance(where, where, *how) - across @ cho_solve(factor, across.T)
+
+
+def _averaged(
+    places: Float[np.ndarray, " point"], offsets: Float[np.ndarray, " point"], spacing: float
+) -> tuple[Float[np.ndarray, " group"], Float[np.ndarray, " group"], float]:
+    """Return means of groups of neighbours, few enough for a dense matrix, and the spacing of the groups."""
+    size = -(-len(places) // MOST)
+    if size == 1:
+        return places, offsets, spacing
+    number = len(places) // size
+    grouped = (one[: number * size].reshape(number, size).mean(axis=1) for one in (places, offsets))
+    return *grouped, size * spacing
+
+
+def _on_floor(line: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, "point 2"], slice]:
+    """Return the part of a line above the floor with a foot at each end, and which of its points are in it."""
+    above = line[:, 1] > 0
+    if not above.any():
+        raise _refused("an outline below y = 0")
+    first, last = int(np.argmax(above)), len(line) - int(np.argmax(above[::-1]))
+    inner = line[first:last]
+    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    out = inner.copy()
+    for end, step in ((0, 1), (-1, -1)):
+        outside = first - 1 if end == 0 else last
+        if 0 <= outside < len(line):  # the line crosses the floor between these two points
+            towards = line[outside] - inner[end]
+        else:
+            towards = inner[end] - inner[end + 20 * step]  # on as before, but down by 45° at least
+            towards[1] = min(towards[1], -abs(towards[0]))
+        if inner[end, 1] > LONGEST_GAP * length:
+            raise _refused(f"an end of the outline {inner[end, 1]:.3g} mm above it")
+        out[end] = inner[end] - towards * (inner[end, 1] / towards[1])
+        out[end, 1] = 0.0
+    return out, slice(first, last)
+
+
+def _refused(found: str) -> InvalidInput:
+    return InvalidInput(
+        "undeformed outline in the picture",
+        value=found,
+        expected="a path from the floor y = 0 to the floor",
+        remedy="Mark the path down to both feet, and check `frame.origin`, which is a point of the floor.",
+    )
