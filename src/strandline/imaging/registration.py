@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from strandline.errors import InvalidInput
@@ -29,6 +30,8 @@ FEWEST = 100
 """Fewest pixels of the fixed regions."""
 MOST = 20_000
 """Most pixels that are compared: of larger regions every second, third, … row and column."""
+LEAST = 1e-3
+"""Least intensity whose logarithm counts, in medians of the picture."""
 _NEIGHBOURS = 12
 """Distance up to which residuals are compared with each other, in rows and columns that are compared."""
 _STEP = 0.5
@@ -73,6 +76,7 @@ def registered(
     fixed: Sequence[Float[np.ndarray, "corner 2"]],
     *,
     pixel: tuple[float, float] = (1.0, 1.0),
+    speckle: bool = False,
 ) -> Registration:
     """Return where the fixed regions of the first picture are in the second.
 
@@ -81,6 +85,8 @@ def registered(
         second: Grey values of another picture with pixels of the same size.
         fixed: Polygons in pixel coordinates of the first picture; their contents do not move with the specimen.
         pixel: Width and height of a pixel, in any unit.
+        speckle: Whether the grey values are intensities of speckle, whose noise grows with them; then the logarithms
+            of the blurred pictures are compared.
 
     Raises:
         InvalidInput: The regions hold too few pixels, or do not look alike in both pictures.
@@ -99,8 +105,22 @@ def registered(
     fit = _Fit(inside, stretch)
     for blur in BLURS:
         across = tuple(blur / stretch[::-1])
-        fit.improve(*(gaussian_filter(np.nan_to_num(one), across, mode="nearest") for one in (first, second)))
+        blurred = (gaussian_filter(np.nan_to_num(one), across, mode="nearest") for one in (first, second))
+        fit.improve(*(_levelled(one) if speckle else one for one in blurred))
     return fit.result()
+
+
+def _levelled(intensity: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
+    """Return the logarithm of an intensity, as uncertain where it is bright as where it is dark."""
+    least = LEAST * float(np.median(intensity))
+    return np.asarray(np.log(np.maximum(intensity, least)))
+
+
+def _positive(information: Float[np.ndarray, "3 3"], prior: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Return the symmetric part of a matrix, without directions in which it is negative in units of the prior."""
+    root = np.sqrt(np.diag(prior))
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T) / np.outer(root, root))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(root, root))
 
 
 def _turn(angle: float) -> Float[np.ndarray, "2 2"]:
@@ -123,37 +143,46 @@ class _Fit:
         self.covariance = np.eye(3)
 
     def improve(self, first: Float[np.ndarray, "row column"], second: Float[np.ndarray, "row column"]) -> None:
-        """Take Gauss–Newton steps until they are small, from pictures blurred alike."""
+        """Take Gauss–Newton steps until they are small, from pictures blurred alike.
+
+        With slopes J₁ and J₂ of the two pictures, whose noise is independent, J₁ᵀJ₂ is free of it on average, while
+        their mean J, which turns residuals into steps, is not: the covariance is A⁻¹ (JᵀJ) A⁻¹ for A = J₁ᵀJ₂.
+        """
         prior = np.diag(np.array([SHIFT, SHIFT, np.deg2rad(ROTATION)]) ** -2.0)
-        target = first[:: self.stride, :: self.stride][self.inside]
-        bent = spline_filter(second)
+        bent = [spline_filter(one) for one in (first, second)]
+        target, fixed_slopes, _ = self._sampled(bent[0], np.zeros(3))
         for _ in range(STEPS):
-            found, slopes, seen = self._sampled(bent)
+            found, slopes, seen = self._sampled(bent[1], self.x)
             light = np.stack([found, np.ones(len(found))], axis=1)[seen]
             (gain, level), *_ = np.linalg.lstsq(light, target[seen], rcond=None)
             residual = np.where(seen, target - gain * found - level, 0.0)
             # the light is fitted too: take its part out of the slopes
-            J = gain * slopes[seen]
-            J -= light @ np.linalg.lstsq(light, J, rcond=None)[0]
-            variance = max(self._variance(residual) / max(int(seen.sum()), 1), 1e-300)
-            information, gradient = J.T @ J / variance, J.T @ residual[seen] / variance
-            step = np.linalg.solve(information + prior, gradient - prior @ self.x)
+            both = [
+                one - light @ np.linalg.lstsq(light, one, rcond=None)[0]
+                for one in (fixed_slopes[seen], gain * slopes[seen])
+            ]
+            J, variance = 0.5 * (both[0] + both[1]), self._variance(residual) / max(int(seen.sum()), 1)
+            variance = max(variance, 1e-300)
+            scatter = J.T @ J / variance + prior
+            step = np.linalg.solve(scatter, J.T @ residual[seen] / variance - prior @ self.x)
             self.x = self.x + step
             if np.abs(step[:2]).max() < 1e-4 and abs(step[2]) < 1e-6:
                 break
-        self.covariance = np.linalg.inv(information + prior)
+        inverse = np.linalg.inv(_positive(both[0].T @ both[1] / variance, prior) + prior)
+        self.covariance = inverse @ scatter @ inverse
         self.correlation = float(np.corrcoef(target[seen], found[seen])[0, 1]) if np.ptp(found[seen]) > 0 else 0.0
 
     def _sampled(
-        self, bent: Float[np.ndarray, "row column"]
+        self, bent: Float[np.ndarray, "row column"], x: Float[np.ndarray, " 3"]
     ) -> tuple[Float[np.ndarray, " pixel"], Float[np.ndarray, "pixel 3"], Bool[np.ndarray, " pixel"]]:
         """Return a picture at the places of the fixed pixels, its slopes by shift and rotation, and which lie in it.
 
         Args:
             bent: Coefficients of the cubic spline through its grey values.
+            x: Shift, px, and rotation, rad.
         """
-        turned = (self.pixels - self.centre) * self.stretch @ _turn(float(self.x[2]))
-        places = (turned + self.x[:2]) / self.stretch + self.centre
+        turned = (self.pixels - self.centre) * self.stretch @ _turn(float(x[2]))
+        places = (turned + x[:2]) / self.stretch + self.centre
         at = places.T[::-1]
         value, *ends = (
             map_coordinates(bent, at + np.array(move)[:, None], order=3, mode="nearest", prefilter=False)
@@ -167,14 +196,14 @@ class _Fit:
 
     def _variance(self, residual: Float[np.ndarray, " pixel"]) -> float:
         """Return the variance of a residual times the number of neighbours that count as one."""
-        grid = np.zeros(self.inside.shape)
-        grid[self.inside] = residual
-        total, alike = float((grid**2).sum()), 1.0
-        for down in range(_NEIGHBOURS + 1):
-            for right in range(-_NEIGHBOURS if down else 1, _NEIGHBOURS + 1):
-                shifted = np.roll(grid, (down, right), (0, 1))
-                alike += 2 * max(float((grid * shifted).sum()) / total, 0.0) if total > 0 else 0.0
-        return total * alike
+        grid = np.zeros(2 * np.array(self.inside.shape))
+        grid[: self.inside.shape[0], : self.inside.shape[1]][self.inside] = residual
+        products = irfft2(np.abs(rfft2(grid)) ** 2, grid.shape)
+        total, reach = float(products[0, 0]), _NEIGHBOURS + 1
+        if total <= 0:
+            return 0.0
+        near = np.roll(products, (reach - 1, reach - 1), (0, 1))[: 2 * reach - 1, : 2 * reach - 1]
+        return float(np.maximum(near, 0.0).sum())
 
     def result(self) -> Registration:
         """Return the registration; refuse regions that do not look alike."""

@@ -175,7 +175,7 @@ def _placed(
             expected="a region that does not move with the specimen",
             remedy="Mark one: `strandline image STUDY --edit`, or give `fixed`.",
         )
-    found = registered(other.values, picture.values, regions, pixel=picture.pixel)
+    found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=given.edge == "path")
     return _frame(given, marks, other).moved(found), found
 
 
