@@ -16,7 +16,7 @@ PIXEL, SIZE, ORIGIN = 0.003, (460, 240), (-105.0, 205.0)  # mm; width and height
 MOVED, TURNED = (4.3, -2.1), 0.3  # px to the right and down, degrees: the flow cell between the two scans
 BODY, FLOOR, FLUID = 10.0, 60.0, 1.0  # reflectivity: 10 dB between biofilm and fluid
 SPECKLE, DEPTH, SHADOWS = 1.2, 150.0, 3  # px; px
-SCRATCHES = ((0.25, 0.31), (0.40, 0.43), (1.47, 1.52), (1.60, 1.63))  # gaps in the floor's bright line, mm
+PARTS = ((0, 0.25), (0.31, 0.40), (0.43, 1.47), (1.52, 1.60), (1.63, 2))  # of the floor, between scratches, mm
 FINER = 8
 
 
@@ -34,8 +34,7 @@ def scan(
     """Return the intensity of a scan of the body below an outline (mm), with speckle; the fluid's mean is 1."""
     place = (moved, turned)
     body = covered(np.concatenate([outline, [[outline[-1, 0], -0.01], [outline[0, 0], -0.01]]]), *place)
-    ends = [0.0, *np.ravel(SCRATCHES), 2.0]
-    floor = sum(covered(np.array([[a, -0.012], [b, -0.012], [b, 0], [a, 0]]), *place) for a, b in zip(*[iter(ends)] * 2))
+    floor = sum(covered(np.array([[a, -0.012], [b, -0.012], [b, 0], [a, 0]]), *place) for a, b in PARTS)
     x = np.arange(SIZE[0])
     shadow = np.ones(SIZE[0])
     top = ORIGIN[0] + moved[0] + outline[:, 0].mean() / PIXEL

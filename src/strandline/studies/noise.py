@@ -1,5 +1,6 @@
 """The noise that a study states: of the measure, or of the observed points."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -44,9 +45,12 @@ def build_noise(
     mm, unknown = TO_MM[given.unit], given.unknown or Unknown()
     common: dict[str, Any] = {"shift": mm * unknown.shift, "rotation": unknown.rotation, "scale": unknown.scale}
     common["offset"] = mm * unknown.offset
+    if found is not None and found.picture is not None:
+        place = found.picture.errors
+        common |= {name: math.hypot(common[name], getattr(place, name)) for name in ("shift", "rotation")}
     sd, length = _in_mm(given.sd, mm), _in_mm(given.length or 0.0, mm)
     if given.sd == IMAGE:
-        return _of_picture(given, found)
+        return _of_picture(given, found, common)
     sds = None if found is None else found.sds
     if given.sd == COLUMN and sds is None:
         raise InvalidStudy(
@@ -77,7 +81,7 @@ def build_noise(
         return UnknownErrors(sd, length, **common, model_error=given.model_error, spread=spread)
 
 
-def _of_picture(given: ConditionNoise, found: Found | None) -> PointErrors:
+def _of_picture(given: ConditionNoise, found: Found | None, common: Mapping[str, float]) -> PointErrors:
     """Return the errors that the picture shows, with the common ones that are stated, lengths in mm."""
     if found is None or found.picture is None:
         raise InvalidStudy(
@@ -94,17 +98,10 @@ def _of_picture(given: ConditionNoise, found: Found | None) -> PointErrors:
             remedy="Leave them out, or state sd and length as numbers, as `strandline image` prints them.",
         )
     seen = found.picture.errors
-    mm, unknown = TO_MM[str(given.unit)], given.unknown or Unknown()
     with refused_at():
-        return PointErrors(
-            seen.sd,
-            seen.length,
-            shift=mm * unknown.shift,
-            rotation=unknown.rotation,
-            scale=unknown.scale,
-            offset=mm * unknown.offset or seen.offset,
-            shared=unknown.shared,
-        )
+        shared = given.unknown is not None and given.unknown.shared
+        found_too: dict[str, Any] = {**common, "offset": common["offset"] or seen.offset}
+        return PointErrors(seen.sd, seen.length, **found_too, shared=shared)
 
 
 def require_offset(given: ConditionNoise) -> None:

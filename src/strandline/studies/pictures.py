@@ -1,5 +1,6 @@
 """Pictures of a study: the edge in each, in the model's coordinates, with the errors that the picture itself shows."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -67,7 +68,9 @@ class Photographed:
         found, place = self.edge.errors, self.registration
         if place is None:
             return PointErrors(found.sd, found.length, offset=found.offset)
-        shift = min(self.picture.pixel) * place.shift_sd
+        turned = np.array([place.centre])  # what is registered is turned about its own middle
+        lever = np.linalg.norm(self.frame.to_mm(place(turned))[0] - self.interface.points.mean(axis=0))
+        shift = math.hypot(min(self.picture.pixel) * place.shift_sd, np.deg2rad(place.rotation_sd) * float(lever))
         return PointErrors(found.sd, found.length, offset=found.offset, shift=shift, rotation=place.rotation_sd)
 
 

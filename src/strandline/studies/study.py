@@ -147,7 +147,11 @@ def load_study(folder: Path | str) -> Study:
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
     read = {} if truth is not None else read_observations(folder, content.observation, model)
     observed = {condition: one.interface for condition, one in read.items()}
-    noise, noises = _noises(content, model, read, undeformed)
+    noise, noises = _noises(content, model, read)
+    if undeformed is not None:
+        undeformed = replace(undeformed, noises={name: noises.get(name, noise) for name in read})
+        with_errors = partial(with_errors_of, undeformed, conditions=len(read))
+        noises |= {name: with_errors(undeformed.noises[name], one.interface) for name, one in read.items()}
     study = Study(
         folder=folder,
         name=content.name,
@@ -178,7 +182,7 @@ def load_study(folder: Path | str) -> Study:
 
 
 def _noises(
-    content: StudyFile, model: ForwardModel, read: Mapping[str, Found], undeformed: Undeformed | None
+    content: StudyFile, model: ForwardModel, read: Mapping[str, Found]
 ) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
     """Return the noise, and that of each condition that has its own.
 
@@ -186,7 +190,6 @@ def _noises(
         content: The study file.
         model: The simulator.
         read: What was read of each condition.
-        undeformed: The undeformed outline, if it comes from a picture.
     """
     known = declared_conditions(model)
     for condition in content.noise.conditions:
@@ -205,9 +208,6 @@ def _noises(
     noises = {name: build_noise(given, names, read.get(name)) for name, given in stated.items()}
     told = [one for one in read.values() if one.sds is not None or one.picture is not None]
     noise = build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
-    if undeformed is not None:
-        with_errors = partial(with_errors_of, undeformed, conditions=len(read))
-        noises = {name: with_errors(noises.get(name, noise), one.interface) for name, one in read.items()}
     return noise, noises
 
 

@@ -23,6 +23,7 @@ from strandline.report.nearness import as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
+from strandline.studies.outline_effect import outline_effect
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
@@ -68,6 +69,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "inputs": _inputs(calibration),
         "log_evidence": calibration.posterior.log_evidence,
         "likelihood": _likelihood(calibration),
+        "undeformed_outline": outline_effect(study, calibration.records, calibration.posterior),
         "surrogate": _surrogate(calibration.surrogate)
         if calibration.field is None
         else field_surrogate(calibration, calibration.field),

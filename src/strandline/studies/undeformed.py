@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +29,12 @@ class Undeformed:
     Args:
         picture: The picture with the edge.
         outline: The smooth outline through the edge.
+        noises: Noise of each condition without the errors of the outline.
     """
 
     picture: Photographed
     outline: Outlined
+    noises: Mapping[str, Noise | PointErrors | UnknownErrors] = field(default_factory=dict)
 
     @property
     def options(self) -> dict[str, Any]:
