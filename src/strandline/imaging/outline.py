@@ -1,8 +1,9 @@
 """An edge with noise → the smooth outline of a body on a floor, with the errors that are left.
 
-The outline is the marked path plus an offset along its normals: a Gaussian process (Matérn 5/2) whose amplitude and
-length are those that make the edge most probable (Rasmussen and Williams, Gaussian Processes for Machine Learning,
-2006, ch. 2 and 5). Between the edge's last points and the floor it follows the marked path, with an error that grows.
+The outline is the marked path plus an offset along its normals: a Gaussian process (Matérn 5/2; Rasmussen and Williams,
+Gaussian Processes for Machine Learning, 2006, ch. 2). It changes from one marked point to the next, for each is off by
+itself, and its standard deviation is at least that of the edge: in so much noise smaller offsets would not be seen.
+Between the edge's last points and the floor it follows the marked path, with an error that grows.
 """
 
 import math
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_factor, cho_solve, cholesky
-from scipy.optimize import minimize
+from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from strandline.errors import InvalidInput
@@ -28,6 +29,8 @@ LONGEST_GAP = 0.05
 ROUNDED = 7
 """Decimals of the coordinates in mm, so that computers that round differently make the same model."""
 _SUBDIVIDED = 10
+_MOST_OFF = 100.0
+"""Greatest offset from the marked path that is thought of, in standard deviations of the edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,8 @@ def outline_of(
     spacing = float(np.median(np.linalg.norm(np.diff(edge, axis=0), axis=1)))
     level = sd**2 * max(spacing, 2 * length)
     places, offsets, spacing = _averaged(places, offsets, spacing)
-    process = _Process(places, offsets, level / spacing)
+    reach = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+    process = _Process(places, offsets, level / spacing, reach=reach, least=sd)
     at = np.linspace(0.0, base.arc[-1], NODES)
     mean, covariance = process.at(at)
     line = base.points(at) + mean[:, None] * base.normals(at)
@@ -129,19 +133,28 @@ class _Base:
 
 
 class _Process:
-    """The offsets as a Gaussian process with the most probable amplitude and length."""
+    """The offsets as a Gaussian process.
+
+    Args:
+        places: Arc lengths, mm.
+        offsets: Offsets, mm.
+        variance: Variance of their noise, mm².
+        reach: Length over which the process changes, mm.
+        least: Least standard deviation of the process, mm; a larger one is taken if the offsets are more probable then.
+    """
 
     def __init__(
-        self, places: Float[np.ndarray, " point"], offsets: Float[np.ndarray, " point"], variance: float
+        self,
+        places: Float[np.ndarray, " point"],
+        offsets: Float[np.ndarray, " point"],
+        variance: float,
+        *,
+        reach: float,
+        least: float,
     ) -> None:
-        self.places, self.offsets, self.variance = places, offsets, variance
-        spread, extent = max(float(np.std(offsets)), math.sqrt(variance)), float(np.ptp(places))
-        bounds = [(math.log(0.1 * spread), math.log(10 * spread)), (math.log(0.01 * extent), math.log(2 * extent))]
-        starts = ([math.log(spread), math.log(share * extent)] for share in (0.05, 0.2))
-        found = min(
-            (minimize(self._loss, start, bounds=bounds, method="L-BFGS-B") for start in starts), key=lambda one: one.fun
-        )
-        self.amplitude, self.reach = (float(one) for one in np.exp(found.x))
+        self.places, self.offsets, self.variance, self.reach = places, offsets, variance, reach
+        found = minimize_scalar(self._loss, bounds=(math.log(least), math.log(_MOST_OFF * least)), method="bounded")
+        self.amplitude = math.exp(found.x)
 
     def _covariance(
         self, a: Float[np.ndarray, " a"], b: Float[np.ndarray, " b"], amplitude: float, reach: float
@@ -149,10 +162,10 @@ class _Process:
         r = math.sqrt(5.0) * np.abs(a[:, None] - b) / reach
         return np.asarray(amplitude**2 * (1 + r + r**2 / 3) * np.exp(-r))
 
-    def _loss(self, logs: Float[np.ndarray, " 2"]) -> float:
+    def _loss(self, log_amplitude: float) -> float:
         """Return minus the log evidence."""
-        K = self._covariance(self.places, self.places, *np.exp(logs)) + self.variance * np.eye(len(self.places))
-        factor = cho_factor(K, lower=True, overwrite_a=True)
+        K = self._covariance(self.places, self.places, math.exp(log_amplitude), self.reach)
+        factor = cho_factor(K + self.variance * np.eye(len(self.places)), lower=True, overwrite_a=True)
         return float(0.5 * self.offsets @ cho_solve(factor, self.offsets) + np.log(np.diag(factor[0])).sum())
 
     def at(
@@ -179,7 +192,7 @@ def _averaged(
     return *grouped, size * spacing
 
 
-def _on_floor(line: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, "point 2"], slice]:
+def _on_floor(line: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, "kept 2"], slice]:
     """Return the part of a line above the floor with a foot at each end, and which of its points are in it."""
     above = line[:, 1] > 0
     if not above.any():
