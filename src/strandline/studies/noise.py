@@ -79,12 +79,13 @@ def build_noise(
 
 def _of_picture(given: ConditionNoise, found: Found | None) -> PointErrors:
     """Return the errors that the picture shows, with the common ones that are stated, lengths in mm."""
-    if found is None or found.picture is None:
+    seen = None if found is None else found.errors
+    if seen is None:
         raise InvalidStudy(
             "noise.sd",
             value=IMAGE,
-            expected="an observation that comes from a picture",
-            remedy="State the sd of the points, or write `observation: {image: …}`.",
+            expected="an observation that comes from a picture or a stack of them",
+            remedy="State the sd of the points, or write `observation: {image: …}` or `{stack: …}`.",
         )
     if given.length is not None or given.model_error or given.spread:
         raise InvalidStudy(
@@ -93,7 +94,6 @@ def _of_picture(given: ConditionNoise, found: Found | None) -> PointErrors:
             expected="the length that the picture shows, and no model error",
             remedy="Leave them out, or state sd and length as numbers, as `strandline image` prints them.",
         )
-    seen = found.picture.errors
     mm, unknown = TO_MM[str(given.unit)], given.unknown or Unknown()
     with refused_at():
         return PointErrors(
