@@ -1,4 +1,4 @@
-"""`strandline image`: the edge in the picture of a study or the surface in its stack, or the page on which to mark it."""
+"""`strandline image`: the edge in the picture of a study, the surface in its stack, or the page to mark a picture."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,7 +26,9 @@ __all__ = ["command"]
 def command(study: Path, edit: bool, condition: str | None) -> None:
     """Find the edge in the picture of STUDY and write it into STUDY/image: a table, a picture, its errors.
 
-    In a stack of pictures find the surface, and write a file for VTK instead of the table. With --edit, write a page instead. Open it in a browser, mark the picture, and save the file that `path` names.
+    In a stack of pictures find the surface, and write a file for VTK instead of the table.
+
+    With --edit, write a page instead. Open it in a browser, mark the picture, and save the file that `path` names.
     """
     if edit:
         click.echo(f"wrote {_page(study, condition)}: open it in a browser, and save what you mark beside study.yaml")

@@ -44,7 +44,8 @@ class Currents:
 
     For observed points with sd s and correlation length ℓ (at least half their spacing), the noise variance σ_N² is
     2√(2π) s²ℓ/σ_W on polylines, if σ_W is not below their spacing: far below the norm of the noise itself, which is
-    mostly of high frequency. On surfaces it is 4π² s²ℓ², mm⁴. A study with ``noise: {sd: s, length: ℓ, unit: mm}`` takes it.
+    mostly of high frequency. On surfaces it is 4π² s²ℓ², mm⁴. A study with ``noise: {sd: s, length: ℓ, unit: mm}``
+    takes it.
 
     ⟨T,T⟩ is kept for the most recently used observed interfaces.
 

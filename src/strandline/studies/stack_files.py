@@ -1,4 +1,4 @@
-"""What `strandline image` writes on a stack: the surface for VTK, slices with its outline, and its errors in numbers."""
+"""What `strandline image` writes on a stack: the surface for VTK, slices with its outline, its errors in numbers."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from strandline.errors import InvalidInput
 from strandline.imaging.surfaces.curvature import frames
 from strandline.imaging.surfaces.levels import Field
 from strandline.imaging.surfaces.mesh import Mesh, vector_areas
@@ -74,7 +75,11 @@ class Noise:
 
 
 def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], profiles: Profiles) -> Noise:
-    """Return the noise on both sides of a surface, from differences along tangents of it."""
+    """Return the noise on both sides of a surface, from differences along tangents of it.
+
+    Raises:
+        InvalidInput: There is no room for it, inside or outside.
+    """
     tangents, contrast = frames(normals), np.abs(profiles.inside - profiles.outside)
     lags, tree = _LAGS * max(field.sigma, 1.0), cKDTree(mesh.points)
     products: list[Float[np.ndarray, "pair lag"]] = []
@@ -100,7 +105,14 @@ def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"]
     rho[below[0] if below.size else len(rho) :] = 0.0
     integral = float(np.trapezoid(rho * lags, lags))
     squares = np.concatenate(voxels) ** 2
-    variance = float(np.nanmean(squares)) if np.isfinite(squares).any() else math.inf
+    if not (known[1:].any() and np.isfinite(squares).any()):
+        raise InvalidInput(
+            "room beside the surface",
+            value=f"no plain grey value {PLATEAU + 2 * field.sigma:.3g} voxels away from it",
+            expected="solid and surroundings with a grey value of their own",
+            remedy="Use a stack with smaller voxels, or one that shows more of the surroundings.",
+        )
+    variance = float(np.nanmean(squares))
     return Noise(math.sqrt(sill), math.sqrt(integral), math.sqrt(variance))
 
 

@@ -14,6 +14,8 @@ __all__ = ["thinned"]
 
 _ROUNDS, _CHEAPEST = 400, 0.4
 """Most rounds, and the share of the sides, the cheapest, of which some collapse in each."""
+_STUCK, _SIMPLEX = 5, 4
+"""Rounds without a collapse after which there is none; points of a surface that cannot be simpler."""
 _EVEN = 1e-2
 """Weight of the length of a side, which keeps triangles even where the surface is flat or noisy."""
 _TURNED = 0.3
@@ -28,7 +30,7 @@ def thinned(mesh: Mesh, target: int) -> Mesh:
     share, stuck = _CHEAPEST, 0
     for _ in range(_ROUNDS):
         excess = len(mesh.cells) - target
-        if excess <= 0 or stuck > 5:
+        if excess <= 0 or stuck > _STUCK or len(mesh.points) <= _SIMPLEX:
             break
         edges, cost, places = _collapses(mesh, tensors, vectors)
         cheap = np.flatnonzero(cost <= np.quantile(cost, share)) if len(cost) else np.zeros(0, int)

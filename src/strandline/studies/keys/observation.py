@@ -73,7 +73,7 @@ class ObservationFile(Section):
     image: ImageFile | None = None
     """instead of `file`: [a picture](../how-to/picture.md) in which the interface is found"""
     stack: StackFile | None = None
-    """instead of `file`: [a stack of pictures](../how-to/picture.md#a-stack-of-pictures) in which the surface is found"""
+    """instead of `file`: [a stack of pictures](../how-to/picture.md#a-stack-of-pictures) with the surface"""
     noise: ObservationNoise | None = None
 
     @model_validator(mode="after")
