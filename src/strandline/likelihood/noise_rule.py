@@ -33,7 +33,7 @@ WIDER = 4.0
 SHAPES = 4
 SMOOTHED, PIECES = 4, 32
 """Points on either side over which the observed outline is smoothed, in correlation lengths; fewest such pieces."""
-LARGE = 1000
+LARGE = 300
 """Triangles of an observed surface above which the closed form is not compared with the rule, which takes minutes."""
 AGREED = 2.0
 """Ratio of closed form and general rule from which the rule is used."""
