@@ -406,4 +406,4 @@ def test_every_option_of_reading_and_every_format_is_described() -> None:
     described = {name for row in rows("reference/study.md", "reading") for name in code(row[0])}
     assert described == {f.name for f in dataclasses.fields(Reading)}
     assert {suffix for row in rows("reference/study.md", "files") for suffix in code(row[0])} == set(READERS)
-    assert set(ObservationFile.model_fields) - {"synthetic", "noise", "image"} == described
+    assert set(ObservationFile.model_fields) - {"synthetic", "noise", "image", "stack"} == described

@@ -301,7 +301,7 @@ def test_a_stack_in_one_file_and_in_several(tmp_path: Path) -> None:
     found = read_stack(tmp_path / "a.tif", reading(index=1.5))
     np.testing.assert_array_equal(found.values, NOISE)
     assert found.voxel == pytest.approx((0.5e-3, 0.25e-3 / 1.5, 3e-3), rel=1e-6)
-    assert found.notes[0] == "stack of 5 planes, 3 µm apart"
+    assert found.notes[0] == "stack of 5 planes, 3 µm apart, from the ImageJ header"
     paths = [tmp_path / f"{k}.npy" for k in range(5)]
     for path, values in zip(paths, NOISE, strict=True):
         np.save(path, values)
@@ -321,7 +321,7 @@ def test_files_that_are_no_stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for name, found in (("one.npy", "one plane"), ("many.npy", "axis 0 5, axis 1 2"), ("times.tif", "T 5")):
         with pytest.raises(InvalidInput, match=f"{name} holds no stack: got {found}"):
             read_stack(tmp_path / name, how if name != "times.tif" else reading())
-    with pytest.raises(InvalidInput, match=r"a\.npy does not state z.*Add z to `pixel`"):
+    with pytest.raises(InvalidInput, match=r"a\.npy does not state z.*Add z to the size of a voxel"):
         read_stack(tmp_path / "a.npy", reading(pixel=SQUARE))
     with pytest.raises(InvalidInput, match="page or average of a stack"):
         read_stack(tmp_path / "a.npy", reading(pixel=SQUARE, page=1))

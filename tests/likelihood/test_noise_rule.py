@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.discrepancy.surfaces import sphere
 
 from strandline.discrepancy import (
     ClosestPoint,
@@ -111,3 +112,22 @@ def test_global_errors_do_not_widen_a_variance() -> None:
 def test_a_measure_without_a_minimum_is_refused() -> None:
     with pytest.raises(InvalidInput, match="normal_offset"):
         noise_variance(lambda simulated, observed: 1.0, arch(), PointErrors(0.002), 61)
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [
+        ClosestPoint(direction="to_simulated"),
+        ClosestPoint(direction="to_simulated", weighting="length"),
+        Currents(0.6, quadrature="centre"),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("length", [0.0, 0.15])
+def test_closed_forms_agree_with_the_rule_on_a_surface(measure: ClosestPoint | Currents, length: float) -> None:
+    """The rule sees only a function; a square of the sd alone would be off by far more."""
+    surface, errors = sphere(1.0, 2), PointErrors(0.01, length)
+    closed = measure.noise_variance(errors, surface)
+    assert closed is not None
+    by_draws = noise_variance(lambda a, b: measure(a, b), surface, errors, len(surface.points), draws=30)
+    assert closed == pytest.approx(by_draws, rel=0.4)

@@ -1,4 +1,4 @@
-"""`strandline image`: the edge in the picture of a study, or the page on which to mark it."""
+"""`strandline image`: the edge in the picture of a study, the surface in its stack, or the page to mark a picture."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,6 +26,8 @@ __all__ = ["command"]
 def command(study: Path, edit: bool, condition: str | None) -> None:
     """Find the edge in the picture of STUDY and write it into STUDY/image: a table, a picture, its errors.
 
+    In a stack of pictures find the surface, and write a file for VTK instead of the table.
+
     With --edit, write a page instead. Open it in a browser, mark the picture, and save the file that `path` names.
     """
     if edit:
@@ -33,17 +35,21 @@ def command(study: Path, edit: bool, condition: str | None) -> None:
         return
     from strandline.studies import load_study
     from strandline.studies.picture_files import write_pictures
+    from strandline.studies.stack_files import write_stacks
 
     loaded = load_study(study)
-    if not loaded.pictures and loaded.undeformed is None:
+    if not loaded.pictures and not loaded.stacks and loaded.undeformed is None:
         raise InvalidStudy(
             "observation",
             value="no picture",
-            expected="`image: {file: …, path: …, solid: …}`",
+            expected="`image: {file: …, path: …, solid: …}`, or `stack: {file: …, solid: …}`",
             remedy='See the guide "From a picture", docs/how-to/picture.md.',
         )
     for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed):
         for line in _lines(one):
+            click.echo(line)
+    for one in write_stacks(loaded.folder, loaded.stacks):
+        for line in _of_stack(one):
             click.echo(line)
     click.echo(f"next: strandline check {study}")
 
@@ -55,10 +61,7 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     yield f"{of}{found['picture']}: edge of {found['points']} points"
     for note in found["notes"]:
         yield f"  {note}"
-    micrometres = {name: f"{1e3 * found[name]:.3g} µm" for name in ("sd", "length", "offset", "blur")}
-    yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
-    yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
-    yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
+    yield from _sizes(found)
     if found["registration"] is not None:
         yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
     if "outline" in found:
@@ -67,11 +70,35 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
         yield "  the observation takes them up"
         yield from (f"  wrote {file}" for file in one.files)
         return
+    yield from _as_stated(found)
+    for file in one.files:
+        yield f"  wrote {file}"
+
+
+def _sizes(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the errors of the points."""
+    micrometres = {name: f"{1e3 * found[name]:.3g} µm" for name in ("sd", "length", "offset", "blur")}
+    yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
+    yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
+    yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
+
+
+def _as_stated(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield how a study states these errors."""
     yield "  as `noise: {sd: image, unit: um, unknown: {shift: …, rotation: …, scale: …}}` states it"
     for name, variance in found["noise_variance"].items():
         yield f"  σ_N² for {name}: {variance:.3g}"
-    for file in one.files:
-        yield f"  wrote {file}"
+
+
+def _of_stack(one: "PictureFiles") -> Iterator[str]:
+    """Yield what was found in one stack."""
+    found = one.content
+    of = f"{one.condition}: " if one.condition else ""
+    yield f"{of}{found['stack']}: surface of {found['triangles']} triangles, {'closed' if found['closed'] else 'open'}"
+    yield from (f"  {note}" for note in found["notes"])
+    yield from _sizes(found)
+    yield from _as_stated(found)
+    yield from (f"  wrote {file}" for file in one.files)
 
 
 def _moved(found: Mapping[str, Any], unit: float) -> str:

@@ -10,7 +10,7 @@ from strandline.discrepancy.protocol import require_alike
 from strandline.discrepancy.search.many_distances import sums_of_squares
 from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, PointErrors, steady_lengths
+from strandline.interface import Interface, PointErrors, spacings, steady_lengths
 
 __all__ = ["DIRECTIONS", "WEIGHTINGS", "ClosestPoint", "node_weights"]
 
@@ -95,13 +95,18 @@ class ClosestPoint:
     def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
         """Return σ_N², mm², for the distances of observed points: s² max(1, 2ℓ/h), or 2s²ℓ/L of a mean over the length.
 
-        h is the spacing of the points, L the length of the outline; ℓ is at least h/2. None for simulated nodes, whose
-        spacing the observation does not know, and for surfaces.
+        h is the spacing of the points, L the length of the outline; ℓ is at least h/2. On a surface the area 2πℓ², at
+        least that of a point, takes the place of 2ℓ. None for simulated nodes, whose spacing the observation does not
+        know.
         """
-        if self._way != "to_simulated" or observed.dim == 3:
+        if self._way != "to_simulated":
             return None
+        variances = errors.local_variances(observed)
         if self.weighting == "sum":
-            return float(errors.local_variances(observed).mean())
+            return float(variances.mean())
+        if observed.dim == 3:
+            areas = spacings(observed)
+            return float((variances * areas**2).sum() / areas.sum() ** 2)
         return 2 * errors.sd**2 * errors.effective_length(observed) / float(steady_lengths(observed).sum())
 
     @property

@@ -14,7 +14,7 @@ from strandline.discrepancy.products.many_currents import Rule, currents_of_many
 from strandline.discrepancy.products.surface_integrals import refined_surface_product
 from strandline.discrepancy.protocol import require_alike, require_same_direction
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, PointErrors
+from strandline.interface import Interface, PointErrors, spacings
 
 __all__ = ["QUADRATURES", "Currents"]
 
@@ -44,7 +44,8 @@ class Currents:
 
     For observed points with sd s and correlation length ℓ (at least half their spacing), the noise variance σ_N² is
     2√(2π) s²ℓ/σ_W on polylines, if σ_W is not below their spacing: far below the norm of the noise itself, which is
-    mostly of high frequency. A study with ``noise: {sd: s, length: ℓ, unit: mm}`` takes it.
+    mostly of high frequency. On surfaces it is 4π² s²ℓ², mm⁴. A study with ``noise: {sd: s, length: ℓ, unit: mm}``
+    takes it.
 
     ⟨T,T⟩ is kept for the most recently used observed interfaces.
 
@@ -98,9 +99,16 @@ class Currents:
         """Return σ_N² = 2√(2π) s²ℓ/σ_W, mm², with ℓ at least half the spacing h of the observed points.
 
         A small normal error e gives d² = ∬ e(t) e(t') q(t - t') with ∫q = √(2π)/σ_W, and errors of low frequency have
-        the spectral density 2s²ℓ. None for a width below h, where segments are seen one by one, and for surfaces.
+        the spectral density 2s²ℓ. On surfaces ∫q = 2π, whatever the width, and the density is s² 2πℓ², with 2πℓ² at
+        least the area of a point: σ_N² = 4π² s²ℓ², mm⁴. None for a width below h, where segments or triangles are seen
+        one by one.
         """
-        if observed.dim == 3 or self.width < float(np.median(observed.lengths)):
+        if observed.dim == 3:
+            areas = spacings(observed)
+            if self.width**2 < float(np.median(areas)):
+                return None
+            return 2 * math.pi * float((errors.local_variances(observed) * areas**2).sum() / areas.sum())
+        if self.width < float(np.median(observed.lengths)):
             return None
         return 2 * math.sqrt(2 * math.pi) * errors.sd**2 * errors.effective_length(observed) / self.width
 

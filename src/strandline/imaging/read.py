@@ -18,6 +18,7 @@ from strandline.readers.problems import refused
 __all__ = ["read_frames", "read_picture", "read_stack"]
 
 Paths = Path | Sequence[Path]
+_VOXEL = "e.g. `{x: 6, y: 6, z: 10, unit: um}`"
 
 
 def read_picture(paths: Paths, how: PictureReading) -> Picture:
@@ -84,7 +85,7 @@ def read_stack(paths: Paths, how: PictureReading) -> Stack:
         raise InvalidInput(
             "page or average of a stack", value=how.given, expected="neither", remedy="A stack takes all its planes."
         )
-    depth, size = _extent(files, how)
+    depth, size, source = _extent(files, how)
     pictures = read_frames(files, how if len(files) > 1 else replace(how, average=True))
     first = next(pictures)
     values = np.empty((depth, *first.values.shape))
@@ -92,12 +93,12 @@ def read_stack(paths: Paths, how: PictureReading) -> Stack:
     for k, picture in enumerate(pictures, 1):
         _require_same(first, picture)
         values[k] = picture.values
-    notes = (f"stack of {depth} planes, {1e3 * size:.6g} µm apart", *first.notes)
+    notes = (f"stack of {depth} planes, {1e3 * size:.6g} µm apart, from {source}", *first.notes)
     return Stack(values, (*first.pixel, size), _name(files), checksum(files), notes)
 
 
-def _extent(files: Sequence[Path], how: PictureReading) -> tuple[int, float]:
-    """Return the number of planes and their distance, mm."""
+def _extent(files: Sequence[Path], how: PictureReading) -> tuple[int, float, str]:
+    """Return the number of planes, their distance, mm, and who states it."""
     name = files[0].name
     with opened(files[0], how) as file:
         depth = len(files) if len(files) > 1 else file.frames
@@ -105,13 +106,15 @@ def _extent(files: Sequence[Path], how: PictureReading) -> tuple[int, float]:
             found = _layers(file).strip(" ()") or "one plane"
             raise refused(f"{name} holds no stack", found, "several planes along one axis", "Save one stack in a file.")
         require_pixels(name, depth, *file.shape)
+        if how.pixel is None and file.size is None:
+            expected = "x, y and z of a voxel in the study, or in the header of the file"
+            raise refused(f"{name} does not state the size of a voxel", None, expected, f"Add {_VOXEL}.")
         size = agreed(how.pixel, file.size, name)
     if size.z is None:
         expected = "the distance of the planes of a stack"
-        raise refused(
-            f"{name} does not state z", None, expected, "Add z to `pixel`, e.g. {x: 6, y: 6, z: 10, unit: um}."
-        )
-    return depth, size.z
+        raise refused(f"{name} does not state z", None, expected, f"Add z to the size of a voxel, {_VOXEL}.")
+    header = file.size is not None and (how.pixel is None or how.pixel.z is None)
+    return depth, size.z, file.size.source if header and file.size is not None else size.source
 
 
 def _name(files: Sequence[Path]) -> str:

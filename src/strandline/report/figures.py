@@ -21,6 +21,7 @@ from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
 from strandline.report.field_figures import field_figures
 from strandline.report.fit import fit_figures
+from strandline.report.plots.surfaces import plot_surfaces
 from strandline.report.run_figures import failed_runs, offsets_of_runs
 from strandline.surrogate import LogLikelihoodSurrogate
 
@@ -28,6 +29,8 @@ __all__ = ["Captioned", "figure_groups"]
 
 GRID = 121
 BEST = "best run"
+SPACE = 3
+"""Coordinates of a point of a surface."""
 NARROW_SHARE = 0.02
 """A likelihood above 5 % of its maximum on less than this share of the box is shown enlarged as well."""
 EXAMPLES = (0.1, 0.8, 1.0)
@@ -68,6 +71,14 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
     examples = _examples(calibration, undeformed)
     among = "" if undeformed is None else ", the undeformed one,"
     caption = f"The observed interface{among} and the interfaces of a few runs of the design"
+    surfaces = {condition: one for condition, one in observed.items() if one.dim == SPACE}
+    for condition, interface in surfaces.items():
+        figure = plot_surfaces(interface, examples[condition])
+        of = f", {condition}" if condition else ""
+        text = f"The observed surface and those of a few runs of the design, cut by three planes{of}."
+        yield Captioned(f"surfaces-{condition}" if condition else "surfaces", "data", text, whole(figure))
+    if surfaces:
+        return
     if len(observed) == 1:
         ((condition, interface),) = observed.items()
         axes = plots.plot_interfaces(interface, reference=undeformed, simulated=examples[condition])

@@ -83,12 +83,13 @@ def build_noise(
 
 def _of_picture(given: ConditionNoise, found: Found | None, common: Mapping[str, float]) -> PointErrors:
     """Return the errors that the picture shows, with the common ones that are stated, lengths in mm."""
-    if found is None or found.picture is None:
+    seen = None if found is None else found.errors
+    if seen is None:
         raise InvalidStudy(
             "noise.sd",
             value=IMAGE,
-            expected="an observation that comes from a picture",
-            remedy="State the sd of the points, or write `observation: {image: …}`.",
+            expected="an observation that comes from a picture or a stack of them",
+            remedy="State the sd of the points, or write `observation: {image: …}` or `{stack: …}`.",
         )
     if given.length is not None or given.model_error or given.spread:
         raise InvalidStudy(
@@ -97,7 +98,6 @@ def _of_picture(given: ConditionNoise, found: Found | None, common: Mapping[str,
             expected="the length that the picture shows, and no model error",
             remedy="Leave them out, or state sd and length as numbers, as `strandline image` prints them.",
         )
-    seen = found.picture.errors
     with refused_at():
         shared = given.unknown is not None and given.unknown.shared
         found_too: dict[str, Any] = {**common, "offset": common["offset"] or seen.offset}

@@ -1,4 +1,4 @@
-"""The observed interface of each condition, from a file of points or from a picture."""
+"""The observed interface of each condition, from a file of points, a picture or a stack of them."""
 
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidStudy
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors
 from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import ForwardModel, declared_conditions
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
 from strandline.studies.observed import read_points, read_sds, require_plausible
 from strandline.studies.pictures import Photographed, photographed
+from strandline.studies.stacks import Scanned, scanned
 
 __all__ = ["Found", "read_observations"]
 
@@ -27,12 +28,20 @@ class Found:
         turned: Whether its points were reversed.
         sds: Standard deviation of each point, mm, if the file holds them.
         picture: The picture in which it was found, if it was.
+        stack: The stack of pictures in which it was found, if it was.
     """
 
     interface: Interface
     turned: bool = False
     sds: Float[np.ndarray, " point"] | None = None
     picture: Photographed | None = None
+    stack: Scanned | None = None
+
+    @property
+    def errors(self) -> PointErrors | None:
+        """Errors of the points that the picture or the stack shows; None without one."""
+        shown = self.picture or self.stack
+        return None if shown is None else shown.errors
 
 
 def read_observations(
@@ -70,6 +79,9 @@ def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> Found:
     if source.image is not None:
         picture = photographed(folder, source.image, undeformed)
         found, name, unit = Found(picture.interface, picture=picture), f"edge in {picture.name}", ""
+    elif source.stack is not None:
+        stack = scanned(folder, source.stack)
+        found, name, unit = Found(stack.interface, stack=stack), f"surface in {stack.name}", ""
     else:
         path, name, unit = folder / str(source.file), f"observation {source.file}", str(source.unit)
         sds = read_sds(path, unit, options=source.reading)

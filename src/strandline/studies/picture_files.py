@@ -17,7 +17,7 @@ from strandline.studies.keys.image import ImageFile
 from strandline.studies.pictures import Photographed, clicked, read_only_picture
 from strandline.studies.undeformed import Undeformed
 
-__all__ = ["UNDEFORMED", "PictureFiles", "write_page", "write_pictures"]
+__all__ = ["IMAGE", "UNDEFORMED", "WIDTH", "PictureFiles", "write_page", "write_pictures"]
 
 IMAGE = "image"
 """Folder, in the study's, of what is written."""

@@ -28,6 +28,7 @@ from strandline.studies.observations import Found, read_observations
 from strandline.studies.observed import SyntheticNoise
 from strandline.studies.parse import parse_study
 from strandline.studies.pictures import Photographed
+from strandline.studies.stacks import Scanned
 from strandline.studies.study_runs import StudyRuns
 from strandline.studies.undeformed import Undeformed, undeformed_in, with_errors_of
 from strandline.typeset import html_text
@@ -57,6 +58,7 @@ class Study:
         synthetic_noise: Noise added to a synthetic observation, or None.
         turned: The conditions whose observed points were in the opposite direction and were reversed.
         pictures: The pictures, by condition, in which observed interfaces were found.
+        stacks: The stacks of pictures, by condition, in which observed surfaces were found.
         undeformed: The model's undeformed outline, if it comes from a picture.
         settings: How the posterior is computed.
         executor: Where forward runs are made.
@@ -78,6 +80,7 @@ class Study:
     synthetic_noise: SyntheticNoise | None
     turned: tuple[str, ...]
     pictures: Mapping[str, Photographed]
+    stacks: Mapping[str, Scanned]
     undeformed: Undeformed | None
     settings: Settings
     executor: Executor
@@ -167,6 +170,7 @@ def load_study(folder: Path | str) -> Study:
         synthetic_noise=_synthetic_noise(content),
         turned=tuple(condition for condition, one in read.items() if one.turned),
         pictures={condition: one.picture for condition, one in read.items() if one.picture is not None},
+        stacks={condition: one.stack for condition, one in read.items() if one.stack is not None},
         undeformed=undeformed,
         settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
@@ -206,7 +210,7 @@ def _noises(
     for name, one in read.items():
         _require_taken(stated.get(name, content.noise), one, name)
     noises = {name: build_noise(given, names, read.get(name)) for name, given in stated.items()}
-    told = [one for one in read.values() if one.sds is not None or one.picture is not None]
+    told = [one for one in read.values() if one.sds is not None or one.errors is not None]
     noise = build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
     return noise, noises
 
@@ -220,7 +224,7 @@ def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
             expected=f"`noise: {{sd: {COLUMN}, unit: um}}`",
             remedy="Write that, or remove observation.sd.",
         )
-    if one.picture is not None:
+    if one.errors is not None:
         require_offset(given)
 
 

@@ -9,6 +9,7 @@ from strandline.interface import is_condition
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.keys.scalars import VARIANCES, Name, Number, Seed
 from strandline.studies.keys.section import Section, Switch
+from strandline.studies.keys.stack import StackFile
 
 __all__ = [
     "COLUMN",
@@ -71,12 +72,14 @@ class ObservationFile(Section):
     """instead of `file`: a value for each input; the model makes the observation"""
     image: ImageFile | None = None
     """instead of `file`: [a picture](../how-to/picture.md) in which the interface is found"""
+    stack: StackFile | None = None
+    """instead of `file`: [a stack of pictures](../how-to/picture.md#a-stack-of-pictures) with the surface"""
     noise: ObservationNoise | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "ObservationFile":
-        if sum(one is not None for one in (self.file, self.synthetic, self.image)) != 1:
-            raise ValueError("one of `file` with its `unit`, `image` and `synthetic`")
+        if sum(one is not None for one in (self.file, self.synthetic, self.image, self.stack)) != 1:
+            raise ValueError("one of `file` with its `unit`, `image`, `stack` and `synthetic`")
         if self.file is None and self.reading:
             raise ValueError(f"`{next(iter(self.reading))}` only with a `file`, since it says how to read it")
         if self.file is not None and self.unit is None:
@@ -90,7 +93,7 @@ class ObservationFile(Section):
     @property
     def reading(self) -> dict[str, Any]:
         """How to read the file."""
-        others = {"file", "unit", "synthetic", "image", "noise", "condition"}
+        others = {"file", "unit", "synthetic", "image", "stack", "noise", "condition"}
         return {name: value for name, value in self if name not in others and value is not None}
 
 

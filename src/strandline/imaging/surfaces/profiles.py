@@ -1,0 +1,107 @@
+"""Grey values along the normals of a surface, and where they cross the half level between its two sides."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import map_coordinates
+
+from strandline.imaging.surfaces.levels import Field
+from strandline.imaging.surfaces.mesh import Mesh
+
+__all__ = ["Profiles", "normals_of", "profiles_at", "sampled"]
+
+REACH, STEP = 7.0, 0.5
+PLATEAU = 4.0
+"""Distance from the surface beyond which a side has its own grey value, in sides of a voxel."""
+_ROUNDS = 10
+"""Rounds of averaging over neighbouring points of the grey values of both sides and of the slope between them."""
+_FAR = 3.0
+"""Largest distance of a crossing."""
+_GRADIENT = 1.5
+"""Half the distance over which a gradient is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """Profiles across a surface; lengths in sides of a voxel.
+
+    Args:
+        offsets: Where each profile crosses the half level, outwards, shape (point,).
+        found: Which profiles do.
+        inside: Grey value of the solid near each point, averaged over its neighbours.
+        outside: Grey value of its surroundings.
+        slopes: Fall of the grey value per length at the crossing, in the contrast of the two sides, averaged likewise.
+    """
+
+    offsets: Float[np.ndarray, " point"]
+    found: Bool[np.ndarray, " point"]
+    inside: Float[np.ndarray, " point"]
+    outside: Float[np.ndarray, " point"]
+    slopes: Float[np.ndarray, " point"]
+
+    @property
+    def blurs(self) -> Float[np.ndarray, " point"]:
+        """Standard deviation of the Gaussian whose step has this slope."""
+        return np.asarray(1 / (np.maximum(self.slopes, 1e-3) * math.sqrt(2 * math.pi)))
+
+
+def sampled(
+    values: Float[np.ndarray, "z row column"] | np.ndarray, field: Field, places: Float[np.ndarray, "*place 3"]
+) -> tuple[Float[np.ndarray, "*place"], Bool[np.ndarray, "*place"]]:
+    """Return grey values between the voxels, and which of the places lie in the stack."""
+    within = np.asarray(((places >= 0) & (places <= field.extent)).all(axis=-1))
+    at = np.moveaxis((places / field.stretch)[..., ::-1], -1, 0)
+    return map_coordinates(values, at, order=1, mode="nearest", output=np.float64), within
+
+
+def normals_of(field: Field, points: Float[np.ndarray, "point 3"], *, bright: bool) -> Float[np.ndarray, "point 3"]:
+    """Return unit normals out of the solid, against the gradient of a bright one."""
+    moves = _GRADIENT * np.eye(3)
+    ahead, behind = (sampled(field.values, field, points[:, None] + side * moves)[0] for side in (1.0, -1.0))
+    gradient = (behind - ahead) if bright else (ahead - behind)
+    return np.asarray(gradient / np.maximum(np.linalg.norm(gradient, axis=1), 1e-30)[:, None])
+
+
+def profiles_at(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], *, level: float) -> Profiles:
+    """Return the profiles along the normals at the points of a surface.
+
+    Args:
+        field: Smoothed grey values.
+        mesh: The surface.
+        normals: Unit normals out of the solid.
+        level: Grey value half way between the two parts of the whole stack.
+    """
+    u = np.arange(-REACH, REACH + 0.5 * STEP, STEP)
+    values, within = sampled(field.values, field, mesh.points[:, None] + u[:, None] * normals[:, None])
+    up = float(np.median(values[:, 0]) - np.median(values[:, -1])) > 0
+    solid = (values > level) == up
+    inside, outside = (_side(mesh, u, values, within & same, side) for same, side in ((solid, -1.0), (~solid, 1.0)))
+    contrast = inside - outside
+    relative = (values - outside[:, None]) / np.where(np.abs(contrast) > 0, contrast, math.inf)[:, None] - 0.5
+    crosses = (relative[:, :-1] > 0) & (relative[:, 1:] <= 0) & within[:, :-1] & within[:, 1:]
+    fall = np.where(crosses, relative[:, :-1] - relative[:, 1:], 1.0)
+    at = np.where(crosses, u[:-1] + STEP * relative[:, :-1] / fall, math.inf)
+    nearest = np.argmin(np.abs(at), axis=1)
+    rows = np.arange(len(at))
+    found = np.abs(at[rows, nearest]) <= _FAR
+    slopes = mesh.averaged(fall[rows, nearest] / STEP, found.astype(float), rounds=_ROUNDS)
+    return Profiles(np.where(found, at[rows, nearest], 0.0), found, inside, outside, slopes)
+
+
+def _side(
+    mesh: Mesh,
+    u: Float[np.ndarray, " place"],
+    values: Float[np.ndarray, "point place"],
+    usable: Bool[np.ndarray, "point place"],
+    side: float,
+) -> Float[np.ndarray, " point"]:
+    """Return the grey value on one side of the surface: up to where the profile meets another part of it."""
+    order = np.argsort(side * u)
+    beyond = order[side * u[order] >= 0.5 * PLATEAU]
+    reached = np.logical_and.accumulate(usable[:, beyond], axis=1) & (side * u[beyond] >= PLATEAU)
+    number = reached.sum(axis=1).astype(float)
+    means = (values[:, beyond] * reached).sum(axis=1) / np.maximum(number, 1.0)
+    overall = float(np.median(means[number > 0])) if (number > 0).any() else 0.0
+    return mesh.averaged(np.where(number > 0, means, overall), number + 1e-6, rounds=_ROUNDS)

@@ -1,0 +1,195 @@
+"""A stack of pictures as the observation of a study: the surface, its errors, whole studies, and every bad input."""
+
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from tests.discrepancy.surfaces import sphere
+from verification.validation.rendered_stacks import Blob, Microscope
+
+from strandline.cli import main
+from strandline.errors import InvalidInput
+from strandline.interface import PointErrors
+from strandline.readers import Reading, read_interface
+from strandline.runs import InProcess
+from strandline.studies import Study, load_study, run_study
+from strandline.studies.stack_files import vtu, write_stacks
+from strandline.testing.studies import write_study
+
+V, RADIUS = 1e-3, 0.014
+CENTRE = (0.0242, 0.0235, 0.0238)
+ORIGIN = [24.2, 23.5, 23.8]
+CUBES = Microscope((V, V, V), (48, 48, 48), (1.5 * V,) * 3)
+VOXEL = {"x": 1, "y": 1, "z": 1, "unit": "um"}
+PROGRAM = """
+radius, inside, out = float(open("input.txt").read()), False, []
+for line in open("ball.vtu").read().splitlines():
+    inside = line == "<Points>" or (inside and line != "</Points>")
+    numbers = inside and "<" not in line
+    out.append(" ".join(str(radius * float(x)) for x in line.split()) if numbers else line)
+open("surface.vtu", "w").write("\\n".join(out))
+"""
+"""Write the surface of a ball with the radius that the input file states."""
+
+
+@lru_cache(maxsize=1)
+def grey() -> np.ndarray:
+    """Return the stack of a sphere in 16 bits."""
+    stack = CUBES(Blob(CENTRE, (RADIUS,) * 3), np.random.default_rng(1)).values
+    return np.clip(np.round(1000 + 1000 * stack), 0, 65535).astype(np.uint16)
+
+
+def written(folder: Path, *, noise: Any = None, study: dict[str, Any] | None = None, **changes: Any) -> Path:
+    """Write a study whose observation is the stack; None removes a key of it."""
+    folder.mkdir(exist_ok=True)
+    np.save(folder / "cells.npy", grey())
+    stack: dict[str, Any] = {
+        "file": "cells.npy",
+        "voxel": VOXEL,
+        "frame": {"origin": ORIGIN},
+        "solid": "bright",
+        "triangles": 800,
+    }
+    stack = {key: value for key, value in {**stack, **changes}.items() if value is not None}
+    stated = noise or {"sd": "image", "unit": "um"}
+    base = {"discrepancy": {"closest_point": {}}, "noise": stated, **(study or {})}
+    return write_study(folder, observation={"stack": stack}, **base)
+
+
+def loaded(folder: Path, **changes: Any) -> Study:
+    return load_study(written(folder, **changes))
+
+
+def test_the_noise_is_that_of_the_stack(tmp_path: Path) -> None:
+    study = loaded(tmp_path / "s")
+    surface, noise = study.observed[""], study.noise_of("")
+    off = np.linalg.norm(surface.points, axis=1) - RADIUS
+    assert np.sqrt(np.mean(off**2)) < 0.1 * V
+    assert isinstance(noise, PointErrors)
+    assert 0.7 < noise.sd / off.std() < 1.3
+    assert noise.offset >= 0.1 * V
+    assert noise.length > V
+    stated = load_study(
+        written(tmp_path / "s", noise={"sd": "image", "unit": "um", "unknown": {"offset": 7, "shift": 2}})
+    )
+    assert stated.noise_of("").offset == pytest.approx(0.007)  # type: ignore[union-attr]
+    assert stated.noise_of("").shift == pytest.approx(0.002)  # type: ignore[union-attr]
+
+
+def test_the_header_states_the_size_of_a_voxel(tmp_path: Path) -> None:
+    written(tmp_path / "s")
+    tifffile.imwrite(
+        tmp_path / "s" / "cells.tif",
+        grey(),
+        imagej=True,
+        resolution=(1.0, 1.0),
+        metadata={"axes": "ZYX", "unit": "um", "spacing": 1.0},
+    )
+    typed, header = loaded(tmp_path / "s"), loaded(tmp_path / "s", file="cells.tif", voxel=None)
+    np.testing.assert_allclose(header.observed[""].points, typed.observed[""].points)
+    assert "from the ImageJ header" in " ".join(header.stacks[""].notes)
+    assert "from the study" in " ".join(typed.stacks[""].notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "noise", "said"),
+    [
+        ({"voxel": None}, None, "does not state the size of a voxel"),
+        ({"voxel": {"x": 1, "y": 1, "unit": "um"}}, None, "does not state z"),
+        ({"voxel": {"size": 1, "unit": "um"}}, None, "observation.stack.voxel"),
+        ({"voxel": {"x": 1, "y": 1, "z": 1}}, None, "observation.stack.voxel.unit"),
+        ({"frame": None}, None, "observation.stack.frame.origin"),
+        ({"frame": {"origin": [1, 2]}}, None, "observation.stack.frame.origin"),
+        ({"frame": {"origin": [1, 2, 3], "rotation": 3}}, None, "rotation"),
+        ({"file": "nothing.npy"}, None, "nothing.npy"),
+        ({"file": "page.npy"}, None, "holds no stack"),
+        ({"file": "noise.npy"}, None, "contrast over noise"),
+        ({"solid": "grey"}, None, "solid"),
+        ({"triangles": 50}, None, "triangles"),
+        ({"page": 3}, None, "page"),
+        ({}, {"sd": 2, "unit": "um"}, "noise.unknown.offset"),
+        ({}, {"sd": "image", "unit": "um", "length": 3}, "noise.sd"),
+    ],
+)
+def test_bad_input_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, Any], noise: Any, said: str
+) -> None:
+    folder = written(tmp_path / "s", noise=noise, **changes)
+    np.save(folder / "page.npy", grey()[20])
+    np.save(folder / "noise.npy", np.random.default_rng(2).standard_normal((20, 20, 20)))
+    with pytest.raises(SystemExit) as ended:
+        main(["image", str(folder)])
+    shown = capsys.readouterr()
+    assert (ended.value.code, shown.out) == (2, "")
+    assert len(shown.err.splitlines()) == 1
+    assert said in shown.err
+
+
+def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(tmp_path / "s")
+    main(["image", str(folder)])
+    shown = capsys.readouterr().out
+    files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
+    assert sorted(files) == ["surface.json", "surface.png", "surface.vtu"]
+    for words in ("stack of 48 planes, 1 µm apart, from the study", "closed", "σ_N² for currents", "surface.vtu"):
+        assert words in shown
+    study = load_study(folder)
+    how = Reading.from_options({"file": "surface.vtu", "unit": "mm"}, "surface")
+    read = read_interface(folder / "image" / "surface.vtu", how)
+    np.testing.assert_allclose(read.points, study.observed[""].points, rtol=1e-6, atol=1e-10)
+    content = json.loads(files["surface.json"])
+    assert content["triangles"] == len(read.cells)
+    assert content["sd"] == pytest.approx(study.stacks[""].errors.sd)
+    assert content["noise_variance"]["closest_point, to_simulated"] > 0
+    write_stacks(folder, study.stacks)
+    assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
+
+
+def test_an_open_surface_is_noted(tmp_path: Path) -> None:
+    folder = written(tmp_path / "s", file="half.npy")
+    np.save(folder / "half.npy", grey()[:28])
+    study = load_study(folder)
+    assert not study.observed[""].closed
+    assert "the surface is open" in " ".join(study.stacks[""].notes)
+
+
+def test_an_image_needs_a_section(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="`stack`"):
+        load_study(
+            write_study(tmp_path / "s", observation={"stack": {"file": "a.npy", "solid": "bright"}, "file": "b"})
+        )
+
+
+@pytest.mark.parametrize(
+    "measure", [{"closest_point": {}}, {"currents": {"width": 0.006, "quadrature": "centre"}}], ids=str
+)
+def test_a_command_that_writes_vtk_finds_the_radius(tmp_path: Path, measure: dict[str, Any]) -> None:
+    """The posterior holds the true radius; its width is that of the offset, not of independent points."""
+    folder = tmp_path / "s"
+    folder.mkdir()
+    (folder / "ball.vtu").write_text(vtu(sphere(1.0, 3)), "utf-8")
+    (folder / "ball.py").write_text(PROGRAM, "utf-8")
+    (folder / "input.txt.j2").write_text("{{ radius }}", "utf-8")
+    study = {
+        "model": {
+            "command": {
+                "command": ["{{ python }}", "ball.py"],
+                "templates": {"input.txt.j2": "input.txt"},
+                "files": ["ball.py", "ball.vtu"],
+                "result": {"file": "surface.vtu", "unit": "mm"},
+            }
+        },
+        "fixed": {},
+        "inputs": {"radius": {"prior": {"uniform": [0.0135, 0.0145]}}},
+        "discrepancy": measure,
+        "design": {"sobol": {"runs": 8}},
+        "sampler": {"smc": {"particles": 500}},
+    }
+    posterior = run_study(loaded(folder, study=study, triangles=400), executor=InProcess()).calibration.posterior
+    assert abs(posterior.mean[0] - RADIUS) < 0.25 * V
+    assert 0.08 * V < posterior.sd[0] < 0.25 * V
+    assert (folder / "figures" / "surfaces.png").exists()

@@ -1,0 +1,120 @@
+"""How well and how fast surfaces are found in stacks of 256 × 256 × 128 voxels; exit status 1 on a missed aim.
+
+Two solids with bumps, blurred by 1.5 voxels, contrast over noise 10: one with cubes as voxels, one with voxels twice as
+long along z. The time is that from the array to the observation: surface, thinned to 5000 triangles, and its errors.
+
+    python -m verification.validation.stack [--stacks 3] [--planes 128]
+"""
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from verification.validation.rendered_stacks import Blob, Microscope
+from verification.validation.tables import Table
+
+from strandline.discrepancy import ClosestPoint, Currents
+from strandline.imaging.surfaces import StackFrame, find_surface
+from strandline.interface import GaussianNoise, Interface, Observation
+
+SECONDS, DISTANCE, OWN, TRIANGLES = 3.0, 0.1, (0.7, 1.3), 5000
+"""Aims: longest time, largest rms distance from the truth in sides of a voxel, own s over s, most triangles."""
+SMALLEST = 1e-3
+COLUMNS = (
+    "voxels", "seconds", "triangles", "rms distance", "bias", "own offset", "s", "own s / s", "ℓ",
+    "closest point, s", "currents, s",
+)  # fmt: skip
+FORMATS = ("s", ".2f", "d", ".3f", "+.3f", ".3f", ".3f", ".2f", ".2f", ".2f", ".2f")
+
+
+@dataclass(frozen=True)
+class Case:
+    """Stacks of one kind.
+
+    Args:
+        name: Its name in the table.
+        along: Length of a voxel along z over its width.
+    """
+
+    name: str
+    along: float
+
+    def solid(self, planes: int) -> tuple[Blob, Microscope]:
+        """Return the solid, and the microscope with so many planes."""
+        shape = (planes, 2 * planes, 2 * planes)
+        voxel = (SMALLEST, SMALLEST, self.along * SMALLEST)
+        size = SMALLEST * np.array([2 * planes, 2 * planes, self.along * planes])
+        centre, axes = tuple((0.5 * size + 0.3 * SMALLEST).tolist()), tuple((0.36 * size).tolist())
+        blur = (1.5 * SMALLEST, 1.5 * SMALLEST, 1.5 * SMALLEST * self.along)
+        return Blob(centre, axes, bumps=0.04), Microscope(voxel, shape, blur)
+
+
+def seconds_of(measure: ClosestPoint | Currents, seen: Interface) -> float:
+    """Return how long one comparison with a surface of as many triangles takes."""
+    simulated = Interface(1.01 * seen.points, seen.cells)
+    start = time.perf_counter()
+    measure(simulated, seen)
+    return time.perf_counter() - start
+
+
+def row(case: Case, stacks: int, planes: int) -> tuple[tuple[object, ...], bool]:
+    """Return what was found in stacks of one kind, and whether the aims were met."""
+    blob, microscope = case.solid(planes)
+    clean, side = microscope.clean(blob), float(np.prod(microscope.voxel)) ** (1 / 3)
+    times, off, own, offsets, lengths, triangles = [], [], [], [], [], 0
+    seen: Interface | None = None
+    for seed in range(stacks):
+        stack = microscope.with_noise(clean, np.random.default_rng([7, seed]))
+        start = time.perf_counter()
+        surface = find_surface(stack, solid="bright", triangles=TRIANGLES)
+        seen = StackFrame((0.0, 0.0, 0.0), stack.voxel).interface(surface.mesh)
+        Observation(seen, GaussianNoise(1.0))
+        times.append(time.perf_counter() - start)
+        off.append(blob.distances(seen.points) / side)
+        own.append(surface.errors.sd / side)
+        offsets.append(surface.errors.offset / side)
+        lengths.append(surface.errors.length / side)
+        triangles = max(triangles, len(seen.cells))
+    assert seen is not None
+    inside = np.concatenate([off[-1], blob.distances(seen.centres) / side])
+    rms = max(float(np.sqrt(np.mean(part**2))) for part in (*off, inside))
+    scatter = np.array([part.std() for part in off])
+    ratios = np.array(own) / scatter
+    width = 0.1 * float(np.ptp(seen.points, axis=0).max())
+    found = (
+        f"{case.name}, {2 * planes} × {2 * planes} × {planes}",
+        max(times),
+        triangles,
+        rms,
+        float(np.mean([part.mean() for part in off])),
+        float(np.mean(offsets)),
+        float(scatter.mean()),
+        float(ratios.mean()),
+        float(np.mean(lengths)),
+        seconds_of(ClosestPoint(direction="to_simulated"), seen),
+        seconds_of(Currents(width, quadrature="centre"), seen),
+    )
+    low, high = OWN
+    met = max(times) <= SECONDS and rms <= DISTANCE and low <= ratios.min() and ratios.max() <= high
+    return found, met and triangles <= TRIANGLES
+
+
+def main() -> None:
+    """Print the table; exit with 1 if an aim is missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--stacks", type=int, default=3)
+    parser.add_argument("--planes", type=int, default=128)
+    options = parser.parse_args()
+    found = [row(case, options.stacks, options.planes) for case in (Case("cubes", 1.0), Case("twice as long", 2.0))]
+    print(Table("stack", "Surfaces in rendered stacks", COLUMNS, FORMATS, tuple(one for one, _ in found)).markdown())
+    met = all(fine for _, fine in found)
+    low, high = OWN
+    aims = f"{SECONDS:g} s, rms distance {DISTANCE:g}, own s / s from {low:g} to {high:g}"
+    print(f"aims: {aims}: {'met' if met else 'missed'}")
+    sys.exit(0 if met else 1)
+
+
+if __name__ == "__main__":
+    main()
