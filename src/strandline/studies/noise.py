@@ -45,8 +45,6 @@ def build_noise(
     common: dict[str, Any] = {"shift": mm * unknown.shift, "rotation": unknown.rotation, "scale": unknown.scale}
     common["offset"] = mm * unknown.offset
     sd, length = _in_mm(given.sd, mm), _in_mm(given.length or 0.0, mm)
-    if given.sd == IMAGE:
-        return _of_picture(given, found)
     sds = None if found is None else found.sds
     if given.sd == COLUMN and sds is None:
         raise InvalidStudy(
@@ -61,23 +59,19 @@ def build_noise(
                 "noise.spread", value=name, expected=f"some of {', '.join(names)}", remedy="Correct the name."
             )
     spread = tuple(names.index(name) for name in given.spread)
+    if given.sd == IMAGE:
+        return _of_picture(given, found, spread)
     _require_ranges(given)
     with refused_at():
         if given.sd == COLUMN:
             return _of_each(sds, length, given, **common, shared=unknown.shared)
         if isinstance(sd, float) and isinstance(length, float) and not (given.model_error or spread):
             return PointErrors(sd, length, **common, shared=unknown.shared)
-        if unknown.shared:
-            raise InvalidInput(
-                "noise.unknown.shared",
-                value=True,
-                expected="a known sd and length, no model_error and no spread",
-                remedy="Leave shared out.",
-            )
+        _require_unshared(unknown)
         return UnknownErrors(sd, length, **common, model_error=given.model_error, spread=spread)
 
 
-def _of_picture(given: ConditionNoise, found: Found | None) -> PointErrors:
+def _of_picture(given: ConditionNoise, found: Found | None, spread: tuple[int, ...]) -> PointErrors | UnknownErrors:
     """Return the errors that the picture shows, with the common ones that are stated, lengths in mm."""
     if found is None or found.picture is None:
         raise InvalidStudy(
@@ -86,24 +80,32 @@ def _of_picture(given: ConditionNoise, found: Found | None) -> PointErrors:
             expected="an observation that comes from a picture",
             remedy="State the sd of the points, or write `observation: {image: …}`.",
         )
-    if given.length is not None or given.model_error or given.spread:
+    if given.length is not None:
         raise InvalidStudy(
             "noise.sd",
-            value=f"{IMAGE}, with a length, a model error or a spread",
-            expected="the length that the picture shows, and no model error",
-            remedy="Leave them out, or state sd and length as numbers, as `strandline image` prints them.",
+            value=f"{IMAGE}, with a length",
+            expected="the length that the picture shows",
+            remedy="Leave it out, or state sd and length as numbers, as `strandline image` prints them.",
         )
     seen = found.picture.errors
     mm, unknown = TO_MM[str(given.unit)], given.unknown or Unknown()
+    common: dict[str, Any] = {"shift": mm * unknown.shift, "rotation": unknown.rotation, "scale": unknown.scale}
+    common["offset"] = mm * unknown.offset or seen.offset
     with refused_at():
-        return PointErrors(
-            seen.sd,
-            seen.length,
-            shift=mm * unknown.shift,
-            rotation=unknown.rotation,
-            scale=unknown.scale,
-            offset=mm * unknown.offset or seen.offset,
-            shared=unknown.shared,
+        if not (given.model_error or spread):
+            return PointErrors(seen.sd, seen.length, **common, shared=unknown.shared)
+        _require_unshared(unknown)
+        return UnknownErrors(seen.sd, seen.length, **common, model_error=given.model_error, spread=spread)
+
+
+def _require_unshared(unknown: Unknown) -> None:
+    """Refuse shared errors beside noise that is inferred."""
+    if unknown.shared:
+        raise InvalidInput(
+            "noise.unknown.shared",
+            value=True,
+            expected="a known sd and length, no model_error and no spread",
+            remedy="Leave shared out.",
         )
 
 
