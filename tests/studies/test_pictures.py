@@ -14,7 +14,7 @@ from scipy.special import ndtr
 from strandline.cli import main
 from strandline.errors import InvalidInput
 from strandline.imaging import Clicks, ScaleBar, write_clicks
-from strandline.interface import PointErrors
+from strandline.interface import PointErrors, UnknownErrors
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
 from strandline.studies.picture_files import write_pictures
@@ -52,7 +52,10 @@ def written(folder: Path, *, noise: Any = None, **changes: Any) -> Path:
     }
     image = {key: value for key, value in {**image, **changes}.items() if value is not None}
     stated = noise or {"sd": "image", "unit": "um", "unknown": {"shift": 5}}
-    return write_study(folder, observation={"image": image}, discrepancy={"normal_offset": {}}, noise=stated)
+    inferred: dict[str, Any] = {"surrogate": {"field": {}}} if "model_error" in stated else {}
+    return write_study(
+        folder, observation={"image": image}, discrepancy={"normal_offset": {}}, noise=stated, **inferred
+    )
 
 
 def loaded(folder: Path, **changes: Any) -> Study:
@@ -83,6 +86,14 @@ def test_an_offset_that_is_stated_counts(tmp_path: Path) -> None:
     noise = loaded(tmp_path / "s", noise={"sd": "image", "unit": "um", "unknown": {"offset": 7}}).noise_of("")
     assert isinstance(noise, PointErrors)
     assert noise.offset == pytest.approx(0.007)
+
+
+def test_a_model_may_err_beside_the_errors_that_the_picture_shows(tmp_path: Path) -> None:
+    known = loaded(tmp_path / "s").noise_of("")
+    assert isinstance(known, PointErrors)
+    stated = {"sd": "image", "unit": "um", "unknown": {"shift": 5}, "model_error": True}
+    noise = loaded(tmp_path / "s", noise=stated).noise_of("")
+    assert noise == UnknownErrors(known.sd, known.length, shift=known.shift, offset=known.offset, model_error=True)
 
 
 def test_the_solid_sets_the_direction_in_every_frame(tmp_path: Path) -> None:
@@ -138,6 +149,7 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
         ({}, {"sd": 2, "unit": "um"}, "noise.unknown.offset"),
         ({}, {"sd": "image", "unit": "um", "unknown": {"offset": 0}}, "noise.unknown.offset"),
         ({}, {"sd": "image", "unit": "um", "length": 3}, "noise.sd"),
+        ({}, {"sd": "image", "unit": "um", "model_error": True, "unknown": {"shared": True}}, "noise.unknown.shared"),
     ],
 )
 def test_bad_input_is_one_line(

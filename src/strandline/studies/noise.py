@@ -49,8 +49,6 @@ def build_noise(
         place = found.picture.errors
         common |= {name: math.hypot(common[name], getattr(place, name)) for name in ("shift", "rotation")}
     sd, length = _in_mm(given.sd, mm), _in_mm(given.length or 0.0, mm)
-    if given.sd == IMAGE:
-        return _of_picture(given, found, common)
     sds = None if found is None else found.sds
     if given.sd == COLUMN and sds is None:
         raise InvalidStudy(
@@ -65,23 +63,21 @@ def build_noise(
                 "noise.spread", value=name, expected=f"some of {', '.join(names)}", remedy="Correct the name."
             )
     spread = tuple(names.index(name) for name in given.spread)
+    if given.sd == IMAGE:
+        return _of_picture(given, found, common, spread)
     _require_ranges(given)
     with refused_at():
         if given.sd == COLUMN:
             return _of_each(sds, length, given, **common, shared=unknown.shared)
         if isinstance(sd, float) and isinstance(length, float) and not (given.model_error or spread):
             return PointErrors(sd, length, **common, shared=unknown.shared)
-        if unknown.shared:
-            raise InvalidInput(
-                "noise.unknown.shared",
-                value=True,
-                expected="a known sd and length, no model_error and no spread",
-                remedy="Leave shared out.",
-            )
+        _require_unshared(unknown)
         return UnknownErrors(sd, length, **common, model_error=given.model_error, spread=spread)
 
 
-def _of_picture(given: ConditionNoise, found: Found | None, common: Mapping[str, float]) -> PointErrors:
+def _of_picture(
+    given: ConditionNoise, found: Found | None, common: Mapping[str, float], spread: tuple[int, ...]
+) -> PointErrors | UnknownErrors:
     """Return the errors that the picture shows, with the common ones that are stated, lengths in mm."""
     seen = None if found is None else found.errors
     if seen is None:
@@ -91,17 +87,31 @@ def _of_picture(given: ConditionNoise, found: Found | None, common: Mapping[str,
             expected="an observation that comes from a picture or a stack of them",
             remedy="State the sd of the points, or write `observation: {image: …}` or `{stack: …}`.",
         )
-    if given.length is not None or given.model_error or given.spread:
+    if given.length is not None:
         raise InvalidStudy(
             "noise.sd",
-            value=f"{IMAGE}, with a length, a model error or a spread",
-            expected="the length that the picture shows, and no model error",
-            remedy="Leave them out, or state sd and length as numbers, as `strandline image` prints them.",
+            value=f"{IMAGE}, with a length",
+            expected="the length that the picture shows",
+            remedy="Leave it out, or state sd and length as numbers, as `strandline image` prints them.",
         )
+    unknown = given.unknown or Unknown()
+    found_too: dict[str, Any] = {**common, "offset": common["offset"] or seen.offset}
     with refused_at():
-        shared = given.unknown is not None and given.unknown.shared
-        found_too: dict[str, Any] = {**common, "offset": common["offset"] or seen.offset}
-        return PointErrors(seen.sd, seen.length, **found_too, shared=shared)
+        if not (given.model_error or spread):
+            return PointErrors(seen.sd, seen.length, **found_too, shared=unknown.shared)
+        _require_unshared(unknown)
+        return UnknownErrors(seen.sd, seen.length, **found_too, model_error=given.model_error, spread=spread)
+
+
+def _require_unshared(unknown: Unknown) -> None:
+    """Refuse shared errors beside noise that is inferred."""
+    if unknown.shared:
+        raise InvalidInput(
+            "noise.unknown.shared",
+            value=True,
+            expected="a known sd and length, no model_error and no spread",
+            remedy="Leave shared out.",
+        )
 
 
 def require_offset(given: ConditionNoise) -> None:

@@ -113,12 +113,14 @@ def with_errors_of(
         return noise
     own = undeformed.errors
     offset = math.hypot(noise.offset, math.sqrt(conditions) * own.offset)
-    if isinstance(noise, UnknownErrors):
+    if not isinstance(noise.sd, float) or not isinstance(noise.length, float):
         return replace(noise, offset=offset)
     added = conditions * own.sd**2
     spacing = float(np.median(seen.lengths))
     length = max(noise.length, 0.5 * spacing)
     sd = math.sqrt(noise.sd**2 + added)
-    shares = tuple(math.sqrt((share * noise.sd) ** 2 + added) / sd for share in noise.shares)
     length = (noise.sd**2 * length + added * own.length) / sd**2
+    if isinstance(noise, UnknownErrors):
+        return replace(noise, sd=sd, length=length, offset=offset)
+    shares = tuple(math.sqrt((share * noise.sd) ** 2 + added) / sd for share in noise.shares)
     return replace(noise, sd=sd, length=length, offset=offset, shares=shares)

@@ -1,0 +1,202 @@
+"""How often 90 % intervals contain the truth on the biofilm if all that is known of the noise comes from one picture.
+
+The field surrogate learns from Sobol runs of the real model. Truths are drawn from the prior. Each predicted outline is
+shifted, turned, scaled and offset at random and rendered as a camera or an OCT scan sees it; 12 clicks, off by 2.5 px,
+begin the search for its edge. The sd, correlation length and offset of the edge are those that the picture shows.
+Shift, rotation and scale have the priors from which they were drawn. The offset is drawn with the sd that the method
+states, and the method's own bias comes on top. Posteriors are integrated on a grid around the estimate.
+
+    python -m verification.validation.picture_coverage [--pictures 200] [--runs 64] [--ledger FOLDER] [KIND ...]
+"""
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from jaxtyping import Float
+from verification.validation.noise_coverage import GLOBAL, HIGH, LOW, limit, posterior, surrogate
+from verification.validation.rendered import PIXEL, Camera, Scan, clicks
+from verification.validation.tables import Table
+
+from strandline.discrepancy import NormalOffset
+from strandline.errors import InvalidInput
+from strandline.imaging.edge import EDGES, Edge, find_edge
+from strandline.interface import Interface, Observation, PointErrors
+from strandline.likelihood import FieldLikelihood
+from strandline.numerics.precision import use_double
+from strandline.posterior.uniformity import coverage_of, uniformity
+from strandline.surrogate.field import FieldSurrogate
+
+MARGIN = 20
+"""Rows and columns of the picture beyond the outline."""
+FINE = 3
+"""Nodes of the rendered outline per pixel."""
+AIM, CONTROL = (0.85, 0.95), 0.60
+"""Coverage of 90 % intervals that is wanted, and below which the control with independent points must be."""
+MOST_REFUSED = 0.05
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of picture, the way its edge is found, and whether aims are set for it."""
+
+    render: Camera | Scan
+    method: str
+    judged: bool = True
+
+    @property
+    def method_bias(self) -> float:
+        """Standard deviation of the offset that the method states, px."""
+        return float(EDGES[self.method].bias)
+
+
+KINDS = {
+    "camera": Kind(Camera(), "erf"),
+    "OCT 10 dB": Kind(Scan(), "path"),
+    "OCT 10 dB, shadows anywhere": Kind(Scan(over=(0.0, 1.0)), "path", judged=False),
+    "OCT 6 dB": Kind(Scan(contrast=6.0), "path", judged=False),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """What the pictures of one kind give.
+
+    Args:
+        kind: Name of the kind.
+        ranks: Ranks of the truths, shape (picture, 2).
+        control: The same if points are taken as independent, without global errors.
+        sds: Standard deviations of the posteriors, shape (picture, 2).
+        refused: Share of the pictures in which no edge was found.
+    """
+
+    kind: str
+    ranks: Float[np.ndarray, "picture 2"]
+    control: Float[np.ndarray, "picture 2"]
+    sds: Float[np.ndarray, "picture 2"]
+    refused: float
+
+    @property
+    def found(self) -> Float[np.ndarray, " 2"]:
+        """Share of the 90 % intervals that contain the truth, for E and for ν."""
+        return np.asarray(coverage_of(self.ranks, 0.9).found)
+
+    @property
+    def of_control(self) -> Float[np.ndarray, " 2"]:
+        """The same for the control."""
+        return np.asarray(coverage_of(self.control, 0.9).found)
+
+    def row(self) -> tuple[str | float, ...]:
+        """Return a row of the table."""
+        p = [uniformity(self.ranks[:, k]).p_value for k in (0, 1)]
+        sds = np.median(self.sds, axis=0).tolist()
+        cover = [*(100 * self.found).tolist(), *(100 * self.of_control).tolist()]
+        return self.kind, len(self.ranks), 100 * self.refused, *cover, *p, *sds
+
+    def missed(self) -> list[str]:
+        """Return the aims that are missed."""
+        said = []
+        for name, share, control in zip(("E", "ν"), self.found, self.of_control, strict=True):
+            if not AIM[0] <= share <= AIM[1]:
+                said.append(f"{self.kind}: {100 * share:.1f} % of the intervals of {name} contain the truth")
+            if control >= CONTROL:
+                said.append(f"{self.kind}: the control covers {name} in {100 * control:.1f} %")
+        if self.refused > MOST_REFUSED:
+            said.append(f"{self.kind}: {100 * self.refused:.1f} % of the pictures refused")
+        return said
+
+
+def rendered(true: Interface, kind: Kind, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a picture of the region under an outline, clicks along it, and the pixel of the model's (0, 0)."""
+    fine = true.resampled(round(FINE * float(true.lengths.sum()) / PIXEL)).points
+    low, high = fine.min(axis=0), fine.max(axis=0)
+    columns, rows = np.ceil((high - low) / PIXEL).astype(int) + 2 * MARGIN
+    origin = np.array([MARGIN - low[0] / PIXEL, rows - MARGIN + low[1] / PIXEL]) + random.uniform(-0.5, 0.5, 2)
+    line = origin + fine * [1, -1] / PIXEL
+    region = np.concatenate([line, [[line[-1, 0], rows + 40.0], [line[0, 0], rows + 40.0]]])
+    shape = int(rows), int(columns)
+    picture = kind.render(region, shape, random)
+    return picture, np.clip(clicks(line, random), 0.0, np.array(shape[::-1]) - 1.0), origin
+
+
+def seen_in(true: Interface, kind: Kind, random: np.random.Generator) -> tuple[Interface, Edge]:
+    """Return the edge in a picture of an outline, in the model's coordinates and in pixels, with errors in mm.
+
+    Raises:
+        InvalidInput: The picture shows no edge.
+    """
+    picture, path, origin = rendered(true, kind, random)
+    edge = find_edge(picture, path, method=kind.method, pixel=(PIXEL, PIXEL))
+    return Interface.polyline((edge.points - origin) * [PIXEL, -PIXEL]), edge
+
+
+def moving(kind: Kind) -> PointErrors:
+    """Return the errors from which the place and the offset of an outline are drawn."""
+    return PointErrors(PIXEL, **(GLOBAL | {"offset": PIXEL * kind.method_bias}))
+
+
+def covered(field: FieldSurrogate, name: str, kind: Kind, pictures: int) -> Cover:
+    """Return the ranks of truths in the posteriors from so many pictures."""
+    truths = LOW + (HIGH - LOW) * np.random.default_rng(12).random((pictures, 2))
+    known = {what: GLOBAL[what] for what in ("shift", "rotation", "scale")}
+    ranks, control, sds = [], [], []
+    for k, truth in enumerate(truths):
+        random = np.random.default_rng([13, k])
+        placed = moving(kind).moved(field.interfaces(truth)[""], random.standard_normal(5))
+        try:
+            seen, edge = seen_in(placed, kind, random)
+        except InvalidInput as refusal:
+            print(f"  {name}, picture {k}: {str(refusal).partition('.')[0]}", flush=True)
+            continue
+        own = edge.errors
+        errors = PointErrors(own.sd, own.length, offset=own.offset, **known)
+        rank, sd = _posterior(field, seen, errors, truth)
+        ranks.append(rank)
+        sds.append(sd)
+        control.append(_posterior(field, seen, PointErrors(own.sd), truth)[0])
+    return Cover(name, np.array(ranks), np.array(control), np.array(sds), 1 - len(ranks) / pictures)
+
+
+def _posterior(
+    field: FieldSurrogate, seen: Interface, errors: PointErrors, truth: Float[np.ndarray, " 2"]
+) -> tuple[np.ndarray, np.ndarray]:
+    likelihood = FieldLikelihood(field, (Observation(seen, errors),), NormalOffset())
+    return posterior(likelihood, truth, *limit(field, seen, errors))
+
+
+COLUMNS = (
+    "picture", "found", "refused, %", "E covered, %", "ν covered, %", "control: E, %", "ν, %", "p(E)", "p(ν)",
+    "sd(E), Pa", "sd(ν)",
+)  # fmt: skip
+FORMATS = ("s", "d", ".1f", ".1f", ".1f", ".1f", ".1f", ".3f", ".3f", ".1f", ".3f")
+
+
+def main() -> None:
+    """Print the table, a row at a time; exit with 1 on a missed aim."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kinds", nargs="*", help="names of kinds of pictures; default: those with aims")
+    parser.add_argument("--pictures", type=int, default=200)
+    parser.add_argument("--runs", type=int, default=64)
+    parser.add_argument("--ledger", type=Path, help="folder of the runs; default: a new one, removed at the end")
+    options = parser.parse_args()
+    use_double()
+    with TemporaryDirectory() as scratch:
+        folder = options.ledger or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        field = surrogate(options.runs, folder)
+    rows, failed = [], []
+    for name, kind in KINDS.items():
+        if name in options.kinds or (kind.judged and not options.kinds):
+            found = covered(field, name, kind, options.pictures)
+            rows.append(found.row())
+            failed += found.missed() if kind.judged else []
+            print(*(format(x, form) for x, form in zip(rows[-1], FORMATS, strict=True)), sep="  ", flush=True)
+    print(Table("picture_coverage", "Coverage from pictures", COLUMNS, FORMATS, tuple(rows)).markdown())
+    sys.exit("\n".join(failed) or 0)
+
+
+if __name__ == "__main__":
+    main()
