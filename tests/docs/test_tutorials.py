@@ -9,6 +9,7 @@ import importlib
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -69,6 +70,16 @@ def steps_of(page: str) -> Iterator[Step]:
 
 def page_steps(page: str) -> list[Step]:
     return list(steps_of((TUTORIALS / page).read_text("utf-8")))
+
+
+def with_examples(folder: Path) -> Path:
+    """Copy the examples of the project into a folder, without what a run left there."""
+    for one in sorted((ROOT / "examples").rglob("*")):
+        if one.suffix in {".py", ".yaml", ".png"} and not {"figures", "image", "runs"} & {*one.parts}:
+            target = folder / one.relative_to(ROOT)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(one, target)
+    return folder
 
 
 def write(folder: Path, step: Step) -> Path:
@@ -180,7 +191,7 @@ def figures(piece: str) -> Iterator[tuple[float, float, str]]:
 def test_the_studies_and_commands_of_a_page_are_valid(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(with_examples(tmp_path))
     steps, study = page_steps(page), Path()
     assert {step.kind for step in steps} >= {"command"}
     for step in steps:
@@ -273,7 +284,7 @@ def test_a_wrong_figure_or_word_is_noticed(found: str, planted: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_is_followed_and_shows_what_is_printed(page: str, tmp_path: Path) -> None:
-    text, compared, study = (TUTORIALS / page).read_text("utf-8"), 0, tmp_path
+    text, compared, study = (TUTORIALS / page).read_text("utf-8"), 0, with_examples(tmp_path)
     for step in page_steps(page):
         if step.kind == "study":
             study = write(tmp_path, step)

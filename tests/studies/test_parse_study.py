@@ -141,7 +141,7 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
         ({"discrepancy": 3}, "discrepancy", 3, "keys with values"),
         ({"observation": {"file": "a.csv"}}, "observation", {"file": "a.csv"}, "`unit: mm`"),
         ({"observation": {"file": "a.csv", "unit": "inch"}}, "observation.unit", "inch", "'mm', 'um', 'µm' or 'm'"),
-        ({"observation": {}}, "observation", {}, "one of `file` with its `unit`, `image` and `synthetic`"),
+        ({"observation": {}}, "observation", {}, "one of `file` with its `unit`, `image`, `stack` and `synthetic`"),
     ],
 )
 def test_wrong_values(tmp_path: Path, changes: dict[str, Any], place: str, value: Any, expected: str) -> None:
