@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from strandline.models.biofilm.outline import Outline
 
-__all__ = ["Camera", "Scan", "arch", "clicks", "covered"]
+__all__ = ["Camera", "Scan", "arch", "clicks", "covered", "shaped"]
 
 PIXEL = 0.005
 """Side of a pixel, mm: the arch of 1.4 mm is 280 pixels long."""
@@ -110,13 +110,28 @@ def arch(
         random: Generator of a random shear (sd 0.1), height (sd 5 %) and position within a pixel.
         vary: Factor of these.
     """
+    shear, height = vary * 0.1 * random.standard_normal(), vary * 0.05 * random.standard_normal()
+    return shaped(shape, shear, height, moved=(vary * random.uniform(-0.5, 0.5), vary * random.uniform(-0.5, 0.5)))
+
+
+def shaped(
+    shape: tuple[int, int], shear: float, height: float, *, moved: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, "corner 2"]]:
+    """Return the arch of this shear and this relative change of height, as `arch` does.
+
+    Args:
+        shape: Rows and columns of the picture.
+        shear: Change of x over height above the foot.
+        height: Relative change of the height.
+        moved: Displacement to the right and down, px.
+    """
     points = np.array(Outline(nodes=400).interface().points)
-    points[:, 0] += vary * 0.1 * random.standard_normal() * points[:, 1]
-    points[:, 1] *= 1 + vary * 0.05 * random.standard_normal()
+    points[:, 0] += shear * points[:, 1]
+    points[:, 1] *= 1 + height
     points /= PIXEL
     middle = 0.5 * (points[:, 0].min() + points[:, 0].max())
-    x = points[:, 0] - middle + 0.5 * shape[1] + vary * random.uniform(-0.5, 0.5)
-    y = shape[0] - 20.5 - points[:, 1] + vary * random.uniform(-0.5, 0.5)
+    x = points[:, 0] - middle + 0.5 * shape[1] + moved[0]
+    y = shape[0] - 20.5 - points[:, 1] + moved[1]
     line = _fine(np.stack([x, y], axis=1))
     return line, np.concatenate([line, [[line[-1, 0], shape[0] + 40], [line[0, 0], shape[0] + 40]]])
 

@@ -1,0 +1,187 @@
+"""Pixels instead of an edge: how often 90 % intervals of an arch's shape contain the truth, and how wide they are.
+
+The shape's log-likelihood is the sum of what each normal's pixels say (`pixel_tables`) at the places where the outline
+of that shape crosses the normals, thinned by the number of samples that count as one. Beside it stands the product's
+way: `find_edge`, its own errors, and `normal_offset`. Both see the same cameras and OCT B-scans of arches whose height
+and shear are drawn; paths are 12 clicks, off by 2.5 px.
+
+    python -m verification.validation.pixels [--pictures 100] [--only camera|OCT]
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+from verification.validation.pixel_tables import CANDIDATES, Tables, tables
+from verification.validation.rendered import Camera, Scan, clicks, shaped
+from verification.validation.tables import Table
+
+from strandline.discrepancy import NormalOffset
+from strandline.discrepancy.normal_offset import signed_distances
+from strandline.errors import InvalidInput
+from strandline.imaging.edge import Edge, find_edge
+from strandline.interface import Interface, PointErrors
+
+PRIOR = np.array([0.05, 0.1])
+"""Standard deviations of the relative height and of the shear, as `arch` draws them."""
+KINDS = {"camera": ("erf", (136, 280), Camera()), "OCT": ("path", (170, 233), Scan())}
+BESIDE = 1.4
+"""Samples beside an edge that count as one, over those away from it: the factor in the product's κ."""
+REACH, PLACES, OFFSETS = 4.5, 25, np.linspace(-3.0, 3.0, 13)
+"""Half the width of the grid in posterior sds, its nodes along each input, and nodes of the offset in its sds."""
+COLUMNS = (
+    "way", "pictures", "height covered, %", "shear covered, %", "width of height, %", "width of shear, %",
+    "needed for height, %", "needed for shear, %",
+)  # fmt: skip
+FORMATS = ("s", "d", ".0f", ".0f", ".2f", ".2f", ".2f", ".2f")
+"""Widths are those of 90 % intervals, in % of the height and in 0.01 of shear; needed is that of the true errors."""
+Shape = Float[np.ndarray, "2"]
+LogDensity = Callable[[Float[np.ndarray, "shape 2"]], Float[np.ndarray, " shape"]]
+ManyShapes = Callable[[Float[np.ndarray, "shape 2"]], Float[np.ndarray, "shape point"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Mean, its distance from the truth, standard deviation, and share below the truth, of each input."""
+
+    mean: Shape
+    off: Shape
+    sd: Shape
+    rank: Shape
+
+
+def integrated(log_density: LogDensity, truth: Shape, mean: Shape, sd: Shape) -> Posterior:
+    """Return the posterior on a grid that adapts, from a first guess of its mean and standard deviation."""
+    for _ in range(12):
+        axes = [np.linspace(m - REACH * s, m + REACH * s, PLACES) for m, s in zip(mean, sd, strict=True)]
+        x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        log_p = log_density(x) - 0.5 * ((x / PRIOR) ** 2).sum(axis=1)
+        p = np.exp(log_p - log_p.max()).reshape(PLACES, PLACES)
+        marginals = [m / m.sum() for m in (p.sum(axis=1), p.sum(axis=0))]
+        centre = np.array([m @ a for m, a in zip(marginals, axes, strict=True)])
+        found = np.sqrt([m @ (a - c) ** 2 for m, a, c in zip(marginals, axes, centre, strict=True)])
+        if (np.abs(centre - mean) < 0.5 * sd).all() and (np.abs(np.log(np.maximum(found, 1e-9) / sd)) < 0.2).all():
+            break
+        mean, sd = centre, np.clip(found, 0.25 * sd, 2.0 * sd)
+    rank = [np.interp(t, a, np.cumsum(m) - 0.5 * m) for t, a, m in zip(truth, axes, marginals, strict=True)]
+    return Posterior(centre, centre - truth, found, np.array(rank))
+
+
+def outline(shape: tuple[int, int], x: Shape) -> Interface:
+    """Return the outline of a shape with y up."""
+    return Interface.polyline(shaped(shape, float(x[1]), float(x[0]))[0] * (1, -1))
+
+
+def through_nine(function: Callable[[Shape], Float[np.ndarray, " point"]], middle: Shape, reach: Shape) -> ManyShapes:
+    """Return the quadratic in the shape through values at nine shapes, at most `reach` from the middle."""
+    nodes = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
+
+    def terms(z: Float[np.ndarray, "shape 2"]) -> Float[np.ndarray, "shape 6"]:
+        a, b = z.T
+        return np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=1)
+
+    values = np.stack([function(middle + reach * node) for node in nodes])
+    weights = np.linalg.lstsq(terms(nodes), values, rcond=None)[0]
+    return lambda x: np.asarray(terms((x - middle) / reach) @ weights)
+
+
+def by_edge(edge: Edge, shape: tuple[int, int], truth: Shape) -> Posterior:
+    """Return the posterior of shapes through the edge and its own errors: `normal_offset`, quadratic in the shape."""
+    e, seen = edge.errors, Interface.polyline(edge.points * (1, -1))
+    model = NormalOffset().whitened(PointErrors(e.sd, e.length, offset=e.offset)).model(seen)
+    mean = least_squares(lambda x: signed_distances(seen.points, outline(shape, x)), np.zeros(2), x_scale=PRIOR).x
+    sd = 0.05 * PRIOR
+    for _ in range(2):
+        residuals = through_nine(lambda x: signed_distances(seen.points, outline(shape, x)), mean, 5 * sd)
+
+        def log_density(x: Float[np.ndarray, "shape 2"], r: ManyShapes = residuals) -> Float[np.ndarray, " shape"]:
+            return -0.5 * model.square(r(x))
+
+        found = integrated(log_density, truth, mean, sd)
+        mean, sd = found.mean, found.sd
+    return found
+
+
+def crossings(edge: Edge, shape: tuple[int, int], middle: Shape, sd: Shape) -> ManyShapes:
+    """Return the places where outlines of given shapes cross the kept normals."""
+    course = edge.strip.course
+    start, normals = (part[edge.kept] * (1, -1) for part in (course.points, course.normals))
+
+    def places(x: Shape) -> Float[np.ndarray, " normal"]:
+        line, t = outline(shape, x), np.zeros(len(start))
+        for _ in range(5):
+            t -= signed_distances(start + t[:, None] * normals, line)
+        return t
+
+    return through_nine(places, middle, 5 * sd)
+
+
+def by_pixels(edge: Edge, table: Tables, places: ManyShapes, share: float, offset: float) -> LogDensity:
+    """Return the log-likelihood of shapes through the pixels, of which a share counts, with this sd of an offset."""
+    rows, step = np.arange(len(table.values)), CANDIDATES[1] - CANDIDATES[0]
+
+    def log_density(x: Float[np.ndarray, "shape 2"]) -> Float[np.ndarray, " shape"]:
+        t, out = places(x), []
+        for b in OFFSETS if offset else np.zeros(1):
+            index = np.clip((t + b * offset - CANDIDATES[0]) / step, 0, len(CANDIDATES) - 1.001)
+            first = index.astype(int)
+            low, high = table.values[rows, first], table.values[rows, first + 1]
+            out.append(share * (low + (index - first) * (high - low)).sum(axis=1) - 0.5 * b**2)
+        return np.asarray(np.logaddexp.reduce(out, axis=0))
+
+    return log_density
+
+
+def compared(kind: str, seed: int) -> dict[str, Posterior]:
+    """Return the posteriors of each way in one picture."""
+    method, shape, render = KINDS[kind]
+    random = np.random.default_rng([19, seed])
+    truth = PRIOR * random.standard_normal(2)
+    line, region = shaped(shape, float(truth[1]), float(truth[0]))
+    picture, path = render(region, shape, random), clicks(line, random)
+    edge = find_edge(picture, np.clip(path, 0.0, np.array(shape[::-1]) - 1.0), method=method)
+    first = by_edge(edge, shape, truth)
+    places, offset = crossings(edge, shape, first.mean, first.sd), edge.errors.offset
+    table = tables(edge, edge.offsets[edge.kept], kind)
+    for _ in range(2):  # levels around the fitted outline, which is smoother than the edge
+        fit = integrated(by_pixels(edge, table, places, table.estimated, offset), truth, first.mean, first.sd)
+        table = tables(edge, places(fit.mean[None])[0], kind)
+    ways = {
+        "pixels, thinned by estimate": (table.estimated, offset),
+        "pixels, thinned by estimate and 1.4": (table.estimated / BESIDE, offset),
+        "pixels, thinned by known area": (table.known, offset),
+        "pixels, thinned by estimate, no offset": (table.estimated, 0.0),
+        "pixels, unthinned": (1.0, offset),
+    }
+    return {"edge, its own errors": first} | {
+        name: integrated(by_pixels(edge, table, places, *way), truth, fit.mean, fit.sd) for name, way in ways.items()
+    }
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pictures", type=int, default=100)
+    parser.add_argument("--only", choices=KINDS)
+    options = parser.parse_args()
+    for kind in [options.only] if options.only else KINDS:
+        found = []
+        for seed in range(options.pictures):
+            try:
+                found.append(compared(kind, seed))
+            except InvalidInput as refusal:
+                print(f"  {kind}, picture {seed}: {str(refusal).partition('.')[0]}", flush=True)
+        rows = []
+        for way in found[0]:
+            rank, sd, off = (np.array([getattr(one[way], name) for one in found]) for name in ("rank", "sd", "off"))
+            covered, wide = 100 * (np.abs(rank - 0.5) < 0.45).mean(axis=0), 100 * 3.29 * sd.mean(axis=0)
+            error = 100 * 3.29 * np.sqrt((off**2).mean(axis=0))
+            rows.append((way, len(found), *covered.tolist(), *wide.tolist(), *error.tolist()))
+        print(kind, Table(kind, kind, COLUMNS, FORMATS, tuple(rows)).markdown(), sep="\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
