@@ -19,6 +19,17 @@ def straight(
     return 1.0 + 2.0 * ndtr((y - at - slope * x) / np.hypot(1.0, slope) / blur)
 
 
+def steep(slope: float, shape: tuple[int, int] = (120, 100), *, blur: float = 1.0) -> Float[np.ndarray, "row column"]:
+    """Return a picture that is bright (10) right of the line x = 50 + slope (y - 60) and dark (1) left of it."""
+    x, y = grid(shape)
+    return 1.0 + 9.0 * ndtr((x - 50 - slope * (y - 60)) / np.hypot(1.0, slope) / blur)
+
+
+def shadow(at: float, columns: int = 100, *, width: float = 5.0, shade: float = 0.25) -> Float[np.ndarray, " column"]:
+    """Return the light left in each column beside a Gaussian shadow."""
+    return 1 - (1 - shade) * np.exp(-0.5 * ((np.arange(columns) - at) / width) ** 2)
+
+
 def disc(
     shape: tuple[int, int] = (120, 120), *, radius: float = 40.0, blur: float = 1.0, stretch: float = 1.0
 ) -> Float[np.ndarray, "row column"]:

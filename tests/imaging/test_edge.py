@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.imaging.pictures import circle, disc, speckle, straight
+from tests.imaging.pictures import circle, disc, shadow, speckle, steep, straight
 from verification.validation.rendered import Camera, Scan, arch, clicks
 
 from strandline.discrepancy.normal_offset import signed_distances
@@ -126,6 +126,28 @@ def test_errors_of_a_scan_are_those_that_the_truth_shows() -> None:
     assert abs(np.mean(bias)) < 0.3
     assert s < 0.9
     assert 0.7 < np.mean(own) / s < 1.3
+
+
+@pytest.mark.parametrize("slope", [0.2, 0.4])
+def test_a_shadow_on_a_steep_flank_does_not_move_the_edge(slope: float) -> None:
+    picture = speckle(steep(slope) * shadow(55.0), np.random.default_rng(1), looks=4)
+    edge = find_edge(picture, _flank(slope), method="path")
+    off = (edge.points[:, 0] - 50 - slope * (edge.points[:, 1] - 60)) / np.hypot(1.0, slope)
+    assert abs(off.mean()) < 0.2
+    assert off.std() < 0.5
+    assert np.abs(off).max() < 1.2
+
+
+def test_a_vertical_flank_is_not_taken_for_a_shadow() -> None:
+    picture = speckle(steep(0.0), np.random.default_rng(1), looks=4)
+    edge = find_edge(picture, _flank(0.0) + np.array([2.0, 0.0]), method="path")
+    assert abs(edge.points[:, 0].mean() - 50) < 0.2
+    assert edge.errors.contrast == pytest.approx(-9.0, rel=0.1)
+
+
+def _flank(slope: float) -> np.ndarray:
+    y = np.array([2.0, 40.0, 80.0, 117.0])
+    return np.stack([50 + slope * (y - 60), y], axis=1)
 
 
 def test_the_same_picture_gives_the_same_edge_bit_for_bit() -> None:

@@ -2,7 +2,8 @@
 
 All normals share the mean profile T(v) across the edge. A normal on which the edge lies at o has the log-likelihood
 -κ Σ k (I/m + log m) with m = g T(u - o): the grey values I are gamma distributed with mean m and shape k, like the
-intensity of speckle (k = 1 for one look), and light and shadow multiply them by a gain g that is smooth along the edge.
+intensity of speckle (k = 1 for one look), and light and shadow multiply them by a gain g: one for each column of the
+picture, down which the beam runs, times one that is smooth along the edge.
 If they are Gaussian it is -κ Σ (I - m)²/2σ² with m = T(u - o) + g: light adds to logarithms. Neighbouring samples are
 not independent, so κ is one over the number of them that count as one. The offsets follow a random walk along the edge.
 """
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from strandline.errors import InvalidInput
@@ -22,7 +23,7 @@ from strandline.imaging.located import NO_SCATTER, Located, Scatter
 from strandline.imaging.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
 from strandline.imaging.random_walk import Walk, walk
 from strandline.imaging.strip import GreyValues, Strip, strip_along
-from strandline.imaging.template import Template, learnt_template, levelled
+from strandline.imaging.template import Template, columns_levelled, learnt_template, levelled
 
 __all__ = ["MarkovPath"]
 
@@ -82,11 +83,12 @@ class MarkovPath:
             require_intensity(picture)
         strip = strip_along(picture, course, reach=self.reach + self.support, step=self.step)
         places = strip.places[np.abs(strip.places) <= self.reach + 1e-9]
+        columns = _columns(picture, strip)
         offsets, even = np.zeros(len(course.points)), strip
         for turn in range(self.rounds):
             template, shift = learnt_template(even, offsets)
             expected = template.at(strip.places - (offsets + shift)[:, None])
-            even = levelled(strip, expected, relative=self.likelihood == "gamma")
+            even = self._levelled(strip, expected, offsets + shift, columns)
             speckle = _Speckle.of(even, expected, relative=self.likelihood == "gamma")
             table = self._table(even, template, places, speckle)
             draws = _DRAWS if counted is not None and turn == self.rounds - 1 else 0
@@ -107,6 +109,18 @@ class MarkovPath:
             contrast_to_noise=speckle.contrast_to_noise(template),
             facts={"kappa": speckle.kappa, "speckle_variance": speckle.variance, "skewness": speckle.skewness},
         )
+
+    def _levelled(
+        self,
+        strip: Strip,
+        expected: Float[np.ndarray, "normal place"],
+        offsets: Float[np.ndarray, " normal"],
+        columns: Int[np.ndarray, "normal place"],
+    ) -> Strip:
+        """Return the strip without what light and shadow do to it."""
+        relative = self.likelihood == "gamma"
+        strip = columns_levelled(strip, expected, offsets, columns) if relative else strip
+        return levelled(strip, expected, relative=relative)
 
     def _table(
         self, strip: Strip, template: Template, places: Float[np.ndarray, " candidate"], speckle: "_Speckle"
@@ -162,6 +176,12 @@ class _Speckle:
         """Return the contrast over the noise of the mean over a square of 10 × 10 px on the brighter side."""
         level = max(template.left, template.right) if self.relative else 1.0
         return abs(template.left - template.right) / (level * math.sqrt(self.variance * self.area) / _SIDE)
+
+
+def _columns(picture: GreyValues, strip: Strip) -> Int[np.ndarray, "normal place"]:
+    """Return the column of the picture in which each sample lies, of those outside the nearest one."""
+    at = strip.course.at(np.broadcast_to(strip.places, strip.samples.shape))[..., 0] / picture.stretch[0]
+    return np.asarray(np.clip(at.round().astype(int), 0, picture.values.shape[1] - 1))
 
 
 def _walk(

@@ -1,19 +1,21 @@
-"""The mean profile of a picture across an edge, and how bright each normal is."""
+"""The mean profile of a picture across an edge, and how bright each normal and each column is."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging.strip import Strip
 
-__all__ = ["Template", "aligned", "learnt_template", "levelled"]
+__all__ = ["Template", "aligned", "columns_levelled", "learnt_template", "levelled"]
 
 PLATEAU = (3.0, 7.0)
 """Distances from the edge between which the grey value on either side of it is taken, px."""
 _SHADOW = 5.0
 """Standard deviation of the Gaussian along the edge by which the gain of the normals is smoothed, px."""
+_COLUMN = 3.0
+"""Standard deviation of the Gaussian over which the light of columns is averaged, in columns: shadows are wider."""
 _FAR, _BROAD = 5.0, 2.0
 """Distance from the edge beyond which the profile is smoothed, and by a Gaussian of which standard deviation, px."""
 _FEW = 0.2
@@ -82,6 +84,40 @@ def learnt_template(strip: Strip, offsets: Float[np.ndarray, " normal"]) -> tupl
     shift = _half_level(mean, strip.places)
     left, right = _plateaux(mean, strip.places - shift)
     return Template(mean, strip.places - shift, left, right), shift
+
+
+def columns_levelled(
+    strip: Strip,
+    expected: Float[np.ndarray, "normal place"],
+    offsets: Float[np.ndarray, " normal"],
+    columns: Int[np.ndarray, "normal place"],
+) -> Strip:
+    """Return a strip without the differences in brightness between columns of the picture.
+
+    A shadow follows the beam, which runs down the columns: on a steep flank one normal lies half in it. The light of a
+    column is the mean of its samples over what the profile expects of them. The profile accounts for the two sides, so
+    that the step at a vertical flank is not taken for a shadow; samples less than 3 px from the edge, where a wrong
+    offset would be, do not count.
+
+    Args:
+        strip: The samples, which light multiplies.
+        expected: The profile on each normal.
+        offsets: Distance of the edge from the course on each normal.
+        columns: Column of the picture in which each sample lies, at least 0.
+    """
+    counts = strip.usable & (np.abs(strip.places - offsets[:, None]) > PLATEAU[0]) & (expected > 0)
+    if not counts.any():
+        return strip
+    relative, number = strip.samples[counts] / expected[counts], int(columns.max()) + 1
+    samples, total = (
+        gaussian_filter1d(np.bincount(columns[counts], weights, number), _COLUMN, mode="nearest")
+        for weights in (np.ones(len(relative)), relative)
+    )
+    known = samples > 1e-9
+    light = np.ones(number)
+    light[known] = np.maximum(total[known] / samples[known], 1e-3)
+    light /= np.exp(np.average(np.log(light), weights=samples))
+    return replace(strip, samples=np.where(strip.usable, strip.samples / light[columns], 0.0))
 
 
 def levelled(strip: Strip, expected: Float[np.ndarray, "normal place"], *, relative: bool) -> Strip:
