@@ -1,6 +1,7 @@
 """Widths predicted before any campaign, against those of the study itself and against plain linear algebra."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,16 @@ from scipy.linalg import block_diag
 from tests.studies.test_run_study import rerun
 
 from strandline.calibration import Observer
+from strandline.design import sobol
+from strandline.discrepancy import NormalOffset, signed_distances
 from strandline.errors import NumericsError
 from strandline.interface import Interface, PointErrors
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import Uniform
 from strandline.runs import InProcess, RunRecord
 from strandline.runs.record import RunRequest, attempt
 from strandline.studies import Study, load_study, run_study
-from strandline.studies.early_widths import slopes_by_regression
+from strandline.studies.early_widths import predicted_at
 from strandline.studies.expected_widths import (
     expected_sd,
     neighbours,
@@ -139,14 +144,15 @@ def test_a_campaign_says_them_after_its_first_runs(tmp_path: Path) -> None:
     assert float(found) == pytest.approx(predicted(tmp_path / "before", **changes)[0], rel=0.3)
 
 
-def test_slopes_by_regression_are_those_of_the_model(tmp_path: Path) -> None:
+def test_slopes_from_runs_are_those_of_the_model(tmp_path: Path) -> None:
     study, random = load_study(write_study(tmp_path)), np.random.default_rng(1)
-    records = [run(study, AT + [0.5, 1e-4] * random.standard_normal(2), tmp_path) for _ in range(12)]
-    slopes = slopes_by_regression(records, study.space.names, records[0])
-    assert slopes is not None
-    x = records[0].interfaces[""].points[:, 0]
-    np.testing.assert_allclose(slopes[""][:, 1, 1], x, rtol=1e-3)
-    assert slopes_by_regression(records[:2], study.space.names, records[0]) is None
+    records = [run(study, AT + [20.0, 0.01] * random.standard_normal(2), tmp_path) for _ in range(12)]
+    found = predicted_at(records, study.space, AT)
+    assert found is not None
+    interfaces, slopes = found
+    np.testing.assert_allclose(interfaces[""].points, run(study, AT, tmp_path).interface.points, atol=1e-4)
+    np.testing.assert_allclose(slopes[""][:, 1, 1], interfaces[""].points[:, 0], rtol=0.01, atol=1e-3)
+    assert predicted_at(records[:2], study.space, AT) is None
 
 
 def test_runs_without_slopes_give_none(tmp_path: Path) -> None:
@@ -156,7 +162,7 @@ def test_runs_without_slopes_give_none(tmp_path: Path) -> None:
     assert slopes_by_differences(record, [record], AT, neighbours(study.space, AT)) is None
 
 
-def test_slopes_by_regression_hold_at_the_run_and_not_in_the_mean() -> None:
+def test_slopes_from_runs_hold_at_the_place_and_not_in_the_mean() -> None:
     """Planted in the mean over the box: a second-order effect, which a linear fit spreads over both inputs."""
     t, random = np.linspace(0.0, 1.0, 9), np.random.default_rng(1)
 
@@ -167,9 +173,35 @@ def test_slopes_by_regression_hold_at_the_run_and_not_in_the_mean() -> None:
         return RunRecord(f"{a}", {"a": a, "b": b}, "ok", {"": Interface.polyline(np.stack([t, height(a, b)], axis=1))})
 
     records = [record(*row) for row in random.uniform(0.0, 2.0, size=(12, 2)).tolist()]
-    for middle in records[:3]:
-        slopes = slopes_by_regression(records, ("a", "b"), middle)
-        assert slopes is not None
-        a, b = middle.inputs["a"], middle.inputs["b"]
-        np.testing.assert_allclose(slopes[""][:, 1, 0], t + 0.5 * b * t + 0.6 * a, atol=1e-9)
-        np.testing.assert_allclose(slopes[""][:, 1, 1], t**2 + 0.5 * a * t, atol=1e-9)
+    space = ParameterSpace((Parameter("a", Uniform(0.0, 2.0)), Parameter("b", Uniform(0.0, 2.0))))
+    for a, b in ((1.0, 1.0), (0.8, 1.3), (1.4, 0.6)):
+        found = predicted_at(records, space, np.array([a, b]))
+        assert found is not None
+        slopes = found[1][""]
+        np.testing.assert_allclose(slopes[:, 1, 0], t + 0.5 * b * t + 0.6 * a, atol=0.05)
+        np.testing.assert_allclose(slopes[:, 1, 1], t**2 + 0.5 * a * t, atol=0.05)
+
+
+def test_inputs_with_nearly_the_same_effect_have_the_widths_of_their_posterior(tmp_path: Path) -> None:
+    """A drop's surface tension and its radius, with an unknown scale: against slopes of the model itself."""
+    noise = PointErrors(0.001, 0.008, shift=0.016, rotation=1.0, scale=0.005, offset=0.0008)
+    space = ParameterSpace((Parameter("a", Uniform(0.5, 1.5)), Parameter("b", Uniform(0.5, 1.5))))
+    t = np.linspace(-2.0, 2.0, 161)
+
+    def outline(a: float, b: float) -> Interface:
+        radius = b * (1 + 0.1 * a * np.cos(t) + 0.02 * a**2 * np.cos(2 * t))
+        return Interface.polyline(np.stack([radius * np.sin(t), radius * np.cos(t)], axis=1))
+
+    x = space.to_physical(sobol(12, 2, scramble=None))
+    records = [RunRecord(f"{row}", dict(zip("ab", row, strict=True)), "ok", {"": outline(*row)}) for row in x.tolist()]
+    found, seen = predicted_at(records, space, np.array([1.0, 1.0])), outline(1.0, 1.0)
+    assert found is not None
+    steps = 1e-4 * np.eye(2)
+    both = [[signed_distances(seen.points, outline(*(1 + sign * s))) for s in steps] for sign in (1, -1)]
+    J = (np.array(both[0]) - np.array(both[1])).T / 2e-4
+    model = noise.model(seen)
+    C = np.diag(model.local) + model.shared @ model.shared.T
+    true = np.sqrt(np.diag(np.linalg.inv(J.T @ np.linalg.solve(C, J) + np.eye(2) / 0.3413**2)))
+    study = load_study(write_study(tmp_path))
+    study = replace(study, space=space, noise=noise, discrepancies={"normal_offset": NormalOffset()})
+    assert expected_sd(study, *found, {"": seen}) == pytest.approx(true, rel=0.2)

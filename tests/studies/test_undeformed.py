@@ -117,6 +117,7 @@ def test_the_command_writes_both_pictures(study: Study, capsys: pytest.CaptureFi
         ({"registration": {"fixed": [[[2, 2], [6, 2], [6, 6]]]}}, "fixed regions of the picture"),
         ({"registration": {"fixed": [[[2, 2], [100, 2], [100, 30], [2, 30]]]}}, "correlation"),
         ({"registration": {"marks": "nothing.path.json"}}, "nothing.path.json"),
+        ({"noise": {"unknown": {"scale": 0.005, "shared": True}}}, "noise.unknown.shared"),
     ],
 )
 def test_bad_input_is_one_line(study: Study, tmp_path: Path, change: dict[str, Any], said: str) -> None:
@@ -125,6 +126,7 @@ def test_bad_input_is_one_line(study: Study, tmp_path: Path, change: dict[str, A
     places = {
         "outline": content["model"]["biofilm"]["outline"]["image"],
         "registration": content["observation"]["image"]["registration"],
+        "noise": content["noise"],
     }
     for where, keys in change.items():
         places[where] |= keys

@@ -8,15 +8,19 @@ from jaxtyping import Float
 
 from strandline.calibration import Observer
 from strandline.errors import InvalidInput, NumericsError
-from strandline.interface import UnknownErrors
+from strandline.interface import Interface, UnknownErrors
+from strandline.parameters import ParameterSpace
 from strandline.runs import Progress, RunRecord
 from strandline.studies.expected_widths import Slopes, expected_sd, slopes_by_sensitivities, width_lines
 from strandline.studies.study import Study
+from strandline.surrogate.field import FieldTraining, fit_field
 
-__all__ = ["noting_widths", "slopes_by_regression"]
+__all__ = ["noting_widths", "predicted_at"]
 
 RUNS_PER_INPUT = 4
 """Successful runs for each input, and for the mean, from which slopes are estimated."""
+STEP = 1e-3
+"""Step of the differences, in widths of the box."""
 
 
 def noting_widths(observer: Observer, study: Study) -> Observer:
@@ -36,36 +40,24 @@ def noting_widths(observer: Observer, study: Study) -> Observer:
     return replace(observer, run=run)
 
 
-def slopes_by_regression(records: Sequence[RunRecord], names: Sequence[str], middle: RunRecord) -> Slopes | None:
-    """Return d(points)/d(input) at a run by least squares, mm per unit of the input; None for runs with other nodes.
+def predicted_at(
+    records: Sequence[RunRecord], space: ParameterSpace, at: Float[np.ndarray, " dim"]
+) -> tuple[dict[str, Interface], Slopes] | None:
+    """Return the interfaces at some inputs, and d(points)/d(input) there, mm per unit of the input, by condition.
 
-    A second-order polynomial is fitted, as far as there are twice as many runs as terms: slopes in the mean over a wide
-    box hide that two inputs have nearly the same effect.
+    They come from a surrogate of the field, learnt from successful runs. Slopes in the mean over a wide box would hide
+    that two inputs have nearly the same effect. Returns None for runs that define no field.
     """
-    x, at = (np.array([[one.inputs[name] for name in names] for one in some], float) for some in (records, [middle]))
-    unit = np.maximum(x.std(axis=0), 1e-300)
-    terms = _terms((x - at) / unit)
-    found = {}
-    for condition, interface in middle.interfaces.items():
-        shapes = {record.interfaces[condition].points.shape for record in records}
-        if len(shapes) > 1 or np.linalg.matrix_rank(terms) < terms.shape[1]:
-            return None
-        points = np.array([record.interfaces[condition].points.ravel() for record in records])
-        slopes = np.linalg.lstsq(terms, points, rcond=None)[0][1 : 1 + len(names)] / unit[:, None]
-        found[condition] = slopes.T.reshape(*interface.points.shape, len(names))
-    return found
-
-
-def _terms(z: Float[np.ndarray, "run dim"]) -> Float[np.ndarray, "run term"]:
-    """Return 1, z and, for enough runs, the squares and then also the products of the inputs."""
-    runs, dim = z.shape
-    linear = np.column_stack([np.ones(runs), z])
-    products = [z[:, i] * z[:, j] for i in range(dim) for j in range(i)]
-    for more in ([z**2, *products], [z**2]):
-        terms = np.column_stack([linear, *more])
-        if 2 * terms.shape[1] <= runs:
-            return terms
-    return linear
+    x = np.array([[record.inputs[name] for name in space.names] for record in records], float)
+    interfaces = [record.interfaces for record in records]
+    try:
+        field = fit_field(FieldTraining(x, interfaces, None, space.low, space.high))
+    except (InvalidInput, NumericsError):
+        return None
+    steps = STEP * (space.high - space.low)
+    ahead, back = (field.points(field.mean(at + np.diag(one))) for one in (steps, -steps))
+    slopes = {name: np.moveaxis(ahead[name] - back[name], 0, -1) / (2 * steps) for name in ahead}
+    return field.interfaces(at), slopes
 
 
 def _lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
@@ -75,12 +67,13 @@ def _lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
         return []
     x = np.array([[record.inputs[name] for name in names] for record in records], float)
     middle = records[int(np.argmin((((x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-300)) ** 2).sum(axis=1)))]
-    slopes, source = slopes_by_sensitivities(middle, names), "the sensitivities of a run"
+    slopes, interfaces, source = slopes_by_sensitivities(middle, names), middle.interfaces, "the sensitivities of a run"
     if slopes is None:
-        slopes, source = slopes_by_regression(records, names, middle), f"the first {len(records)} runs"
-    if slopes is None:
-        return []
+        found = predicted_at(records, study.space, np.array([middle.inputs[name] for name in names], float))
+        if found is None:
+            return []
+        (interfaces, slopes), source = found, f"the first {len(records)} runs"
     try:
-        return list(width_lines(study, expected_sd(study, middle.interfaces, slopes, study.observed), source))
+        return list(width_lines(study, expected_sd(study, interfaces, slopes, study.observed), source))
     except (InvalidInput, NumericsError):
         return []  # what the measure refuses is reported elsewhere

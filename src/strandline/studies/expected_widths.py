@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.footprint import footprint
-from strandline.discrepancy import Discrepancy, squared_discrepancies
+from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, squared_discrepancies
 from strandline.errors import NumericsError
 from strandline.interface import Interface, Observation
 from strandline.likelihood import compared, noise_length
+from strandline.likelihood.compared import errors_of
+from strandline.likelihood.joint_errors import error_model
 from strandline.likelihood.noise_rule import differences, second_differences
 from strandline.likelihood.shared_errors import shared_errors
 from strandline.parameters import ParameterSpace
@@ -72,6 +74,8 @@ def expected_sd(
         NumericsError: The slopes give no finite widths.
     """
     prior = np.diag(1 / _prior_sd(study.space) ** 2)
+    if not all(np.isfinite(one).all() for one in slopes.values()):
+        raise NumericsError("the slopes of the interface give no finite widths")
     try:
         information = prior + _information(study, interfaces, slopes, observed)
         found = np.sqrt(np.diag(np.linalg.inv(information)))
@@ -89,19 +93,34 @@ def _information(
     measure, dim = next(iter(study.discrepancies.values())), study.space.dim
     seen = [_seen(study, name, interfaces[name], observed.get(name)) for name in observed or interfaces]
     steps = {one.condition: _steps(one, measure, slopes[one.condition]) for one in seen}
-    shared = shared_errors(seen, measure)
-    if shared is not None:
-        least = np.min(list(steps.values()), axis=0)
-        points = {name: _moved(interfaces[name], slopes[name], least) for name in steps}
-        return _curvature(shared.many(points, interfaces), least)
+    errors = [found for one in seen if (found := errors_of(one)) is not None]
+    if isinstance(measure, NormalOffset) and len(errors) == len(seen):
+        joint = shared_errors(seen, measure)
+        model = error_model(seen, errors) if joint is None else joint.model
+        of_distances = [
+            _slopes_of_distances(one.interface, interfaces[one.condition], slopes[one.condition], steps[one.condition])
+            for one in seen
+        ]
+        return model.information(np.concatenate(of_distances))
     information = np.zeros((dim, dim))
     for one in seen:
         template, step = interfaces[one.condition], steps[one.condition]
         with_noise = compared(one, measure, len(template.points))
-        moved = _moved(template, slopes[one.condition], step)
+        moved = _moved(template, slopes[one.condition], step * differences(dim))
         squares = squared_discrepancies(with_noise.measure, moved, template, one.interface)
         information += _curvature(-2 * with_noise.noise.log_density(squares), step)
     return information
+
+
+def _slopes_of_distances(
+    seen: Interface, template: Interface, slope: Float[np.ndarray, "point xyz dim"], steps: _OfInputs
+) -> Float[np.ndarray, "seen dim"]:
+    """Return d(signed distance of an observed point)/d(input), mm per unit of the input, by central differences."""
+    both = [
+        [signed_distances(seen.points, Interface(points, template.cells)) for points in _moved(template, slope, moves)]
+        for moves in (np.diag(steps), np.diag(-steps))
+    ]
+    return np.asarray((np.array(both[0]) - np.array(both[1])).T / (2 * steps))
 
 
 def _seen(study: Study, condition: str, simulated: Interface, observed: Interface | None) -> Observation:
@@ -118,9 +137,9 @@ def _steps(seen: Observation, measure: Discrepancy, slope: Float[np.ndarray, "po
 
 
 def _moved(
-    template: Interface, slope: Float[np.ndarray, "point xyz dim"], steps: _OfInputs
+    template: Interface, slope: Float[np.ndarray, "point xyz dim"], moves: Float[np.ndarray, "move dim"]
 ) -> Float[np.ndarray, "move point xyz"]:
-    return np.asarray(template.points + np.einsum("nad,kd->kna", slope, steps * differences(len(steps))))
+    return np.asarray(template.points + np.einsum("nad,kd->kna", slope, moves))
 
 
 def _curvature(squares: Float[np.ndarray, " move"], steps: _OfInputs) -> Float[np.ndarray, "dim dim"]:

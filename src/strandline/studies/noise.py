@@ -47,6 +47,13 @@ def build_noise(
     common["offset"] = mm * unknown.offset
     if found is not None and found.picture is not None:
         place = found.picture.errors
+        if unknown.shared and (place.shift or place.rotation):
+            raise InvalidStudy(
+                "noise.unknown.shared",
+                value=True,
+                expected="pictures without a registration, each of which has an error of its own",
+                remedy="Leave shared out.",
+            )
         common |= {name: math.hypot(common[name], getattr(place, name)) for name in ("shift", "rotation")}
     sd, length = _in_mm(given.sd, mm), _in_mm(given.length or 0.0, mm)
     sds = None if found is None else found.sds

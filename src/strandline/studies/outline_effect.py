@@ -10,14 +10,14 @@ from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import UnknownErrors
 from strandline.posterior import Posterior
 from strandline.runs import RunRecord
-from strandline.studies.early_widths import slopes_by_regression
+from strandline.studies.early_widths import predicted_at
 from strandline.studies.expected_widths import expected_sd
 from strandline.studies.study import Study
 
 __all__ = ["outline_effect"]
 
-TERMS = 3
-"""Runs near the posterior that give the slopes, for each term of a second-order polynomial."""
+NEAREST = 8
+"""Runs near the posterior that give the slopes, for each input and for the mean."""
 
 
 def outline_effect(study: Study, records: Sequence[RunRecord], posterior: Posterior) -> dict[str, Any] | None:
@@ -49,13 +49,13 @@ def outline_effect(study: Study, records: Sequence[RunRecord], posterior: Poster
     x = np.array([[record.inputs[name] for name in names] for record in ok], float)
     away = (((x - posterior.mean) / posterior.sd) ** 2).sum(axis=1)
     dim = len(names)
-    near = [ok[i] for i in np.argsort(away)[: TERMS * (dim + 1) * (dim + 2) // 2]]
-    slopes = slopes_by_regression(near, names, near[0])
-    if slopes is None:
+    near = [ok[i] for i in np.argsort(away)[: NEAREST * (dim + 1)]]
+    predicted = predicted_at(near, study.space, posterior.mean)
+    if predicted is None:
         return of
     alone = replace(study, noises=found.noises)
     try:
-        sds = [expected_sd(one, near[0].interfaces, slopes, study.observed) for one in (study, alone)]
+        sds = [expected_sd(one, *predicted, study.observed) for one in (study, alone)]
     except (InvalidInput, NumericsError):
         return of
     return of | {
