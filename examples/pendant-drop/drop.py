@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import strandline as sl
 
 DENSITY, GRAVITY = 997.0 - 1.2, 9.81  # kg/m³, water in air; m/s²
-NODES = 201
+NODES = 401
 
 
 def outline(inputs: Mapping[str, float], workdir: Path) -> sl.Interface:

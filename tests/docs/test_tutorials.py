@@ -6,6 +6,7 @@ are run, and a ``text`` block after one is its output. ``…`` stands for output
 """
 
 import importlib
+import itertools
 import os
 import re
 import shlex
@@ -28,6 +29,7 @@ ROOT = Path(__file__).parents[2]
 TUTORIALS = ROOT / "docs" / "tutorials"
 PAGES = sorted(path.name for path in TUTORIALS.glob("*.md"))
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
+SETTING = re.compile(r"([A-Z_]+)=(.*)")
 NUMBER = r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 STEP = re.compile(
     r"^```(?P<language>yaml|console|python|text)\n(?P<block>.*?)^```$"
@@ -98,9 +100,16 @@ def edit(study: Path, step: Step) -> None:
 
 
 def arguments_of(step: Step) -> list[str]:
-    name, *arguments = shlex.split(step.text)
+    words = shlex.split(step.text)
+    name, *arguments = words[len(settings_of(step)) :]
     assert name == "strandline", step.text
     return arguments
+
+
+def settings_of(step: Step) -> dict[str, str]:
+    """Return the variables that are set before a command, ``NAME=value``."""
+    before = itertools.takewhile(bool, map(SETTING.fullmatch, shlex.split(step.text)))
+    return {match[1]: match[2] for match in before if match}
 
 
 # What it shows against what is printed
@@ -293,7 +302,8 @@ def test_a_page_is_followed_and_shows_what_is_printed(page: str, tmp_path: Path)
         elif step.kind == "command":
             arguments = arguments_of(step)
             compared += compare(
-                step.shown, printed([*COMMAND, *arguments], tmp_path, fails="failed after" in step.shown)
+                step.shown,
+                printed([*COMMAND, *arguments], tmp_path, fails="failed after" in step.shown, **settings_of(step)),
             )
             study = tmp_path / arguments[1] if arguments[0] == "init" else study
         else:
@@ -303,12 +313,12 @@ def test_a_page_is_followed_and_shows_what_is_printed(page: str, tmp_path: Path)
         assert (tmp_path / name).is_file(), name
 
 
-def printed(command: Sequence[str], folder: Path, *, fails: bool = False) -> str:
+def printed(command: Sequence[str], folder: Path, *, fails: bool = False, **settings: str) -> str:
     """Return what `command` writes, and see that it ends as the page says."""
     done = subprocess.run(
         command,
         cwd=folder,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"},
+        env={**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg", **settings},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

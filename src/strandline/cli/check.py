@@ -70,6 +70,7 @@ def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, fl
     """Yield what the run shows: shapes, residual, log-likelihoods, displacement, error of the mesh."""
     from strandline.studies.first_run import batch_lines, displacement_lines, known_range, mesh_lines, shape_lines
     from strandline.studies.measure_doubts import measure_lines
+    from strandline.studies.simulated_nodes import node_lines
 
     yield from shape_lines(study, record)
     yield from measure_lines(study, record)
@@ -80,6 +81,7 @@ def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, fl
         yield known
     yield from displacement_lines(study, record)
     yield from mesh_lines(study, record)
+    yield from node_lines(study, record)
     yield from batch_lines(study, record)
 
 

@@ -97,6 +97,12 @@ def test_coordinates_as_text(text: str, tmp_path: Path) -> None:
     assert not found.closed
 
 
+def test_a_profile_of_opendrop(tmp_path: Path) -> None:
+    """Two columns with all digits and no names."""
+    text = "".join(f"{x:.18e},{y:.18e}\n" for x, y in FINE)
+    assert listed(read(tmp_path, text.encode(), "profile_extracted.csv")) == FINE
+
+
 def test_an_outline_that_returns_to_its_first_point_is_closed(tmp_path: Path) -> None:
     found = read(tmp_path, b"0,0\n50,0\n50,50\n0,0\n", "edge.txt")
     assert found.closed
