@@ -88,3 +88,11 @@ def test_a_path_that_does_not_stand_on_the_floor_is_refused(path: np.ndarray, sa
     moved = edge(1) + (path - PATH)[0]
     with pytest.raises(InvalidInput, match=said):
         outline_of(moved, path, sd=SD, length=LENGTH)
+
+
+def test_an_outline_of_which_nearly_all_is_below_the_floor_is_refused() -> None:
+    """It begins a little above the floor, and goes down."""
+    x = np.linspace(0.0, 1.0, 60)
+    line = np.stack([x, 0.02 - x], axis=1)
+    with pytest.raises(InvalidInput, match="below y = 0 nearly everywhere"):
+        outline_of(line, line[::10], sd=SD, length=LENGTH)

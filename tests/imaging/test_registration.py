@@ -120,3 +120,9 @@ def test_what_cannot_be_registered_is_refused() -> None:
     other = np.random.default_rng(5).standard_normal(SHAPE)
     with pytest.raises(InvalidInput, match="correlation"):
         registered(first, other, ALL)
+
+
+def test_regions_that_the_other_picture_does_not_show_are_refused() -> None:
+    first, second = pair()
+    with pytest.raises(InvalidInput, match="fixed regions in the other picture: got 0"):
+        registered(first, second[:40, :50], [np.array([[60.0, 50.0], [110.0, 50.0], [110.0, 80.0], [60.0, 80.0]])])

@@ -26,6 +26,8 @@ MOST = 600
 """Most points of the edge that are used as they are: of more, neighbours are averaged."""
 LONGEST_GAP = 0.05
 """Greatest height of an end of the path above the floor, as a share of the path's length."""
+BACK = 20
+"""Nodes over which the direction of an end is taken."""
 ROUNDED = 7
 """Decimals of the coordinates in mm, so that computers that round differently make the same model."""
 _SUBDIVIDED = 10
@@ -199,6 +201,8 @@ def _on_floor(line: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, "ke
         raise _refused("an outline below y = 0")
     first, last = int(np.argmax(above)), len(line) - int(np.argmax(above[::-1]))
     inner = line[first:last]
+    if len(inner) <= BACK:
+        raise _refused("an outline that is below y = 0 nearly everywhere")
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     out = inner.copy()
     for end, step in ((0, 1), (-1, -1)):
@@ -206,7 +210,7 @@ def _on_floor(line: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, "ke
         if 0 <= outside < len(line):  # the line crosses the floor between these two points
             towards = line[outside] - inner[end]
         else:
-            towards = inner[end] - inner[end + 20 * step]  # on as before, but down by 45° at least
+            towards = inner[end] - inner[end + BACK * step]  # on as before, but down by 45° at least
             towards[1] = min(towards[1], -abs(towards[0]))
         if inner[end, 1] > LONGEST_GAP * length:
             raise _refused(f"an end of the outline {inner[end, 1]:.3g} mm above it")

@@ -72,7 +72,7 @@ class Registration:
 
 def registered(
     first: Float[np.ndarray, "row column"],
-    second: Float[np.ndarray, "row column"],
+    second: Float[np.ndarray, "other_row other_column"],
     fixed: Sequence[Float[np.ndarray, "corner 2"]],
     *,
     pixel: tuple[float, float] = (1.0, 1.0),
@@ -89,7 +89,7 @@ def registered(
             of the blurred pictures are compared.
 
     Raises:
-        InvalidInput: The regions hold too few pixels, or do not look alike in both pictures.
+        InvalidInput: The regions hold too few pixels, leave the second picture, or do not look alike in both.
     """
     inside = np.zeros(first.shape, dtype=bool)
     for polygon in fixed:
@@ -142,7 +142,9 @@ class _Fit:
         self.correlation = 0.0
         self.covariance = np.eye(3)
 
-    def improve(self, first: Float[np.ndarray, "row column"], second: Float[np.ndarray, "row column"]) -> None:
+    def improve(
+        self, first: Float[np.ndarray, "row column"], second: Float[np.ndarray, "other_row other_column"]
+    ) -> None:
         """Take Gauss–Newton steps until they are small, from pictures blurred alike.
 
         With slopes J₁ and J₂ of the two pictures, whose noise is independent, J₁ᵀJ₂ is free of it on average, while
@@ -153,6 +155,13 @@ class _Fit:
         target, fixed_slopes, _ = self._sampled(bent[0], np.zeros(3))
         for _ in range(STEPS):
             found, slopes, seen = self._sampled(bent[1], self.x)
+            if seen.sum() < FEWEST:
+                raise InvalidInput(
+                    "pixels of the fixed regions in the other picture",
+                    value=int(seen.sum()),
+                    expected=f"at least {FEWEST}",
+                    remedy="Mark what both pictures show, or leave `registration` out.",
+                )
             light = np.stack([found, np.ones(len(found))], axis=1)[seen]
             (gain, level), *_ = np.linalg.lstsq(light, target[seen], rcond=None)
             residual = np.where(seen, target - gain * found - level, 0.0)
