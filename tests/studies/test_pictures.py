@@ -88,6 +88,23 @@ def test_an_offset_that_is_stated_counts(tmp_path: Path) -> None:
     assert noise.offset == pytest.approx(0.007)
 
 
+def test_a_folder_of_frames_is_averaged(tmp_path: Path) -> None:
+    """Nine frames: the noise of the edge is a third; other files in the folder are no frames."""
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for seed in range(9):
+        picture(tmp_path, noise=18.0, seed=seed).rename(frames / f"{seed}.png")
+    (frames / "notes.txt").write_text("taken on a Monday")
+    many, one = loaded(tmp_path, file="frames"), loaded(tmp_path, file="frames/0.png")
+    assert many.pictures[""].picture.notes[-1] == "mean of 9 frames"
+    sds = [study.pictures[""].edge.errors.sd for study in (one, many)]
+    assert sds[0] / sds[1] == pytest.approx(3.0, rel=0.25)
+    assert np.abs(off(many)).max() < np.abs(off(one)).max()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InvalidInput, match="folder empty: got no picture in it"):
+        loaded(tmp_path, file="empty")
+
+
 def test_a_model_may_err_beside_the_errors_that_the_picture_shows(tmp_path: Path) -> None:
     known = loaded(tmp_path / "s").noise_of("")
     assert isinstance(known, PointErrors)

@@ -106,20 +106,30 @@ def _guarded(read: Callable[[], T], name: str) -> T:
 
 
 def listed(paths: Path | Sequence[Path]) -> list[Path]:
-    """Return the paths as a list.
+    """Return the files as a list.
 
     Args:
-        paths: Path of a file, or of several.
+        paths: Path of a file or a folder, or of several; a folder stands for the pictures in it, in the order of their
+            names.
 
     Raises:
         Unreadable: There is none, or one that is named twice and would count twice.
     """
-    files = [paths] if isinstance(paths, Path) else list(paths)
+    files = [file for path in ([paths] if isinstance(paths, Path) else paths) for file in _pictures(path)]
     twice = next((path.name for path in files if files.count(path) > 1), None)
     if not files or twice is not None:
         found = twice or "no file"
         raise refused("files of a picture", found, "one file, or several, each once", "Correct the list.")
     return files
+
+
+def _pictures(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    found = sorted(one for one in path.iterdir() if one.suffix.lower() in FORMATS and not one.name.startswith("."))
+    if not found:
+        raise refused(f"folder {path.name}", "no picture in it", f"files {', '.join(FORMATS)}", "Correct its name.")
+    return found
 
 
 def checksum(files: Sequence[Path]) -> str:

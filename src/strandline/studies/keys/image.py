@@ -38,7 +38,7 @@ class ImageFile(Section):
     """A picture with the observed interface; `strandline.imaging` checks the keys from `pixel` to `frame`."""
 
     file: str | Annotated[list[str], Field(min_length=1)]
-    """the picture, relative to the study folder; a list: frames of one state, averaged"""
+    """the picture, relative to the study folder; a list, or a folder: frames of one state, averaged"""
     pixel: Any = None
     """size of a pixel, `{size: 3.1, unit: um}` or `{x: 6, y: 4, unit: um}`; needed unless the file's header or a scale
     bar in the file of clicks states it"""
