@@ -44,10 +44,10 @@ def test_only_keys_of_this_machine_are_cleared(tmp_path, monkeypatch):
         assert [folder.exists() for folder in (theirs, ours, alive)] == [True, False, True]
 
 
-def run_of_a_stranger(address, **options):
+def run_of_a_stranger(address, *, timeout=3, **options):
     """Run code on the cluster at `address`, as whoever can reach its port would."""
-    with distributed.Client(address, set_as_default=False, timeout=3, **options) as client:
-        return client.submit(os.getpid).result(timeout=10)
+    with distributed.Client(address, set_as_default=False, timeout=timeout, **options) as client:
+        return client.submit(os.getpid).result(timeout=60)
 
 
 def test_a_client_without_the_key_is_refused(cluster):
@@ -62,7 +62,7 @@ def test_a_client_with_another_key_is_refused(cluster):
 
 
 def test_a_client_with_the_key_gets_in(cluster):
-    assert run_of_a_stranger(cluster.address, security=cluster.client.security) != os.getpid()
+    assert run_of_a_stranger(cluster.address, timeout=60, security=cluster.client.security) != os.getpid()
 
 
 def test_a_worker_without_the_key_gives_nothing_away(cluster):
