@@ -128,7 +128,7 @@ def test_a_wrong_model_is_flagged(change: Change, seed: int) -> None:
     assert found.flagged
     assert found.verdict.startswith("The model does not explain the observation (p")
     assert "near s = " in found.verdict
-    assert found.verdict.endswith("times what the noise allows; do not rely on the posterior's width.")
+    assert found.verdict.endswith("times what the noise allows; trust neither mean nor width of the posterior.")
     if change is lifted:
         assert "above the prediction" in found.verdict
     assert found.p_value is not None

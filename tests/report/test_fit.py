@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from strandline.calibration import Calibration, Misfit
 from strandline.calibration.misfit import ConditionMisfit, Region
-from strandline.calibration.misfit.verdict import Verdict, verdict_on
-from strandline.interface import PointErrors
+from strandline.calibration.misfit.verdict import Verdict, verdict_on, with_fitted_noise
+from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.residual_noise import ResidualNoise, StatedErrors
 from strandline.report.fit import fit_as_json, fit_figures
 from strandline.report.page import template
@@ -57,9 +57,26 @@ def test_a_model_that_does_not() -> None:
     assert found.flagged
     assert found.text == (
         "The model does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm of condition V50 the observed "
-        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; do not rely on the "
-        "posterior's width."
+        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; trust neither mean "
+        "nor width of the posterior."
     )
+
+
+@pytest.mark.parametrize(("length", "smooth"), [(0.05, False), (0.07, False), (0.1, True)])
+def test_noise_that_was_fitted_to_the_residuals_explains_them_unless_they_are_smooth(
+    length: float, smooth: bool
+) -> None:
+    """Of an interface 1 mm long; planted: an error of the model, which the noise takes up if it may."""
+    line = Interface.polyline(np.stack([np.linspace(0.0, 1.0, 201), np.zeros(201)], axis=1))
+    right = Verdict("The model explains the observation: p = 0.43.", flagged=False)
+    found = with_fitted_noise(right, [Observation(line, PointErrors(0.0021, length))])
+    assert found.flagged == smooth
+    if smooth:
+        assert "smooth over 100 µm, as errors of a model are" in found.text
+        assert found.text.endswith("trust neither mean nor width of the posterior.")
+    else:
+        fitted = f"with noise fitted to its residuals: sd 2.1 µm, correlated over {1e3 * length:.0f} µm."
+        assert found.text == f"The model explains the observation: p = 0.43, {fitted}"
 
 
 def test_residuals_of_both_signs_depart() -> None:
@@ -91,8 +108,8 @@ def test_only_the_reason_is_given() -> None:
     """A corrected p-value that is not small is no reason; residuals that are long are."""
     found = verdict(condition(FINE, length=0.05), p=0.04)
     assert found == Verdict(
-        "The model does not explain the observation: s²ℓ of the residuals is 4.9 times that of the stated noise; do "
-        "not rely on the posterior's width.",
+        "The model does not explain the observation: s²ℓ of the residuals is 4.9 times that of the stated noise; "
+        "trust neither mean nor width of the posterior.",
         flagged=True,
     )
     both = verdict(condition(FINE, length=0.05), p=0.001)

@@ -71,18 +71,20 @@ class Lesson:
     def misfit(self, problem: Problem, posterior: Posterior, *, seed: int) -> Misfit:
         """Return whether the model explains the observations within the noise, whatever the inputs."""
         observations, measure = problem.observations, next(iter(problem.discrepancies.values()))
-        explained = None
+        explained, fitted = None, False
         with one_thread():
             if self.knowledge is not None:
                 prediction, inferred = by_field(self.knowledge.surrogate), self.knowledge.likelihood.inferred
                 if inferred is not None:
+                    fitted = any(isinstance(o.noise, UnknownErrors) and not o.noise.stated for o in observations)
                     observations, explained = inferred.at_median(observations), inferred.explained
             else:
                 learnt, runs = self.learnt, [record for record in self.learnt.records if record.ok]
                 values = learnt.log_likelihood
                 prediction = by_runs(learnt.training, runs, values, problem.space, observations, measure)
             known = tuple(problem.fixed)
-            return misfit_of(prediction, observations, measure, posterior, fixed=known, explained=explained, seed=seed)
+            how: dict[str, Any] = {"fixed": known, "explained": explained, "fitted": fitted}
+            return misfit_of(prediction, observations, measure, posterior, **how, seed=seed)
 
     @property
     def found(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from strandline.calibration.misfit.reference import (
 )
 from strandline.calibration.misfit.residuals import Residuals
 from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
-from strandline.calibration.misfit.verdict import verdict_on
+from strandline.calibration.misfit.verdict import verdict_on, with_fitted_noise
 from strandline.discrepancy import Discrepancy
 from strandline.errors import StrandlineError
 from strandline.interface import GLOBAL, Observation, PointErrors, arc_lengths, steady_normals
@@ -50,6 +50,7 @@ def misfit_of(
     *,
     fixed: Sequence[str] = (),
     explained: Float[np.ndarray, "seen cause"] | None = None,
+    fitted: bool = False,
     seed: int,
 ) -> Misfit:
     """Return whether the model explains the observations; if that cannot be computed, the verdict says why.
@@ -61,11 +62,12 @@ def misfit_of(
         posterior: Posterior of the inputs.
         fixed: Names of the known inputs.
         explained: What errors of the model that were allowed for do to the residuals, mm; None if there are none.
+        fitted: Whether sd and length of the observations' errors were inferred from these residuals.
         seed: Seed of the random numbers.
     """
     unseen = invisible(observations, posterior.space.names, fixed)
     try:
-        return _judged(prediction, observations, measure, posterior, explained, unseen, seed)
+        return _judged(prediction, observations, measure, posterior, explained, unseen, fitted, seed)
     except (StrandlineError, ArithmeticError, ValueError) as error:
         why = " ".join(str(error).split())
         return Misfit(f"Whether the model explains the observation was not computed: {why}", False, notes=(unseen,))
@@ -78,6 +80,7 @@ def _judged(
     posterior: Posterior,
     explained: Float[np.ndarray, "seen cause"] | None,
     unseen: str,
+    fitted: bool,
     seed: int,
 ) -> Misfit:
     random = np.random.default_rng([seed, STREAM])
@@ -92,6 +95,8 @@ def _judged(
     conditions = _conditions(residuals, fit, parts, seen, drawn, predictive)
     p_value = float(tail(drawn.whole, seen.whole))
     verdict = verdict_on(p_value, predictive.whole, conditions, run_alone=prediction.run_alone)
+    if fitted:
+        verdict = with_fitted_noise(verdict, observations)
     notes = (*_notes(residuals, prediction), *failed, unseen)
     size = _model_error(residuals, explained)
     text = verdict.text

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from strandline.calibration.misfit.result import ConditionMisfit, Region
+from strandline.interface import Observation, PointErrors
 
-__all__ = ["Verdict", "verdict_on"]
+__all__ = ["Verdict", "verdict_on", "with_fitted_noise"]
 
 FAMILIES = 3
 """Kinds of p-values: of all residuals, of the parts of an arc, of d². The least one is corrected for their number."""
@@ -15,6 +16,9 @@ DOUBTFUL, RATIO = 0.05, 4.0
 """So is one whose residuals are less likely than this and have more than this many times the s²ℓ that was stated."""
 SMALL = 0.995
 """A p-value above this means residuals that are small for the stated noise."""
+SMOOTH = 0.08
+"""Correlation length, as a share of the observed interface, from which what was taken for noise is an error of the
+model: errors of a picture reach over a few pixels."""
 LEAST = 0.001
 """Smallest p-value that is given as a number."""
 
@@ -52,8 +56,31 @@ def verdict_on(
             "between the runs.",
             flagged=False,
         )
-    text = f"The model does not explain the {what}{because}; do not rely on the posterior's width."
+    text = f"The model does not explain the {what}{because}; trust neither mean nor width of the posterior."
     return Verdict(text, flagged=True)
+
+
+def with_fitted_noise(verdict: Verdict, observations: Sequence[Observation]) -> Verdict:
+    """Return the verdict if the noise was inferred from the same residuals, which it then explains in any case.
+
+    Args:
+        verdict: The verdict on the residuals.
+        observations: Observations with the inferred errors.
+    """
+    errors = [(one.noise, one.interface) for one in observations if isinstance(one.noise, PointErrors)]
+    noise, seen = max(errors, key=lambda one: one[0].length, default=(None, None))
+    if verdict.flagged or noise is None or seen is None:
+        return verdict
+    said = f"sd {_length(noise.sd)}, correlated over {_length(noise.length)}"
+    whole = float(seen.lengths.sum()) if seen.dim == 2 else 0.0
+    if whole and noise.length > SMOOTH * whole:
+        return Verdict(
+            f"The model does not explain the observation: its residuals (root mean square {_length(noise.sd)}) are "
+            f"smooth over {_length(noise.length)}, as errors of a model are, and not noise; trust neither mean nor "
+            "width of the posterior.",
+            flagged=True,
+        )
+    return Verdict(f"{verdict.text[:-1]}, with noise fitted to its residuals: {said}.", flagged=False)
 
 
 def _said(p: float) -> str:
@@ -62,7 +89,7 @@ def _said(p: float) -> str:
 
 def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float) -> str:
     """Return the p-value and where the residuals are largest if that is why; else, or if no part stands out, s²ℓ."""
-    found = [(region.p_value, -region.excess, one.condition, region) for one in conditions for region in one.regions]
+    found = [(region.p_value, -region.rms, one.condition, region) for one in conditions for region in one.regions]
     p_value, _, condition, region = min(found, key=lambda one: one[:2], default=(1.0, 0.0, "", None))
     said = f" ({_said(least)})" if least < LEVEL else ""
     if said and region is not None and p_value < DOUBTFUL:

@@ -62,9 +62,9 @@ def typed_path(
             picture, a repeated point, or a path that crosses itself.
     """
     found = as_points(points, what)
-    require_path(found, what, closed=closed)
     if size is not None:
         require_inside(found, size, what)
+    require_path(found, what, closed=closed)
     return FirstPath(found, closed)
 
 
