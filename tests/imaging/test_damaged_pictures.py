@@ -275,7 +275,7 @@ def test_unusual_colours_are_refused(tmp_path: Path) -> None:
 def test_missing_files_folders_and_unknown_formats(tmp_path: Path) -> None:
     assert "is missing" in refusal(tmp_path / "a.png")
     (tmp_path / "b.png").mkdir()
-    assert "is missing" in refusal(tmp_path / "b.png")
+    assert "folder b.png: got no picture in it" in refusal(tmp_path / "b.png")
     (tmp_path / "c.bmp").write_bytes(b"BM")
     assert "unknown format: got .bmp; expected .png" in refusal(tmp_path / "c.bmp")
 
