@@ -1,24 +1,30 @@
 """Signed distances from the observed points to the simulated interface, whitened by their errors if these are known."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_alike, require_same_direction
-from strandline.discrepancy.registration import ROUGH, Sums, linear_sums
+from strandline.discrepancy.registration import FAR, ROUGH, Rows, Sums, linear_sums
+from strandline.discrepancy.search.local_means import local_means
+from strandline.discrepancy.search.many_distances import FEWEST
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.discrepancy.search.signed_sums import signed_sums
 from strandline.interface import ErrorModel, Interface, PointErrors, as_complex
 
-__all__ = ["NormalOffset", "WhitenedOffset", "signed_distances", "weighted_sums"]
+__all__ = ["NormalOffset", "WhitenedOffset", "extended", "far", "signed_distances", "weighted_sums"]
 
 
 BEYOND = 0.05
 """Share of its length by which an open polyline goes on straight at each end."""
+PLACES = 200
+"""Places along an observed polyline whose distances stand for those of all its points, about."""
+LOOKED_AT = 16
+"""Observed points that tell how far global errors move the observation."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +108,19 @@ class WhitenedOffset:
     def sums(self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface) -> Sums:
         """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run, of residuals that are linear in the global errors."""
         model, seen = self.model(observed), observed.points
+        moves, middle = self.errors.moves(observed.dim), seen.mean(axis=0)
+        longer = extended(points, template)
+
+        def of(some: Rows, rough: bool) -> Sums:
+            return weighted_sums(seen, some[""], template, 1 / model.local, model.features, rough=rough, longer=True)
+
         return linear_sums(
-            points,
-            lambda some, rough: weighted_sums(seen, some, template, 1 / model.local, model.features, rough=rough),
-            model.shared_errors,
-            lambda some, g: self.errors.followed(some, template, g, middle=seen.mean(axis=0)),
+            {"": longer},
+            of,
+            lambda products: model.shared_errors(products) * moves,
+            lambda some, g: {"": self.errors.followed(some[""], template, g, middle=middle)},
             model.gram,
+            partial(far, model, seen),
         )
 
     def terms(self, observed: Interface) -> int:
@@ -121,8 +134,10 @@ def signed_distances(points: Float[np.ndarray, "point xyz"], interface: Interfac
     An open polyline goes on straight beyond its ends, by a twentieth of its length: a point that is off along the
     polyline, not across it, is not charged there.
     """
-    if interface.dim == 2 and not interface.closed:
-        interface = Interface(_extended(interface.points[None], interface.cells)[0], interface.cells)
+    return _signed(points, Interface(extended(interface.points[None], interface)[0], interface.cells))
+
+
+def _signed(points: Float[np.ndarray, "point xyz"], interface: Interface) -> Float[np.ndarray, " point"]:
     found = closest_points(points, interface)
     corners = interface.points[interface.cells[found.cells, 0]]
     side = ((points - corners) * interface.normals[found.cells]).sum(axis=1)
@@ -137,8 +152,11 @@ def weighted_sums(
     features: Float[np.ndarray, "seen feature"],
     *,
     rough: bool = False,
+    longer: bool = False,
 ) -> Sums:
     """Return Σ w r² and Σ f r over the signed distances r of the observed points, for each simulated interface.
+
+    Means of neighbouring points stand for many points of a polyline, see `strandline.discrepancy.search.local_means`.
 
     Args:
         seen: Observed points, mm.
@@ -146,31 +164,62 @@ def weighted_sums(
         template: A simulated interface, for its cells.
         weights: Weights w.
         features: Factors f.
-        rough: Whether points of a polyline at equal steps stand for those between them.
+        rough: Whether very few places along a polyline stand for all points.
+        longer: Whether the interfaces are longer by `extended` already.
     """
-    if template.dim == 2:
-        step = max(1, len(seen) // ROUGH) if rough else 1
-        seen, weights, features = seen[::step], step * weights[::step], step * features[::step]
-        longer = points if template.closed else _extended(points, template.cells)
-        found = signed_sums(seen, longer, template.cells, weights, features)
+    points = points if longer else extended(points, template)
+    if template.dim == 2 and len(points) >= FEWEST:
+        found = _by_places(seen, points, template, weights, features, ROUGH if rough else PLACES)
+        if found is None:
+            found = signed_sums(seen, points, template.cells, weights, features)
         if found is not None:
             return found
-    each = [signed_distances(seen, Interface(row, template.cells)) for row in points]
+    each = [_signed(seen, Interface(row, template.cells)) for row in points]
     r = np.array(each, float).reshape(len(points), len(seen))
     return r**2 @ weights, r @ features
 
 
-def _extended(
-    points: Float[np.ndarray, "run node 2"], cells: Int[np.ndarray, "cell 2"]
-) -> Float[np.ndarray, "run node 2"]:
-    """Return open polylines whose end segments are longer by a share of the whole."""
-    places = as_complex(points)
+def _by_places(
+    seen: Float[np.ndarray, "seen 2"],
+    points: Float[np.ndarray, "run point 2"],
+    template: Interface,
+    weights: Float[np.ndarray, " seen"],
+    features: Float[np.ndarray, "seen feature"],
+    number: int,
+) -> Sums | None:
+    """Return the sums over many points from the distances of a few places, as r_i = r of its place + e_i."""
+    means = local_means(seen, number)
+    if means is None:
+        return None
+    off = means.side(template) * means.off
+    cross = means.of_places(weights * off)
+    columns = np.column_stack([means.of_places(features), cross])
+    found = signed_sums(means.places, points, template.cells, means.of_places(weights), columns)
+    if found is None:
+        return None
+    squares, products = found
+    return squares + 2 * products[:, -1] + float(weights @ off**2), products[:, :-1] + off @ features
+
+
+def extended(points: Float[np.ndarray, "run node xyz"], template: Interface) -> Float[np.ndarray, "run node xyz"]:
+    """Return interfaces with the cells of `template`; the end segments of open polylines are a twentieth longer."""
+    if template.dim == 3 or template.closed:
+        return points
+    cells, places = template.cells, as_complex(points)
     whole = np.abs(places[:, cells[:, 1]] - places[:, cells[:, 0]]).sum(axis=1)
     out = points.copy()
     for end, inner in (cells[0], cells[-1, ::-1]):
         step = points[:, end] - points[:, inner]
         out[:, end] += (BEYOND * whole / np.linalg.norm(step, axis=1))[:, None] * step
     return out
+
+
+def far(
+    model: ErrorModel, seen: Float[np.ndarray, "seen xyz"], g: Float[np.ndarray, "run error"]
+) -> Bool[np.ndarray, " run"]:
+    """Return whether global errors g move some of the observed points by a hundredth of their extent or more."""
+    some = slice(None, None, max(1, len(seen) // LOOKED_AT))
+    return np.asarray(np.abs(g @ model.shared[some].T).max(axis=1) > FAR * float(np.ptp(seen, axis=0).max()))
 
 
 @lru_cache(maxsize=64)

@@ -18,7 +18,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import cho_solve, solve_triangular
 
 from strandline.errors import InvalidInput
@@ -226,6 +226,11 @@ class PointErrors:
     def global_errors(self, dim: int) -> int:
         """Return the number of global errors of an interface in the plane or in space."""
         return sum(_numbers(dim)[name] for name in GLOBAL if getattr(self, name) > 0)
+
+    def moves(self, dim: int) -> Bool[np.ndarray, " error"]:
+        """Return which global errors move the interface as a whole: all but the offset along its normals."""
+        kept = [(name, count) for name, count in _numbers(dim).items() if getattr(self, name) > 0]
+        return np.repeat([name != "offset" for name, _ in kept], [count for _, count in kept]).astype(bool)
 
     def _normals(self, seen: Interface) -> Float[np.ndarray, "point xyz"]:
         """Return normals whose errors, times the distance that the whole interface may move, are below s."""

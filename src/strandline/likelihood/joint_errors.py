@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import block_diag
 
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
@@ -55,6 +55,18 @@ class JointErrors:
                 name = seen.condition
                 found[name] = one.followed(found[name], templates[name], rest, middle=self._middle)
         return found
+
+    @property
+    def conditions(self) -> frozenset[str]:
+        """Names of the observed conditions."""
+        return frozenset(one.condition for one in self.observations)
+
+    @cached_property
+    def moves(self) -> Bool[np.ndarray, " error"]:
+        """Which global errors move an interface as a whole: all but the offsets along its normals."""
+        dims = [one.interface.dim for one in self.observations]
+        parts = [one.moves(dim) for one, dim in zip(self._own, dims, strict=True)]
+        return np.concatenate([*parts, self._ours[0].moves(dims[0])] if self.common else parts)
 
     @cached_property
     def _own(self) -> tuple[PointErrors, ...]:

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import signed_distances
-from strandline.discrepancy.normal_offset import weighted_sums
-from strandline.discrepancy.registration import Sums, linear_sums
+from strandline.discrepancy.normal_offset import extended, far, weighted_sums
+from strandline.discrepancy.registration import Rows, Sums, linear_sums
 from strandline.interface import ErrorModel, Interface
 from strandline.likelihood.joint_errors import JointErrors, Points
 
@@ -48,25 +48,26 @@ def sums_of(
     """
     model = joint.model if model is None else model
     estimate = model.shared_errors if estimate is None else estimate
-    followed = partial(_followed, joint, templates)
-    return linear_sums(points, partial(_sums, joint, templates, model), estimate, followed, model.gram)
+    seen = np.concatenate([one.interface.points for one in joint.observations])
+    moves = np.append(joint.moves, np.ones(model.shared.shape[1] - len(joint.moves), bool))
+    longer = {name: extended(rows, templates[name]) for name, rows in points.items() if name in joint.conditions}
+    return linear_sums(
+        longer,
+        partial(_sums, joint, templates, model),
+        lambda products: estimate(products) * moves,
+        lambda some, g: joint.followed(some, templates, g),
+        model.gram,
+        partial(far, model, seen),
+    )
 
 
-def _followed(
-    joint: JointErrors, templates: Mapping[str, Interface], points: Points, by: Float[np.ndarray, "run error"]
-) -> Points:
-    return joint.followed(points, templates, by)
-
-
-def _sums(
-    joint: JointErrors, templates: Mapping[str, Interface], model: ErrorModel, points: Points, rough: bool
-) -> Sums:
+def _sums(joint: JointErrors, templates: Mapping[str, Interface], model: ErrorModel, points: Rows, rough: bool) -> Sums:
     squares, products, first = [], [], 0
     for seen in joint.observations:
         part = slice(first, first + len(seen.interface.points))
         weights, features = 1 / model.local[part], model.features[part]
         rows, template = points[seen.condition], templates[seen.condition]
-        found = weighted_sums(seen.interface.points, rows, template, weights, features, rough=rough)
+        found = weighted_sums(seen.interface.points, rows, template, weights, features, rough=rough, longer=True)
         squares.append(found[0])
         products.append(found[1])
         first = part.stop

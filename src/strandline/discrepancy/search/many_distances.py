@@ -24,7 +24,7 @@ FEWEST = 16
 """Number of runs from which compiling pays off."""
 BLOCK = 128
 """Runs processed together: the data of one loop fit into a core's cache."""
-FEWEST_ROWS = 16384
+FEWEST_ROWS = 2048
 """Least length of the arrays of rows of pairs; they are padded to few lengths, so that little is compiled."""
 ENOUGH = 64
 """Ratio of pairs compared, in all runs, to pairs bounded, from which it pays to bound again for half the runs."""
@@ -129,8 +129,12 @@ class _Pairs:
         within = np.minimum(place[:, None] + np.arange(ABREAST), (counts - 1)[owner, None])
         segments = cell[(np.cumsum(counts) - counts)[owner, None] + within]
         last = np.append(owner[1:] != owner[:-1], True)
-        room = max(FEWEST_ROWS, 1 << 2 * (((total - 1).bit_length() + 1) // 2)) - total  # a power of four
-        filled = np.pad(segments, ((0, room), (0, 0))), np.pad(owner, (0, room)), np.pad(last, (0, room))
+        room = FEWEST_ROWS
+        while room < total:
+            room *= 8
+        filled = np.zeros((room, ABREAST), np.int32), np.zeros(room, np.int32), np.zeros(room, bool)
+        for array, values in zip(filled, (segments, owner, last), strict=True):
+            array[:total] = values
         return cls(*filled, total)
 
 

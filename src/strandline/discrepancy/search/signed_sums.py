@@ -94,7 +94,7 @@ def _loop() -> Any:
                 square = beyond * beyond + off * off
                 side = jnp.where(square < best, off, side)
                 best = jnp.minimum(best, square)
-            signed = jax.lax.dynamic_update_slice(signed, jnp.copysign(best, side)[None], (p, 0))
+            signed = jax.lax.dynamic_update_slice(signed, jnp.copysign(best, side)[None], (p, jnp.zeros_like(p)))
             return jnp.where(last[i], jnp.inf, best), side, signed
 
         begin = jnp.full(runs, jnp.inf), jnp.zeros(runs), jnp.zeros((len(x), runs))
