@@ -75,7 +75,7 @@ def off(found: Calibration, asked: Problem | None = None) -> tuple[float, float]
 def quick() -> Iterator[None]:
     """Draw fewer particles after each batch; leave out what is only told beside the posterior."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("strandline.design.active.state.PARTICLES", {2: 600})
+        patch.setattr("strandline.design.active.sampling.PARTICLES", {2: 600})
         patch.setattr("strandline.calibration.method._sensitivity", lambda *arguments: None)
         patch.setattr("strandline.calibration.learning._to_compare", lambda *arguments: {})
         yield

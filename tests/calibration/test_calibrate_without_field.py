@@ -85,7 +85,7 @@ def exact(asked: Problem) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(autouse=True)
 def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("strandline.design.active.state.PARTICLES", {2: 600})
+        patch.setattr("strandline.design.active.sampling.PARTICLES", {2: 600})
         patch.setattr("strandline.calibration.method._sensitivity", lambda *arguments: None)
         yield
 

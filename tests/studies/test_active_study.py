@@ -34,7 +34,7 @@ ACTIVE: dict[str, Any] = {
 def quick() -> Iterator[None]:
     """Draw fewer particles after each batch, and no figures."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("strandline.design.active.state.PARTICLES", {1: 1000})
+        patch.setattr("strandline.design.active.sampling.PARTICLES", {1: 1000})
         patch.setattr("strandline.calibration.method._sensitivity", lambda *arguments: None)
         patch.setattr("strandline.studies.run.write_report", lambda *a, folder, **o: folder / "report.html")
         yield

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_alike, require_same_direction
 from strandline.discrepancy.registration import FAR, ROUGH, Rows, Sums, linear_sums
-from strandline.discrepancy.search.local_means import local_means
+from strandline.discrepancy.search.local_means import LocalMeans, local_means
 from strandline.discrepancy.search.many_distances import FEWEST
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.discrepancy.search.signed_sums import signed_sums
@@ -191,7 +191,7 @@ def _by_places(
     means = local_means(seen, number)
     if means is None:
         return None
-    off = means.side(template) * means.off
+    off = _side(means, Snapshot.of(template)) * means.off
     cross = means.of_places(weights * off)
     columns = np.column_stack([means.of_places(features), cross])
     found = signed_sums(means.places, points, template.cells, means.of_places(weights), columns)
@@ -220,6 +220,11 @@ def far(
     """Return whether global errors g move some of the observed points by a hundredth of their extent or more."""
     some = slice(None, None, max(1, len(seen) // LOOKED_AT))
     return np.asarray(np.abs(g @ model.shared[some].T).max(axis=1) > FAR * float(np.ptp(seen, axis=0).max()))
+
+
+@lru_cache(maxsize=64)
+def _side(means: LocalMeans, snapshot: Snapshot) -> float:
+    return means.side(snapshot.interface)
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,7 @@
 
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each
 from strandline.smc.moves import BatchedLogDensity, Moved, metropolis
-from strandline.smc.on_host import is_on_host
+from strandline.smc.on_host import is_on_host, rejuvenate
 from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo
 from strandline.smc.resampling import systematic
 from strandline.smc.sampler import sample
@@ -22,6 +22,7 @@ __all__ = [
     "is_on_host",
     "metropolis",
     "next_temperature",
+    "rejuvenate",
     "sample",
     "sample_each",
     "systematic",

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 from strandline.smc.moves import BatchedLogDensity, Moved, Positions, RandomKey, Scalar, accepted, proposed
 from strandline.smc.steps import Begun, Info, Particles, begin, end
 
-__all__ = ["advance_each_on_host", "advance_on_host", "is_on_host"]
+__all__ = ["advance_each_on_host", "advance_on_host", "is_on_host", "rejuvenate"]
 
 HostDensity = Callable[[Float[np.ndarray, "particle dim"]], Float[np.ndarray, " particle"]]
 Keys = Key[Array, " case"] | UInt32[Array, "case 2"]
@@ -45,6 +45,22 @@ def advance_on_host(
         likelihood = _inside(log_likelihood, np.asarray(proposal), np.asarray(prior))
         now = _accept(for_moves, step, now, proposal, likelihood, prior, begun.temperature, steps=moves)
     return end(begun, now, state.narrowest)
+
+
+def rejuvenate(
+    key: RandomKey, state: Particles, log_likelihood: HostDensity, log_prior: BatchedLogDensity, *, moves: int
+) -> Particles:
+    """Return the particles after resampling and moves that leave L p invariant; their weights are equal then.
+
+    Args:
+        key: Random key; do not use it again.
+        state: Weighted particles of L p, at the temperature 1.
+        log_likelihood: log L of NumPy arrays.
+        log_prior: log p.
+        moves: Number of moves per particle.
+    """
+    always = jnp.ones(())
+    return advance_on_host(key, state, always, always, target=(log_likelihood, log_prior), moves=moves)[0]
 
 
 def advance_each_on_host(

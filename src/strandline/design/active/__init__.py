@@ -6,7 +6,8 @@ from strandline.design.active.choice import CRITERIA, Criterion
 from strandline.design.active.cost import SLOW_BATCH, seconds_of_a_batch
 from strandline.design.active.outcome import Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.reported import BatchReport
-from strandline.design.active.state import Knowledge, State, learn, posterior_state
+from strandline.design.active.sampling import posterior_state
+from strandline.design.active.state import Knowledge, State, learn
 
 __all__ = [
     "CRITERIA",

@@ -25,6 +25,8 @@ __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 
 Kind = Literal["initial", "given", "posterior", "check"]
 FEWEST_CHECKED = 20
+DIFFERENT = 0.4
+"""Change of a mean, in sds, or of the logarithm of an sd, that two samples of one posterior do not show."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +159,7 @@ class ActiveDesign:
         batch: Number of runs chosen together.
         learn: Function that returns the posterior, given inputs and their records.
         log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
+        afresh: Function that samples a posterior again, from the prior, before it is checked.
         seed: Seed of all random numbers.
         scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
     """
@@ -169,11 +172,12 @@ class ActiveDesign:
         batch: int,
         learn: Callable[[Float[np.ndarray, "run dim"], Sequence[RunRecord]], State],
         log_likelihood: Callable[[RunRecord], float],
+        afresh: Callable[[State], State] = lambda state: state,
         seed: int,
         scramble: int | None = None,
     ) -> None:
         self.active, self.space, self.batch, self.seed, self.scramble = active, space, batch, seed, scramble
-        self.learn, self.log_likelihood = learn, log_likelihood
+        self.learn, self.log_likelihood, self.afresh = learn, log_likelihood, afresh
         self.batches: list[Batch] = []
         self.steps: list[Step] = []
         self.state: State | None = None
@@ -219,7 +223,8 @@ class ActiveDesign:
             if number < FEWEST_CHECKED:
                 self.reasons = self._why_not(check)
                 return None
-            return self._noted(self._to_check(number), "check")
+            if self._confirmed() or room < 1:
+                return self._noted(self._to_check(number), "check")
         points = choose(
             self.state,
             self.space,
@@ -230,6 +235,14 @@ class ActiveDesign:
             seed=self.seed + 7919 * len(x),
         )
         return self._noted(points, "posterior")
+
+    def _confirmed(self) -> bool:
+        """Sample the posterior from the prior; return whether it is the one that the batches have led to."""
+        assert self.state is not None
+        before, self.state = self.state, self.afresh(self.state)
+        shift = np.abs(self.state.mean - before.mean) / before.sd
+        width = np.abs(np.log(self.state.sd / before.sd))
+        return bool(max(shift.max(), width.max()) < DIFFERENT)
 
     def _noted(self, points: Float[np.ndarray, "run dim"], kind: Kind) -> Batch:
         self.batches.append(Batch(points, kind))

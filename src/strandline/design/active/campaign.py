@@ -10,7 +10,8 @@ from jaxtyping import Float
 from strandline.design.active.active_design import Active, ActiveDesign, Batch
 from strandline.design.active.outcome import Certificate
 from strandline.design.active.reported import BatchReport, report_batch
-from strandline.design.active.state import State, learn, posterior_state
+from strandline.design.active.sampling import posterior_state
+from strandline.design.active.state import State, learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
 from strandline.likelihood.set_aside import Judge
@@ -22,6 +23,8 @@ from strandline.smc import StepInfo
 __all__ = ["ActiveRuns"]
 
 Points = Float[np.ndarray, "run dim"]
+AFRESH = 1
+"""Keeps the random numbers of a posterior that is sampled afresh apart from those of the one before."""
 
 
 @dataclass
@@ -56,13 +59,20 @@ class ActiveRuns:
     def __post_init__(self) -> None:
         def state(x: Points, records: Sequence[RunRecord]) -> State:
             known = learn(x, records, self.space, self.judge.observations, self.discrepancy)
-            return posterior_state(known, self.space, (self.seed, len(x)), on_step=self.on_step)
+            return posterior_state(
+                known, self.space, (self.seed, len(x)), before=self.design.state, on_step=self.on_step
+            )
+
+        def afresh(state: State) -> State:
+            seed = self.seed, len(state.knowledge.x), AFRESH
+            return posterior_state(state.knowledge, self.space, seed, on_step=self.on_step)
 
         self.design = ActiveDesign(
             self.active,
             self.space,
             batch=self.batch,
             learn=state,
+            afresh=afresh,
             log_likelihood=self._true,
             seed=self.seed,
             scramble=self.scramble,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.state import MANY_INPUTS_PARTICLES, PARTICLES, SAMPLING
+from strandline.design.active.sampling import MANY_INPUTS_PARTICLES, PARTICLES, SAMPLING
 from strandline.discrepancy import Discrepancy, squared_discrepancies
 from strandline.interface import Interface, Observation
 from strandline.likelihood import compared

@@ -1,9 +1,9 @@
-"""What is known after some runs: the surrogate of the field, where runs fail, and the posterior that follows."""
+"""What is known after some runs: the surrogate of the field, where runs fail, and a posterior as particles."""
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.special import log_softmax
@@ -11,25 +11,15 @@ from scipy.special import log_softmax
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints
 from strandline.interface import Observation
-from strandline.likelihood import FieldLikelihood, OnHost, noise_length
+from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.likelihood.set_aside import says_whether_runs_succeed
-from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
-from strandline.smc import SMCSettings, StepInfo, sample
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
-__all__ = ["Knowledge", "Moved", "Remembered", "State", "learn", "posterior_state"]
+__all__ = ["Knowledge", "Moved", "Remembered", "State", "learn"]
 
-SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
-"""Settings of the sampler after each batch."""
-PARTICLES = {1: 2000, 2: 2000, 3: 2000}
-MANY_INPUTS_PARTICLES = 1200
-TEMPERATURE = 0.5
-"""γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
-STREAM = 4
-"""Keeps the random numbers of the active design apart from all others of the same seed."""
 TOLERATED_REMAINDER = 0.08
 """Largest remainder that the modes may leave, as a share of the interface's shift that the noise hides."""
 
@@ -124,6 +114,7 @@ class State:
         log_weights_plug_in: Log weights of the posterior as if the predicted interfaces were exact, shape (particle,).
         log_expected: log E[L] at the particles, shape (particle,).
         log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
+        log_evidence_tempered: log ∫ L^γ p dx of the predicted interfaces; NaN if it is not known.
     """
 
     knowledge: Knowledge
@@ -133,6 +124,7 @@ class State:
     log_weights_plug_in: Float[np.ndarray, " particle"]
     log_expected: Float[np.ndarray, " particle"]
     log_plug_in: Float[np.ndarray, " particle"]
+    log_evidence_tempered: float = math.nan
 
     @property
     def mean(self) -> Float[np.ndarray, " dim"]:
@@ -197,42 +189,6 @@ class Remembered:
             width=float(np.abs(np.log(np.maximum(sds[1], tiny) / np.maximum(sds[0], tiny))).max()),
             effective=float(1.0 / (after @ np.exp(log_weights - self.log_weights))),
         )
-
-
-def posterior_state(
-    knowledge: Knowledge,
-    space: ParameterSpace,
-    seed: tuple[int, ...],
-    *,
-    on_step: Callable[[StepInfo], None] | None = None,
-) -> State:
-    """Return the posterior that `knowledge` leads to; the same arguments give the same result to the bit.
-
-    Args:
-        knowledge: Knowledge from the runs.
-        space: The inputs with their priors.
-        seed: Seed of the random numbers, one or more integers.
-        on_step: Called after every tempering step.
-    """
-    rng = np.random.default_rng([*seed, STREAM])
-    number = PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
-    initial = space.prior_quantiles(rng.random((number, space.dim)))
-    host = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x))
-    key = jax.random.key(int(rng.integers(2**32)))
-    with one_thread():
-        tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING, on_step=on_step)
-        x, exact = tempered.positions, tempered.log_likelihood / TEMPERATURE
-        expected = knowledge.expected(x)
-    rest = tempered.log_weights - tempered.log_likelihood
-    return State(
-        knowledge=knowledge,
-        positions=x,
-        log_weights=log_softmax(rest + expected),
-        log_weights_tempered=tempered.log_weights,
-        log_weights_plug_in=log_softmax(rest + exact),
-        log_expected=expected,
-        log_plug_in=exact,
-    )
 
 
 def _gradients(
