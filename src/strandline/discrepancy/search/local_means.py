@@ -23,6 +23,8 @@ TURN = 0.35
 """Largest angle by which the course may turn along the points of one mean, radians."""
 GAP = 4.0
 """Distance of neighbouring points beyond which they are not averaged, in medians."""
+BESIDE = 2
+"""Places on each side whose points help to find the course."""
 MOST_GAPS = 0.02
 """Share of such gaps beyond which the points are not in order along a curve."""
 
@@ -71,22 +73,25 @@ def _kept(content: bytes, number: int) -> LocalMeans | None:
     gaps = steps > GAP * np.median(steps)
     if gaps.mean() > MOST_GAPS:
         return None
-    first = np.unique(np.concatenate([np.arange(0, len(points), size), np.flatnonzero(gaps) + 1]))
+    after = np.flatnonzero(gaps) + 1
     while size >= FEWEST:
-        found = _of_parts(points, first)
+        found = _of_parts(points, np.unique(np.concatenate([np.arange(0, len(points), size), after])), after)
         if found is not None:
             return found
         size //= 2
-        first = np.unique(np.concatenate([np.arange(0, len(points), size), np.flatnonzero(gaps) + 1]))
     return None
 
 
-def _of_parts(points: Float[np.ndarray, "point 2"], first: Int[np.ndarray, " place"]) -> LocalMeans | None:
-    """Fit a parabola to each part and its neighbours; None if one turns too far."""
+def _of_parts(
+    points: Float[np.ndarray, "point 2"], first: Int[np.ndarray, " place"], after: Int[np.ndarray, " gap"]
+) -> LocalMeans | None:
+    """Fit a parabola to each part and its neighbours, not beyond the gaps; None if one turns too far."""
+    piece = np.searchsorted(after, first, side="right")
     last = np.append(first[1:], len(points))
     places, normals, off = np.empty((len(first), 2)), np.empty((len(first), 2)), np.empty(len(points))
     for k, (begin, end) in enumerate(zip(first, last, strict=True)):
-        around = points[first[max(k - 1, 0)] : last[min(k + 1, len(last) - 1)]]
+        near = np.flatnonzero(piece[max(k - BESIDE, 0) : k + BESIDE + 1] == piece[k]) + max(k - BESIDE, 0)
+        around = points[first[near[0]] : last[near[-1]]]
         own = points[begin:end]
         middle = own.mean(axis=0)
         chord = around[-len(around) // 3 :].mean(axis=0) - around[: len(around) // 3 + 1].mean(axis=0)
