@@ -21,10 +21,10 @@ FEWEST = 4
 """Fewest points in a mean: with fewer, little would be saved."""
 TURN = 0.35
 """Largest angle by which the course may turn along the points of one mean, radians."""
-GAP = 4.0
+GAP = 10.0
 """Distance of neighbouring points beyond which they are not averaged, in medians."""
 BESIDE = 2
-"""Places on each side whose points help to find the course."""
+"""Places on each side whose points help to find the course; near an end more on the other side."""
 MOST_GAPS = 0.02
 """Share of such gaps beyond which the points are not in order along a curve."""
 
@@ -90,15 +90,16 @@ def _of_parts(
     last = np.append(first[1:], len(points))
     places, normals, off = np.empty((len(first), 2)), np.empty((len(first), 2)), np.empty(len(points))
     for k, (begin, end) in enumerate(zip(first, last, strict=True)):
-        near = np.flatnonzero(piece[max(k - BESIDE, 0) : k + BESIDE + 1] == piece[k]) + max(k - BESIDE, 0)
-        around = points[first[near[0]] : last[near[-1]]]
+        begins, ends = np.searchsorted(piece, piece[k]), np.searchsorted(piece, piece[k], side="right")
+        low = max(begins, min(k - BESIDE, ends - 2 * BESIDE - 1))
+        around = points[first[low] : last[min(low + 2 * BESIDE, ends - 1)]]
         own = points[begin:end]
         middle = own.mean(axis=0)
         chord = around[-len(around) // 3 :].mean(axis=0) - around[: len(around) // 3 + 1].mean(axis=0)
         along = chord / np.linalg.norm(chord)
         normal = np.array([-along[1], along[0]])
         u, v = (around - middle) @ along, (around - middle) @ normal
-        bend, slope, _ = np.polyfit(u, v, 2) if len(around) >= 2 * FEWEST else (0.0, 0.0, 0.0)
+        bend, slope, _ = np.polyfit(u, v, 2) if len(around) >= 4 * FEWEST else (0.0, 0.0, 0.0)
         u, v = (own - middle) @ along, (own - middle) @ normal
         if abs(2 * bend) * np.ptp(u) > TURN:
             return None
