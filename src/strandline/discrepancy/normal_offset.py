@@ -1,30 +1,28 @@
 """Signed distances from the observed points to the simulated interface, whitened by their errors if these are known."""
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.protocol import require_alike, require_same_direction
-from strandline.discrepancy.registration import FAR, ROUGH, Rows, Sums, linear_sums
+from strandline.discrepancy.registration import ROUGH, Rows, Sums, linear_sums
 from strandline.discrepancy.search.local_means import LocalMeans, local_means
 from strandline.discrepancy.search.many_distances import FEWEST
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.discrepancy.search.signed_sums import signed_sums
 from strandline.interface import ErrorModel, Interface, PointErrors, as_complex
 
-__all__ = ["NormalOffset", "WhitenedOffset", "extended", "far", "signed_distances", "weighted_sums"]
+__all__ = ["NormalOffset", "WhitenedOffset", "extended", "signed_distances", "weighted_sums"]
 
 
 BEYOND = 0.05
 """Share of its length by which an open polyline goes on straight at each end."""
 PLACES = 200
 """Places along an observed polyline whose distances stand for those of all its points, about."""
-LOOKED_AT = 16
-"""Observed points that tell how far global errors move the observation."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,6 @@ class WhitenedOffset:
             lambda products: model.shared_errors(products) * moves,
             lambda some, g: {"": self.errors.followed(some[""], template, g, middle=middle)},
             model.gram,
-            partial(far, model, seen),
         )
 
     def terms(self, observed: Interface) -> int:
@@ -212,14 +209,6 @@ def extended(points: Float[np.ndarray, "run node xyz"], template: Interface) -> 
         step = points[:, end] - points[:, inner]
         out[:, end] += (BEYOND * whole / np.linalg.norm(step, axis=1))[:, None] * step
     return out
-
-
-def far(
-    model: ErrorModel, seen: Float[np.ndarray, "seen xyz"], g: Float[np.ndarray, "run error"]
-) -> Bool[np.ndarray, " run"]:
-    """Return whether global errors g move some of the observed points by a hundredth of their extent or more."""
-    some = slice(None, None, max(1, len(seen) // LOOKED_AT))
-    return np.asarray(np.abs(g @ model.shared[some].T).max(axis=1) > FAR * float(np.ptp(seen, axis=0).max()))
 
 
 @lru_cache(maxsize=64)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import signed_distances
-from strandline.discrepancy.normal_offset import extended, far, weighted_sums
+from strandline.discrepancy.normal_offset import extended, weighted_sums
 from strandline.discrepancy.registration import Rows, Sums, linear_sums
 from strandline.interface import ErrorModel, Interface
 from strandline.likelihood.joint_errors import JointErrors, Points
@@ -48,7 +48,6 @@ def sums_of(
     """
     model = joint.model if model is None else model
     estimate = model.shared_errors if estimate is None else estimate
-    seen = np.concatenate([one.interface.points for one in joint.observations])
     moves = np.append(joint.moves, np.ones(model.shared.shape[1] - len(joint.moves), bool))
     longer = {name: extended(rows, templates[name]) for name, rows in points.items() if name in joint.conditions}
     return linear_sums(
@@ -57,7 +56,6 @@ def sums_of(
         lambda products: estimate(products) * moves,
         lambda some, g: joint.followed(some, templates, g),
         model.gram,
-        partial(far, model, seen),
     )
 
 
