@@ -189,6 +189,11 @@ class ParameterSpace:
         columns = [q.truncated_prior.quantile(p[:, i]) for i, q in enumerate(self.parameters)]
         return np.stack([np.asarray(c, float) for c in columns], axis=1)
 
+    def prior_shares(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim"]:
+        """Return the share of each input's prior below a point: the inverse of `prior_quantiles`."""
+        columns = [q.truncated_prior.cdf(x[:, i]) for i, q in enumerate(self.parameters)]
+        return np.stack([np.asarray(c, float) for c in columns], axis=1)
+
     def as_mapping(self, x: Float[np.ndarray, " dim"]) -> Mapping[str, float]:
         """Return the values by name."""
         return dict(zip(self.names, x.tolist(), strict=True))

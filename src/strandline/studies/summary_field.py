@@ -81,6 +81,8 @@ def certificate(calibration: Calibration) -> dict[str, Any] | None:
         "check": None if checked is None else _check(checked, given.checked, names),
         "error_um": TO_MICROMETRES * given.steps[-1].error if given.steps else None,
         "feasible_mass": found.feasible,
+        "region_found": given.found,
+        "statement": given.statement,
         "history": [_step(step, names) for step in given.steps],
     }
 
@@ -111,6 +113,7 @@ def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict
         "passed": found.passed,
         "draws": found.draws,
         "failed": found.failed,
+        "early": found.early,
         "reasons": list(found.reasons),
         "k_hat": None if weights is None or not np.isfinite(weights.smoothed.k_hat) else weights.smoothed.k_hat,
         "effective": None if weights is None else weights.smoothed.ess / len(weights.smoothed.log_weights),

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.design.active.active_design import Active, ActiveDesign, Batch, Kind, Step
+from strandline.design.active.active_design import ActiveDesign, Batch, Kind, Step
 from strandline.design.active.reported import BatchReport, report_batch
+from strandline.design.active.settings import Active
 from strandline.design.active.state import Moved
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform

@@ -5,94 +5,41 @@ and importance weights show how far it is from the true posterior. If it is too 
 and the design goes on.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.choice import choose, criterion_named
+from strandline.design.active.checking import (
+    FEWEST_DRAWS,
+    POOL,
+    BatchCheck,
+    looks,
+    number_of_probes,
+    objections,
+    probes,
+    verdict,
+)
+from strandline.design.active.choice import choose
+from strandline.design.active.elsewhere import points_elsewhere, surprises
 from strandline.design.active.left_out import left_out_ratios
+from strandline.design.active.settings import FEWEST_CHECKED, Active
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
-from strandline.errors import InvalidInput
+from strandline.likelihood import noise_length
 from strandline.parameters import ParameterSpace
-from strandline.posterior import NEARLY_EQUAL, Reweighting, reweight, subset
+from strandline.posterior import reweight, subset
 from strandline.runs import RunRecord
 
 __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 
 Kind = Literal["initial", "given", "posterior", "check"]
-FEWEST_CHECKED = 20
+SHOWING = 500
+"""Draws that show how far the posterior would move."""
 DIFFERENT = 0.4
 """Change of a mean, in sds, or of the logarithm of an sd, that two samples of one posterior do not show."""
-
-
-@dataclass(frozen=True)
-class Active:
-    """How an active design goes on and when it stops.
-
-    Args:
-        runs: Maximum number of runs, those of the checks included; at least `initial` + `check`. Runs from an earlier
-            ``study.yaml`` or a reused study do not count.
-        initial: First runs, from the Sobol sequence, at least 3; default: 4 + 2 × number of inputs; with sensitivities
-            half that, but at least 3.
-        batch: Runs chosen together; default: number of workers, within 2 to 16.
-        explore: Share of runs placed where least is known, whatever the posterior, 0 to 0.5.
-        criterion: How to choose the others: ``expected_variance`` most reduces the variance of the predicted interface
-            over the posterior; ``repulsion`` takes the farthest from all runs; or ``module:name`` of a criterion of
-            your own.
-        check: Posterior draws at which to run the true model before stopping, at least 20.
-        change: Largest change over each of the last two batches: of a mean in standard deviations, of a standard
-            deviation in natural logarithms; batches with fewer runs than inputs count together.
-        shift: Largest shift of a mean by the check's importance weights, in standard deviations beyond its standard
-            error.
-        k_hat: Upper limit for the Pareto shape of these weights, unless 98 % of draws are effective.
-        effective: Share of draws that must be effective, between 0 and 1.
-        patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest
-            before it; at least 1.
-
-    Raises:
-        InvalidInput: a number out of its range.
-    """
-
-    runs: int
-    initial: int | None = None
-    batch: int | None = None
-    explore: float = 0.1
-    criterion: str = "expected_variance"
-    check: int = 25
-    change: float = 0.1
-    shift: float = 0.1
-    k_hat: float = 0.7
-    effective: float = 0.8
-    patience: float = 3.0
-
-    def __post_init__(self) -> None:
-        _require(self.check >= FEWEST_CHECKED, "check", self.check, f"at least {FEWEST_CHECKED} draws")
-        _require(self.initial is None or self.initial >= 3, "initial", self.initial, "at least 3 runs")
-        _require(self.batch is None or self.batch >= 1, "batch", self.batch, "at least 1 run")
-        _require(0 <= self.explore <= 0.5, "explore", self.explore, "a share from 0 to 0.5")
-        criterion_named(self.criterion)
-        _require(0 < self.effective < 1, "effective", self.effective, "a share between 0 and 1")
-        for name in ("change", "shift", "k_hat"):
-            _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
-        _require(self.patience >= 1, "patience", self.patience, "at least 1")
-        left = self.runs - (self.initial or 3)
-        _require(
-            self.batch is None or self.batch <= max(left, 1),
-            "batch",
-            self.batch,
-            f"at most {max(left, 1)}, the runs that are left of {self.runs} after the first {self.initial or 3}",
-        )
-        least = (self.initial or 3) + self.check
-        _require(
-            self.runs >= least,
-            "runs",
-            self.runs,
-            f"at least {least}: {self.initial or 3} first ones and a check of {self.check}",
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,25 +48,6 @@ class Batch:
 
     points: Float[np.ndarray, "run dim"]
     kind: Kind
-
-
-@dataclass(frozen=True, eq=False)
-class BatchCheck:
-    """The true model at draws of the posterior.
-
-    Args:
-        draws: Number of draws.
-        failed: Number of draws whose run failed; they are left out of the weights.
-        reweighting: Reweighting by the draws whose run succeeded.
-        passed: Whether all figures are within the tolerances.
-        reasons: Figures outside the tolerances, in words.
-    """
-
-    draws: int
-    failed: int
-    reweighting: Reweighting | None
-    passed: bool
-    reasons: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +76,33 @@ class Step:
     moved: Moved | None
     since: int | None
     check: BatchCheck | None
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What a check runs.
+
+    Args:
+        state: The posterior that is checked.
+        draws: Its draws, in the order in which they are run; the first ones are probes.
+        log_expected: Their expected log-likelihood.
+        probing: Number of probes.
+        ends: After how many draws the verdict is sought, from the next time on.
+        elsewhere: Inputs of runs where nobody has looked yet.
+        looks: Number of times that the verdict is sought; by default as many as `ends`.
+    """
+
+    state: State
+    draws: Float[np.ndarray, "draw dim"]
+    log_expected: Float[np.ndarray, " draw"]
+    probing: int
+    ends: tuple[int, ...]
+    elsewhere: Float[np.ndarray, "run dim"]
+    looks: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.looks:
+            object.__setattr__(self, "looks", len(self.ends))
 
 
 class ActiveDesign:
@@ -184,7 +139,7 @@ class ActiveDesign:
         self.converged = False
         self.reasons: tuple[str, ...] = ()
         self._remembered: list[Remembered] = []
-        self._checked: tuple[Float[np.ndarray, "draw dim"], Float[np.ndarray, " draw"]] | None = None
+        self._checked: Checked | None = None
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
         """Record the first runs; `given` runs come from an earlier analysis and do not count towards the budget."""
@@ -202,7 +157,12 @@ class ActiveDesign:
     def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
         """Return the next batch, given all runs that have ended; None to stop."""
         kind = self.batches[-1].kind
-        check = self._judged(x, records) if kind == "check" else None
+        check: BatchCheck | None = None
+        if kind == "check":
+            found = self._judged(x, records)
+            if not isinstance(found, BatchCheck):
+                return self._noted(self._more_draws(), "check")
+            check = found
         self.state = self.learn(x, records)
         if kind == "given":
             check = self._judged_without_runs(records)
@@ -214,17 +174,16 @@ class ActiveDesign:
             return None
         if kind == "given":
             check = None
-        if left <= 0 or (check is not None and left < self.batch):
+        if left <= 0:
             self.reasons = self._why_not(check)
             return None
         room = left - self.active.check
         if (stable and check is None and room >= 0) or room < 1:
-            number = min(self.active.check, left)
-            if number < FEWEST_CHECKED:
+            if left < FEWEST_DRAWS:
                 self.reasons = self._why_not(check)
                 return None
             if self._confirmed() or room < 1:
-                return self._noted(self._to_check(number), "check")
+                return self._noted(self._to_check(x, left), "check")
         points = choose(
             self.state,
             self.space,
@@ -248,28 +207,63 @@ class ActiveDesign:
         self.batches.append(Batch(points, kind))
         return self.batches[-1]
 
-    def _to_check(self, number: int) -> Float[np.ndarray, "draw dim"]:
+    def _to_check(self, x: Float[np.ndarray, "run dim"], left: int) -> Float[np.ndarray, "run dim"]:
+        """Return the first draws of a check, and where nobody has looked yet."""
         state = self.state
         assert state is not None
-        chosen = subset(np.exp(state.log_weights), number, self.seed)
-        self._checked = state.positions[chosen], state.log_expected[chosen]
-        return np.asarray(state.positions[chosen])
+        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim), left)
+        pool = np.unique(subset(weights, POOL, self.seed + 1))
+        first = pool[probes(state.positions[pool], probing)]
+        others = subset(weights, self.active.check, self.seed)
+        others = others[~np.isin(others, first)][: left - probing]
+        chosen = np.concatenate([first, np.random.default_rng(self.seed).permutation(others)])
+        room = left - len(chosen)
+        elsewhere = points_elsewhere(x, self.space, self.active.unseen, room) if room > 0 else x[:0]
+        ends = looks(probing, len(chosen), self.batch)
+        draws, log_expected = state.positions[chosen], state.log_expected[chosen]
+        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere)
+        return np.concatenate([draws[: ends[0]], elsewhere])
 
-    def _judged(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> BatchCheck:
-        """Return the verdict of a check's runs on the posterior that they were drawn from."""
+    def _more_draws(self) -> Float[np.ndarray, "run dim"]:
         assert self._checked is not None
-        draws, surrogate = self._checked
+        done = self._checked.ends[0]
+        self._checked = replace(self._checked, ends=self._checked.ends[1:])
+        return self._checked.draws[done : self._checked.ends[0]]
+
+    def _judged(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> BatchCheck | Literal["open"]:
+        """Return the verdict of a check's runs on the posterior that they were drawn from."""
+        checked = self._checked
+        assert checked is not None
         by_input = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
-        settled = [by_input.get(row.tobytes()) for row in draws]
-        good = np.array([record is not None and record.ok for record in settled])
-        failed = sum(record is not None and not record.ok for record in settled)
-        if good.sum() < FEWEST_CHECKED // 2:
-            reason = f"only {int(good.sum())} of {len(draws)} runs of the check succeeded"
-            return BatchCheck(len(draws), failed, None, False, (reason,))
-        true = np.array([self.log_likelihood(record) for record in settled if record is not None and record.ok])
-        found = reweight(draws[good], true - surrogate[good])
-        reasons = self._objections(found)
-        return BatchCheck(len(draws), failed, found, not reasons, reasons)
+        rows = range(checked.ends[0])
+        settled = {i: by_input[checked.draws[i].tobytes()] for i in rows if checked.draws[i].tobytes() in by_input}
+        true = np.array([self.log_likelihood(record) if record.ok else np.nan for record in settled.values()], float)
+        here, last = list(settled), len(checked.ends) == 1
+        probing = sum(i < checked.probing for i in here)
+        ratios = true - checked.log_expected[here]
+        state, tolerances = checked.state, self.active.tolerances
+        posterior = state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)]
+        draws, times = checked.draws[here], checked.looks
+        found = verdict(draws, ratios, posterior, tolerances, probing=probing, looks=times, last=last)
+        if not isinstance(found, BatchCheck) or not found.passed:
+            return found
+        odd = self._surprises(by_input)
+        return replace(found, passed=not odd, reasons=odd)
+
+    def _surprises(self, by_input: Mapping[bytes, RunRecord]) -> tuple[str, ...]:
+        """Return what runs elsewhere object to, in words."""
+        checked = self._checked
+        assert checked is not None
+        here = [(row, by_input.get(row.tobytes())) for row in checked.elsewhere]
+        good = [(row, record) for row, record in here if record is not None and record.ok]
+        if not good:
+            return ()
+        rows, records = np.array([row for row, _ in good]), [record for _, record in good]
+        true = np.array([self.log_likelihood(record) for record in records])
+        likelihood = checked.state.knowledge.likelihood
+        noise = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
+        odd = surprises(checked.state, rows, records, true, self.active.unseen, noise)
+        return tuple(one.words(self.space) for one in odd[:1])
 
     def _judged_without_runs(self, records: Sequence[RunRecord]) -> BatchCheck:
         """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
@@ -279,7 +273,7 @@ class ActiveDesign:
             reason = f"only {len(x)} of the available runs lie inside the posterior"
             return BatchCheck(len(x), 0, None, False, (reason,))
         found = reweight(x, ratios)
-        reasons = (*self._objections(found), *self._unsure())
+        reasons = (*objections(found, self.active.tolerances), *self._unsure())
         return BatchCheck(len(x), 0, found, not reasons, reasons)
 
     def _unsure(self) -> tuple[str, ...]:
@@ -292,19 +286,6 @@ class ActiveDesign:
         return (
             f"the surrogate's own uncertainty leaves only {share:.0%} effective draws, not {self.active.effective:.0%}",
         )
-
-    def _objections(self, found: Reweighting) -> tuple[str, ...]:
-        a, number = self.active, len(found.smoothed.log_weights)
-        share, beyond = found.smoothed.ess / number, np.abs(found.shift) - found.shift_error
-        out = []
-        if found.smoothed.k_hat >= a.k_hat and share < NEARLY_EQUAL:
-            out.append(f"Pareto k̂ is {found.smoothed.k_hat:.2f}, not below {a.k_hat:g}")
-        if beyond.max() >= a.shift:
-            worst = float(np.abs(found.shift[beyond.argmax()]))
-            out.append(f"importance weights move a mean by {worst:.2f} standard deviations, more than {a.shift:g}")
-        if share < a.effective:
-            out.append(f"the effective sample size of the weights is {share:.0%} of the draws, not {a.effective:.0%}")
-        return tuple(out)
 
     def _step(self, check: BatchCheck | None) -> Step:
         state = self.state
@@ -361,8 +342,3 @@ class ActiveDesign:
         elif not self._stable():
             reasons.append("the posterior has not stood still for two batches yet")
         return (*reasons, *(("no check on the true model was made",) if check is None else check.reasons))
-
-
-def _require(right: bool, name: str, value: object, expected: str) -> None:
-    if not right:
-        raise InvalidInput(name, value=value, expected=expected, remedy="Change it.")

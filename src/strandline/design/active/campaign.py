@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.active_design import Active, ActiveDesign, Batch
+from strandline.design.active.active_design import ActiveDesign, Batch
+from strandline.design.active.elsewhere import least_found
 from strandline.design.active.outcome import Certificate
 from strandline.design.active.reported import BatchReport, report_batch
 from strandline.design.active.sampling import posterior_state
+from strandline.design.active.settings import Active
 from strandline.design.active.state import State, learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
@@ -131,4 +133,5 @@ class ActiveRuns:
             steps=tuple(design.steps),
             batches=tuple(design.batches),
             checked=checks[-1] if checks else None,
+            found=least_found(self.asked, self.space),
         )

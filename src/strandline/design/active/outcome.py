@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.active_design import Batch, Step
+from strandline.design.active.elsewhere import SURE
 from strandline.design.active.state import Knowledge
 from strandline.posterior.shown import html_table
 
@@ -38,6 +39,8 @@ class Certificate:
         steps: the posterior after each batch; the result is computed from the last one.
         batches: inputs of each batch.
         checked: the step with the last check, or None.
+        found: smallest share of the prior's mass such that a region of it that fits would have been found with 95 %
+            probability, wherever it lies.
     """
 
     converged: bool
@@ -45,6 +48,17 @@ class Certificate:
     steps: tuple[Step, ...]
     batches: tuple[Batch, ...]
     checked: Step | None
+    found: float = 1.0
+
+    @property
+    def statement(self) -> str:
+        """What the runs have seen of the prior, in words."""
+        if self.found >= 1:
+            return "The runs are too few to say whether another region fits."
+        return (
+            f"Wherever it lies, a region with {self.found:.0%} or more of the prior's mass that fits would have been "
+            f"found with {SURE:.0%} probability. A smaller one may have been missed."
+        )
 
     def __repr__(self) -> str:
         runs = self.steps[-1].runs if self.steps else 0

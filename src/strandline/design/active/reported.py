@@ -42,7 +42,7 @@ class BatchReport:
 def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
     """Return the report on the last step of `design`, which has decided what comes next."""
     step: Step = design.steps[-1]
-    after = len(design.batches) > len(design.steps)
+    after = not design.converged and not design.reasons
     coming: Next = "done" if design.converged else "stop"
     if after:
         coming = "check" if design.batches[-1].kind == "check" else "batch"

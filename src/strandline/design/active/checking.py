@@ -1,0 +1,208 @@
+"""Whether the true model at draws of a posterior confirms it: after a few draws if they leave no doubt, else after all.
+
+The first draws are probes: of many draws those that lie farthest apart, so that tails are tried before anything is
+settled. A parabola through the logarithms of true over expected likelihood bounds how far means and standard deviations
+would move, see `strandline.design.active.parabola`; the error probability is shared out over all looks. If the bounds
+never settle it, the importance weights of all draws but the probes do.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.distance import cdist
+
+from strandline.design.active.parabola import Effect, fewest, smooth_effect
+from strandline.posterior import NEARLY_EQUAL, Reweighting, reweight
+
+__all__ = [
+    "FEWEST_DRAWS",
+    "POOL",
+    "BatchCheck",
+    "Tolerances",
+    "looks",
+    "number_of_probes",
+    "objections",
+    "probes",
+    "verdict",
+]
+
+FEWEST_DRAWS = 8
+"""Fewest draws that can settle anything."""
+POOL = 200
+"""Draws from which the probes are picked."""
+ERROR_PROBABILITY = 0.05
+"""Probability that an early verdict is wrong, over all looks together."""
+FEWEST_WHOLE = 18
+"""Fewest draws besides the probes whose importance weights count."""
+MOST_FAILED, MOST_EARLY = 0.1, 3
+"""Share of draws whose run may fail; number from which a check ends early because of them."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What a check tolerates.
+
+    Args:
+        shift: Shift of a mean, in standard deviations.
+        width: Change of the logarithm of a standard deviation.
+        k_hat: Pareto shape of the weights, unless nearly all draws are effective.
+        effective: Share of draws that must be effective.
+    """
+
+    shift: float
+    width: float
+    k_hat: float
+    effective: float
+
+
+@dataclass(frozen=True, eq=False)
+class BatchCheck:
+    """The true model at draws of the posterior.
+
+    Args:
+        draws: Number of draws.
+        failed: Number of draws whose run failed; they are left out of the weights.
+        reweighting: Reweighting by the draws whose run succeeded.
+        passed: Whether all figures are within the tolerances.
+        reasons: Figures outside the tolerances, in words.
+        early: Whether the first draws settled it.
+    """
+
+    draws: int
+    failed: int
+    reweighting: Reweighting | None
+    passed: bool
+    reasons: tuple[str, ...]
+    early: bool = False
+
+
+def number_of_probes(dim: int) -> int:
+    """Return the number of probes: as many as the effect of a smooth error needs, at least eight."""
+    return max(FEWEST_DRAWS, fewest(dim))
+
+
+def probes(draws: Float[np.ndarray, "draw dim"], number: int) -> Int[np.ndarray, " probe"]:
+    """Return the indices of draws that lie far apart: each is the farthest from those before.
+
+    The first one is the nearest to the mean. Distances are in standard deviations.
+    """
+    z = (draws - draws.mean(axis=0)) / np.maximum(draws.std(axis=0), np.finfo(float).tiny)
+    order = [int(np.argmin((z**2).sum(axis=1)))]
+    nearest = cdist(z, z[order])[:, 0]
+    while len(order) < min(number, len(draws)):
+        nearest[order] = -1.0
+        order.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, cdist(z, z[order[-1:]])[:, 0])
+    return np.array(order)
+
+
+def looks(fewest: int, most: int, batch: int) -> tuple[int, ...]:
+    """Return after how many draws the verdict is sought, if they come in batches of this size."""
+    return (*range(fewest, most, max(batch, 2)), most)
+
+
+def verdict(
+    draws: Float[np.ndarray, "draw dim"],
+    log_ratios: Float[np.ndarray, " draw"],
+    posterior: Float[np.ndarray, "particle dim"],
+    tolerances: Tolerances,
+    *,
+    probing: int,
+    looks: int,
+    last: bool,
+) -> BatchCheck | Literal["open"]:
+    """Return the verdict of the draws so far, or that more are needed.
+
+    Args:
+        draws: The draws: the probes, then draws of equal weight.
+        log_ratios: Logarithm of true over expected likelihood at each, up to a constant; NaN if its run failed.
+        posterior: Many draws of equal weight.
+        tolerances: What is tolerated.
+        probing: Number of probes.
+        looks: Number of times that the verdict is sought.
+        last: Whether no more draws will come.
+    """
+    good = ~np.isnan(log_ratios)
+    number, kept, ratios = len(draws), draws[good], log_ratios[good]
+    failed = number - len(kept)
+    found = reweight(kept, ratios) if len(kept) >= FEWEST_DRAWS else None
+
+    def ended(reasons: tuple[str, ...], weights: Reweighting | None = found) -> BatchCheck:
+        return BatchCheck(number, failed, weights, not reasons, reasons, early=not last)
+
+    if failed > max(1.0, MOST_FAILED * number) and (last or failed > MOST_EARLY):
+        return ended((f"{failed} of the check's {number} runs failed, more than {MOST_FAILED:.0%}",))
+    if found is None or len(kept) < fewest(draws.shape[1]):
+        return ended((f"only {len(kept)} of {number} runs of the check succeeded",)) if last else "open"
+    if not np.isfinite(ratios).all():
+        return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
+    effect = smooth_effect(kept, ratios, posterior, ERROR_PROBABILITY / looks)
+    if _within(effect, tolerances):
+        return ended(())
+    if surely := _beyond(effect, tolerances):
+        return ended(surely)
+    if not last:
+        return "open"
+    equal = good & (np.arange(number) >= probing)
+    if equal.sum() < FEWEST_WHOLE:
+        return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))
+    whole = reweight(draws[equal], log_ratios[equal])
+    return ended(objections(whole, tolerances) or _likely_beyond(effect, tolerances), whole)
+
+
+def _within(effect: Effect, tolerances: Tolerances) -> bool:
+    """Return whether all upper bounds are within the tolerances."""
+    return (
+        effect.shift_bounds[1] <= tolerances.shift
+        and effect.width_bounds[1] <= tolerances.width
+        and effect.effective_bounds[0] >= tolerances.effective
+    )
+
+
+def _beyond(effect: Effect, tolerances: Tolerances) -> tuple[str, ...]:
+    """Return which lower bounds are beyond the tolerances, in words."""
+    out = []
+    if effect.shift_bounds[0] > tolerances.shift:
+        out.append(
+            f"the true model moves a mean by {effect.shift:.2g} standard deviations, more than {tolerances.shift:g}"
+        )
+    if effect.width_bounds[0] > tolerances.width:
+        out.append(f"the true model changes a standard deviation by {math.expm1(effect.width):.0%}")
+    if effect.effective_bounds[1] < tolerances.effective:
+        out.append(
+            f"at most {effect.effective_bounds[1]:.0%} of the draws are effective, not {tolerances.effective:.0%}"
+        )
+    return tuple(out)
+
+
+def _likely_beyond(effect: Effect, tolerances: Tolerances) -> tuple[str, ...]:
+    """Return a width that is likely beyond the tolerance, where no draw may have gone, in words."""
+    if effect.width < tolerances.width or effect.width_bounds[0] < 0.5 * tolerances.width:
+        return ()
+    return (f"the true model is likely to change a standard deviation by {math.expm1(effect.width):.0%}",)
+
+
+def objections(found: Reweighting, tolerances: Tolerances) -> tuple[str, ...]:
+    """Return what the weights of all draws object to, in words."""
+    number = len(found.smoothed.log_weights)
+    share, beyond = found.smoothed.ess / number, np.abs(found.shift) - found.shift_error
+    width, out = np.abs(np.log(np.maximum(found.sd_ratio, 1e-300))), []
+    if found.smoothed.k_hat >= tolerances.k_hat and share < NEARLY_EQUAL:
+        out.append(f"Pareto k̂ is {found.smoothed.k_hat:.2f}, not below {tolerances.k_hat:g}")
+    if beyond.max() >= tolerances.shift:
+        worst = float(np.abs(found.shift[beyond.argmax()]))
+        out.append(f"importance weights move a mean by {worst:.2f} standard deviations, more than {tolerances.shift:g}")
+    if width.max() >= tolerances.width:
+        ratio = float(found.sd_ratio[width.argmax()])
+        out.append(
+            f"importance weights multiply a standard deviation by {ratio:.2f}, more than {tolerances.width:g} in its "
+            "logarithm"
+        )
+    if share < tolerances.effective:
+        out.append(
+            f"the effective sample size of the weights is {share:.0%} of the draws, not {tolerances.effective:.0%}"
+        )
+    return tuple(out)

@@ -1,0 +1,140 @@
+"""Regions that no run has looked at: how large they may be, where to look next, and what runs there say.
+
+A posterior that was checked at its own draws can still miss a mode elsewhere: the surrogate rules out what it has not
+seen. So runs are placed over the prior, blind to the surrogate, until a region of a given share x of the prior's mass
+holds one with 95 % probability. A region is a ball in the prior's quantiles, with its middle anywhere.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.distance import cdist
+from scipy.special import logsumexp
+
+from strandline.design.active.state import State
+from strandline.design.space_filling import sobol
+from strandline.discrepancy.residuals import apart
+from strandline.interface import Interface
+from strandline.parameters import ParameterSpace
+from strandline.runs import RunRecord
+
+__all__ = ["SURE", "Surprise", "least_found", "points_elsewhere", "surprises"]
+
+SURE = 0.95
+"""Probability with which a region is found."""
+MIDDLES, POOL = 512, 2048
+"""Balls tried; points of the Sobol sequence that measure their mass, and are the places to look at."""
+SHARES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
+"""Shares of the prior's mass that are told apart."""
+WEIGHTY = 0.01
+"""Share of the evidence from which a region matters that the surrogate had ruled out."""
+UNLIKELY = 2.0
+"""Log-likelihood by which a run exceeds what was expected there."""
+STANDARD_DEVIATIONS, NOISE_LENGTHS = 5.0, 5.0
+"""A run is odd whose interface is farther from the predicted one than so many predicted sds and noise lengths."""
+
+
+def least_found(x: Float[np.ndarray, "run dim"], space: ParameterSpace) -> float:
+    """Return the smallest share of the prior's mass such that a region of it holds a run with 95 % probability.
+
+    Args:
+        x: Inputs of all runs, whether they succeeded or failed.
+        space: The inputs with their priors.
+    """
+    middles, radii = _balls(space.dim)
+    nearest = cdist(middles, space.prior_shares(x)).min(axis=1)
+    for share, radius in zip(SHARES, radii, strict=True):
+        if (nearest <= radius).mean() >= SURE:
+            return share
+    return 1.0
+
+
+def points_elsewhere(
+    x: Float[np.ndarray, "run dim"], space: ParameterSpace, share: float, most: int
+) -> Float[np.ndarray, "new dim"]:
+    """Return the inputs to run so that regions of this share of the prior's mass are found, at most `most`.
+
+    Each is the point that is farthest from all runs, in the prior's quantiles.
+    """
+    if share >= 1:
+        return np.empty((0, space.dim))
+    middles, radii = _balls(space.dim)
+    radius = np.array([np.interp(share, SHARES, row) for row in radii.T]) if share < SHARES[-1] else radii[-1]
+    pool, known = sobol(POOL, space.dim, scramble=0), space.prior_shares(x)
+    to_pool, nearest = cdist(pool, known).min(axis=1), cdist(middles, known).min(axis=1)
+    chosen: list[int] = []
+    while len(chosen) < most and (nearest <= radius).mean() < SURE:
+        farthest = int(np.argmax(to_pool))
+        chosen.append(farthest)
+        to_pool = np.minimum(to_pool, cdist(pool, pool[farthest : farthest + 1])[:, 0])
+        nearest = np.minimum(nearest, cdist(middles, pool[farthest : farthest + 1])[:, 0])
+    return space.prior_quantiles(pool[chosen]) if chosen else np.empty((0, space.dim))
+
+
+def _balls(dim: int) -> tuple[Float[np.ndarray, "ball dim"], Float[np.ndarray, "share ball"]]:
+    """Return middles, and the radii at which the part of the ball inside the cube has each of the shares."""
+    middles, pool = sobol(MIDDLES, dim, scramble=1), sobol(POOL, dim, scramble=2)
+    return middles, np.quantile(cdist(middles, pool), SHARES, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Surprise:
+    """A run away from the posterior that the surrogate did not expect.
+
+    Args:
+        x: Its inputs.
+        fits: Whether it fits the observation so well that its region may hold a share of the posterior.
+        errors: Distance of the predicted interface, in predicted standard deviations.
+    """
+
+    x: Float[np.ndarray, " dim"]
+    fits: bool
+    errors: float
+
+    def words(self, space: ParameterSpace) -> str:
+        """Return what is wrong, in words."""
+        where = ", ".join(f"{name} {value:.3g}" for name, value in space.as_mapping(self.x).items())
+        if self.fits:
+            return f"a run at {where} fits the observation, which the surrogate had ruled out"
+        return f"the interface of a run at {where} is {self.errors:.0f} predicted standard deviations off"
+
+
+def surprises(
+    state: State,
+    x: Float[np.ndarray, "run dim"],
+    records: Sequence[RunRecord],
+    log_likelihoods: Float[np.ndarray, " run"],
+    share: float,
+    noise: float,
+) -> tuple[Surprise, ...]:
+    """Return which runs the surrogate did not expect.
+
+    Args:
+        state: The posterior before these runs.
+        x: Inputs of the runs.
+        records: Their records, all of which succeeded.
+        log_likelihoods: Their log-likelihoods by the true model.
+        share: Share of the prior's mass that each may stand for.
+        noise: Shift of the interface that the noise hides, mm.
+    """
+    if not len(x):
+        return ()
+    surrogate = state.knowledge.surrogate
+    expected = state.knowledge.expected(x)
+    log_evidence = state.log_evidence_tempered + float(
+        logsumexp(state.log_weights_tempered + state.log_expected - 0.5 * state.log_plug_in)
+    )
+    weight = math.log(share) + log_likelihoods - log_evidence
+    fits = (log_likelihoods - expected > UNLIKELY) & ~(weight < math.log(WEIGHTY))
+    errors = np.array([_distance(surrogate.interfaces(x[i]), record.interfaces) for i, record in enumerate(records)])
+    beyond = errors / np.maximum(surrogate.predicted_error(x), np.finfo(float).tiny)
+    odd = fits | ((beyond > STANDARD_DEVIATIONS) & (errors > NOISE_LENGTHS * noise))
+    return tuple(Surprise(x[i], bool(fits[i]), float(beyond[i])) for i in np.flatnonzero(odd))
+
+
+def _distance(predicted: Mapping[str, Interface], found: Mapping[str, Interface]) -> float:
+    """Return the root mean square distance between interfaces, over all conditions, mm."""
+    return math.sqrt(float(np.mean([apart(one, found[name])[0] ** 2 for name, one in predicted.items()])))

@@ -1,0 +1,96 @@
+"""Settings of an active design."""
+
+from dataclasses import dataclass
+
+from strandline.design.active.checking import Tolerances
+from strandline.design.active.choice import criterion_named
+from strandline.errors import InvalidInput
+
+__all__ = ["FEWEST_CHECKED", "Active"]
+
+FEWEST_CHECKED = 20
+"""Smallest number of draws of a whole check."""
+
+
+@dataclass(frozen=True)
+class Active:
+    """How an active design goes on and when it stops.
+
+    Args:
+        runs: Maximum number of runs, those of the checks included; at least `initial` + `check`. Runs from an earlier
+            ``study.yaml`` or a reused study do not count.
+        initial: First runs, from the Sobol sequence, at least 3; default: 4 + 2 × number of inputs; with sensitivities
+            half that, but at least 3.
+        batch: Runs chosen together; default: number of workers, within 2 to 16.
+        explore: Share of runs placed where least is known, whatever the posterior, 0 to 0.5.
+        criterion: How to choose the others: ``expected_variance`` most reduces the variance of the predicted interface
+            over the posterior; ``repulsion`` takes the farthest from all runs; or ``module:name`` of a criterion of
+            your own.
+        check: Most posterior draws at which to run the true model before stopping, at least 20; fewer if they leave no
+            doubt.
+        unseen: Share of the prior's mass, 0.02 to 1: before it stops, the design looks for modes elsewhere until a
+            region of this share holds a run with 95 % probability. Half the share costs about twice the runs; 1 looks
+            nowhere.
+        change: Largest change over each of the last two batches: of a mean in standard deviations, of a standard
+            deviation in natural logarithms; batches with fewer runs than inputs count together.
+        shift: Largest shift of a mean by the check's importance weights, in standard deviations beyond its standard
+            error.
+        width: Largest change of a standard deviation by these weights, in natural logarithms.
+        k_hat: Upper limit for the Pareto shape of these weights, unless 98 % of draws are effective.
+        effective: Share of draws that must be effective, between 0 and 1.
+        patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest
+            before it; at least 1.
+
+    Raises:
+        InvalidInput: a number out of its range.
+    """
+
+    runs: int
+    initial: int | None = None
+    batch: int | None = None
+    explore: float = 0.1
+    criterion: str = "expected_variance"
+    check: int = 25
+    unseen: float = 0.1
+    change: float = 0.1
+    shift: float = 0.1
+    width: float = 0.15
+    k_hat: float = 0.5
+    effective: float = 0.8
+    patience: float = 3.0
+
+    def __post_init__(self) -> None:
+        _require(self.check >= FEWEST_CHECKED, "check", self.check, f"at least {FEWEST_CHECKED} draws")
+        _require(self.initial is None or self.initial >= 3, "initial", self.initial, "at least 3 runs")
+        _require(self.batch is None or self.batch >= 1, "batch", self.batch, "at least 1 run")
+        _require(0 <= self.explore <= 0.5, "explore", self.explore, "a share from 0 to 0.5")
+        criterion_named(self.criterion)
+        _require(0 < self.effective < 1, "effective", self.effective, "a share between 0 and 1")
+        _require(0.02 <= self.unseen <= 1, "unseen", self.unseen, "a share from 0.02 to 1")
+        for name in ("change", "shift", "width", "k_hat"):
+            _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
+        _require(self.patience >= 1, "patience", self.patience, "at least 1")
+        left = self.runs - (self.initial or 3)
+        _require(
+            self.batch is None or self.batch <= max(left, 1),
+            "batch",
+            self.batch,
+            f"at most {max(left, 1)}, the runs that are left of {self.runs} after the first {self.initial or 3}",
+        )
+        least = (self.initial or 3) + self.check
+        _require(
+            self.runs >= least,
+            "runs",
+            self.runs,
+            f"at least {least}: {self.initial or 3} first ones and a check of {self.check}",
+        )
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """What a check tolerates."""
+        return Tolerances(self.shift, self.width, self.k_hat, self.effective)
+
+
+def _require(right: bool, name: str, value: object, expected: str) -> None:
+    if not right:
+        raise InvalidInput(name, value=value, expected=expected, remedy="Change it.")
