@@ -166,6 +166,18 @@ def test_noise_that_doubles_doubles_the_error() -> None:
     assert quiet.contrast_to_noise == pytest.approx(20.0, rel=0.1)
 
 
+@pytest.mark.parametrize("cut", [90.0, 150.0, 200.0])
+def test_a_polygon_across_the_edge_does_not_bend_it(cut: float) -> None:
+    """Normals that meet the polygon see half an edge: none of them may count, nor lead the path astray."""
+    random = np.random.default_rng(4)
+    line, region = arch((136, 280), random)
+    picture = Camera()(region, (136, 280), random)
+    away = np.array([[cut, -1.0], [400.0, -1.0], [400.0, 300.0], [cut, 300.0]])
+    edge = find_edge(picture, clicks(line, random), exclude=[away])
+    assert edge.points[:, 0].max() < cut
+    assert np.abs(signed_distances(edge.points, Interface.polyline(line))).max() < 1.2
+
+
 def test_excluded_polygons_and_trimming_leave_points_out() -> None:
     picture = straight()
     picture[20:40, 60:80] = 7.0

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ EDGES: dict[str, Any] = {"erf": ErfStep(), "path": MarkovPath(), "contour": Half
 pictures."""
 SMOOTH = 5.0
 """Standard deviation of the Gaussian along the path that smooths it before the edge is looked for, px."""
+CLEAR, ASIDE = 8.0, 2.0
+"""Distance from the path within which a normal must not meet an excluded polygon, and from the normal, px."""
 _STRAY, _NEAR = 2.0, 21
 """Distance from the median of so many neighbours beyond which a point is not used to put the path right, px."""
 
@@ -118,16 +121,15 @@ def _located(
     picture: GreyValues, course: Course, way: EdgeMethod, exclude: Sequence[np.ndarray], trim: float
 ) -> tuple[Located, Bool[np.ndarray, " normal"]]:
     """Return the edge of the last pass, and the normals that count."""
-    counted = None
-    for number in range(way.passes):
+    for _ in range(way.passes - 1):
         require_room(course)
-        if number == way.passes - 1:
-            counted = _counted(picture, course, exclude, trim)
-        located = way.locate(picture, course, counted)
-        if counted is None:
-            course = _put_right(located)
-    assert counted is not None
-    return located, counted
+        clear = _clear(picture, course, exclude)
+        located = way.locate(picture, course, clear if exclude else None)
+        course = _put_right(replace(located, found=located.found & clear))
+    require_room(course)
+    counted = _clear(picture, course, exclude) & _not_trimmed(course, trim)
+    located = way.locate(picture, course, counted)
+    return replace(located, found=located.found & _clear(picture, course, exclude)), counted
 
 
 def _oriented(picture: GreyValues, course: Course, solid: str) -> Course:
@@ -138,18 +140,21 @@ def _oriented(picture: GreyValues, course: Course, solid: str) -> Course:
     return course if (right > left) == (solid == "bright") else course.reversed()
 
 
-def _counted(
-    picture: GreyValues, course: Course, exclude: Sequence[np.ndarray], trim: float
-) -> Bool[np.ndarray, " normal"]:
-    """Return the normals that are neither trimmed nor start outside of the picture or in an excluded polygon."""
+def _clear(picture: GreyValues, course: Course, exclude: Sequence[np.ndarray]) -> Bool[np.ndarray, " normal"]:
+    """Return the normals that start in the picture and whose grey values near the edge are in no excluded polygon."""
     at = course.points / picture.stretch
-    counted = ((at >= 0) & (at <= picture.extent - 1)).all(axis=1)
-    if not course.closed:
-        share = course.arc / course.arc[-1]
-        counted &= (share >= trim) & (share <= 1 - trim)
-    for polygon in exclude:
-        counted &= ~inside_polygon(at, np.asarray(polygon, float))
-    return np.asarray(counted)
+    clear = ((at >= 0) & (at <= picture.extent - 1)).all(axis=1)
+    along = np.stack([-course.normals[:, 1], course.normals[:, 0]], axis=1)
+    for place, aside in product(np.linspace(-CLEAR, CLEAR, 9), (-ASIDE, 0.0, ASIDE)) if exclude else ():
+        beside = (course.points + place * course.normals + aside * along) / picture.stretch
+        for polygon in exclude:
+            clear &= ~inside_polygon(beside, np.asarray(polygon, float))
+    return np.asarray(clear)
+
+
+def _not_trimmed(course: Course, trim: float) -> Bool[np.ndarray, " normal"]:
+    share = course.arc / course.arc[-1]
+    return np.asarray((share >= trim) & (share <= 1 - trim)) if not course.closed else np.ones(len(share), bool)
 
 
 def _put_right(located: Located) -> Course:

@@ -21,6 +21,7 @@ def design(kinds: list[Kind], steps: int, *, moved: float | None = 0.049, conver
 
     made = ActiveDesign(Active(runs=50), SPACE, batch=4, learn=nothing, log_likelihood=nothing, seed=1)
     made.converged = converged
+    made.reasons = () if converged or steps < len(kinds) else ("all runs are made",)
     made.batches = [Batch(np.zeros((4, 2)), kind) for kind in kinds]
     change = None if moved is None else Moved(moved, 0.01, 0.99)
     mean, sd = np.array([396.24, 0.2741]), np.array([31.2, 0.114])

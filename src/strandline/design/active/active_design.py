@@ -97,7 +97,7 @@ class Checked:
     log_expected: Float[np.ndarray, " draw"]
     probing: int
     ends: tuple[int, ...]
-    elsewhere: Float[np.ndarray, "run dim"]
+    elsewhere: Float[np.ndarray, "new dim"]
     looks: int = 0
 
     def __post_init__(self) -> None:
@@ -207,7 +207,7 @@ class ActiveDesign:
         self.batches.append(Batch(points, kind))
         return self.batches[-1]
 
-    def _to_check(self, x: Float[np.ndarray, "run dim"], left: int) -> Float[np.ndarray, "run dim"]:
+    def _to_check(self, x: Float[np.ndarray, "run dim"], left: int) -> Float[np.ndarray, "new dim"]:
         """Return the first draws of a check, and where nobody has looked yet."""
         state = self.state
         assert state is not None

@@ -1,0 +1,143 @@
+"""How often checks pass right and wrong surrogates, and after how many draws."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from strandline.design.active.checking import BatchCheck, Tolerances, looks, number_of_probes, probes, verdict
+from strandline.design.active.parabola import fewest, smooth_effect
+
+TOLERANCES = Tolerances(shift=0.1, width=0.15, k_hat=0.5, effective=0.8)
+Error = Callable[[np.ndarray], np.ndarray]
+REPLICATES = 60
+
+
+def checked(error: Error, seed: int, *, dim: int = 2, noise: float = 0.02, most: int = 25) -> BatchCheck:
+    """Check a normal surrogate whose log-likelihood is off by `error` and by noise; draws come two by two."""
+    random = np.random.default_rng(seed)
+    posterior, pool, equal = (random.standard_normal((number, dim)) for number in (500, 200, most))
+    number = number_of_probes(dim)
+    draws = np.concatenate([pool[probes(pool, number)], equal])
+    ratios = error(draws) + noise * random.standard_normal(len(draws))
+    ends = looks(number, len(draws), 2)
+    for end in ends:
+        last = end == ends[-1]
+        given = draws[:end], ratios[:end], posterior, TOLERANCES
+        found = verdict(*given, probing=number, looks=len(ends), last=last)
+        if isinstance(found, BatchCheck):
+            assert found.draws == end
+            assert found.early == (not last)
+            assert found.passed == (not found.reasons)
+            return found
+    raise AssertionError("the last look is never open")
+
+
+def share_passed(error: Error, **options: float) -> float:
+    return float(np.mean([checked(error, seed, **options).passed for seed in range(REPLICATES)]))  # type: ignore[arg-type]
+
+
+def right(z: np.ndarray) -> np.ndarray:
+    return np.zeros(len(z))
+
+
+def width(factor: float) -> Error:
+    """Return the error of a surrogate where the true width of the first input is `factor` times its own."""
+    return lambda z: 0.5 * z[:, 0] ** 2 * (1 - factor**-2)
+
+
+WRONG: dict[str, Error] = {
+    "mean off by 0.2 sd": lambda z: 0.2 * z[:, 0],
+    "sd 0.7 times": width(0.7),
+    "sd 0.8 times": width(0.8),
+    "sd 1.3 times": width(1.3),
+    "sd 1.5 times": width(1.5),
+    "tail too heavy": lambda z: -3.0 * (z[:, 0] > 1.28),
+    "missed tail": lambda z: 2.0 * (z[:, 0] > 1.28),
+}
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.1])
+def test_right_surrogates_pass(noise: float) -> None:
+    assert share_passed(right, noise=noise) >= 0.95
+
+
+@pytest.mark.parametrize("error", WRONG.values(), ids=WRONG.keys())
+def test_wrong_surrogates_do_not(error: Error) -> None:
+    assert share_passed(error) <= 0.05
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("dim", [2, 7])
+@pytest.mark.parametrize("name", ["mean off by 0.2 sd", "sd 0.7 times", "sd 1.5 times", "missed tail"])
+def test_wrong_surrogates_of_more_inputs_do_not(name: str, dim: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{__name__}.REPLICATES", 200)
+    most = 25 if dim == 2 else 40
+    assert share_passed(WRONG[name], dim=dim, most=most) <= 0.05
+    assert share_passed(right, dim=dim, most=most, noise=0.1) >= 0.95
+
+
+def test_a_good_surrogate_needs_few_draws() -> None:
+    assert np.mean([checked(right, seed).draws for seed in range(REPLICATES)]) < number_of_probes(2) + 2
+
+
+def test_without_probes_tails_are_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The planted bug: the first draws are any draws."""
+    monkeypatch.setattr(f"{__name__}.probes", lambda pool, number: np.arange(number))
+    assert share_passed(WRONG["missed tail"]) > 0.05
+
+
+def test_bounds_hold_and_estimates_alone_would_not() -> None:
+    """A mean off by 0.2 sd under noise: the estimate is often within the tolerance, its upper bound is not."""
+    effects = []
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        draws, posterior = random.standard_normal((12, 1)), random.standard_normal((500, 1))
+        ratios = 0.2 * draws[:, 0] + 0.5 * random.standard_normal(12)
+        effects.append(smooth_effect(draws, ratios, posterior, 0.05))
+    assert np.mean([one.shift_bounds[1] <= 0.1 for one in effects]) <= 0.05
+    assert np.mean([one.shift <= 0.1 for one in effects]) > 0.1
+
+
+def test_failed_runs_end_a_check() -> None:
+    random = np.random.default_rng(1)
+    posterior, draws = random.standard_normal((500, 2)), random.standard_normal((20, 2))
+    ratios = np.where(np.arange(20) < 4, np.nan, 0.0)
+    options = {"probing": 9, "looks": 5, "last": False}
+    found = verdict(draws, ratios, posterior, TOLERANCES, **options)  # type: ignore[arg-type]
+    assert isinstance(found, BatchCheck)
+    assert (found.passed, found.failed) == (False, 4)
+    assert found.reasons == ("4 of the check's 20 runs failed, more than 10%",)
+    found = verdict(draws[3:], ratios[3:], posterior, TOLERANCES, **options)  # type: ignore[arg-type]
+    assert isinstance(found, BatchCheck)
+    assert (found.passed, found.failed) == (True, 1)
+
+
+def test_draws_that_the_true_model_excludes_end_a_check() -> None:
+    random = np.random.default_rng(1)
+    posterior, draws = random.standard_normal((500, 2)), random.standard_normal((20, 2))
+    ratios = np.where(np.arange(20) < 1, -np.inf, 0.0)
+    found = verdict(draws, ratios, posterior, TOLERANCES, probing=9, looks=5, last=False)
+    assert isinstance(found, BatchCheck)
+    assert not found.passed
+
+
+def test_probes_reach_the_tails() -> None:
+    pool = np.random.default_rng(3).standard_normal((200, 2))
+    first = probes(pool, 8)
+    assert len(set(first.tolist())) == 8
+    assert np.linalg.norm(pool[first], axis=1)[1:].min() > 1.5
+    assert np.linalg.norm(pool[first[0]]) < 0.3
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3, 5])
+def test_the_effect_of_a_quadratic_error_is_the_exact_one(dim: int) -> None:
+    """δ = b z₁ + ½ (1 - 1/f²) z₁² makes the first width f times as large, and moves the mean by b f²."""
+    random, b, f = np.random.default_rng(dim), 0.1, 0.8
+    draws, posterior = random.standard_normal((fewest(dim) + 3, dim)), random.standard_normal((20_000, dim))
+    ratios = b * draws[:, 0] + 0.5 * draws[:, 0] ** 2 * (1 - f**-2)
+    found = smooth_effect(draws, ratios, posterior, 0.05)
+    tolerance = 0.03 if dim <= 3 else 0.12  # without products the axes are not quite those of the inputs
+    assert found.width == pytest.approx(-np.log(f), abs=tolerance)
+    assert found.shift == pytest.approx(b * f**2, abs=tolerance)
+    assert found.shift_bounds[0] <= found.shift + 1e-9

@@ -1,0 +1,96 @@
+"""Where nobody has looked: shares of the prior's mass, points to look at, and what runs there say."""
+
+import numpy as np
+import pytest
+from tests.design.active.fakes import NOISE, SPACE, known, record
+
+from strandline.design import sobol
+from strandline.design.active import elsewhere as module
+from strandline.design.active.elsewhere import least_found, points_elsewhere, surprises
+from strandline.design.active.sampling import posterior_state
+from strandline.design.active.state import State
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import LogNormal, Normal, Uniform
+
+
+def share_of_balls_with_a_run(x: np.ndarray, share: float, dim: int, seed: int) -> float:
+    """Measure by brute force how many balls of this share of the cube hold a run."""
+    random = np.random.default_rng(seed)
+    middles, cube = random.random((300, dim)), random.random((4000, dim))
+    held = 0
+    for middle in middles:
+        radius = np.quantile(np.linalg.norm(cube - middle, axis=1), share)
+        held += bool((np.linalg.norm(x - middle, axis=1) <= radius).any())
+    return held / len(middles)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 4])
+def test_regions_of_the_stated_share_hold_a_run(dim: int) -> None:
+    space = ParameterSpace(tuple(Parameter(f"x{i}", Uniform(0.0, 1.0)) for i in range(dim)))
+    x = sobol(30, dim, scramble=7)
+    share = least_found(x, space)
+    assert share_of_balls_with_a_run(x, share, dim, 1) > 0.93
+    smaller = module.SHARES[module.SHARES.index(share) - 1] if share > module.SHARES[0] else 0.0
+    assert smaller == 0 or share_of_balls_with_a_run(x, smaller, dim, 1) < 0.97
+
+
+def test_points_are_added_until_the_region_is_found() -> None:
+    x = SPACE.to_physical(sobol(8, 2))
+    more = points_elsewhere(x, SPACE, 0.1, 50)
+    assert 4 <= len(more) <= 16
+    assert least_found(x, SPACE) > 0.1
+    assert least_found(np.concatenate([x, more]), SPACE) <= 0.1
+    assert least_found(np.concatenate([x, more[:-1]]), SPACE) > 0.1
+    assert len(points_elsewhere(x, SPACE, 0.05, 50)) > 1.5 * len(more)
+    assert len(points_elsewhere(x, SPACE, 0.1, 3)) == 3
+    assert len(points_elsewhere(x, SPACE, 1.0, 50)) == 0
+
+
+def test_priors_count_by_their_mass() -> None:
+    """Points that cover the box of a narrow prior do not cover its mass."""
+    space = ParameterSpace(
+        (Parameter("a", Normal(0.0, 1.0), box=(-20.0, 20.0)), Parameter("b", LogNormal(0.0, 1.0), box=(1e-3, 1e3)))
+    )
+    even = space.prior_quantiles(np.clip(sobol(32, 2, scramble=3), 1e-3, 1 - 1e-3))
+    wide = even * np.array([10.0, 1.0])
+    assert least_found(even, space) <= 0.07
+    assert least_found(np.clip(wide, -19.0, 19.0), space) > least_found(even, space)
+    np.testing.assert_allclose(space.prior_quantiles(space.prior_shares(even)), even, rtol=1e-6)
+
+
+X = SPACE.to_physical(sobol(24, 2))
+FAR = np.array([[-0.8, -0.7], [0.9, 0.8]])
+
+
+@pytest.fixture(scope="module")
+def state() -> State:
+    return posterior_state(known(X), SPACE, (1,))
+
+
+def test_runs_as_predicted_are_no_surprise(state: State) -> None:
+    records = [record(row) for row in FAR]
+    true = state.knowledge.expected(FAR)
+    assert surprises(state, FAR, records, true, 0.1, NOISE) == ()
+
+
+def test_a_run_that_fits_where_it_should_not_is_a_surprise(state: State) -> None:
+    records = [record(row) for row in FAR]
+    true = state.knowledge.expected(FAR)
+    true[1] = 0.0
+    (odd,) = surprises(state, FAR, records, true, 0.1, NOISE)
+    np.testing.assert_array_equal(odd.x, FAR[1])
+    assert odd.words(SPACE) == "a run at a 0.9, b 0.8 fits the observation, which the surrogate had ruled out"
+    true[1] = -40.0
+    assert surprises(state, FAR, records, true, 0.1, NOISE) == ()
+
+
+def test_a_run_with_another_interface_is_a_surprise(state: State) -> None:
+    """The interfaces of the two runs are exchanged."""
+    records = [record(row) for row in FAR[::-1]]
+    found = surprises(state, FAR, records, np.full(2, -1e4), 0.1, 0.1 * NOISE)
+    assert len(found) == 2
+    assert "predicted standard deviations off" in found[0].words(SPACE)
+
+
+def test_no_runs_are_no_surprise(state: State) -> None:
+    assert surprises(state, FAR[:0], [], np.empty(0), 0.1, NOISE) == ()
