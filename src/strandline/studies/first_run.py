@@ -8,6 +8,7 @@ import numpy as np
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, oriented_like_runs
+from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length, sd_of_distances
@@ -130,12 +131,13 @@ def _doubts(observed: Interface, run: Interface, of: str) -> Iterator[str]:
         apart_by = float(np.linalg.norm(observed.centres.mean(axis=0) - run.centres.mean(axis=0)))
         what = "centres lie"
     else:
-        apart_by = max(float(np.linalg.norm(observed.points[k] - run.points[k])) for k in (0, -1))
+        ends = observed.points[[0, -1]] if not observed.closed else observed.points[:1]
+        apart_by = math.sqrt(float(squared_distances(ends, run).max()))
         what = "ends lie"
     if apart_by > far:
         yield (
-            f"warning{of}: their {what} {apart_by:.3g} mm apart. Are the columns x, y, is y upwards, and are "
-            "origin, unit and extent those of the model?"
+            f"warning{of}: their {what} {apart_by:.3g} mm apart. Are x and y in this order, does y point upwards, and "
+            "are origin, unit and extent those of the model?"
         )
 
 

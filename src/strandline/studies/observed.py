@@ -120,5 +120,5 @@ def require_plausible(name: str, observed: Interface, simulated: Interface, *, u
             f"size of the {name}{f', read in {unit}' if unit else ''}",
             value=f"{extent(observed):.4g} mm across, {ratio:.3g} times the model's interface",
             expected=f"about {extent(simulated):.4g} mm, the size of the model's interface",
-            remedy=f"P{mistake[1:]}. Correct observation.unit (mm, um or m), the file or the model.",
+            remedy=f"P{mistake[1:]}. Correct the unit of the observation or of its pixels, the file or the model.",
         )

@@ -5,7 +5,7 @@ and importance weights show how far it is from the true posterior. If it is too 
 and the design goes on.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,7 +23,7 @@ from strandline.design.active.checking import (
     verdict,
 )
 from strandline.design.active.choice import choose
-from strandline.design.active.elsewhere import points_elsewhere, surprises
+from strandline.design.active.elsewhere import Surprise, left_out_surprise, points_around, points_elsewhere, surprises
 from strandline.design.active.left_out import left_out_ratios
 from strandline.design.active.settings import FEWEST_CHECKED, Active
 from strandline.design.active.state import Moved, Remembered, State
@@ -35,7 +35,7 @@ from strandline.runs import RunRecord
 
 __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 
-Kind = Literal["initial", "given", "posterior", "check"]
+Kind = Literal["initial", "given", "posterior", "check", "elsewhere"]
 SHOWING = 500
 """Draws that show how far the posterior would move."""
 DIFFERENT = 0.4
@@ -140,6 +140,8 @@ class ActiveDesign:
         self.reasons: tuple[str, ...] = ()
         self._remembered: list[Remembered] = []
         self._checked: Checked | None = None
+        self._odd: tuple[Surprise, ...] = ()
+        self._looked_around: set[bytes] = set()
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
         """Record the first runs; `given` runs come from an earlier analysis and do not count towards the budget."""
@@ -158,12 +160,18 @@ class ActiveDesign:
         """Return the next batch, given all runs that have ended; None to stop."""
         kind = self.batches[-1].kind
         check: BatchCheck | None = None
+        if kind == "elsewhere":
+            self._odd = self._surprises(self.batches[-1].points, x, records, self.state)
         if kind == "check":
             found = self._judged(x, records)
             if not isinstance(found, BatchCheck):
                 return self._noted(self._more_draws(), "check")
             check = found
         self.state = self.learn(x, records)
+        if check is not None and check.passed:
+            self._odd = self._left_out(self.state)
+            if self._odd:
+                check = replace(check, passed=False, reasons=(self._odd[0].words(self.space),))
         if kind == "given":
             check = self._judged_without_runs(records)
         self.steps.append(self._step(check))
@@ -177,6 +185,12 @@ class ActiveDesign:
         if left <= 0:
             self.reasons = self._why_not(check)
             return None
+        if self._odd:
+            odd, number = np.array([one.x for one in self._odd]), max(self.batch, 2 * self.space.dim)
+            self._looked_around |= {one.x.tobytes() for one in self._odd}
+            around = points_around(odd, x, self.space, self.active.unseen, min(number, left))
+            if len(around):
+                return self._noted(around, "elsewhere")
         room = left - self.active.check
         if (stable and check is None and room >= 0) or room < 1:
             if left < FEWEST_DRAWS:
@@ -247,23 +261,33 @@ class ActiveDesign:
         found = verdict(draws, ratios, posterior, tolerances, probing=probing, looks=times, last=last)
         if not isinstance(found, BatchCheck) or not found.passed:
             return found
-        odd = self._surprises(by_input)
+        self._odd = self._surprises(checked.elsewhere, x, records, checked.state)
+        odd = tuple(one.words(self.space) for one in self._odd[:1])
         return replace(found, passed=not odd, reasons=odd)
 
-    def _surprises(self, by_input: Mapping[bytes, RunRecord]) -> tuple[str, ...]:
-        """Return what runs elsewhere object to, in words."""
-        checked = self._checked
-        assert checked is not None
-        here = [(row, by_input.get(row.tobytes())) for row in checked.elsewhere]
-        good = [(row, record) for row, record in here if record is not None and record.ok]
-        if not good:
+    def _left_out(self, state: State) -> tuple[Surprise, ...]:
+        """Return the run that the others predict much worse than they should, once for each run."""
+        if self.active.unseen >= 1:
             return ()
-        rows, records = np.array([row for row, _ in good]), [record for _, record in good]
-        true = np.array([self.log_likelihood(record) for record in records])
-        likelihood = checked.state.knowledge.likelihood
-        noise = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
-        odd = surprises(checked.state, rows, records, true, self.active.unseen, noise)
-        return tuple(one.words(self.space) for one in odd[:1])
+        known = {row.tobytes() for batch in self.batches if batch.kind == "posterior" for row in batch.points}
+        found = left_out_surprise(state, _noise(state), self._looked_around, known)
+        return () if found is None else (found,)
+
+    def _surprises(
+        self,
+        points: Float[np.ndarray, "new dim"],
+        x: Float[np.ndarray, "run dim"],
+        records: Sequence[RunRecord],
+        state: State | None,
+    ) -> tuple[Surprise, ...]:
+        """Return which runs at these points `state` did not expect."""
+        wanted = {row.tobytes() for row in points}
+        good = [k for k, row in enumerate(x) if row.tobytes() in wanted and records[k].ok]
+        if not good or state is None:
+            return ()
+        made = [records[k] for k in good]
+        true = np.array([self.log_likelihood(record) for record in made])
+        return surprises(state, x[good], made, true, self.active.unseen, _noise(state))
 
     def _judged_without_runs(self, records: Sequence[RunRecord]) -> BatchCheck:
         """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
@@ -342,3 +366,9 @@ class ActiveDesign:
         elif not self._stable():
             reasons.append("the posterior has not stood still for two batches yet")
         return (*reasons, *(("no check on the true model was made",) if check is None else check.reasons))
+
+
+def _noise(state: State) -> float:
+    """Return the shift of an observed interface that the noise hides, mm: the smallest of all conditions."""
+    likelihood = state.knowledge.likelihood
+    return min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)

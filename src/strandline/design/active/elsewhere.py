@@ -6,7 +6,7 @@ holds one with 95 % probability. A region is a ball in the prior's quantiles, wi
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from strandline.interface import Interface
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 
-__all__ = ["SURE", "Surprise", "least_found", "points_elsewhere", "surprises"]
+__all__ = ["SURE", "Surprise", "least_found", "left_out_surprise", "points_around", "points_elsewhere", "surprises"]
 
 SURE = 0.95
 """Probability with which a region is found."""
@@ -29,6 +29,10 @@ MIDDLES, POOL = 512, 2048
 """Balls tried; points of the Sobol sequence that measure their mass, and are the places to look at."""
 SHARES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
 """Shares of the prior's mass that are told apart."""
+LEFT_OUT_SDS, LEFT_OUT_NOISE = 2.0, 1.0
+"""The same for a run that is predicted from the others, which have learnt to expect errors like its own."""
+FEW = 4
+"""Largest number of inputs for which balls, not cubes, are filled."""
 WEIGHTY = 0.01
 """Share of the evidence from which a region matters that the surrogate had ruled out."""
 UNLIKELY = 2.0
@@ -72,6 +76,32 @@ def points_elsewhere(
         to_pool = np.minimum(to_pool, cdist(pool, pool[farthest : farthest + 1])[:, 0])
         nearest = np.minimum(nearest, cdist(middles, pool[farthest : farthest + 1])[:, 0])
     return space.prior_quantiles(pool[chosen]) if chosen else np.empty((0, space.dim))
+
+
+def points_around(
+    odd: Float[np.ndarray, "odd dim"], x: Float[np.ndarray, "run dim"], space: ParameterSpace, share: float, number: int
+) -> Float[np.ndarray, "new dim"]:
+    """Return inputs near runs that the surrogate did not expect, each as far as possible from all runs.
+
+    Args:
+        odd: Inputs of these runs.
+        x: Inputs of all runs.
+        space: The inputs with their priors.
+        share: Share of the prior's mass of the ball around each in which the points lie.
+        number: Number of points.
+    """
+    row = min(int(np.searchsorted(SHARES, share)), len(SHARES) - 1)
+    radius = float(np.median(_balls(space.dim)[1][row]))
+    cube = 2 * sobol(POOL, space.dim, scramble=3) - 1
+    ball = radius * cube[(cube**2).sum(axis=1) <= 1][: POOL // 4] if space.dim <= FEW else radius * cube[: POOL // 4]
+    pool = np.concatenate([one + ball for one in space.prior_shares(odd)])
+    pool = pool[((pool > 0) & (pool < 1)).all(axis=1)]
+    chosen: list[int] = []
+    nearest = cdist(pool, space.prior_shares(x)).min(axis=1)
+    while len(chosen) < min(number, len(pool)):
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, cdist(pool, pool[chosen[-1:]])[:, 0])
+    return space.prior_quantiles(pool[chosen])
 
 
 def _balls(dim: int) -> tuple[Float[np.ndarray, "ball dim"], Float[np.ndarray, "share ball"]]:
@@ -133,6 +163,28 @@ def surprises(
     beyond = errors / np.maximum(surrogate.predicted_error(x), np.finfo(float).tiny)
     odd = fits | ((beyond > STANDARD_DEVIATIONS) & (errors > NOISE_LENGTHS * noise))
     return tuple(Surprise(x[i], bool(fits[i]), float(beyond[i])) for i in np.flatnonzero(odd))
+
+
+def left_out_surprise(
+    state: State, noise: float, before: Collection[bytes], known: Collection[bytes]
+) -> Surprise | None:
+    """Return the run that the others predict worst, if that is much worse than they should; None if there is none.
+
+    Args:
+        state: The posterior.
+        noise: Shift of the interface that the noise hides, mm.
+        before: Inputs of runs around which others were made already, as bytes.
+        known: Inputs of runs at draws of the posterior, as bytes: these are checked otherwise.
+    """
+    surrogate, x = state.knowledge.surrogate, state.knowledge.x[state.knowledge.ok]
+    found = [process.left_out() for process in surrogate.processes]
+    errors = np.sqrt(sum(one.errors**2 for one in found))
+    sds = np.sqrt(sum(one.variances for one in found) + surrogate.modes.remainder**2)
+    beyond = errors / np.maximum(sds, np.finfo(float).tiny)
+    beyond[errors / math.sqrt(len(surrogate.layouts)) < LEFT_OUT_NOISE * noise] = 0.0
+    beyond[[row.tobytes() in before or row.tobytes() in known for row in x]] = 0.0
+    worst = int(np.argmax(beyond))
+    return Surprise(x[worst], False, float(beyond[worst])) if beyond[worst] > LEFT_OUT_SDS else None
 
 
 def _distance(predicted: Mapping[str, Interface], found: Mapping[str, Interface]) -> float:
