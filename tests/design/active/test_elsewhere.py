@@ -1,16 +1,26 @@
 """Where nobody has looked: shares of the prior's mass, points to look at, and what runs there say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from tests.design.active.fakes import NOISE, SPACE, known, record
+from tests.design.active.fakes import NOISE, SPACE, interface, known, record
 
 from strandline.design import sobol
 from strandline.design.active import elsewhere as module
-from strandline.design.active.elsewhere import least_found, points_elsewhere, surprises
+from strandline.design.active.elsewhere import (
+    least_found,
+    left_out_surprise,
+    points_around,
+    points_elsewhere,
+    surprises,
+)
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.state import State
+from strandline.interface import Interface
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import LogNormal, Normal, Uniform
+from strandline.surrogate.field import FieldTraining, fit_field
 
 
 def share_of_balls_with_a_run(x: np.ndarray, share: float, dim: int, seed: int) -> float:
@@ -94,3 +104,42 @@ def test_a_run_with_another_interface_is_a_surprise(state: State) -> None:
 
 def test_no_runs_are_no_surprise(state: State) -> None:
     assert surprises(state, FAR[:0], [], np.empty(0), 0.1, NOISE) == ()
+
+
+def test_points_around_a_run_lie_around_it_and_apart() -> None:
+    x = SPACE.to_physical(sobol(8, 2))
+    odd = np.array([[0.5, 0.5]])
+    found = points_around(odd, x, SPACE, 0.1, 5)
+    assert len(np.unique(found, axis=0)) == 5
+    apart = np.linalg.norm(found[:, None] - found, axis=2) + 9 * np.eye(5)
+    assert apart.min() > 0.2
+    reach = 2 * np.sqrt(0.1 / np.pi)  # the box has sides of 2
+    assert np.linalg.norm(found - odd, axis=1).max() < 1.3 * reach
+    corner = points_around(np.array([[1.0, 1.0]]), x, SPACE, 0.1, 3)
+    assert ((corner > -1) & (corner < 1)).all()
+
+
+def spoiled(at: int, by: float) -> State:
+    """Return the posterior after runs one of whose interfaces is higher than it should be."""
+    knowledge = known(X)
+    interfaces = [{"": interface(row)} for row in X]
+    lifted = interfaces[at][""].points + np.array([0.0, by])
+    interfaces[at] = {"": Interface.polyline(lifted)}
+    surrogate = fit_field(FieldTraining(X, interfaces, None, SPACE.low, SPACE.high))
+    likelihood = replace(knowledge.likelihood, surrogate=surrogate)
+    return posterior_state(replace(knowledge, likelihood=likelihood), SPACE, (1,))
+
+
+def test_a_run_that_the_others_contradict_is_found_once() -> None:
+    state = spoiled(5, 0.05)
+    found = left_out_surprise(state, 0.2 * NOISE, set(), set())
+    assert found is not None
+    np.testing.assert_array_equal(found.x, X[5])
+    assert not found.fits
+    again = left_out_surprise(state, 0.2 * NOISE, {X[5].tobytes()}, set())
+    assert again is None or not np.array_equal(again.x, X[5])
+    assert left_out_surprise(state, 100 * NOISE, set(), set()) is None  # hidden by the noise
+
+
+def test_runs_of_a_smooth_model_do_not_contradict_each_other(state: State) -> None:
+    assert left_out_surprise(state, 0.2 * NOISE, set(), set()) is None
