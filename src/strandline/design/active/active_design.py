@@ -25,7 +25,7 @@ from strandline.design.active.checking import (
 from strandline.design.active.choice import choose
 from strandline.design.active.elsewhere import Surprise, left_out_surprise, points_around, points_elsewhere, surprises
 from strandline.design.active.left_out import left_out_ratios
-from strandline.design.active.settings import FEWEST_CHECKED, Active
+from strandline.design.active.settings import Active
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
 from strandline.likelihood import noise_length
@@ -36,6 +36,8 @@ from strandline.runs import RunRecord
 __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 
 Kind = Literal["initial", "given", "posterior", "check", "elsewhere"]
+FEWEST_LEFT_OUT = 12
+"""Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
 SHOWING = 500
 """Draws that show how far the posterior would move."""
 DIFFERENT = 0.4
@@ -87,7 +89,7 @@ class Checked:
         draws: Its draws, in the order in which they are run; the first ones are probes.
         log_expected: Their expected log-likelihood.
         probing: Number of probes.
-        ends: After how many draws the verdict is sought, from the next time on.
+        ends: Numbers of draws at which the verdict is sought, from the next one on.
         elsewhere: Inputs of runs where nobody has looked yet.
         looks: Number of times that the verdict is sought; by default as many as `ends`.
     """
@@ -293,7 +295,7 @@ class ActiveDesign:
         """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
         assert self.state is not None
         x, ratios = left_out_ratios(self.state, records, self.log_likelihood, self.space.log_prior)
-        if len(x) < FEWEST_CHECKED:
+        if len(x) < FEWEST_LEFT_OUT:
             reason = f"only {len(x)} of the available runs lie inside the posterior"
             return BatchCheck(len(x), 0, None, False, (reason,))
         found = reweight(x, ratios)

@@ -28,7 +28,7 @@ SURE = 0.95
 MIDDLES, POOL = 512, 2048
 """Balls tried; points of the Sobol sequence that measure their mass, and are the places to look at."""
 SHARES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
-"""Shares of the prior's mass that are told apart."""
+"""Shares of the prior's mass that the certificate distinguishes."""
 LEFT_OUT_SDS, LEFT_OUT_NOISE = 2.0, 1.0
 """The same for a run that is predicted from the others, which have learnt to expect errors like its own."""
 FEW = 4

@@ -58,7 +58,7 @@ def smooth_effect(
 
     Args:
         draws: Draws, at least `fewest` of them, not necessarily of equal weight.
-        log_ratios: δ at the draws, all finite.
+        log_ratios: Values of δ at the draws, all finite.
         posterior: Many draws of equal weight.
         level: Probability that each bound is exceeded.
     """
