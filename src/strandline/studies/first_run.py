@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, oriented_like_runs
@@ -32,6 +33,8 @@ __all__ = [
 
 FAR_APART = 0.05
 """Share of the interface's length: ends or centres further apart than this are worth a warning."""
+SEEN_PART = 0.2
+"""The same share for the ends of the model's interface: an observed one may be shorter."""
 MESH_SHARE = 0.1
 """Share of the noise above which the difference to the next finer mesh is worth a warning."""
 MOST_KNOWN = 200
@@ -131,14 +134,19 @@ def _doubts(observed: Interface, run: Interface, of: str) -> Iterator[str]:
         apart_by = float(np.linalg.norm(observed.centres.mean(axis=0) - run.centres.mean(axis=0)))
         what = "centres lie"
     else:
-        ends = observed.points[[0, -1]] if not observed.closed else observed.points[:1]
-        apart_by = math.sqrt(float(squared_distances(ends, run).max()))
+        off = math.sqrt(float(squared_distances(_ends(observed), run).max()))
+        missing = math.sqrt(float(squared_distances(_ends(run), observed).max()))
+        apart_by = max(off, missing if missing > SEEN_PART * float(run.lengths.sum()) else 0.0)
         what = "ends lie"
     if apart_by > far:
         yield (
-            f"warning{of}: their {what} {apart_by:.3g} mm apart. Are x and y in this order, does y point upwards, and "
-            "are origin, unit and extent those of the model?"
+            f"warning{of}: their {what} {apart_by:.3g} mm apart. Are x and y in this order, is y upwards, and are "
+            "origin, unit and extent those of the model?"
         )
+
+
+def _ends(interface: Interface) -> Float[np.ndarray, "end xyz"]:
+    return interface.points[:1] if interface.closed else interface.points[[0, -1]]
 
 
 def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
