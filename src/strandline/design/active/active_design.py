@@ -36,7 +36,7 @@ from strandline.runs import RunRecord
 __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 
 Kind = Literal["initial", "given", "posterior", "check", "elsewhere"]
-FEWEST_LEFT_OUT = 12
+FEWEST_LEFT_OUT = 20
 """Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
 SHOWING = 500
 """Draws that show how far the posterior would move."""
