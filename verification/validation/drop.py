@@ -7,7 +7,8 @@ widths.
     python -m verification.validation.drop PICTURE [--measure normal_offset] [--direction to_observed] [--runs 70]
 
 With `normal_offset`, points are correlated over two pixels, and the position, rotation, scale and offset of the whole
-contour are uncertain too.
+contour are uncertain too. To keep compiled programs, as the command line does, set JAX_COMPILATION_CACHE_DIR to a
+folder, JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.02 and JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1.
 """
 
 import argparse

@@ -28,6 +28,8 @@ def linear_sums(
     estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]],
     followed: Callable[[Rows, Float[np.ndarray, "run error"]], Rows],
     gram: Float[np.ndarray, "error error"],
+    *,
+    rough: bool = False,
 ) -> Sums:
     """Return qᵀ D⁻¹ q and Bᵀ D⁻¹ q of each run.
 
@@ -39,11 +41,13 @@ def linear_sums(
             follows.
         followed: Function that returns the points after the observation's g.
         gram: Bᵀ D⁻¹ B.
+        rough: Whether one step of registration and rough sums are enough.
     """
     if not gram.any():
-        return sums(points, False)
+        return sums(points, rough)
     g = estimate(sums(points, True)[1])
-    g = estimate(sums(followed(points, g), True)[1] + g @ gram)
-    squares, products = sums(followed(points, g), False)
+    if not rough:
+        g = estimate(sums(followed(points, g), True)[1] + g @ gram)
+    squares, products = sums(followed(points, g), rough)
     more = g @ gram
     return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more

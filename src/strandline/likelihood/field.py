@@ -11,8 +11,9 @@ from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
 from strandline.discrepancy import Discrepancy, NormalOffset, count_of_distances, squared_discrepancies
+from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, Observation
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.compared import compared, errors_of
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
 from strandline.likelihood.shared_errors import SharedErrors, shared_errors
@@ -39,10 +40,21 @@ class FieldLikelihood:
     observations: tuple[Observation, ...]
     discrepancy: Discrepancy
 
-    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return log L of the predicted interfaces as if they were exact."""
+    def plug_in(self, x: Float[np.ndarray, "point dim"], *, rough: bool = False) -> Float[np.ndarray, " point"]:
+        """Return log L of the predicted interfaces as if they were exact; see `can_be_rough` for `rough`."""
         blocks = [x[k : k + _BLOCK] for k in range(0, len(x), _BLOCK)]
-        return np.concatenate([self._of(self.surrogate.mean(block), None) for block in blocks])
+        return np.concatenate([self._of(self.surrogate.mean(block), None, rough=rough) for block in blocks])
+
+    @property
+    def can_be_rough(self) -> bool:
+        """Whether there is a log L that takes a fraction of the time and is off by a few units.
+
+        It is good enough to find where the posterior is, not to weigh it.
+        """
+        return isinstance(self.discrepancy, NormalOffset) and all(
+            seen.interface.dim == 2 and isinstance(seen.noise, PointErrors | UnknownErrors)
+            for seen in self.observations
+        )
 
     def at(self, coefficients: Float[np.ndarray, "point mode"]) -> Float[np.ndarray, " point"]:
         """Return log L of the interfaces with these coefficients of the modes, mm: `plug_in` of known predictions."""
@@ -74,19 +86,24 @@ class FieldLikelihood:
         return np.asarray(logsumexp(values, axis=1) - np.log(DRAWS))
 
     def _of(
-        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
+        self,
+        coefficients: Float[np.ndarray, "draw mode"],
+        tail: Float[np.ndarray, "draw rest"] | None,
+        *,
+        rough: bool = False,
     ) -> Float[np.ndarray, " draw"]:
         points = self.surrogate.points(coefficients, tail)
         templates = {name: layout.template for name, layout in self.surrogate.layouts.items()}
         if self.inferred is not None:
-            return self.inferred.likelihood.many(points, templates)
+            return self.inferred.likelihood.many(points, templates, rough=rough)
         if self._shared is not None:
-            return -0.5 * self._shared.many(points, templates)
+            return -0.5 * self._shared.many(points, templates, rough=rough)
         total = np.zeros(len(coefficients))
         for seen in self.observations:
             template = templates[seen.condition]
             one = compared(seen, self.discrepancy, len(template.points))
-            squares = squared_discrepancies(one.measure, points[seen.condition], template, seen.interface)
+            measure = one.measure.rough() if rough and isinstance(one.measure, WhitenedOffset) else one.measure
+            squares = squared_discrepancies(measure, points[seen.condition], template, seen.interface)
             total += one.noise.log_density(squares)
         return total
 

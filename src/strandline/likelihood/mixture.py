@@ -40,9 +40,11 @@ class Mixture:
         points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
         return float(self.many(points, interfaces)[0])
 
-    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
-        """Return log L of each run, given its points by condition."""
-        return self._of(*sums_of(self.joint, points, templates, self._model, self._global_errors))
+    def many(
+        self, points: Points, templates: Mapping[str, Interface], *, rough: bool = False
+    ) -> Float[np.ndarray, " run"]:
+        """Return log L of each run, given its points by condition; faster and off by a few units if `rough`."""
+        return self._of(*sums_of(self.joint, points, templates, self._model, self._global_errors, rough=rough))
 
     @cached_property
     def _model(self) -> ErrorModel:

@@ -1,6 +1,7 @@
 """Posteriors that go on from the last one against those that are sampled from the prior."""
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,6 +18,11 @@ X = SPACE.to_physical(sobol(12, 2))
 def assumed(mean: tuple[float, float], sd: float = 0.1) -> Assumed:
     own = {name: getattr(known(X), name) for name in ("x", "ok", "likelihood", "feasibility", "highest")}
     return Assumed(**own, mean=mean, sd=sd)
+
+
+@cache
+def assumed_once() -> Assumed:
+    return assumed((0.2, 0.1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +49,30 @@ class Counted(Assumed):
         return super().plug_in(x)
 
 
+@dataclass(frozen=True, eq=False)
+class Rough(Counted):
+    """Has a rough likelihood beside the exact one: a normal one whose mean is off."""
+
+    off: float = 0.0
+
+    def roughly(self, x: np.ndarray) -> np.ndarray:
+        return replace(assumed_once(), mean=(self.mean[0] + self.off, self.mean[1])).plug_in(x) - 3.0
+
+
+def rough(mean: tuple[float, float], off: float) -> Rough:
+    return Rough(**vars(assumed(mean)), off=off)
+
+
 def first(mean: tuple[float, float] = (0.2, 0.1)) -> State:
     return posterior_state(assumed(mean), SPACE, (1,))
 
 
-def z_scores(before: State, mean: tuple[float, float], replicates: int = 24) -> np.ndarray:
+def z_scores(
+    before: State | None, mean: tuple[float, float], replicates: int = 24, knowledge: Assumed | None = None
+) -> np.ndarray:
     """Return z of means and of log sds over replicates that go on from `before`, for a normal posterior."""
-    found = [posterior_state(assumed(mean), SPACE, (seed,), before=before) for seed in range(replicates)]
+    known_so_far = knowledge or assumed(mean)
+    found = [posterior_state(known_so_far, SPACE, (seed,), before=before) for seed in range(replicates)]
     means = np.array([one.mean for one in found]) - mean
     widths = np.log(np.array([one.sd for one in found]) / 0.1)
     each = np.concatenate([means / 0.1, widths], axis=1)
@@ -102,3 +125,36 @@ def test_a_posterior_without_its_evidence_is_no_start() -> None:
     knowledge = assumed((0.2, 0.1), 0.2)
     afresh, other = (posterior_state(knowledge, SPACE, (5,), before=one) for one in (None, before))
     np.testing.assert_array_equal(afresh.positions, other.positions)
+
+
+def test_a_rough_likelihood_leads_to_the_exact_posterior() -> None:
+    """Moves by the rough one are not by the exact one; its mean, half a sd off, and its level do not show."""
+    knowledge, plain = rough((0.2, 0.1), 0.05), Counted(**vars(assumed((0.2, 0.1))))
+    exact = posterior_state(plain, SPACE, (1,))
+    assert np.abs(z_scores(None, (0.2, 0.1), knowledge=knowledge)).max() < 4
+    knowledge.calls.clear()
+    found = posterior_state(knowledge, SPACE, (1,))
+    assert found.log_evidence_tempered == pytest.approx(exact.log_evidence_tempered, abs=0.2)
+    assert sum(knowledge.calls) < 0.5 * sum(plain.calls)
+
+
+def test_a_rough_likelihood_that_is_not_weighed_off_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    forgotten = lambda host, space, near, *others: near._replace(values=host(near.positions))  # noqa: E731
+    monkeypatch.setattr(module, "_gone_on", forgotten)
+    assert np.abs(z_scores(None, (0.2, 0.1), knowledge=rough((0.2, 0.1), 0.05))).max() > 4
+
+
+def test_a_rough_likelihood_that_leads_astray_is_left() -> None:
+    exact, other = (posterior_state(one, SPACE, (5,)) for one in (assumed((0.2, 0.1)), rough((0.2, 0.1), -0.9)))
+    np.testing.assert_array_equal(exact.positions, other.positions)
+
+
+def test_a_mode_that_the_rough_likelihood_does_not_see_is_noticed() -> None:
+    @dataclass(frozen=True, eq=False)
+    class Blind(TwoModes):
+        def roughly(self, x: np.ndarray) -> np.ndarray:
+            return replace(assumed_once(), mean=self.mean).plug_in(x)
+
+    found = posterior_state(Blind(**vars(assumed((0.2, 0.1)))), SPACE, (5,))
+    share = np.exp(found.log_weights) @ (found.positions[:, 0] < -0.3)
+    assert 0.35 < share < 0.65

@@ -3,10 +3,12 @@
 From one batch to the next the posterior moves little, so its particles are reweighted, resampled and moved: a tenth of
 the evaluations of sampling from the prior. Particles that start from the last posterior cannot see a mode that has
 appeared elsewhere. So draws of the prior are tried as well, and whatever is checked on the true model is sampled from
-the prior.
+the prior. From the prior, a rough likelihood leads near the posterior if there is one; its particles go on to the exact
+one in the same way.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +26,8 @@ __all__ = ["MANY_INPUTS_PARTICLES", "PARTICLES", "SAMPLING", "posterior_state"]
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
 """Settings of the sampler after each batch."""
+ROUGHLY = SMCSettings(rejuvenation_steps=6, zeta=0.5)
+"""Settings of the sampler where a rough likelihood leads near the posterior; moves by the exact one follow."""
 PARTICLES = {1: 2000, 2: 2000, 3: 2000}
 MANY_INPUTS_PARTICLES = 1200
 TEMPERATURE = 0.5
@@ -66,29 +70,63 @@ def posterior_state(
     key = jax.random.key(int(rng.integers(2**32)))
     with one_thread():
         if before is not None and len(before.positions) == number:
-            found = _gone_on(host, space, before, initial, key)
+            found = _gone_on(host, space, _Sampled.of(before), initial, key)
             if found is not None:
-                return _state(knowledge, *found)
-        tempered = sample(key, host, space.log_prior, initial, settings=SAMPLING, on_step=on_step)
-        values = tempered.log_likelihood
-        return _state(knowledge, tempered.positions, tempered.log_weights, values, tempered.log_evidence)
+                return _state(knowledge, found)
+        if knowledge.roughly(initial[:1]) is not None:
+            rough = OnHost(lambda x: TEMPERATURE * np.asarray(knowledge.roughly(x)))
+            near = _from_prior(key, rough, space, initial, on_step, ROUGHLY)
+            found = _gone_on(host, space, near, initial, jax.random.fold_in(key, 1))
+            if found is not None:
+                return _state(knowledge, found)
+        return _state(knowledge, _from_prior(key, host, space, initial, on_step))
+
+
+class _Sampled(NamedTuple):
+    """Particles of π_γ.
+
+    Attributes:
+        positions: positions, shape (particle, dim).
+        log_weights: normalised log weights.
+        values: γ log L.
+        log_evidence: log ∫ L^γ p dx.
+    """
+
+    positions: Points
+    log_weights: Values
+    values: Values
+    log_evidence: float
+
+    @classmethod
+    def of(cls, state: State) -> "_Sampled":
+        """Return the particles of a posterior that was sampled earlier."""
+        values = TEMPERATURE * state.log_plug_in
+        return cls(state.positions, state.log_weights_tempered, values, state.log_evidence_tempered)
+
+
+def _from_prior(
+    key: jax.Array,
+    host: OnHost,
+    space: ParameterSpace,
+    initial: Points,
+    on_step: Callable[[StepInfo], None] | None,
+    settings: SMCSettings = SAMPLING,
+) -> _Sampled:
+    found = sample(key, host, space.log_prior, initial, settings=settings, on_step=on_step)
+    return _Sampled(found.positions, found.log_weights, found.log_likelihood, found.log_evidence)
 
 
 def _gone_on(
-    host: OnHost, space: ParameterSpace, before: State, scouts: Float[np.ndarray, "scout dim"], key: jax.Array
-) -> (
-    tuple[Float[np.ndarray, "particle dim"], Float[np.ndarray, " particle"], Float[np.ndarray, " particle"], float]
-    | None
-):
-    """Return particles, log weights, γ log L and log evidence; None if the posterior is not near the one before."""
-    x, old = before.positions, before.log_weights_tempered
-    values = host(x)
-    weights = old + values - TEMPERATURE * before.log_plug_in
+    host: OnHost, space: ParameterSpace, before: _Sampled, scouts: Float[np.ndarray, "scout dim"], key: jax.Array
+) -> _Sampled | None:
+    """Return the particles moved from another likelihood's to those of `host`; None if the two are not near."""
+    x, values = before.positions, host(before.positions)
+    weights = before.log_weights + values - before.values
     increment = float(logsumexp(weights))
     weights = weights - increment
     if not np.isfinite(increment) or 1.0 / np.exp(logsumexp(2 * weights)) < KEPT * len(x):
         return None
-    log_evidence = before.log_evidence_tempered + increment
+    log_evidence = before.log_evidence + increment
     mean, w = np.exp(weights) @ x, np.exp(weights)
     sd = np.sqrt(w @ (x - mean) ** 2)
     outside = (np.abs(scouts - mean) > OUTSIDE * np.maximum(sd, np.finfo(float).tiny)).any(axis=1)
@@ -109,16 +147,12 @@ def _gone_on(
     )
     for one in jax.random.split(key, ROUNDS):
         state = rejuvenate(one, state, host, space.log_prior, moves=SAMPLING.rejuvenation_steps // ROUNDS)
-    return np.asarray(state.positions), np.asarray(state.log_weights), np.asarray(state.log_likelihood), log_evidence
+    moved = np.asarray(state.positions), np.asarray(state.log_weights), np.asarray(state.log_likelihood)
+    return _Sampled(*moved, log_evidence)
 
 
-def _state(
-    knowledge: Knowledge,
-    x: Float[np.ndarray, "particle dim"],
-    log_weights: Float[np.ndarray, " particle"],
-    tempered: Float[np.ndarray, " particle"],
-    log_evidence: float,
-) -> State:
+def _state(knowledge: Knowledge, found: _Sampled) -> State:
+    x, log_weights, tempered, log_evidence = found
     exact, expected = tempered / TEMPERATURE, knowledge.expected(x)
     rest = log_weights - tempered
     return State(

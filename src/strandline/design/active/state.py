@@ -56,6 +56,12 @@ class Knowledge:
         """Return log L of the predicted interface plus the log probability that there is one."""
         return np.asarray(self.likelihood.plug_in(x) + self.log_feasibility(x))
 
+    def roughly(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"] | None:
+        """Return what `plug_in` returns, off by a few units but much faster; None if there is no faster way."""
+        if not self.likelihood.can_be_rough:
+            return None
+        return np.asarray(self.likelihood.plug_in(x, rough=True) + self.log_feasibility(x))
+
     def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return log E[L] over the fields possible for the surrogate plus the log probability of an interface."""
         return np.asarray(self.likelihood.expected(x) + self.log_feasibility(x))
