@@ -156,12 +156,13 @@ def test_correlated_errors_taken_as_independent_show() -> None:
 FEW = np.linspace(0.1, 0.9, 8)
 
 
-def p_values(number: int = 60) -> np.ndarray:
+def p_values(name: str = "p_value", number: int = 60, t: np.ndarray = FEW) -> np.ndarray:
     """Return p-values of right models with inputs from the prior; of eight points, three inputs fit a large part."""
     found, box = [], space(0.03)
     for seed in range(number):
         truth = box.to_physical(np.random.default_rng([seed, 3]).uniform(0.2, 0.8, 3))
-        found.append(judged(drawn(LOCAL, seed, FEW, truth), LOCAL, truth=truth, width=0.03, seed=seed).p_value)
+        one = judged(drawn(LOCAL, seed, t, truth), LOCAL, truth=truth, width=0.03, seed=seed)
+        found.append(getattr(one, name))
     return np.array(found, float)
 
 
@@ -174,6 +175,27 @@ def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_p_values_of_right_models_are_uniform(fewer: None) -> None:
     assert stats.kstest(p_values(), "uniform").pvalue > 0.005
+
+
+def test_p_values_of_the_waves_of_right_models_are_uniform(fewer: None) -> None:
+    assert stats.kstest(p_values("smooth_p", t=INNER), "uniform").pvalue > 0.005
+
+
+def test_waves_that_inputs_can_cause_show(fewer: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: the inputs' part of the waves is left in; it depends on the truth, not only on the noise."""
+    monkeypatch.setattr(judge, "beyond", lambda waves, *others: waves)
+    assert stats.kstest(p_values("smooth_p", t=INNER), "uniform").pvalue < 0.005
+
+
+def test_a_smooth_error_too_small_for_the_sum_of_squares_is_flagged_by_its_waves() -> None:
+    """Half of what `bump` does: among 301 points a sum over all of them does not see it."""
+    found = []
+    for seed in range(6):
+        points = drawn(LOCAL, seed, np.linspace(0.05, 0.95, 301)).points
+        found.append(judged(Interface.polyline(0.5 * (points + bump(points))), LOCAL, seed=seed))
+    assert max(one.smooth_p for one in found if one.smooth_p is not None) < 0.0025
+    assert min(one.p_value for one in found if one.p_value is not None) > 0.0025
+    assert all(one.flagged for one in found)
 
 
 def test_inputs_left_out_of_the_projection_show(fewer: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,6 +312,7 @@ def test_a_surface_has_residuals_but_no_arc() -> None:
     assert not right.flagged
     assert right.p_value is not None
     assert (right.region_p, right.conditions[0].ratio, right.conditions[0].regions) == (None, None, ())
+    assert right.smooth_p is None
     bent = Interface(seen.points + 0.03 * np.cos(3 * np.pi * flat.points[:, 1:2]) * np.array([0, 0, 1.0]), flat.cells)
     assert misfit_of(prediction, (Observation(bent, errors),), NormalOffset(), known, seed=1).flagged
 
@@ -362,9 +385,9 @@ def test_each_kind_of_test_alone_can_flag_a_model(conditions: int) -> None:
     observations = (Observation(bent, LOCAL, names[0]), *seen[1:])
     found = misfit_of(predicted(names), observations, NormalOffset(), posterior(), seed=1)
     parts = [region.p_value for one in found.conditions for region in one.regions]
-    assert min(parts) < 0.01 / 3
-    assert verdict_on(0.5, 0.5, found.conditions, run_alone=False).flagged
-    assert verdict_on(0.5, 1 / (1 + DRAWS), (), run_alone=False).flagged
+    assert min(parts) < 0.01 / 4
+    assert verdict_on(0.5, 0.5, 0.5, found.conditions, run_alone=False).flagged
+    assert verdict_on(0.5, 1 / (1 + DRAWS), 0.5, (), run_alone=False).flagged
 
 
 @pytest.mark.parametrize(("size", "said"), [(0.0, ""), (0.01 * S, ""), (S, "Allowing for a model error of 2 µm, ")])

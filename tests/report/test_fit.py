@@ -37,13 +37,15 @@ def condition(*regions: Region, name: str = "V50", length: float = 0.02, line: b
     )
 
 
-def verdict(*conditions: ConditionMisfit, p: float = 0.43, d: float = 0.5, run_alone: bool = False) -> Verdict:
-    return verdict_on(p, d, conditions, run_alone=run_alone)
+def verdict(
+    *conditions: ConditionMisfit, p: float = 0.43, d: float = 0.5, waves: float = 0.5, run_alone: bool = False
+) -> Verdict:
+    return verdict_on(p, d, waves, conditions, run_alone=run_alone)
 
 
 def misfit(*conditions: ConditionMisfit, p: float = 0.43) -> Misfit:
     said = verdict(*conditions, p=p)
-    return Misfit(said.text, said.flagged, p, 0.5, conditions, ("The interface was predicted by a spell.",))
+    return Misfit(said.text, said.flagged, p, 0.5, 0.2, conditions, ("The interface was predicted by a spell.",))
 
 
 def test_a_model_that_fits() -> None:
@@ -56,7 +58,7 @@ def test_a_model_that_does_not() -> None:
     found = verdict(condition(FINE, BAD), p=0.004)
     assert found.flagged
     assert found.text == (
-        "The model does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm of condition V50 the observed "
+        "The model does not explain the observation (p = 0.0016): near s = 0.9–1.1 mm of condition V50 the observed "
         "interface lies 6 µm above the prediction, 5.2 times what the noise allows; trust neither mean "
         "nor width of the posterior."
     )
@@ -86,21 +88,33 @@ def test_residuals_of_both_signs_depart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("p", "d", "length", "flagged"),
+    ("p", "d", "waves", "length", "flagged"),
     [
-        (0.0034, 0.5, 0.02, False),
-        (0.0033, 0.5, 0.02, True),
-        (0.5, 0.0033, 0.02, True),
-        (0.04, 0.5, 0.05, True),
-        (0.06, 0.5, 0.05, False),
-        (0.04, 0.5, 0.03, False),
+        (0.0026, 0.5, 0.5, 0.02, False),
+        (0.0024, 0.5, 0.5, 0.02, True),
+        (0.5, 0.0024, 0.5, 0.02, True),
+        (0.5, 0.5, 0.0026, 0.02, False),
+        (0.5, 0.5, 0.0024, 0.02, True),
+        (0.04, 0.5, 0.5, 0.05, True),
+        (0.06, 0.5, 0.5, 0.05, False),
+        (0.04, 0.5, 0.5, 0.03, False),
     ],
-    ids=["likely enough", "unlikely", "unlikely d²", "long and doubtful", "long", "doubtful"],
+    ids=[
+        "likely enough",
+        "unlikely",
+        "unlikely d²",
+        "likely waves",
+        "unlikely waves",
+        "long and doubtful",
+        "long",
+        "doubtful",
+    ],
 )
-def test_the_limits(p: float, d: float, length: float, flagged: bool) -> None:
-    """The least p-value counts three times; s²ℓ is 4.9 times the stated one for 0.05 mm, 2.9 times for 0.03 mm."""
-    found = verdict(condition(FINE, length=length), p=p, d=d)
+def test_the_limits(p: float, d: float, waves: float, length: float, flagged: bool) -> None:
+    """The least p-value counts four times; s²ℓ is 4.9 times the stated one for 0.05 mm, 2.9 times for 0.03 mm."""
+    found = verdict(condition(FINE, length=length), p=p, d=d, waves=waves)
     assert found.flagged == flagged
+    assert ("vary slowly along the observed interface" in found.text) == (flagged and waves < 0.01)
     assert ("s²ℓ of the residuals is 4.9 times" in found.text) == (flagged and length == 0.05)
 
 
@@ -113,7 +127,7 @@ def test_only_the_reason_is_given() -> None:
         flagged=True,
     )
     both = verdict(condition(FINE, length=0.05), p=0.001)
-    assert "observation (p = 0.003): s²ℓ of the residuals is 4.9 times" in both.text
+    assert "observation (p = 0.004): s²ℓ of the residuals is 4.9 times" in both.text
     doubtful = replace(FINE, p_value=0.04)
     assert "near s" not in verdict(condition(doubtful, length=0.05), p=0.04).text
 
@@ -121,7 +135,7 @@ def test_only_the_reason_is_given() -> None:
 def test_a_single_run_proves_nothing() -> None:
     found = verdict(condition(BAD), run_alone=True)
     assert not found.flagged
-    assert found.text.startswith("The best run does not explain the observation (p = 0.0012): near s = 0.9–1.1 mm")
+    assert found.text.startswith("The best run does not explain the observation (p = 0.0016): near s = 0.9–1.1 mm")
     assert found.text.endswith(", but no surrogate could be built to check the inputs between the runs.")
     assert verdict(condition(FINE), run_alone=True).text.startswith("The model explains")
 
@@ -131,6 +145,7 @@ def test_the_summary_holds_the_numbers_in_micrometres() -> None:
     assert content == json.loads(json.dumps(content))
     assert content is not None
     assert (content["flagged"], content["p"], content["region_p"]) == (True, 0.43, 0.0004)
+    assert content["smooth_p"] == 0.2
     (one,) = content["conditions"]
     assert one["length_um"] == pytest.approx(20.0)
     assert one["stated_sd_um"] == pytest.approx(1.0)

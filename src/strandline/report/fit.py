@@ -29,6 +29,7 @@ def fit_as_json(found: Misfit | None, far: str | None) -> dict[str, Any] | None:
         "flagged": found.flagged or far is not None,
         "p": found.p_value,
         "region_p": found.region_p,
+        "smooth_p": found.smooth_p,
         "predictive_p": found.predictive_p,
         "conditions": [_condition(one) for one in found.conditions],
         "notes": list(found.notes),

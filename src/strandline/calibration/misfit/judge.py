@@ -1,12 +1,14 @@
 """Whether the model explains the observations: residuals of the best fit among those that the noise causes.
 
 The best fit minimises rᵀ C⁻¹ r over the inputs, with signed distances r of the observed points from the predicted
-interface and the covariance C of their errors. The same minimum for drawn observations gives a p-value that is uniform
-if the model is right, whatever the inputs. Parts of the arc show where a wrong model fails; their p-values are
-corrected for their number. d² of the measure behind the posterior is compared with posterior-predictive draws.
+interface and the covariance C of their errors. The same minimum for drawn observations gives a p-value that is
+uniform if the model is right, whatever the inputs. Parts of the arc show where a wrong model fails; their p-values
+are corrected for their number. Slow waves along the arc are what a wrong model leaves most often. d² of the measure
+behind the posterior is compared with posterior-predictive draws.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +28,7 @@ from strandline.calibration.misfit.reference import (
 from strandline.calibration.misfit.residuals import Residuals
 from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
 from strandline.calibration.misfit.verdict import verdict_on, with_fitted_noise
+from strandline.calibration.misfit.waves import beyond, waves_p
 from strandline.discrepancy import Discrepancy
 from strandline.errors import StrandlineError
 from strandline.interface import GLOBAL, Observation, PointErrors, arc_lengths, steady_normals
@@ -86,6 +89,7 @@ def _judged(
     random = np.random.default_rng([seed, STREAM])
     residuals = Residuals.of(observations, measure, prediction.templates, explained)
     fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
+    parts = replace(parts, waves=beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
     seen, drawn = observed_statistics(residuals, fit, parts), drawn_statistics(residuals, fit, parts, random)
     predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
     try:
@@ -94,7 +98,9 @@ def _judged(
         failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
     conditions = _conditions(residuals, fit, parts, seen, drawn, predictive)
     p_value = float(tail(drawn.whole, seen.whole))
-    verdict = verdict_on(p_value, predictive.whole, conditions, run_alone=prediction.run_alone)
+    smooth_p = waves_p(drawn.waves, seen.waves)
+    shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
+    verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
     if fitted:
         verdict = with_fitted_noise(verdict, observations)
     notes = (*_notes(residuals, prediction), *failed, unseen)
@@ -102,7 +108,7 @@ def _judged(
     text = verdict.text
     if size:
         text = f"Allowing for a model error of {1e3 * size:.2g} µm, {text[0].lower()}{text[1:]}"
-    return Misfit(text, verdict.flagged, p_value, predictive.whole, conditions, notes)
+    return Misfit(text, verdict.flagged, p_value, predictive.whole, smooth_p, conditions, notes)
 
 
 def _conditions(

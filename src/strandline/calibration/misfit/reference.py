@@ -14,6 +14,7 @@ from jaxtyping import Float
 from strandline.calibration.misfit.best_fit import BestFit
 from strandline.calibration.misfit.residuals import Residuals
 from strandline.calibration.misfit.verdict import FAMILIES, LEVEL
+from strandline.calibration.misfit.waves import waves_of
 from strandline.interface import Observation, arc_lengths, steady_lengths
 
 __all__ = ["Parts", "Span", "Statistics", "corrected", "drawn_statistics", "observed_statistics", "parts_of", "tail"]
@@ -44,15 +45,17 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Parts of the arcs of all observed interfaces.
+    """Parts of the arcs of all observed interfaces, and waves along these arcs.
 
     Args:
         spans: The parts.
         members: Membership of each residual in each part, 1 or 0.
+        waves: The waves at the points, see `waves_of`.
     """
 
     spans: tuple[Span, ...]
     members: Float[np.ndarray, "seen part"]
+    waves: Float[np.ndarray, "seen wave"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +67,14 @@ class Statistics:
         conditions: The same for each observation.
         squares: Sum of r²/D over each part of an arc, global errors removed.
         means: Mean of r over each part, mm, global errors removed.
+        waves: Components of C⁻¹ r along the waves.
     """
 
     whole: Float[np.ndarray, " row"]
     conditions: Float[np.ndarray, "row condition"]
     squares: Float[np.ndarray, "row part"]
     means: Float[np.ndarray, "row part"]
+    waves: Float[np.ndarray, "row wave"]
 
 
 def parts_of(observations: Sequence[Observation]) -> Parts:
@@ -87,7 +92,8 @@ def parts_of(observations: Sequence[Observation]) -> Parts:
                 columns.append(column)
                 spans.append(Span(k, whole * part / count, whole * (part + 1) / count))
         first += number
-    return Parts(tuple(spans), np.stack(columns, axis=1) if columns else np.zeros((total, 0)))
+    members = np.stack(columns, axis=1) if columns else np.zeros((total, 0))
+    return Parts(tuple(spans), members, waves_of(observations))
 
 
 def observed_statistics(residuals: Residuals, fit: BestFit, parts: Parts) -> Statistics:
@@ -104,7 +110,7 @@ def drawn_statistics(residuals: Residuals, fit: BestFit, parts: Parts, random: n
         caused = random.standard_normal((number, causes.shape[1])) @ causes.T
         drawn = residuals.drawn(number, random) + caused
         found.append(_statistics(residuals, whole.solved(drawn), parts))
-    names = ("whole", "conditions", "squares", "means")
+    names = ("whole", "conditions", "squares", "means", "waves")
     return Statistics(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
 
 
@@ -119,6 +125,7 @@ def _statistics(residuals: Residuals, weighted: Float[np.ndarray, "row seen"], p
         conditions=np.stack([one + other for one, other in zip(by_condition, common, strict=True)], axis=1),
         squares=squares @ parts.members,
         means=(local * weighted) @ (parts.members / parts.members.sum(axis=0)),
+        waves=weighted @ parts.waves,
     )
 
 

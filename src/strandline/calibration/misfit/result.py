@@ -81,6 +81,7 @@ class Misfit:
         p_value: Probability that a right model leaves residuals as large as those of the best fit; None if it could
             not be computed. Under a right model all its values are equally likely.
         predictive_p: Posterior-predictive p-value of d², conservative; None likewise.
+        smooth_p: Probability that a right model leaves slow waves along the arc as large; None on surfaces.
         conditions: Residuals of each observation.
         notes: How it was computed, in sentences.
     """
@@ -89,6 +90,7 @@ class Misfit:
     flagged: bool
     p_value: float | None = None
     predictive_p: float | None = None
+    smooth_p: float | None = None
     conditions: tuple[ConditionMisfit, ...] = ()
     notes: tuple[str, ...] = ()
 

@@ -8,8 +8,8 @@ from strandline.interface import Observation, PointErrors
 
 __all__ = ["Verdict", "verdict_on", "with_fitted_noise"]
 
-FAMILIES = 3
-"""Kinds of p-values: of all residuals, of the parts of an arc, of d². The least one is corrected for their number."""
+FAMILIES = 4
+"""Kinds of p-values: of all residuals, parts of an arc, waves along it, d². The least is corrected for their number."""
 LEVEL = 0.01
 """A model whose residuals are less likely than this is flagged."""
 DOUBTFUL, RATIO = 0.05, 4.0
@@ -32,24 +32,25 @@ class Verdict:
 
 
 def verdict_on(
-    p_value: float, predictive_p: float, conditions: Sequence[ConditionMisfit], *, run_alone: bool
+    p_value: float, predictive_p: float, smooth_p: float, conditions: Sequence[ConditionMisfit], *, run_alone: bool
 ) -> Verdict:
     """Return the verdict on residuals.
 
     Args:
         p_value: Probability that a right model leaves residuals as large as those of the best fit.
         predictive_p: Posterior-predictive p-value of d².
+        smooth_p: Probability that a right model leaves slow waves along the arc as large.
         conditions: Residuals of each observation.
         run_alone: Whether a single run stands for all inputs; then large residuals prove nothing.
     """
     regions = [region.p_value for one in conditions for region in one.regions]
     ratio = max((one.ratio for one in conditions if one.ratio is not None), default=0.0)
-    least = min(1.0, FAMILIES * min(p_value, predictive_p, *regions))
+    least = min(1.0, FAMILIES * min(p_value, predictive_p, smooth_p, *regions))
     what = "observation" if len(conditions) == 1 else "observations"
     if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL):
         small = ", and the residuals are small for the noise that was stated" if p_value > SMALL else ""
         return Verdict(f"The model explains the {what}: {_said(p_value)}{small}.", flagged=False)
-    because = _reason(conditions, ratio, least)
+    because = _reason(conditions, ratio, least, smooth=FAMILIES * smooth_p < LEVEL)
     if run_alone:
         return Verdict(
             f"The best run does not explain the {what}{because}, but no surrogate could be built to check the inputs "
@@ -87,13 +88,15 @@ def _said(p: float) -> str:
     return f"p < {LEAST:g}" if p < LEAST else f"p = {p:.2g}"
 
 
-def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float) -> str:
-    """Return the p-value and where the residuals are largest if that is why; else, or if no part stands out, s²ℓ."""
+def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *, smooth: bool) -> str:
+    """Return the p-value and where the residuals are largest if that is why; else that they are smooth, or s²ℓ."""
     found = [(region.p_value, -region.rms, one.condition, region) for one in conditions for region in one.regions]
     p_value, _, condition, region = min(found, key=lambda one: one[:2], default=(1.0, 0.0, "", None))
     said = f" ({_said(least)})" if least < LEVEL else ""
     if said and region is not None and p_value < DOUBTFUL:
         return f"{said}: {_where(condition, region)}"
+    if smooth:
+        return f"{said}: the residuals vary slowly along the observed interface, as noise would not"
     return f"{said}: s²ℓ of the residuals is {_short(ratio)} times that of the stated noise" if ratio > RATIO else said
 
 
