@@ -151,6 +151,16 @@ def test_the_summary_holds_the_numbers_in_micrometres() -> None:
     assert one["stated_sd_um"] == pytest.approx(1.0)
     assert one["ratio"] == pytest.approx(1.96)
     assert one["regions"][1]["mean_um"] == pytest.approx(6.0)
+    assert one["removed"] == {}
+
+
+def test_the_summary_holds_the_global_errors_that_were_removed() -> None:
+    sizes = {"shift": (0.004, -0.006), "rotation": (0.5,), "scale": (0.002,), "offset": (-0.001,)}
+    content = fit_as_json(misfit(replace(condition(FINE), removed=sizes)), None)
+    assert content is not None
+    (one,) = content["conditions"]
+    assert one["removed"].pop("shift_um") == pytest.approx([4.0, -6.0])
+    assert one["removed"] == pytest.approx({"rotation_deg": 0.5, "scale": 0.002, "offset_um": -1.0})
 
 
 def test_what_is_far_away_does_not_fit() -> None:

@@ -86,6 +86,11 @@ def test_the_key_that_a_misspelt_one_leaves_out_is_not_told_too(tmp_path: Path) 
     assert "more to correct" not in str(refused(tmp_path, desing={"sobol": {"runs": 64}}, design=None))
 
 
+def picture(**keys: Any) -> dict[str, Any]:
+    """Return a study's observation, found in a picture."""
+    return {"observation": {"image": {"file": "a.png", "pixel": {"size": 1, "unit": "um"}, "solid": "dark", **keys}}}
+
+
 def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
     error = refused(tmp_path, seed="one", noise={"sd": -1})
     assert error.what == "study.yaml: noise.sd"
@@ -141,6 +146,8 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
         ({"discrepancy": 3}, "discrepancy", 3, "keys with values"),
         ({"observation": {"file": "a.csv"}}, "observation", {"file": "a.csv"}, "`unit: mm`"),
         ({"observation": {"file": "a.csv", "unit": "inch"}}, "observation.unit", "inch", "'mm', 'um', 'µm' or 'm'"),
+        (picture(path=3), "observation.image.path", 3, "a text or a list"),
+        (picture(path=[[1, 2], [3]]), "observation.image.path.1", [3], "at least 2 entries"),
         ({"observation": {}}, "observation", {}, "one of `file` with its `unit`, `image`, `stack` and `synthetic`"),
     ],
 )

@@ -213,6 +213,19 @@ class PointErrors:
         arm = (1 + scale)[..., None] * (points - middle) + offset[..., None] * normals
         return np.asarray(middle + shift[:, None] + np.einsum("rnx,ryx->rny", arm, rotations(rotation)))
 
+    def sizes(self, by: Float[np.ndarray, " error"], dim: int) -> dict[str, tuple[float, ...]]:
+        """Return the global errors by name: shift and offset in mm, rotation in degrees, scale as a share.
+
+        Args:
+            by: Global errors in standard deviations, in the order of `ErrorModel`.
+            dim: 2 for an interface in the plane, 3 for one in space.
+        """
+        found = dict(zip(GLOBAL, (tuple(one[0].tolist()) for one in self._sizes(by[None], dim)), strict=True))
+        stated = {name: one for name, one in found.items() if getattr(self, name) > 0}
+        if "rotation" in stated:
+            stated["rotation"] = tuple(math.degrees(angle) for angle in stated["rotation"])
+        return stated
+
     def _sizes(self, by: Float[np.ndarray, "run error"], dim: int) -> list[Float[np.ndarray, "run _"]]:
         """Return shift, rotation (radians), scale and offset for errors in standard deviations."""
         numbers, found, first = _numbers(dim), [], 0

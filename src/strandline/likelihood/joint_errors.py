@@ -56,6 +56,16 @@ class JointErrors:
                 found[name] = one.followed(found[name], templates[name], rest, middle=self._middle)
         return found
 
+    def sizes(self, by: Float[np.ndarray, " error"]) -> tuple[dict[str, tuple[float, ...]], ...]:
+        """Return the global errors of each observation as `PointErrors.sizes` does; further ones are left out."""
+        dims = [one.interface.dim for one in self.observations]
+        found = [one.sizes(by[part], dim) for one, dim, part in zip(self._own, dims, self._parts(), strict=True)]
+        if self.common:
+            rest = by[sum(part.stop - part.start for part in self._parts()) :]
+            ours = (one.sizes(rest, dim) for one, dim in zip(self._ours, dims, strict=True))
+            found = [mine | more for mine, more in zip(found, ours, strict=True)]
+        return tuple(found)
+
     @property
     def conditions(self) -> frozenset[str]:
         """Names of the observed conditions."""

@@ -1,6 +1,6 @@
 """The part of a report on whether the model fits: its numbers for summary.json, and its figure."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from strandline.calibration import Calibration, Misfit
@@ -49,7 +49,18 @@ def _condition(found: ConditionMisfit) -> dict[str, Any]:
         "p": found.p_value,
         "predictive_p": found.predictive_p,
         "regions": [_region(one) for one in found.regions],
+        "removed": _removed(found.removed),
     }
+
+
+def _removed(found: Mapping[str, tuple[float, ...]]) -> dict[str, Any]:
+    """Return the global errors: lengths in µm, angles in degrees; a number where there is only one."""
+    out: dict[str, Any] = {}
+    for name, values in found.items():
+        factor, unit = {"rotation": (1.0, "_deg"), "scale": (1.0, "")}.get(name, (TO_MICROMETRES, "_um"))
+        scaled = [factor * value for value in values]
+        out[name + unit] = scaled if len(scaled) > 1 else scaled[0]
+    return out
 
 
 def _region(found: Region) -> dict[str, Any]:

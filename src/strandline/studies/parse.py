@@ -1,5 +1,6 @@
 """study.yaml → `StudyFile`, with one clear line for any mistake in it."""
 
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ WORDS = {
     "too_short": "at least one entry",
 }
 """What was expected, in plain words, by pydantic's name of the mistake; pydantic's own words otherwise."""
-INTERNAL = {ONE, SEVERAL, KNOWN, UNKNOWN, RANGE, "[key]", "float", "Quantity", "dict"}
+INTERNAL = {ONE, SEVERAL, KNOWN, UNKNOWN, RANGE, "[key]", "float", "str", "Quantity", "dict"}
 """pydantic's own names in locations that are not keys of the file."""
 
 
@@ -109,18 +110,32 @@ def first_problem(error: ValidationError, schema: type[BaseModel] = StudyFile, w
     if isinstance(refused, InvalidStudy):
         return refused
     before = f"{within}." if within else ""
-    place = before + _place(first["loc"])
     unknown = first["type"] == "extra_forbidden"
+    same = [first] if unknown else _of_one_place(findings, first)
+    first = same[0]
+    place = before + _place(first["loc"])
     others = {before + _place(e["loc"]) for e in findings if not (unknown and e["type"] == "missing")} - {place}
+    others = {other for other in others if not place.startswith(f"{other}.")}
     more = f" ({len(others)} more to correct: {', '.join(sorted(others))}.)" if others else ""
     if unknown:
         return _unknown_key(_known_keys(schema, first["loc"][:-1]), str(first["loc"][-1]), place, more)
     return InvalidStudy(
         f"{STUDY}: {place or 'study'}",
         value=None if first["type"] == "missing" else first["input"],
-        expected=_expectation(first["type"], first["msg"]),
+        expected=" or ".join(dict.fromkeys(_expectation(one) for one in same)),
         remedy=("Add it." if first["type"] == "missing" else f"Correct {place or 'it'}.") + more,
     )
+
+
+def _of_one_place(findings: Sequence[Mapping[str, Any]], first: Mapping[str, Any]) -> list[Any]:
+    """Return the findings at the place of the first one, or at the deepest place inside it.
+
+    Where several forms are allowed, pydantic reports what is wrong with each; the deepest is the one that was meant.
+    """
+    place = _place(first["loc"])
+    inside = [one for one in findings if f"{_place(one['loc'])}.".startswith(f"{place}.")]
+    deepest = max(inside, key=lambda one: _place(one["loc"]).count("."))
+    return [one for one in inside if _place(one["loc"]) == _place(deepest["loc"])]
 
 
 def _place(location: tuple[int | str, ...]) -> str:
@@ -159,6 +174,10 @@ def _is_internal(part: int | str) -> bool:
     )
 
 
-def _expectation(kind: str, message: str) -> str:
-    text = message.removeprefix("Value error, ").removeprefix("Input should be ")
+def _expectation(finding: Mapping[str, Any]) -> str:
+    kind, limits = finding["type"], finding.get("ctx", {})
+    if limits.get("min_length", 1) > 1 or limits.get("max_length", 1) > 1:
+        least, most = limits.get("min_length"), limits.get("max_length")
+        return f"at least {least} entries" if kind == "too_short" else f"at most {most} entries"
+    text = str(finding["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
     return WORDS.get(kind, text[:1].lower() + text[1:])

@@ -8,7 +8,7 @@ from strandline.discrepancy.normal_offset import WhitenedOffset, signed_distance
 from strandline.discrepancy.search.local_means import local_means
 from strandline.interface import Interface, PointErrors
 
-ERRORS = PointErrors(0.002, 0.004, shift=0.004, rotation=0.2, scale=0.003, offset=0.003)
+ERRORS = PointErrors(0.0004, 0.004, shift=0.004, rotation=0.2, scale=0.003, offset=0.003)
 
 
 def arch(points: int, height: float = 1.2) -> Interface:
@@ -32,6 +32,7 @@ def interfaces(number: int = 40) -> np.ndarray:
 def differences(monkeypatch: pytest.MonkeyPatch, seen: Interface) -> tuple[np.ndarray, np.ndarray]:
     """Return d² by means, and by all points."""
     measure, points = WhitenedOffset(ERRORS), interfaces()
+    assert local_means(seen.points, module.PLACES) is not None
     found = measure.many(points, arch(161), seen)
     with monkeypatch.context() as patch:
         patch.setattr(module, "local_means", lambda seen, number: None)
@@ -77,6 +78,7 @@ def test_means_that_forget_the_curvature_are_noticed(monkeypatch: pytest.MonkeyP
 def test_weights_and_features_that_differ_from_point_to_point() -> None:
     seen, points, random = observed(), interfaces(), np.random.default_rng(5)
     weights, features = random.uniform(0.5, 1.5, len(seen.points)), random.normal(size=(len(seen.points), 2))
+    assert local_means(seen.points, module.PLACES) is not None
     squares, products = weighted_sums(seen.points, points, arch(161), weights, features)
     each = np.array([signed_distances(seen.points, Interface(row, arch(161).cells)) for row in points])
     np.testing.assert_allclose(squares, each**2 @ weights, rtol=1e-3)

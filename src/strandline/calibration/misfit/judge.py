@@ -103,7 +103,7 @@ def _judged(
     verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
     if fitted:
         verdict = with_fitted_noise(verdict, observations)
-    notes = (*_notes(residuals, prediction), *failed, unseen)
+    notes = (*_notes(residuals, prediction, conditions), *failed, unseen)
     size = _model_error(residuals, explained)
     text = verdict.text
     if size:
@@ -123,6 +123,7 @@ def _conditions(
     weighted = fit.with_modes(residuals.model).solved(fit.residuals)
     local, shares = residuals.model.local * weighted, tail(drawn.conditions, seen.conditions)
     regions = _regions(residuals, local, parts, seen, drawn)
+    removed = residuals.joint.sizes(residuals.model.shared.T @ weighted)
     found = []
     for k, (one, stated) in enumerate(zip(residuals.observations, residuals.stated, strict=True)):
         interface, mine = one.interface, local[residuals.parts[k]]
@@ -138,6 +139,7 @@ def _conditions(
                 p_value=float(shares[k]),
                 predictive_p=predictive.conditions[k],
                 regions=tuple(r for r, span in zip(regions, parts.spans, strict=True) if span.observation == k),
+                removed=removed[k],
             )
         )
     return tuple(found)
@@ -173,7 +175,7 @@ def _side(towards: Float[np.ndarray, "2"]) -> str:
     return "to the right of" if x > 0 else "to the left of"
 
 
-def _notes(residuals: Residuals, prediction: Prediction) -> list[str]:
+def _notes(residuals: Residuals, prediction: Prediction, conditions: Sequence[ConditionMisfit]) -> list[str]:
     """Return what was assumed, in sentences."""
     found = [f"The interface was predicted by {prediction.source}."]
     if prediction.run_alone:
@@ -184,13 +186,25 @@ def _notes(residuals: Residuals, prediction: Prediction) -> list[str]:
             "Only σ_N² of the measure is stated: independent errors of the points that have the same σ_N², with a "
             f"standard deviation of {' or '.join(assumed)}, stand for the noise."
         )
-    removed = [name for name in GLOBAL if any(getattr(one.errors, name) > 0 for one in residuals.stated)]
+    found += [_removed(one) for one in conditions if one.removed]
     if residuals.model.shared[:, residuals.joint.model.shared.shape[1] :].any():
-        removed.append("model error")
-    if removed:
-        were = "was" if len(removed) == 1 else "were"
-        found.append(f"The most probable {_listed(removed, 'and')} {were} removed from the residuals.")
+        found.append("The most probable model error was removed from the residuals.")
     return found
+
+
+def _removed(one: ConditionMisfit) -> str:
+    """Return which global errors of an observation were removed, and their sizes."""
+    shift, offset = (", ".join(f"{1e3 * v:.3g}" for v in one.removed.get(name, ())) for name in ("shift", "offset"))
+    said = {
+        "shift": f"shift ({shift}) µm",
+        "rotation": "rotation " + ", ".join(f"{v:.2g}°" for v in one.removed.get("rotation", ())),
+        "scale": "scale " + "".join(f"{100 * v:+.2g} %" for v in one.removed.get("scale", ())),
+        "offset": f"offset {offset} µm",
+    }
+    names = [said[name] for name in GLOBAL if name in one.removed]
+    of = f" of condition {one.condition}" if one.condition else ""
+    were = "was" if len(names) == 1 else "were"
+    return f"The most probable {_listed(names, 'and')}{of} {were} removed from the residuals."
 
 
 def _model_error(residuals: Residuals, explained: Float[np.ndarray, "seen cause"] | None) -> float:

@@ -1,6 +1,7 @@
 """What a comparison of the observations with the best prediction finds."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -48,6 +49,8 @@ class ConditionMisfit:
         p_value: Probability that a right model leaves residuals as large.
         predictive_p: Posterior-predictive p-value of d².
         regions: Parts of the arc; none on a surface.
+        removed: Most probable global errors of the observation, which the residuals do not contain: shift and offset,
+            mm, rotation, degrees, and scale, a share; none if none are stated.
     """
 
     condition: str
@@ -59,6 +62,7 @@ class ConditionMisfit:
     p_value: float
     predictive_p: float
     regions: tuple[Region, ...] = ()
+    removed: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def rms(self) -> float:

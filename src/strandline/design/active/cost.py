@@ -6,8 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.sampling import MANY_INPUTS_PARTICLES, PARTICLES, SAMPLING
+from strandline.design.active.sampling import MANY_INPUTS_PARTICLES, PARTICLES, ROUGHLY, SAMPLING
 from strandline.discrepancy import Discrepancy, squared_discrepancies
+from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.interface import Interface, Observation
 from strandline.likelihood import compared
 from strandline.likelihood.field import DRAWS, noise_length
@@ -39,15 +40,22 @@ def seconds_of_a_batch(
         simulated: an interface of each condition, as the simulator returns it.
         dim: number of inputs.
     """
-    each = sum(_seconds_of_one(seen, discrepancy, simulated[seen.condition]) for seen in observations)
-    moves = 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps
-    return each * PARTICLES.get(dim, MANY_INPUTS_PARTICLES) * (moves + DRAWS)
+    total = 0.0
+    for seen in observations:
+        template = simulated[seen.condition]
+        measure, width = compared(seen, discrepancy, len(template.points)).measure, noise_length(seen, discrepancy)
+        each = _seconds_of_one(seen, measure, template, width)
+        if isinstance(measure, WhitenedOffset):
+            rough = _seconds_of_one(seen, measure.rough(), template, width)
+            total += rough * (1 + TEMPERING_STEPS * ROUGHLY.rejuvenation_steps)
+            total += each * (2 + SAMPLING.rejuvenation_steps + DRAWS)
+        else:
+            total += each * (1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS)
+    return total * PARTICLES.get(dim, MANY_INPUTS_PARTICLES)
 
 
-def _seconds_of_one(seen: Observation, discrepancy: Discrepancy, simulated: Interface) -> float:
-    """Return the seconds per comparison in a batch of interfaces as far apart as the noise."""
-    width = noise_length(seen, discrepancy)
-    measure = compared(seen, discrepancy, len(simulated.points)).measure
+def _seconds_of_one(seen: Observation, measure: Discrepancy, simulated: Interface, width: float) -> float:
+    """Return the seconds per comparison in a batch of interfaces that are at most `width`, mm, apart."""
     for number in TRIED:
         points = simulated.points + width * np.linspace(-1.0, 1.0, number)[:, None, None]
         squared_discrepancies(measure, points, simulated, seen.interface)  # compiles, and fills caches

@@ -22,7 +22,7 @@ from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.smc import Particles, SMCSettings, StepInfo, rejuvenate, sample
 
-__all__ = ["MANY_INPUTS_PARTICLES", "PARTICLES", "SAMPLING", "posterior_state"]
+__all__ = ["MANY_INPUTS_PARTICLES", "PARTICLES", "ROUGHLY", "SAMPLING", "posterior_state"]
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
 """Settings of the sampler after each batch."""

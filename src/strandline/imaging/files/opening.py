@@ -98,7 +98,7 @@ def _guarded(read: Callable[[], T], name: str) -> T:
     except InvalidInput:
         raise
     except (Exception, SystemExit) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        reason = " ".join(str(error).split()) or type(error).__name__
         remedy = "Look at the file, or at what writes it."
         if "imagecodecs" in reason:
             remedy = "Save it without this compression, or install what unpacks it: pip install imagecodecs"
