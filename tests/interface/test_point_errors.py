@@ -72,6 +72,25 @@ def test_normals_are_those_of_the_outline_and_stay_so_under_noise() -> None:
     assert np.degrees(turned.std()) < 12 < np.degrees(segment.std())
 
 
+def test_parts_on_both_sides_of_a_gap_tell_as_much_as_each_alone() -> None:
+    """A gap is no long segment that makes the points beside it independent of the others."""
+    whole, errors = arch(800), PointErrors(0.002, 0.02)
+    parts = [Interface.polyline(whole.points[some]) for some in (slice(0, 300), slice(500, 800))]
+    seen = Interface.polyline(np.concatenate([part.points for part in parts]))
+
+    def tells(outline: Interface) -> float:
+        return float(errors.model(outline).information(np.ones((len(outline.points), 1)))[0, 0])
+
+    assert tells(seen) == pytest.approx(sum(tells(part) for part in parts), rel=1e-3)
+
+
+def test_a_point_between_two_gaps_is_independent() -> None:
+    points = np.array([*np.linspace([0.0, 0.0], [0.1, 0.0], 40), [0.5, 0.0], *np.linspace([0.9, 0.0], [1.0, 0.0], 40)])
+    variances = PointErrors(0.002, 0.02).local_variances(Interface.polyline(points))
+    assert variances[40] == pytest.approx(0.002**2)
+    np.testing.assert_allclose(np.delete(variances, 40), 0.002**2 * 0.04 / (0.1 / 39), rtol=1e-6)
+
+
 def test_spacings_add_up_to_the_length() -> None:
     closed = arch(50, closed=True)
     assert spacings(closed).sum() == pytest.approx(closed.lengths.sum(), rel=1e-2)

@@ -18,7 +18,8 @@ __all__ = ["command"]
 def command(study: Path, workers: int | None, device: str | None, detach: bool, quiet: bool) -> None:
     """Do the whole of STUDY (a folder): forward runs, surrogate, posterior, figures, report.
 
-    Finished runs are kept: started again, it goes on where it was stopped.
+    Finished runs are kept: started again, it goes on where it was stopped. A finished study is computed again only if
+    its study.yaml, model, observation or runs have changed.
     """
     devices.use(device)
     from strandline.cli.detached import submit, told_what_goes_on
@@ -27,8 +28,15 @@ def command(study: Path, workers: int | None, device: str | None, detach: bool, 
     from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.runs.executors import with_workers
     from strandline.studies import load_study, run_study
+    from strandline.studies.folder import REPORT
+    from strandline.studies.unchanged import results_at_hand
 
     loaded = load_study(study)
+    if (found := results_at_hand(loaded)) is not None:
+        show(found, loaded.folder / REPORT)
+        if not quiet:
+            click.echo(f"Nothing has changed since. To write the results again: strandline report {study}")
+        return
     say_journal(loaded, quiet=quiet)
     executor = with_workers(loaded.executor, workers)
     with shown_also_if_incomplete(), observing(quiet=quiet) as observer:

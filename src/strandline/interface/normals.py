@@ -10,6 +10,8 @@ from strandline.interface.rotations import as_complex, as_pairs
 
 __all__ = ["arc_lengths", "node_normals", "normals_at", "point_normals", "spacings", "steady_lengths", "steady_normals"]
 
+GAP = 10.0
+"""Length of a segment, in medians, from which it bridges a part that was not observed."""
 _WINDOW = 2.0
 """Half the length over which a steady normal is taken, in the larger of spacing and correlation length."""
 
@@ -39,17 +41,25 @@ def _at_points(polyline: Interface, lengths: Float[np.ndarray, " segment"]) -> F
     return places
 
 
-def spacings(interface: Interface) -> Float[np.ndarray, " point"]:
+def spacings(interface: Interface, *, gaps: bool = True) -> Float[np.ndarray, " point"]:
     """Return the mean length of the segments at each point, mm, or a third of the area of its triangles, mm².
 
     Lengths are those along the course of the polyline.
+
+    Args:
+        interface: A polyline or a triangulated surface.
+        gaps: Whether segments across parts of a polyline that were not observed count.
     """
     total, number = np.zeros(len(interface.points)), np.zeros(len(interface.points))
     sizes = interface.sizes if interface.dim == 3 else steady_lengths(interface)
+    counts = np.ones(len(sizes)) if gaps or interface.dim == 3 else (sizes < GAP * np.median(sizes)).astype(float)
     for corner in range(interface.cells.shape[1]):
-        np.add.at(total, interface.cells[:, corner], sizes)
-        np.add.at(number, interface.cells[:, corner], 1.0)
-    return np.asarray(total / 3 if interface.dim == 3 else total / number)
+        np.add.at(total, interface.cells[:, corner], sizes * counts)
+        np.add.at(number, interface.cells[:, corner], counts)
+    if interface.dim == 3:
+        return np.asarray(total / 3)
+    alone = number == 0  # a point between two gaps
+    return np.asarray(np.where(alone, sizes.max(), total / np.where(alone, 1.0, number)))
 
 
 def point_normals(interface: Interface, window: float) -> Float[np.ndarray, "point xyz"]:

@@ -144,7 +144,7 @@ class PointErrors:
     def local_variances(self, seen: Interface) -> Float[np.ndarray, " point"]:
         """Return D_ii, mm²."""
         correlated = 2 * self.length if seen.dim == 2 else 2 * math.pi * self.length**2
-        return np.asarray(self.sds(seen) ** 2 * np.maximum(1.0, correlated / spacings(seen)))
+        return np.asarray(self.sds(seen) ** 2 * np.maximum(1.0, correlated / spacings(seen, gaps=False)))
 
     def sds(self, seen: Interface) -> Float[np.ndarray, " point"]:
         """Return the standard deviation of each point, mm.

@@ -1,13 +1,16 @@
-"""Results must belong to the study.yaml in their folder."""
+"""Results must belong to the study.yaml in their folder, and to the observation that it names."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
+from hashlib import sha256
 
 from strandline.errors import InvalidStudy
+from strandline.interface import Observation, PointErrors, UnknownErrors
 from strandline.runs import FailurePolicy
 from strandline.studies.study import Study
 
-__all__ = ["replaced", "require_its_own_text"]
+__all__ = ["observation_digest", "replaced", "require_its_own_text"]
 
 FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"})
 """Fields that change no result, and those that are compared separately."""
@@ -41,6 +44,19 @@ def require_its_own_text(study: Study) -> None:
             expected="the values of its study.yaml, since the results are stored with that file",
             remedy="Write the change into a study.yaml, in a separate folder to keep both, and load that.",
         )
+
+
+def observation_digest(study: Study) -> str:
+    """Return a digest of the observed points and their noise; synthetic ones follow from study.yaml and the ledger."""
+    facts = [_facts(one) for one in study.observations(study.observed)]
+    return sha256(json.dumps(facts).encode()).hexdigest()
+
+
+def _facts(seen: Observation) -> tuple[str, str, str]:
+    """Return the condition, a digest of the points, and the noise."""
+    points, noise = sha256(seen.interface.points.tobytes() + seen.interface.cells.tobytes()).hexdigest(), seen.noise
+    stated = noise if isinstance(noise, PointErrors | UnknownErrors) else (type(noise).__qualname__, noise.facts)
+    return seen.condition, points, repr(stated)
 
 
 def _same(one: object, other: object) -> bool:

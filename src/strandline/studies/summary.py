@@ -24,6 +24,7 @@ from strandline.report.warnings import find_warnings
 from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
 from strandline.studies.outline_effect import outline_effect
+from strandline.studies.provenance import observation_digest
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
@@ -53,6 +54,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "seed": study.settings.seed,
         "model": study.runs.identity,
         "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
+        "observation_sha256": observation_digest(study),
         "ledger_sha256": outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)),
         "set_aside": [asdict(one) for one in calibration.set_aside],
         "excluded": [
