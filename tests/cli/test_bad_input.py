@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from strandline.cli import main
+from strandline.interface import Interface
 from strandline.runs import Ledger
 from strandline.studies import load_study
 from strandline.testing.studies import BEAM_STUDY, write_study
@@ -61,6 +62,20 @@ def raw(text: str) -> Callable[[Path], list[str]]:
 
 def forward(*options: str) -> Callable[[Path], list[str]]:
     return lambda folder: ["forward", str(write_study(folder)), *options]
+
+
+class Flat:
+    """A measure that is the same for all interfaces, so that no noise of the points has a rule."""
+
+    unit = "mm²"
+
+    def __call__(self, simulated: Interface, observed: Interface) -> float:
+        return 1.0
+
+
+def no_rule(folder: Path) -> list[str]:
+    measure, noise = {f"{__name__}:Flat": {}}, {"sd": 3, "unit": "um"}
+    return ["check", str(write_study(folder, discrepancy=measure, noise=noise))]
 
 
 def no_study(folder: Path) -> list[str]:
@@ -263,6 +278,7 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
         changed(design={"active": {"runs": 60, "batch": 100}}),
         ["design.active.batch: got 100", "at most 52"],
     ),
+    "measure without a rule": (no_rule, ["noise of the observed points", "normal_offset"]),
     "init without a name": (lambda folder: ["init", ""], ["an argument is empty: got ''"]),
     "workers not a number": (lambda folder: [*changed()(folder), "--workers", "0"], ["--workers"]),
 }

@@ -1,5 +1,6 @@
 """The subcommands on a small study: what they print, write, and leave alone."""
 
+import io
 import json
 import os
 import signal
@@ -13,7 +14,9 @@ import numpy as np
 import pytest
 
 from strandline.cli import main
+from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.runs import Ledger
+from strandline.studies import load_study
 from strandline.testing.studies import BEAM_STUDY, beam, undeclared_beam, write_study
 
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
@@ -143,6 +146,66 @@ class TestInit:
             main(["init", str(tmp_path)])
         assert ended.value.code == 2
         assert (tmp_path / "study.yaml").read_bytes() == printed_before
+
+
+class Typed(io.StringIO):
+    """Answers typed at a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+class TestInitWithAnObservation:
+    @pytest.fixture
+    def seen(self, tmp_path: Path) -> Path:
+        x = np.linspace(0.3, 0.9, 40)
+        np.savetxt(tmp_path / "my edge.csv", np.stack([x, x * (1.2 - x)], axis=1), delimiter=",")
+        return tmp_path / "my edge.csv"
+
+    def noise(self, folder: Path) -> PointErrors | UnknownErrors | Noise:
+        study = load_study(folder)
+        assert list(study.observed) == [""]
+        assert list(study.discrepancies) == ["normal_offset"]
+        return study.noise
+
+    def test_errors_that_are_stated(self, seen: Path, tmp_path: Path) -> None:
+        stated = ["--unit", "mm", "--sd", "3", "--length", "15", "--rotation", "0.5", "--scale", "0.005"]
+        main(["init", str(tmp_path / "a" / "b"), "--observed", str(seen), *stated])
+        assert self.noise(tmp_path / "a" / "b") == PointErrors(0.003, 0.015, rotation=0.5, scale=0.005)
+
+    def test_errors_that_are_asked_for(self, seen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("sys.stdin", Typed("inch\nmm\n-3\n2.5\n10\n8\n\n\n1\n"))
+        main(["init", str(tmp_path / "b"), "--observed", str(seen)])
+        assert self.noise(tmp_path / "b") == PointErrors(0.0025, 0.01, shift=0.008, offset=0.001)
+
+    def test_errors_that_nobody_knows(self, seen: Path, tmp_path: Path) -> None:
+        main(["init", str(tmp_path / "b"), "--observed", str(seen), "--unit", "mm", "--sd", "unknown"])
+        assert self.noise(tmp_path / "b") == UnknownErrors(None, 0.0)
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (["--sd", "3"], "--sd describes an observed interface: got none; expected --observed FILE too."),
+            (["--observed", "none.csv", "--unit", "mm", "--sd", "3"], "--observed: got none.csv; expected a file"),
+            (["--observed", "SEEN", "--sd", "3"], "--unit of the observed interface: got nothing"),
+            (["--observed", "SEEN", "--unit", "mm"], "--sd of the observed interface: got nothing"),
+            (["--observed", "SEEN", "--unit", "mm", "--sd", "0"], "--sd: got 0; expected a number above 0"),
+            (
+                ["--observed", "SEEN", "--unit", "mm", "--sd", "-1"],
+                "Invalid value for '--sd': -1.0 is not in the range",
+            ),
+            (["--observed", "SEEN", "--unit", "mm", "--sd", "few"], "Invalid value for '--sd': 'few' is not a valid"),
+        ],
+    )
+    def test_bad_input_leaves_no_folder(
+        self, options: list[str], words: str, seen: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with pytest.raises(SystemExit) as ended:
+            main(["init", str(tmp_path / "b"), *(str(seen) if word == "SEEN" else word for word in options)])
+        said = capsys.readouterr().err
+        assert (ended.value.code, len(said.splitlines())) == (2, 1)
+        assert words in said
+        assert not (tmp_path / "b").exists()
 
 
 def interrupted_run(folder: Path) -> subprocess.CompletedProcess[str]:

@@ -108,6 +108,8 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
         slopes, source = widths.slopes_by_differences(record, others, at, x), f"{len(x)} more runs"
         if slopes is None:
             yield "warning: a run beside this one failed or has other nodes, so that no widths can be predicted"
+    elif slopes is None:
+        yield f"add --widths to predict the widths of the posterior: {len(names)} more run{'s' * (len(names) > 1)}"
     if slopes is not None:
         try:
             sd = widths.expected_sd(study, record.interfaces, slopes, observations_of(study))

@@ -1,12 +1,16 @@
 """The study that `strandline init` writes."""
 
+import json
+import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
 
-__all__ = ["write_template"]
+__all__ = ["Observed", "write_template"]
 
 TEMPLATE = """\
 # A strandline study. Run it with:  strandline run {folder}
@@ -25,19 +29,7 @@ inputs:
   E:  {{prior: {{uniform: [100, 800]}}, unit: Pa}}       # Young's modulus
   nu: {{prior: {{uniform: [-0.8, 0.5]}}}}               # Poisson's ratio
 
-# The observed interface. For your own:  observation: {{file: observed.csv, unit: mm}}   (x, y; one point a line)
-# with  discrepancy: {{normal_offset: {{}}}}  and  noise: {{sd: 3, unit: um}}
-observation: {{synthetic: {{E: 400, nu: 0.3, V_in: 100}}}}
-
-# How a simulated interface is compared with the observed one:
-# currents (RKHS norm; quadrature: refined | centre) | closest_point | measurement_lines | tracked_points
-# normal_offset (best for a measured interface: it weighs the points by their errors)
-discrepancy: {{currents: {{width: 0.005, quadrature: refined}}}}
-
-# Variance of the noise, in the unit of the squared discrepancy (mm^2), or its standard deviation (sd: ...).
-# With a unit, sd is that of an observed point:  noise: {{sd: 3, unit: um}}   (`strandline noise` estimates it)
-noise: {{variance: 0.0005}}
-
+{observation}
 # Which forward runs: one batch after the other where the posterior lies, at most so many; it stops when it is sure.
 # What is learnt from them: the interface itself, as a field over the inputs.
 # The published way:  design: {{sobol: {{runs: 300}}}}  with  surrogate: {{log_likelihood: {{kernel: matern32}}}}
@@ -48,9 +40,81 @@ executor: {{local: {{timeout: 300}}}}   # seconds; one worker process per core
 seed: 1
 """
 
+SYNTHETIC = """\
+# The observed interface, here one that the model makes. With your own, in a file with a point x, y per line, write
+# `strandline init FOLDER --observed FILE` instead: it asks how far its points may be off.
+observation: {synthetic: {E: 400, nu: 0.3, V_in: 100}}
 
-def write_template(folder: Path) -> Path:
+# How a simulated interface is compared with the observed one:
+# currents (RKHS norm; quadrature: refined | centre) | closest_point | measurement_lines | tracked_points
+# normal_offset (best for a measured interface: it weighs the points by their errors)
+discrepancy: {currents: {width: 0.005, quadrature: refined}}
+
+# Variance of the noise, in the unit of the squared discrepancy (mm^2), or its standard deviation (sd: ...).
+# With a unit, sd is that of an observed point:  noise: {sd: 3, unit: um}   (`strandline noise` estimates it)
+noise: {variance: 0.0005}
+"""
+MEASURED = """\
+# The observed interface: a file with a point x, y per line, in the coordinates of the model.
+observation: {observation}
+
+# How a simulated interface is compared with it: by the distances of the observed points, weighed by their errors.
+discrepancy: {{normal_offset: {{}}}}
+
+# How far the observed points may be off. sd: standard deviation of one point along the normal; length: over which
+# neighbouring points err together; unknown: errors that all points share. The guide "Choose the noise" helps.
+noise: {noise}
+"""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """An observed interface and how far its points may be off.
+
+    Args:
+        file: File with the points.
+        unit: Unit of its coordinates.
+        sd: Standard deviation of a point, µm; None to infer it.
+        length: Correlation length along the interface, µm; None to infer it.
+        shift: Standard deviation of the position of the whole interface, µm.
+        rotation: Standard deviation of its rotation, degrees.
+        scale: Standard deviation of its scale, as a share.
+        offset: Standard deviation of a common offset along the normals, µm.
+    """
+
+    file: Path
+    unit: str
+    sd: float | None
+    length: float | None = 0.0
+    shift: float = 0.0
+    rotation: float = 0.0
+    scale: float = 0.0
+    offset: float = 0.0
+
+    def section(self, folder: Path) -> str:
+        """Return the part of study.yaml about the observation, for a study in `folder`."""
+        names = ("shift", "rotation", "scale", "offset")
+        shared = {name: getattr(self, name) for name in names if getattr(self, name) > 0}
+        noise: dict[str, Any] = {"sd": "unknown" if self.sd is None else self.sd}
+        noise |= {} if self.length == 0 else {"length": "unknown" if self.length is None else self.length}
+        noise |= {"unit": "um"} | ({"unknown": shared} if shared else {})
+        place = Path(os.path.relpath(self.file.resolve(), folder.resolve())).as_posix()
+        observation = f"{{file: {json.dumps(place, ensure_ascii=False)}, unit: {self.unit}}}"
+        return MEASURED.format(observation=observation, noise=_flow(noise))
+
+
+def _flow(content: dict[str, Any]) -> str:
+    """Return a mapping on one line of YAML."""
+    parts = [f"{key}: {_flow(one) if isinstance(one, dict) else one}" for key, one in content.items()]
+    return "{" + ", ".join(parts) + "}"
+
+
+def write_template(folder: Path, observed: Observed | None = None) -> Path:
     """Write a commented study.yaml into `folder`, created if needed, and return its path.
+
+    Args:
+        folder: Folder of the study.
+        observed: The observed interface; default: one that the model makes.
 
     Raises:
         InvalidStudy: There is one already, or the folder cannot be created.
@@ -60,7 +124,8 @@ def write_template(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
-            file.write(TEMPLATE.format(name=name, folder=folder))
+            about = SYNTHETIC if observed is None else observed.section(folder)
+            file.write(TEMPLATE.format(name=name, folder=folder, observation=about))
     except FileExistsError:
         raise InvalidStudy(
             "there is a study already",
