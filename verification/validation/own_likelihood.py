@@ -4,7 +4,9 @@ True inputs are drawn from the prior, and observations with this noise are analy
 interface stands for the simulator in both, also where it errs by more than this noise hides. Needs the finished runs of
 the studies.
 
-    python -m verification.validation.own_likelihood [--replicates 200] [--published 100] FOLDER [FOLDER ...]
+With `--planted`, mistakes are planted in the analysis too: the ranks must then leave their band.
+
+    python -m verification.validation.own_likelihood [--replicates 200] [--published 100] [--planted 60] FOLDER ...
 """
 
 import argparse
@@ -17,11 +19,12 @@ import numpy as np
 from verification.validation.tables import Table
 
 from strandline.calibration.coverage import CoverageFound, repeatable, replicated
+from strandline.calibration.experiment import Experiment
 from strandline.calibration.field_quality import field_quality
 from strandline.calibration.learning import known_field
 from strandline.calibration.source import prior_source
 from strandline.discrepancy import NormalOffset
-from strandline.interface import PointErrors
+from strandline.interface import GaussianNoise, PointErrors
 from strandline.likelihood.set_aside import Judge
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
@@ -30,9 +33,24 @@ from strandline.studies.coverage import runs_to_learn_from
 from strandline.studies.first_run import observations_of
 
 ERRORS = PointErrors(0.001)
+TOGETHER = PointErrors(0.001, shift=0.005, offset=0.002)
+"""Errors with a part that all points share, which a planted mistake drops."""
 
 
-def rows(study: Study, replicates: int, published: int) -> Iterator[tuple[object, ...]]:
+def with_mistakes(experiment: Experiment) -> dict[str, Experiment]:
+    """Return the experiment with each planted mistake in its analysis."""
+
+    def analysed(noise: GaussianNoise | PointErrors) -> Experiment:
+        return replace(experiment, noises=dict.fromkeys(experiment.noises, noise))
+
+    return {
+        "planted: σ² given for σ": analysed(PointErrors(ERRORS.sd**2)),
+        "planted: ½ forgotten": analysed(GaussianNoise(0.5 * ERRORS.sd**2)),
+        "planted: Λ dropped": replace(experiment, errors=dict.fromkeys(experiment.errors, TOGETHER)),
+    }
+
+
+def rows(study: Study, replicates: int, published: int, planted: int) -> Iterator[tuple[object, ...]]:
     """Yield a row for each input with the likelihood of the noise, then with the study's own."""
     (name, measure), noise = next(iter(study.discrepancies.items())), study.noise
     own = replace(study, noise=ERRORS, discrepancies={"normal_offset": NormalOffset()})
@@ -52,6 +70,7 @@ def rows(study: Study, replicates: int, published: int) -> Iterator[tuple[object
                 published,
             ),
         }
+        analyses |= {label: (one, planted) for label, one in with_mistakes(experiment).items() if planted}
         for label, (one, number) in analyses.items():
             begun = perf_counter()
             found = CoverageFound(
@@ -80,6 +99,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path, help="folders of finished studies")
     parser.add_argument("--replicates", type=int, default=200)
     parser.add_argument("--published", type=int, default=100, help="replicates with the study's σ_N², which cost more")
+    parser.add_argument("--planted", type=int, default=0, help="replicates with each planted mistake")
     options = parser.parse_args()
     use_double()
     columns = ("study", "likelihood", "observations", "input", "mean sd", "sd / limit")
@@ -87,7 +107,7 @@ def main() -> None:
     formats = ("s", "s", "d", "s", ".3g", ".2f", ".0f", ".0f", ".2f", "s", ".2f")
     found: list[tuple[object, ...]] = []
     for folder in options.folders:
-        for row in rows(load_study(folder), options.replicates, options.published):
+        for row in rows(load_study(folder), options.replicates, options.published, options.planted):
             found.append(row)
             print(*row, sep="  ", flush=True)
     print(Table("own_likelihood", "1 µm of white noise", columns, formats, tuple(found)).markdown())
