@@ -19,7 +19,7 @@ import numpy as np
 from verification.benchmarks.comparison import Comparison, compare_all, compared, timed
 from verification.benchmarks.forward import Figure, peak_memory
 
-from strandline import Currents, Interface
+from strandline import Currents, Interface, NormalOffset, PointErrors
 from strandline.discrepancy import squared_discrepancies
 from strandline.discrepancy.search.nearest import squared_distances
 
@@ -31,6 +31,8 @@ BLOCK = 1 << 16
 REPEATS, ALL_AT_ONCE_REPEATS = 5, 3
 INTERFACES, NODES_2D = 1000, 67
 """Simulated polylines of 66 segments against one observed, as in a campaign."""
+SEEN, PARTICLES = 1600, 10_000
+"""Points of a long contour, and interfaces predicted at the particles of a sampler."""
 
 
 def main() -> list[dict[str, Any]]:
@@ -41,7 +43,13 @@ def main() -> list[dict[str, Any]]:
     many = (partial(many_polylines, width, batched=batched) for width in (0.005, 0.05) for batched in (False, True))
     found = compare_all(inner_product, wide, narrow, closest_on_polyline, *naive, *many)
     print(f"\n{'task':<42} {'case':<22} {'value':>9}")
-    for figure in [closest_on_surface(0.01), closest_on_surface(0.3), *large(NARROW), *large(WIDE, repeats=1)]:
+    for figure in [
+        long_contour(),
+        closest_on_surface(0.01),
+        closest_on_surface(0.3),
+        *large(NARROW),
+        *large(WIDE, repeats=1),
+    ]:
         found.append(asdict(figure))
         print(f"{figure.what:<42} {figure.case:<22} {figure.value:>9.4g} {figure.unit:<4} {figure.remark}", flush=True)
     return found
@@ -111,6 +119,22 @@ def many_polylines(width: float, *, batched: bool) -> Comparison:
 
     what = f"currents: d², {INTERFACES} × {NODES_2D - 1} segments, width {width}{', batch' if batched else ''}"
     return compared(what, "each at once in NumPy", ours, theirs, rtol=1e-6)
+
+
+def long_contour() -> Figure:
+    """Return the time of `normal_offset` for many predicted interfaces, all errors of the contour integrated out."""
+    errors = PointErrors(4e-4, 0.004, shift=0.004, rotation=0.2, scale=0.003, offset=0.003)
+
+    def arches(heights: np.ndarray, nodes: int) -> np.ndarray:
+        x = np.linspace(0.0, 1.0, nodes)
+        return np.stack(np.broadcast_arrays(x, heights[:, None] * x * (1 - x)), axis=2)
+
+    observed = errors.draw(Interface.polyline(arches(np.array([1.2]), SEEN)[0]), np.random.default_rng(5))
+    predicted = arches(np.linspace(1.15, 1.25, PARTICLES), 161)
+    measure, template = NormalOffset().whitened(errors), Interface.polyline(predicted[0])
+    seconds, first = repeated(partial(measure.many, predicted, template, observed))
+    what = f"normal_offset: {SEEN} points × {PARTICLES} interfaces"
+    return Figure(what, "shift, rotation, scale, offset", seconds, "s", f"the first time {first:.3g} s")
 
 
 def closest_on_surface(spread: float) -> Figure:
