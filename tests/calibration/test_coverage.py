@@ -243,6 +243,11 @@ def gaussians(shift: float = 0.0, width: float = 1.0, number: int = 200) -> Cove
     return CoverageFound(("E", "nu"), tuple(made))
 
 
+def test_few_replicates_prove_little() -> None:
+    words = "Nothing speaks against the posterior, but 40 replicates show only gross errors; make at least 100."
+    assert gaussians(number=40).remarks == (words,)
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [

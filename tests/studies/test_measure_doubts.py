@@ -53,6 +53,20 @@ def test_lines_that_turn_with_the_noise(tmp_path: Path, record: RunRecord, share
         assert told(tmp_path / "two", record, points, measurement_lines={"lines": 10, "smooth": smooth}) == []
 
 
+@pytest.mark.parametrize(("share", "warns"), [(0.09, False), (0.12, True)])
+def test_errors_correlated_over_much_of_the_interface(
+    tmp_path: Path, record: RunRecord, share: float, warns: bool
+) -> None:
+    points = noisy(record, 0.02)
+    whole = 1e3 * float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    np.savetxt(tmp_path / "observed.csv", points, delimiter=",")
+    noise = {"sd": 1, "length": share * whole, "unit": "um"}
+    folder = write_study(tmp_path, observation=OBSERVED, discrepancy={"normal_offset": {}}, noise=noise)
+    lines = list(measure_lines(load_study(folder), record))
+    assert bool(lines) == warns
+    assert not warns or "12 % of the observed interface" in lines[0]
+
+
 @pytest.mark.parametrize(("scatter", "expected"), [(10.5, "0.04"), (30.0, "0.1"), (31.0, "0.11")])
 def test_the_piece_has_at_least_four_spacings(scatter: float, expected: str) -> None:
     seen = Interface.polyline(np.stack([0.01 * np.arange(50), np.zeros(50)], axis=1))

@@ -33,6 +33,8 @@ PARTICLES = 2000
 """Particles of the tempered sampler, which takes over where importance sampling does not get there."""
 CERTAIN = 3.0
 """Standard errors from which a mean z-score shows a shift."""
+ENOUGH = 100
+"""Replicates from which intervals that are a fifth too narrow or too wide would probably have shown."""
 WIDTH = 0.15
 """How far the standard deviation of shifted z-scores must exceed 1 to show that the width is wrong too."""
 
@@ -207,9 +209,16 @@ class CoverageFound:
     @cached_property
     def remarks(self) -> tuple[str, ...]:
         """The verdict, with a sentence for each input whose ranks leave the band."""
-        return tuple(self._faults()) or (
-            f"The posterior is calibrated: ranks of all inputs stay inside the {100 * BAND:.0f} % band.",
-        )
+        return tuple(self._faults()) or (self._right(),)
+
+    def _right(self) -> str:
+        """Return what the replicates show if the ranks of all inputs stay inside their bands."""
+        if len(self.replicates) < ENOUGH:
+            return (
+                f"Nothing speaks against the posterior, but {len(self.replicates)} replicates show only gross errors; "
+                f"make at least {ENOUGH}."
+            )
+        return f"The posterior is calibrated: ranks of all inputs stay inside the {100 * BAND:.0f} % band."
 
     def _faults(self) -> Iterator[str]:
         for i, (name, band) in enumerate(zip(self.names, self.bands, strict=True)):

@@ -320,6 +320,8 @@ def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> N
     raise TooFewRuns(
         "every forward run failed" if succeeded == 0 else "too few successful forward runs",
         value=f"{succeeded} of {len(records)} ({shown}{'; e.g. ' + last.splitlines()[0] if last else ''})",
-        expected=f"at least {needed} for a Gaussian process in {dim} dimension(s)",
-        remedy="Enlarge the design, or look at the failures with `strandline status`.",
+        expected=f"at least {needed} for {dim} input{'s' * (dim > 1)}",
+        remedy="Enlarge the design, or look at the failures with `strandline status`."
+        if kinds
+        else "Enlarge the design.",
     )

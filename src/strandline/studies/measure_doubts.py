@@ -9,7 +9,7 @@ from jaxtyping import Float
 from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, NormalOffset
 from strandline.discrepancy.contours.paths import path_of
 from strandline.discrepancy.search.nearest import closest_points
-from strandline.interface import Interface, Observation
+from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.compared import adapted
 from strandline.runs import RunRecord
 from strandline.studies.first_run import observations_of
@@ -29,6 +29,8 @@ TO_POINTS = "to_simulated", "sum"
 """Direction and weighting of closest_point with which only the observed points count."""
 BEYOND = 3.0
 """Spacings by which the simulated interface may reach beyond the observed one."""
+LONG = 0.1
+"""Correlation length, as a share of the observed interface, from which the noise is overstated."""
 _END = 0.1
 """Share of the observed points that show in which direction an end points."""
 
@@ -40,6 +42,7 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""
         if seen.dim != 2 or run.dim != 2:
             continue
+        yield from _long(observation, of)
         for chosen in study.discrepancies.values():
             measure = adapted(chosen, observation)
             yield from _gap(measure, seen, of)
@@ -47,6 +50,17 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
                 yield from _turning(measure, seen, of)
             elif isinstance(measure, ClosestPoint):
                 yield from _unseen(measure, seen, run, of)
+
+
+def _long(observation: Observation, of: str) -> Iterator[str]:
+    """Yield a warning for a correlation length that is no longer short beside the interface."""
+    noise, whole = observation.noise, float(observation.interface.lengths.sum())
+    if isinstance(noise, PointErrors) and noise.length > LONG * whole:
+        yield (
+            f"warning{of}: errors of the points are correlated over {noise.length:.3g} mm, "
+            f"{100 * noise.length / whole:.0f} % of the observed interface; above {100 * LONG:.0f} % the posterior "
+            "comes out too wide; state what all points share as a shift, rotation, scale or offset under noise.unknown"
+        )
 
 
 def _gap(measure: Discrepancy, seen: Interface, of: str) -> Iterator[str]:

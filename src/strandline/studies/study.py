@@ -236,7 +236,7 @@ def _settings(content: StudyFile, model: ForwardModel) -> Settings:
         sampler = SMCSettings(**smc)
     dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
     active = build.build_active(content.design.active, dim, sensitivities=content.sensitivities)
-    if sobol is not None and content.surrogate.field is None:
+    if sobol is not None:
         build.check_runs(sobol.runs, dim)
     by_field = active is not None or content.surrogate.field is not None
     kernel = None if log_likelihood is None else log_likelihood.kernel
