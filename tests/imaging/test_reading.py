@@ -155,7 +155,7 @@ def test_pages_of_every_stack(tmp_path: Path, kind: str) -> None:
         found = read_picture(path, reading(pixel=SQUARE, page=page))
         np.testing.assert_array_equal(found.values, NOISE[page or 0])
         assert any(note.startswith(f"frame {page or 0} of 5") for note in found.notes)
-    with pytest.raises(InvalidInput, match=f"{kind} has no such page: got 5; expected a frame from 0 to 4"):
+    with pytest.raises(InvalidInput, match=f"{kind} has no such page: got 5; expected a page from 0 to 4"):
         read_picture(path, reading(pixel=SQUARE, page=5))
     mean = read_picture(path, reading(pixel=SQUARE, average=True))
     np.testing.assert_allclose(mean.values, NOISE.astype(float).mean(0), rtol=1e-14)

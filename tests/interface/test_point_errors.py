@@ -84,6 +84,13 @@ def test_parts_on_both_sides_of_a_gap_tell_as_much_as_each_alone() -> None:
     assert tells(seen) == pytest.approx(sum(tells(part) for part in parts), rel=1e-3)
 
 
+@pytest.mark.parametrize("name", ["shift", "offset"])
+def test_errors_larger_than_the_interface_are_refused(name: str) -> None:
+    PointErrors(0.001, **{name: 0.5}).require_fits(arch(100))
+    with pytest.raises(InvalidInput, match=f"{name} of the errors of points: got 50 mm; expected at most the size"):
+        PointErrors(0.001, **{name: 50.0}).require_fits(arch(100))
+
+
 def test_a_point_between_two_gaps_is_independent() -> None:
     points = np.array([*np.linspace([0.0, 0.0], [0.1, 0.0], 40), [0.5, 0.0], *np.linspace([0.9, 0.0], [1.0, 0.0], 40)])
     variances = PointErrors(0.002, 0.02).local_variances(Interface.polyline(points))

@@ -104,7 +104,7 @@ def require_edge(located: Located, kept: int, radius: float) -> None:
             "contrast over noise at the edge",
             value=f"{located.contrast_to_noise:.3g}",
             expected=f"at least {LEAST_CONTRAST:g}",
-            remedy="Check that the path follows the edge, average several frames, or use method `path`.",
+            remedy="Check that the path follows the edge, average several frames, or write `edge: path`.",
         )
     limit = float(located.at_limit.sum()) / kept
     if limit > AT_LIMIT:

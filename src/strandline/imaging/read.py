@@ -125,7 +125,9 @@ def _page(file: PictureFile, how: PictureReading, name: str) -> int:
     page = how.page or 0
     if page < file.frames:
         return page
-    expected = f"a frame from 0 to {file.frames - 1}{_layers(file)}"
+    if file.frames == 1:
+        raise refused(f"{name} has no such page", page, "0: it has a single one", "Leave `page` out.")
+    expected = f"a page from 0 to {file.frames - 1}{_layers(file)}"
     raise refused(f"{name} has no such page", page, expected, "Correct `page`.")
 
 

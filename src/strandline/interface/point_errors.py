@@ -27,7 +27,7 @@ from strandline.interface.interface import Interface
 from strandline.interface.normals import node_normals, spacings, steady_normals
 from strandline.interface.rotations import as_complex, as_pairs, rotations
 
-__all__ = ["GLOBAL", "ErrorModel", "PointErrors"]
+__all__ = ["GLOBAL", "MOST", "ErrorModel", "PointErrors"]
 
 GLOBAL = ("shift", "rotation", "scale", "offset")
 """Names of the errors that all points share."""
@@ -127,11 +127,21 @@ class PointErrors:
         return ErrorModel(self.local_variances(seen), shared)
 
     def require_fits(self, seen: Interface) -> None:
-        """Refuse an interface that is too short for the correlation length.
+        """Refuse an interface that is too short for the correlation length, or too small for a shift or an offset.
 
         Raises:
-            InvalidInput: The correlation length is above half the length of the interface.
+            InvalidInput: The correlation length is above half the length of the interface, or a shift or an offset is
+                larger than the interface.
         """
+        extent = float(np.linalg.norm(np.ptp(seen.points, axis=0)))
+        for name in ("shift", "offset"):
+            if getattr(self, name) > extent:
+                raise InvalidInput(
+                    f"{name} of the errors of points",
+                    value=f"{getattr(self, name):.4g} mm",
+                    expected=f"at most the size of the observed interface, {extent:.4g} mm",
+                    remedy="Correct it, or its unit.",
+                )
         whole = float(seen.lengths.sum()) if seen.dim == 2 else math.sqrt(float(seen.areas.sum()))
         if self.length > 0.5 * whole:
             raise InvalidInput(

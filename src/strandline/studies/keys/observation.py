@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from strandline.interface import is_condition
+from strandline.interface.point_errors import MOST
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.keys.scalars import VARIANCES, Name, Number, Seed
 from strandline.studies.keys.section import Section, Switch
@@ -184,14 +185,19 @@ Length = Annotated[
 ]
 
 
+def _written(sd: object) -> str:
+    """Return a standard deviation as the file has it."""
+    return f"[{', '.join(f'{end:g}' for end in sd)}]" if isinstance(sd, tuple) else str(sd)
+
+
 class Unknown(Section):
     """Errors that all points of an observed interface share."""
 
     shift: NotNegative = 0.0
     """standard deviation of the position of the whole interface along each axis, in `noise.unit`"""
-    rotation: NotNegative = 0.0
+    rotation: Annotated[NotNegative, Field(le=MOST["rotation"])] = 0.0
     """standard deviation of its rotation, degrees"""
-    scale: NotNegative = 0.0
+    scale: Annotated[NotNegative, Field(le=MOST["scale"])] = 0.0
     """standard deviation of its scale, as a share: `0.005` for half a per cent"""
     offset: NotNegative = 0.0
     """standard deviation of a common offset along the normals, such as that of a threshold, in `noise.unit`"""
@@ -228,7 +234,7 @@ class ConditionNoise(Section):
         if self.of_points and self.variance is not None:
             raise ValueError("`unit` goes with `sd`; a `variance` is already in the unit of d²")
         if not self.of_points and not isinstance(self.sd, float | None):
-            raise ValueError("an unknown `sd` with the `unit` of the observed points: mm, um or m")
+            raise ValueError(f"`sd: {_written(self.sd)}` with the `unit` of the observed points: mm, um or m")
         for name in ("length", "unknown", "model_error", "spread"):
             if getattr(self, name) not in (None, False, []) and not self.of_points:
                 raise ValueError(f"`{name}` with the `sd` of the observed points and its `unit`: mm, um or m")
