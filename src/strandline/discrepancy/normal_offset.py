@@ -142,7 +142,7 @@ def signed_distances(points: Float[np.ndarray, "point xyz"], interface: Interfac
 
 
 def _signed(points: Float[np.ndarray, "point xyz"], interface: Interface) -> Float[np.ndarray, " point"]:
-    found = closest_points(points, interface)
+    found = closest_points(points, interface, once=True)
     corners = interface.points[interface.cells[found.cells, 0]]
     side = ((points - corners) * interface.normals[found.cells]).sum(axis=1)
     return np.asarray(np.copysign(np.sqrt(found.squares), side))

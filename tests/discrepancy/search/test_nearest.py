@@ -80,6 +80,17 @@ def test_the_tree_gives_what_trying_every_cell_gives_to_the_last_bit(target):
     assert np.array_equal(found.points, expected.points)
 
 
+def test_an_interface_that_is_searched_once_gets_no_tree(monkeypatch):
+    target = wave(100, seed=2)
+    points = around(target, 100, seed=3)
+    assert nearest.SMALL < len(points) * len(target.cells) < nearest.ONCE
+    by_tree = closest_points(points, target)
+    monkeypatch.setattr(nearest, "_go_down", lambda *arguments: pytest.fail("searched by a tree"))
+    once = closest_points(points, target, once=True)
+    np.testing.assert_array_equal(once.squares, by_tree.squares)
+    np.testing.assert_array_equal(once.cells, by_tree.cells)
+
+
 def test_from_the_middle_of_a_ball_where_every_cell_is_as_far():
     ball = sphere(1.0, 4)
     points = 1e-3 * np.random.default_rng(1).normal(size=(40, 3))

@@ -25,6 +25,8 @@ BLOCK = 1 << 15
 """Pairs of a point and a cell processed at once; this bounds the memory."""
 SMALL = 1 << 14
 """Number of pairs of a point and a cell up to which trying all of them is faster than the tree."""
+ONCE = 1 << 17
+"""The same if the interface is searched only once, so that its tree is not kept."""
 MANY, SHORT = 1 << 20, 1 << 14
 """Pairs of a point and a segment from which compiling the sieve pays off; segments up to which it beats the tree."""
 _LEAF = 3
@@ -61,10 +63,15 @@ def squared_distances(points: Float[np.ndarray, "point xyz"], target: Interface)
     return closest_points(points, target).squares
 
 
-def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface) -> ClosestPoints:
+def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface, *, once: bool = False) -> ClosestPoints:
     """Return the closest points of `target`, on its segments or triangles.
 
     The search trees are kept for the most recently searched interfaces.
+
+    Args:
+        points: Points, mm.
+        target: The interface.
+        once: Whether this interface will not be searched again, as a prediction that is looked at once.
 
     Raises:
         InvalidInterface: points with another number of coordinates than `target`.
@@ -76,7 +83,7 @@ def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface) ->
             expected=f"{target.dim} coordinates, as the interface has",
             remedy="Compare like with like.",
         )
-    if len(points) * len(target.cells) <= SMALL:
+    if len(points) * len(target.cells) <= (ONCE if once else SMALL):
         return brute_force(points, target)
     best, snapshot = _Best(points, target), Snapshot.of(target)
     if target.dim == 2 and len(target.cells) <= SHORT and len(points) * len(target.cells) >= MANY:
