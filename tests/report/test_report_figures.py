@@ -36,6 +36,9 @@ def test_reasons_to_doubt(reported: Any) -> None:
     assert reason_to_doubt(good, {"verdict": "good"}) is None
     assert "check with the true model" in str(reason_to_doubt(good, {"verdict": "bad"}))
     assert "leave-one-out error near the mode 0.9" in str(reason_to_doubt(sure(good, LOO_LIMIT + 0.4)))
+    assert good.misfit is not None
+    wrong = replace(good, misfit=replace(good.misfit, flagged=True))
+    assert reason_to_doubt(wrong) == "the model does not explain what was observed"
     high = replace(good.posterior, log_likelihood=good.posterior.log_likelihood + 50.0)
     assert "above 0" in str(reason_to_doubt(replace(good, posterior=high)))
 

@@ -86,6 +86,8 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
         error = calibration.surrogate.validation.loo_rms_near_mode
         how = calibration.surrogate.left_out
         return f"its shape is in doubt, {how} error near the mode {error:.2g} in log-likelihood"
+    if calibration.misfit is not None and calibration.misfit.flagged:
+        return "the model does not explain what was observed"
     return None
 
 
