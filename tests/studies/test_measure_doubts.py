@@ -93,6 +93,22 @@ def test_nodes_beyond_the_end_of_a_partly_seen_interface(
     assert all("direction: to_simulated" in line and "normal_offset" in line for line in lines)
 
 
+@pytest.mark.parametrize(("factor", "warns"), [(1.03, False), (1.2, True)])
+@pytest.mark.parametrize("side", [1, -1])
+def test_observed_points_past_the_end_of_the_simulated_interface(
+    tmp_path: Path, record: RunRecord, factor: float, side: int, warns: bool
+) -> None:
+    points = record.interfaces[""].resampled(60).points
+    whole = np.linalg.norm(points[-1] - points[0])
+    end, inner = (points[-1], points[-2]) if side > 0 else (points[0], points[1])
+    along = (end - inner) / np.linalg.norm(end - inner)
+    more = end + np.arange(1, 9)[:, None] / 8 * (factor - 1) * whole * along
+    seen = np.concatenate([points, more] if side > 0 else [more[::-1], points])
+    lines = told(tmp_path / "one", record, seen, normal_offset={})
+    assert bool(lines) == warns
+    assert not warns or "past an end of the simulated one" in lines[0]
+
+
 def test_a_tip_that_lies_beside_the_observed_one_is_not_beyond_it(tmp_path: Path, record: RunRecord) -> None:
     points = record.interfaces[""].points * np.array([1.0, -3.0])
     assert told(tmp_path / "s", record, points, closest_point={}) == []

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, NormalOffset
 from strandline.discrepancy.contours.paths import path_of
+from strandline.discrepancy.normal_offset import BEYOND as BEYOND_END
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.compared import adapted
@@ -50,6 +51,8 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
                 yield from _turning(measure, seen, of)
             elif isinstance(measure, ClosestPoint):
                 yield from _unseen(measure, seen, run, of)
+            elif isinstance(measure, NormalOffset):
+                yield from _past_the_end(seen, run, of)
 
 
 def _long(observation: Observation, of: str) -> Iterator[str]:
@@ -109,6 +112,19 @@ def _unseen(measure: ClosestPoint, seen: Interface, run: Interface, of: str) -> 
             f"warning{of}: the simulated interface reaches {beyond:.3g} mm beyond an end of the observed one, and "
             "closest_point charges its nodes there; if only a part was observed, take `direction: to_simulated` or "
             "the measure normal_offset"
+        )
+
+
+def _past_the_end(seen: Interface, run: Interface, of: str) -> Iterator[str]:
+    """Yield a warning for observed points past the end of the simulated interface, which goes on straight a little."""
+    if seen.closed or run.closed:
+        return
+    path, simulated = path_of(seen), path_of(run)
+    past = max(_beyond(simulated, run, path[-1]), _beyond(simulated[::-1], run, path[0]))
+    if past > BEYOND_END * float(run.lengths.sum()):
+        yield (
+            f"warning{of}: the observed interface reaches {past:.3g} mm past an end of the simulated one; points that "
+            "far out are compared with its end, so leave them out, or let the model return more of the interface"
         )
 
 
