@@ -228,7 +228,7 @@ class PointErrors:
 
         Args:
             by: Global errors in standard deviations, in the order of `ErrorModel`.
-            dim: 2 for an interface in the plane, 3 for one in space.
+            dim: Number of coordinates, 2 or 3.
         """
         found = dict(zip(GLOBAL, (tuple(one[0].tolist()) for one in self._sizes(by[None], dim)), strict=True))
         stated = {name: one for name, one in found.items() if getattr(self, name) > 0}
