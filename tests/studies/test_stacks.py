@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 from tests.discrepancy.surfaces import sphere
+from tests.imaging.test_formats import scan
 from verification.validation.rendered_stacks import Blob, Microscope
 
 from strandline.cli import main
@@ -95,9 +96,29 @@ def test_the_header_states_the_size_of_a_voxel(tmp_path: Path) -> None:
     assert "from the study" in " ".join(typed.stacks[""].notes)
 
 
+OCT = (
+    "<Ocity><Image><SizePixel><SizeZ>48</SizeZ><SizeX>48</SizeX><SizeY>48</SizeY></SizePixel><SizeReal><SizeZ>0.06384"
+    "</SizeZ><SizeX>0.048</SizeX><SizeY>0.048</SizeY></SizeReal></Image><Acquisition><RefractiveIndex>1.33"
+    "</RefractiveIndex></Acquisition></Ocity>"
+)
+"""Header of a volume whose depths are optical paths: 1.33 times as long."""
+
+
+def test_a_volume_that_states_an_index_takes_the_one_that_the_message_asks_for(tmp_path: Path) -> None:
+    folder = written(tmp_path / "s", file="cells.oct", voxel=None, scale="intensity")
+    scan(folder / "cells.oct", grey(), header=OCT)
+    with pytest.raises(InvalidInput, match=r"states a refractive index.*Add `index: 1\.33`"):
+        load_study(folder)
+    found = loaded(folder, file="cells.oct", voxel=None, scale="intensity", index=1.33)
+    assert found.stacks[""].stack.voxel == pytest.approx((V, V, V))
+    np.testing.assert_allclose(found.observed[""].points, loaded(tmp_path / "t").observed[""].points, atol=1e-6)
+    assert "index 1.33 divides y" in found.stacks[""].notes
+
+
 @pytest.mark.parametrize(
     ("changes", "noise", "said"),
     [
+        ({"index": 0}, None, "observation.stack.index"),
         ({"voxel": None}, None, "does not state the size of a voxel"),
         ({"voxel": {"x": 1, "y": 1, "unit": "um"}}, None, "does not state z"),
         ({"voxel": {"size": 1, "unit": "um"}}, None, "observation.stack.voxel"),

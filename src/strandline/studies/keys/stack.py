@@ -17,6 +17,8 @@ class StackFile(Section):
     """the stack, relative to the study folder; a list: a picture for each plane, from the first to the last"""
     voxel: Any = None
     """size of a voxel, `{x: 0.2, y: 0.2, z: 0.5, unit: um}`; needed unless the file's header states it"""
+    index: Any = None
+    """refractive index by which depths, along y, are divided"""
     scale: Any = None
     """what the numbers are, as for `observation.image.scale`"""
     channel: Any = None
