@@ -105,6 +105,42 @@ def test_a_folder_of_frames_is_averaged(tmp_path: Path) -> None:
         loaded(tmp_path, file="empty")
 
 
+def of_frames(folder: Path, number: int, *, noise: float = 18.0) -> Path:
+    """Write frames of one state into a folder `frames`."""
+    (folder / "frames").mkdir()
+    for seed in range(number):
+        picture(folder, noise=noise, seed=seed).rename(folder / "frames" / f"{seed}.png")
+    return folder
+
+
+def test_frames_show_their_own_errors_and_the_larger_ones_count(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written(of_frames(tmp_path, 4), file="frames")
+    main(["image", str(folder)])
+    shown = capsys.readouterr().out
+    for words in ("from 4 frames: sd", "in one frame", "from their mean alone: sd", "set sd and length"):
+        assert words in shown
+    content = json.loads((folder / "image" / "edge.json").read_text("utf-8"))
+    frames, alone = content["frames"]["mean"], content["frames"]["picture_alone"]
+    assert frames["sd"] == pytest.approx(alone["sd"], rel=0.4)
+    used = max((frames, alone), key=lambda one: one["sd"] ** 2 * one["length"])
+    assert content["frames"]["used"] == ("frames" if used is frames else "picture")
+    noise = load_study(folder).noise_of("")
+    assert isinstance(noise, PointErrors)
+    assert (noise.sd, noise.length) == (used["sd"], used["length"]) == (content["sd"], content["length"])
+
+
+def test_frames_without_errors_are_noted(tmp_path: Path) -> None:
+    """A picture that was copied is no second frame, and a single picture has none."""
+    copies = of_frames(tmp_path, 1)
+    shutil.copy(copies / "frames" / "0.png", copies / "frames" / "1.png")
+    found = loaded(tmp_path, file="frames").pictures[""]
+    assert found.repeated is None
+    assert found.notes[-1] == "no errors from the frames, for contours of one state: identical contours"
+    assert loaded(tmp_path, file="frames/0.png").pictures[""].repeated is None
+
+
 def test_a_model_may_err_beside_the_errors_that_the_picture_shows(tmp_path: Path) -> None:
     known = loaded(tmp_path / "s").noise_of("")
     assert isinstance(known, PointErrors)

@@ -62,6 +62,7 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     for note in found["notes"]:
         yield f"  {note}"
     yield from _sizes(found)
+    yield from _of_frames(found["frames"])
     if found["registration"] is not None:
         yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
     if "outline" in found:
@@ -81,6 +82,25 @@ def _sizes(found: Mapping[str, Any]) -> Iterator[str]:
     yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
     yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
     yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
+
+
+def _of_frames(found: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield what several frames of one state show, beside what their mean picture alone shows."""
+    if found is None:
+        return
+    one, mean, alone = found["one_frame"], found["mean"], found["picture_alone"]
+    compared = "" if found["compared"] == found["frames"] else f", {found['compared']} of them compared"
+    yield f"  from {found['frames']} frames{compared}: {_pair(mean)}; in one frame {1e3 * one['sd']:.3g} µm"
+    yield f"  from their mean alone: {_pair(alone)}"
+    yield f"  the {'frames' if found['used'] == 'frames' else 'mean alone'} set sd and length: s²ℓ is larger"
+    if one["shift"] or one["rotation"]:
+        moved = f"{1e3 * one['shift']:.3g} µm and {one['rotation']:.2g}°"
+        left = f"{1e3 * mean['shift']:.3g} µm and {mean['rotation']:.2g}°"
+        yield f"  frames differ in place by {moved} (sd), their mean by {left}: take these up in `unknown`"
+
+
+def _pair(errors: Mapping[str, float]) -> str:
+    return f"sd {1e3 * errors['sd']:.3g} µm, correlation length {1e3 * errors['length']:.3g} µm"
 
 
 def _as_stated(found: Mapping[str, Any]) -> Iterator[str]:

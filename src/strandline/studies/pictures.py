@@ -1,7 +1,7 @@
 """Pictures of a study: the edge in each, in the model's coordinates, with the errors that the picture itself shows."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,16 +9,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidStudy
+from strandline.errors import InvalidInput, InvalidStudy
 from strandline.imaging import (
     Clicks,
     Edge,
     Frame,
+    FrameErrors,
     Picture,
     PictureReading,
     Registration,
+    errors_from_frames,
     find_edge,
     read_clicks,
+    read_frames,
     read_path,
     read_picture,
     registered,
@@ -48,6 +51,8 @@ class Photographed:
         edge: The edge, in pixels; its errors and arc lengths in mm.
         interface: The edge as an interface in the model's coordinates, mm.
         registration: Where the set-up is in the picture, if it was found from another one of it.
+        repeated: Errors of the edge from the frames whose mean the picture is; None for a single one.
+        doubts: Why such frames show no errors.
     """
 
     picture: Picture
@@ -56,11 +61,18 @@ class Photographed:
     edge: Edge
     interface: Interface
     registration: Registration | None = None
+    repeated: FrameErrors | None = None
+    doubts: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         """Name of the picture's file."""
         return self.picture.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences that say what was taken from where, and what is in doubt."""
+        return (*self.picture.notes, *self.doubts, *(self.repeated.notes if self.repeated is not None else ()))
 
     @property
     def errors(self) -> PointErrors:
@@ -94,19 +106,40 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         frame, registration = _placed(folder, given, clicks, picture)
         path, closed = _path(folder, given, clicks, frame, undeformed, size)
         exclude = [np.array(corners, float) for corners in given.exclude]
+        exclude += clicks.exclude if clicks is not None else ()
         edge = find_edge(
             picture.values,
             path,
             method=given.edge,
             solid=given.solid,
             closed=closed,
-            exclude=[*exclude, *(clicks.exclude if clicks is not None else ())],
+            exclude=exclude,
             pixel=picture.pixel,
             trim=given.trim,
         )
+        repeated, doubts = _repeated(folder, given, clicks, picture, edge, exclude)
+        edge = edge if repeated is None else repeated.put_into(edge)
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
-    return Photographed(picture, frame, path, edge, interface, registration)
+    return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts)
+
+
+def _repeated(
+    folder: Path,
+    given: ImageFile,
+    clicks: Clicks | None,
+    picture: Picture,
+    edge: Edge,
+    exclude: Sequence[Float[np.ndarray, "corner 2"]],
+) -> tuple[FrameErrors | None, tuple[str, ...]]:
+    """Return the errors that several frames of one state show, or why they show none."""
+    if picture.frames == 1:
+        return None, ()
+    frames = read_frames([folder / name for name in given.files], _reading(given, clicks))
+    try:
+        return errors_from_frames(frames, edge, number=picture.frames, exclude=exclude), ()
+    except InvalidInput as error:
+        return None, (f"no errors from the frames, for {error.what}: {error.value}",)
 
 
 def clicked(folder: Path, given: ImageFile) -> Clicks | None:
