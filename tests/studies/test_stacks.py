@@ -125,7 +125,9 @@ def test_a_volume_that_states_an_index_takes_the_one_that_the_message_asks_for(t
         ({"voxel": {"x": 1, "y": 1, "z": 1}}, None, "observation.stack.voxel.unit"),
         ({"frame": None}, None, "observation.stack.frame.origin"),
         ({"frame": {"origin": [1, 2]}}, None, "observation.stack.frame.origin"),
-        ({"frame": {"origin": [1, 2, 3], "rotation": 3}}, None, "rotation"),
+        ({"frame": {"origin": [1, 2, 3], "rotation": 3}}, None, "observation.stack.frame.rotation"),
+        ({"exclude": [{"voxels": [[0, 0, 0]]}]}, None, "observation.stack.exclude[0].voxels"),
+        ({"exclude": [{"voxels": [[0, 0, 0], [47, 47, 47]]}]}, None, "at least 10"),
         ({"file": "nothing.npy"}, None, "nothing.npy"),
         ({"file": "page.npy"}, None, "holds no stack"),
         ({"file": "noise.npy"}, None, "contrast over noise"),
@@ -176,6 +178,18 @@ def test_an_open_surface_is_noted(tmp_path: Path) -> None:
     study = load_study(folder)
     assert not study.observed[""].closed
     assert "the surface is open" in " ".join(study.stacks[""].notes)
+
+
+def test_a_region_in_coordinates_of_the_model_turns_with_its_frame(tmp_path: Path) -> None:
+    """The model's x axis runs along the rows of the stack, so the same ball is another place."""
+    turned = {"origin": ORIGIN, "rotation": [0, 0, 90]}
+    study = loaded(tmp_path / "s", frame=turned, exclude=[{"ball": [RADIUS, 0, 0], "radius": 0.005, "unit": "mm"}])
+    points = study.observed[""].points
+    assert np.linalg.norm(points - [RADIUS, 0, 0], axis=1).min() > 0.005
+    assert np.linalg.norm(points - [0, RADIUS, 0], axis=1).min() < 0.002
+    mesh = study.stacks[""].surface.mesh
+    assert np.linalg.norm(mesh.points - ORIGIN - [0, RADIUS / V, 0], axis=1).min() > 5
+    assert "triangles in excluded regions left out" in " ".join(study.stacks[""].notes)
 
 
 def test_an_image_needs_a_section(tmp_path: Path) -> None:
