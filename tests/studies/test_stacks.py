@@ -118,6 +118,7 @@ def test_a_volume_that_states_an_index_takes_the_one_that_the_message_asks_for(t
 @pytest.mark.parametrize(
     ("changes", "noise", "said"),
     [
+        ({"reader": "nowhere:read"}, None, "observation.stack.reader"),
         ({"index": 0}, None, "observation.stack.index"),
         ({"voxel": None}, None, "does not state the size of a voxel"),
         ({"voxel": {"x": 1, "y": 1, "unit": "um"}}, None, "does not state z"),

@@ -18,6 +18,7 @@ from strandline.imaging import (
     Picture,
     PictureReading,
     Registration,
+    edge_method,
     errors_from_frames,
     find_edge,
     read_clicks,
@@ -27,6 +28,7 @@ from strandline.imaging import (
     registered,
     typed_path,
 )
+from strandline.imaging.markov_path import MarkovPath
 from strandline.imaging.pixel_size import PixelSize
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
@@ -110,7 +112,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         edge = find_edge(
             picture.values,
             path,
-            method=given.edge,
+            method=edge_method(given.edge, f"{PLACE}.edge"),
             solid=given.solid,
             closed=closed,
             exclude=exclude,
@@ -211,7 +213,8 @@ def _placed(
             expected="a region that does not move with the specimen",
             remedy="Mark one: `strandline image STUDY --edit`, or give `fixed`.",
         )
-    found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=given.edge == "path")
+    speckle = isinstance(edge_method(given.edge, f"{PLACE}.edge"), MarkovPath)
+    found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=speckle)
     return _frame(given, marks, other).moved(found), found
 
 

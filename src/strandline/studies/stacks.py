@@ -79,7 +79,7 @@ def scanned(folder: Path, given: StackFile) -> Scanned:
 
 def _reading(given: StackFile) -> PictureReading:
     """Return how to read the stack."""
-    names = ("index", "scale", "channel", "dataset")
+    names = ("index", "scale", "channel", "dataset", "reader")
     options = {name: value for name in names if (value := getattr(given, name)) is not None}
     how = PictureReading.from_options(options, PLACE)
     if given.voxel is None:

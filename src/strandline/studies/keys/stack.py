@@ -25,6 +25,8 @@ class StackFile(Section):
     """of pictures in colour: `grey` (default), `red`, `green` or `blue`"""
     dataset: Any = None
     """name of the data set in an HDF5 file"""
+    reader: Any = None
+    """your own reader of the file, as for `observation.image.reader`"""
     frame: Any = None
     """where the model's (0, 0, 0) is, `{origin: [128, 128, 64]}` in voxels from the left, the top and the first plane;
     with `x: left`, `y: up` or `z: first` if the model's axes point there, and `rotation: [0, 0, 30]` in degrees about
