@@ -1,5 +1,6 @@
 """A picture as the observation of a study: where the edge is, its errors, and every bad input."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -176,7 +177,7 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
     points = study.observed[""].points
     assert not ((points[:, 0] > 0.82) & (points[:, 0] < 1.18)).any()
     assert abs(off(study).mean()) < 0.05
-    assert "scale bar in hump.path.json" in " ".join(study.pictures[""].picture.notes)
+    assert "scale bar in hump.path.json, as if pixels were square" in " ".join(study.pictures[""].picture.notes)
     picture(tmp_path / "s", seed=2)
     with pytest.raises(InvalidInput, match="hump"):
         load_study(tmp_path / "s")
@@ -271,6 +272,35 @@ def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(
     with pytest.raises(SystemExit):
         main(["image", str(folder), "--edit", "--condition", "late"])
     assert "--condition" in capsys.readouterr().err
+
+
+def test_the_picture_to_which_one_is_registered_is_marked_too_and_needs_no_path(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Fixed region, scale and origin come from marks on another picture, in which nobody marked the interface."""
+    folder = tmp_path / "s"
+    folder.mkdir()
+    picture(folder, seed=2).rename(folder / "bare.png")
+    registration = {"to": "bare.png", "marks": "bare.path.json"}
+    main(["image", str(written(folder, registration=registration, frame=None, pixel=None)), "--edit", "--reference"])
+    assert "bare.mark.html" in capsys.readouterr().out
+    assert "bare.path.json" in (folder / "bare.mark.html").read_text("utf-8")
+    sha = hashlib.sha256((folder / "bare.png").read_bytes()).hexdigest()
+    region = np.array([[10.0, 60.0], [90.0, 40.0], [90.0, 110.0], [10.0, 130.0]])
+    write_clicks(
+        Clicks("bare.png", sha, SIZE, np.zeros((0, 2)), origin=ORIGIN, fixed=(region,)), folder / "bare.path.json"
+    )
+    study = loaded(folder, registration=registration, frame=None)
+    assert study.pictures[""].registration is not None
+    assert abs(off(study).mean()) < 0.2
+    main(["image", str(folder), "--edit", "--reference"])  # the page opens the marks
+    for changes, arguments, said in (
+        ({"path": "bare.path.json", "file": "bare.png"}, [], "observation.image.path"),
+        ({}, ["--edit", "--reference"], "without `registration`"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["image", str(written(folder, **changes)), *arguments])
+        assert said in capsys.readouterr().err
 
 
 def test_the_example_is_sound() -> None:

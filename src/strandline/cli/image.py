@@ -23,7 +23,8 @@ __all__ = ["command"]
     metavar="NAME",
     help="With --edit and several pictures: which one; `undeformed` is that of the model's outline.",
 )
-def command(study: Path, edit: bool, condition: str | None) -> None:
+@click.option("--reference", is_flag=True, help="With --edit: the picture to which that one is registered.")
+def command(study: Path, edit: bool, condition: str | None, reference: bool) -> None:
     """Find the edge in the picture of STUDY and write it into STUDY/image: a table, a picture, its errors.
 
     In a stack of pictures find the surface, and write a file for VTK instead of the table.
@@ -31,7 +32,8 @@ def command(study: Path, edit: bool, condition: str | None) -> None:
     With --edit, write a page instead. Open it in a browser, mark the picture, and save the file that `path` names.
     """
     if edit:
-        click.echo(f"wrote {_page(study, condition)}: open it in a browser, and save what you mark beside study.yaml")
+        page = _page(study, condition, reference=reference)
+        click.echo(f"wrote {page}: open it in a browser, and save what you mark beside study.yaml")
         return
     from strandline.studies import load_study
     from strandline.studies.picture_files import write_pictures
@@ -128,15 +130,16 @@ def _moved(found: Mapping[str, Any], unit: float) -> str:
     return f"  set-up moved by {shift}; turned by {found['rotation']:.3g}°, sd {found['rotation_sd']:.2g}°"
 
 
-def _page(study: Path, condition: str | None) -> Path:
+def _page(study: Path, condition: str | None, *, reference: bool) -> Path:
     """Write the page for one picture and return its path."""
     from strandline.studies.parse import parse_study
     from strandline.studies.picture_files import UNDEFORMED, write_page
-    from strandline.studies.pictures import picture_of
+    from strandline.studies.pictures import picture_of, reference_of
     from strandline.studies.undeformed import undeformed_picture
 
     content, _ = parse_study(study)
     undeformed = undeformed_picture(content.model)
     if condition == UNDEFORMED and undeformed is not None:
-        return write_page(study, undeformed)
-    return write_page(study, picture_of(content.observation, condition))
+        return write_page(study, reference_of(undeformed) if reference else undeformed)
+    given = picture_of(content.observation, condition)
+    return write_page(study, reference_of(given) if reference else given)

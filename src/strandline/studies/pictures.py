@@ -35,7 +35,7 @@ from strandline.studies.chosen import refused_at
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
 
-__all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture"]
+__all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture", "reference_of"]
 
 PLACE = "observation.image"
 MODEL = "model"
@@ -171,6 +171,24 @@ def picture_of(source: ObservationFile | list[ConditionFile], condition: str | N
     return found[condition]
 
 
+def reference_of(given: ImageFile) -> ImageFile:
+    """Return the section of the picture to which a picture is registered, its marks as the path.
+
+    Raises:
+        InvalidStudy: The picture is registered to none.
+    """
+    how = given.registration
+    if how is None:
+        raise InvalidStudy(
+            "--reference",
+            value=f"{', '.join(given.files)}, without `registration`",
+            expected="a picture that is registered to another",
+            remedy="Leave --reference out, or add `registration: {to: FILE, marks: FILE.path.json}`.",
+        )
+    marks = how.marks or f"{Path(how.files[0]).stem}.path.json"
+    return given.model_copy(update={"file": how.to, "path": marks, "registration": None})
+
+
 def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
     """Return the picture alone, and whether study or header state the size of its pixels; else it is 1 mm."""
     paths = [folder / name for name in given.files]
@@ -185,13 +203,17 @@ def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
             return read_picture(paths, replace(how, pixel=PixelSize(1.0, 1.0, source="nothing yet"))), False
 
 
-def _reading(given: ImageFile, clicks: Clicks | None) -> PictureReading:
-    """Return how to read the picture, with the size of a pixel from a scale bar if the study states none."""
+def _reading(given: ImageFile, clicks: Clicks | None, name: str | None = None) -> PictureReading:
+    """Return how to read the picture, with the size of a pixel from a scale bar if the study states none.
+
+    A bar shows the size along itself only: pixels are taken as square, and the note says so.
+    """
     how = PictureReading.from_options(given.reading, PLACE)
     size = None if clicks is None else clicks.pixel_mm
     if how.pixel is not None or size is None:
         return how
-    return replace(how, pixel=PixelSize(size, size, source=f"the scale bar in {given.path}"))
+    source = f"the scale bar in {given.path if name is None else name}, as if pixels were square"
+    return replace(how, pixel=PixelSize(size, size, source=source))
 
 
 def _placed(
@@ -202,7 +224,7 @@ def _placed(
     if how is None:
         return _frame(given, clicks, picture), None
     marks = None if how.marks is None else read_clicks(folder / how.marks)
-    other = read_picture([folder / name for name in how.files], _reading(given, marks))
+    other = read_picture([folder / name for name in how.files], _reading(given, marks, how.marks))
     if marks is not None:
         marks.require_picture(other.sha256, (other.values.shape[1], other.values.shape[0]))
     regions = [*(np.array(one, float) for one in how.fixed), *(marks.fixed if marks is not None else ())]
@@ -211,7 +233,7 @@ def _placed(
             f"{PLACE}.registration.marks",
             value=f"{how.marks}, without a fixed region",
             expected="a region that does not move with the specimen",
-            remedy="Mark one: `strandline image STUDY --edit`, or give `fixed`.",
+            remedy="Mark one: `strandline image STUDY --edit --reference`, or give `fixed`.",
         )
     speckle = isinstance(edge_method(given.edge, f"{PLACE}.edge"), MarkovPath)
     found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=speckle)
@@ -236,6 +258,13 @@ def _path(
 ) -> tuple[Float[np.ndarray, "click 2"], bool]:
     """Return the first path, in pixels, and whether it is closed."""
     if clicks is not None:
+        if not len(clicks.path):
+            raise InvalidStudy(
+                f"{PLACE}.path",
+                value=f"{given.path}, without a path",
+                expected="at least 3 points along the interface",
+                remedy="Click them: `strandline image STUDY --edit`.",
+            )
         return clicks.path, clicks.closed or given.closed
     if given.path == MODEL:
         if undeformed is None or undeformed.dim != 2:
