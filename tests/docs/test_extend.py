@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 import strandline as sl
 from strandline.readers import Reading, read_interface
@@ -25,6 +26,7 @@ from strandline.testing import (
     simulators,
     surrogates,
 )
+from strandline.testing.studies import write_study
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "extend.md").read_text("utf-8")
 
@@ -64,6 +66,36 @@ def test_its_study_runs(doors: ModuleType, tmp_path: Path, without_report: None)
     posterior = run_study(load_study(tmp_path)).calibration.posterior
     assert abs(posterior.mean[0] - 0.25) < 3 * posterior.sd[0]
     assert (tmp_path / "runs.txt").read_text() == "24 runs\n"
+
+
+def test_its_picture_format_and_edge_method_find_an_edge(doors: ModuleType, tmp_path: Path) -> None:
+    """The edge of the example lies where the blurred step of the picture does, as `erf` finds it."""
+    x, y = np.meshgrid(np.arange(200.0), np.arange(100.0))
+    grey = 900 + 600 * ndtr((y - 60 + 20 * np.sin(np.pi * x / 200)) / 1.5)
+    grey += 8 * np.random.default_rng(1).standard_normal(grey.shape)
+    content = np.array(grey.shape, "<u2").tobytes() + np.round(grey).astype("<u2").tobytes()
+    (tmp_path / "seen.raw").write_bytes(content)
+    image = {
+        "file": "seen.raw",
+        "reader": "my_doors:read_raw",
+        "pixel": {"size": 8, "unit": "um"},
+        "frame": {"origin": [0, 60]},
+        "path": [[3, 60], [50, 46], [100, 40], [150, 46], [196, 60]],
+        "solid": "bright",
+    }
+    found = {}
+    for edge in ("erf", "my_doors:Steepest", {"method": "my_doors:Steepest", "options": {"reach": 5.5}}):
+        write_study(tmp_path, observation={"image": {**image, "edge": edge}}, noise={"sd": "image", "unit": "um"})
+        found[str(edge)] = load_study(tmp_path).pictures[""].edge
+    reference, whole, short = found.values()
+    assert (whole.method, short.method) == (doors.Steepest(), doors.Steepest(reach=5.5))
+    for one in (whole, short):
+        off = one.points[:, 1] - np.interp(
+            one.points[:, 0], *reference.points[:: -1 if reference.points[0, 0] > 100 else 1].T
+        )
+        assert abs(off.mean()) < 0.1
+        assert off.std() < 0.3
+        assert one.errors.offset >= 0.2 * 0.008
 
 
 def test_its_surrogate_makes_a_study(doors: ModuleType, tmp_path: Path) -> None:

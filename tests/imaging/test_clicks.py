@@ -73,6 +73,13 @@ def test_another_picture_is_refused() -> None:
         clicks().require_picture(SHA, (80, 100))
 
 
+def test_a_picture_with_a_fixed_region_needs_no_path(tmp_path: Path) -> None:
+    corners = np.array([[1.0, 1.0], [9.0, 1.0], [9.0, 9.0]])
+    write_clicks(clicks(path=np.zeros((0, 2)), fixed=(corners,)), tmp_path / "a.path.json")
+    found = read_clicks(tmp_path / "a.path.json")
+    assert (len(found.path), len(found.fixed)) == (0, 1)
+
+
 BOW_TIE = [[10, 10], [20, 20], [20, 10], [10, 20]]
 MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"path": ...}, "path is missing"),
@@ -86,7 +93,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"size": [100.0, 80.0]}, "size of the picture"),
     ({"size": [0, 80]}, "size of the picture"),
     ({"closed": "yes"}, "closed: got yes; expected true or false"),
-    ({"path": []}, "the path has too few points: got 0; expected at least 3"),
+    ({"path": [], "fixed": []}, "the path has too few points: got 0; expected at least 3"),
     ({"path": [[1, 1], [2, 2]]}, "too few points: got 2"),
     ({"path": "abc"}, "the path: got abc"),
     ({"path": [[1, 1], [2, 2, 2], [3, 3]]}, r"the path: point 2: got \[2, 2, 2\]"),

@@ -16,12 +16,15 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy import ndimage
+from tests.studies.test_pictures import height, off, written
 
+from strandline.cli import main
 from strandline.errors import InvalidInput
 from strandline.imaging.clicks import Clicks
 from strandline.imaging.clicks_file import as_json, read_clicks
 from strandline.report import click_picture
 from strandline.report.click_page import write_click_page
+from strandline.studies import load_study
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -67,15 +70,19 @@ class Person:
         self.page.goto(path.as_uri())
         self.page.wait_for_selector("#stage[data-ready]")
 
-    def seen(self) -> Any:
-        """Return where the dots are on the screen, as pixels (x, y) of a screenshot of the picture."""
+    def shot(self) -> tuple[Any, Any]:
+        """Return a screenshot of the picture without marks, and where its top left corner is on the screen."""
         self.page.wait_for_timeout(80)
         box = self.page.locator("#picture").bounding_box()
         left, top = np.ceil([box["x"], box["y"]]).astype(int)
         shot = self.page.screenshot(style="#marks { visibility: hidden }")
-        light = np.asarray(Image.open(io.BytesIO(shot)).convert("L")).astype(float)[
-            top : int(box["y"] + box["height"]), left : int(box["x"] + box["width"])
-        ]
+        light = np.asarray(Image.open(io.BytesIO(shot)).convert("L")).astype(float)
+        shown = light[top : int(box["y"] + box["height"]), left : int(box["x"] + box["width"])]
+        return shown, np.array([left, top])
+
+    def seen(self) -> Any:
+        """Return where the dots are on the screen, as pixels (x, y) of a screenshot of the picture."""
+        light, corner = self.shot()
         light = np.where(light > 70, light - 70, 0.0)
         spots, number = ndimage.label(light)
         whole = [
@@ -85,7 +92,7 @@ class Person:
         ]
         assert number
         centres = np.array(ndimage.center_of_mass(light, spots, whole))[:, ::-1]
-        return np.add(centres, [left, top])
+        return np.add(centres, corner)
 
     def places(self) -> Any:
         """Return where each dot is on the screen while all are visible: they lie in rows."""
@@ -93,6 +100,14 @@ class Person:
         assert len(found) == len(DOTS)
         rows = found[np.argsort(found[:, 1])].reshape(5, 7, 2)
         return np.concatenate([row[np.argsort(row[:, 0])] for row in rows])
+
+    def sees_the_edge(self) -> Any:
+        """Return places on the screen, from left to right, where bright turns into dark from above to below."""
+        light, corner = self.shot()
+        light = ndimage.gaussian_filter(light, 2.0)
+        columns = np.linspace(0.06, 0.94, 7) * light.shape[1]
+        rows = [np.flatnonzero(light[:, int(column)] > 120)[-1] for column in columns]
+        return np.stack([columns, rows], axis=1) + corner
 
     def choose(self, label: str) -> None:
         self.page.get_by_role("radio", name=label).check()
@@ -219,6 +234,29 @@ def test_from_the_picture_to_the_saved_file(person: Person, page: Path, tmp_path
     assert distance(np.concatenate(clicks.exclude), [3, 4, 11, 5, 13, 12]) <= EXACT
     assert distance(np.concatenate(clicks.fixed), [28, 30, 22]) <= EXACT
     assert all(url.startswith(("file:", "data:image/png", "blob:")) for url in person.requests)
+
+
+def test_a_study_finds_the_edge_from_what_was_clicked(
+    person: Person, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Somebody clicks where the grey value changes on the screen; the study takes the file as it was saved."""
+    study = written(tmp_path / "s", path="hump.path.json")
+    main(["image", str(study), "--edit"])
+    person.open(study / "hump.mark.html")
+    person.choose("Path")
+    for place in person.sees_the_edge():
+        person.click(place)
+    assert person.status("ready") == READY
+    assert person.save(study).name == "hump.path.json"
+    clicked = read_clicks(study / "hump.path.json").path
+    assert np.abs(clicked[:, 1] - height(clicked[:, 0])).max() < 2.0
+    assert np.ptp(clicked[:, 0]) > 150
+    loaded = load_study(study)
+    assert abs(off(loaded).mean()) < 0.05
+    assert len(loaded.observed[""].points) > 140
+    main(["image", str(study)])
+    assert "hump.png: edge of" in capsys.readouterr().out
+    assert (study / "image" / "edge.csv").is_file()
 
 
 def test_a_saved_file_is_loaded_and_saved_again_digit_by_digit(person: Person, page: Path, tmp_path: Path) -> None:
@@ -401,6 +439,10 @@ def test_the_page_refuses_what_the_reader_refuses(person: Person, page: Path, tm
         person.hand_in(content)
         assert re.search(f"scan.path.json was not opened: .*{message}", person.page.get_by_role("alert").inner_text())
         assert person.status("of-path") == "3 points"
+    only_fixed = {**GOOD, "path": [], "fixed": [CORNERS]}  # enough to register another picture to this one
+    person.hand_in(only_fixed)
+    assert person.status("ready") == READY
+    assert as_json(read_clicks(person.save(tmp_path)))["fixed"] == [CORNERS]
 
 
 def test_page_and_reader_agree_on_paths_that_cross_or_touch(person: Person, page: Path) -> None:

@@ -1,5 +1,6 @@
 """A picture as the observation of a study: where the edge is, its errors, and every bad input."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -105,6 +106,42 @@ def test_a_folder_of_frames_is_averaged(tmp_path: Path) -> None:
         loaded(tmp_path, file="empty")
 
 
+def of_frames(folder: Path, number: int, *, noise: float = 18.0) -> Path:
+    """Write frames of one state into a folder `frames`."""
+    (folder / "frames").mkdir()
+    for seed in range(number):
+        picture(folder, noise=noise, seed=seed).rename(folder / "frames" / f"{seed}.png")
+    return folder
+
+
+def test_frames_show_their_own_errors_and_the_larger_ones_count(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written(of_frames(tmp_path, 4), file="frames")
+    main(["image", str(folder)])
+    shown = capsys.readouterr().out
+    for words in ("from 4 frames: sd", "in one frame", "from their mean alone: sd", "set sd and length"):
+        assert words in shown
+    content = json.loads((folder / "image" / "edge.json").read_text("utf-8"))
+    frames, alone = content["frames"]["mean"], content["frames"]["picture_alone"]
+    assert frames["sd"] == pytest.approx(alone["sd"], rel=0.4)
+    used = max((frames, alone), key=lambda one: one["sd"] ** 2 * one["length"])
+    assert content["frames"]["used"] == ("frames" if used is frames else "picture")
+    noise = load_study(folder).noise_of("")
+    assert isinstance(noise, PointErrors)
+    assert (noise.sd, noise.length) == (used["sd"], used["length"]) == (content["sd"], content["length"])
+
+
+def test_frames_without_errors_are_noted(tmp_path: Path) -> None:
+    """A picture that was copied is no second frame, and a single picture has none."""
+    copies = of_frames(tmp_path, 1)
+    shutil.copy(copies / "frames" / "0.png", copies / "frames" / "1.png")
+    found = loaded(tmp_path, file="frames").pictures[""]
+    assert found.repeated is None
+    assert found.notes[-1] == "no errors from the frames, for contours of one state: identical contours"
+    assert loaded(tmp_path, file="frames/0.png").pictures[""].repeated is None
+
+
 def test_a_model_may_err_beside_the_errors_that_the_picture_shows(tmp_path: Path) -> None:
     known = loaded(tmp_path / "s").noise_of("")
     assert isinstance(known, PointErrors)
@@ -140,7 +177,7 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
     points = study.observed[""].points
     assert not ((points[:, 0] > 0.82) & (points[:, 0] < 1.18)).any()
     assert abs(off(study).mean()) < 0.05
-    assert "scale bar in hump.path.json" in " ".join(study.pictures[""].picture.notes)
+    assert "scale bar in hump.path.json, as if pixels were square" in " ".join(study.pictures[""].picture.notes)
     picture(tmp_path / "s", seed=2)
     with pytest.raises(InvalidInput, match="hump"):
         load_study(tmp_path / "s")
@@ -162,6 +199,18 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
         ({"scale": "log"}, None, "scale"),
         ({"solid": "grey"}, None, "solid"),
         ({"trim": 0.49}, None, "points"),
+        ({"edge": "erff"}, None, "observation.image.edge"),
+        ({"edge": 3}, None, "observation.image.edge"),
+        ({"edge": {"name": "erf"}}, None, "observation.image.edge: unknown option"),
+        ({"edge": {"options": {}}}, None, "observation.image.edge.method"),
+        ({"edge": {"method": "erf", "options": {"reach": 5}}}, None, "Remove the options"),
+        ({"edge": "nowhere:Edge"}, None, "observation.image.edge"),
+        ({"edge": {"method": "strandline.imaging.erf_step:ErfStep", "options": {"size": 5}}}, None, "size"),
+        ({"edge": "strandline.imaging:Frame"}, None, "observation.image.edge"),
+        ({"edge": "strandline.imaging:read_picture"}, None, "without bias, passes, locate"),
+        ({"edge": {"method": "strandline.imaging.half_level:HalfLevel", "options": {"bias": 0.0}}}, None, "above 0"),
+        ({"reader": "nowhere:read"}, None, "observation.image.reader"),
+        ({"reader": "strandline.imaging:EDGES"}, None, "observation.image.reader"),
         ({"file": ["hump.png", "nothing.png"]}, None, "nothing.png"),
         ({}, {"sd": 2, "unit": "um"}, "noise.unknown.offset"),
         ({}, {"sd": "image", "unit": "um", "unknown": {"offset": 0}}, "noise.unknown.offset"),
@@ -223,6 +272,35 @@ def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(
     with pytest.raises(SystemExit):
         main(["image", str(folder), "--edit", "--condition", "late"])
     assert "--condition" in capsys.readouterr().err
+
+
+def test_the_picture_to_which_one_is_registered_is_marked_too_and_needs_no_path(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Fixed region, scale and origin come from marks on another picture, in which nobody marked the interface."""
+    folder = tmp_path / "s"
+    folder.mkdir()
+    picture(folder, seed=2).rename(folder / "bare.png")
+    registration = {"to": "bare.png", "marks": "bare.path.json"}
+    main(["image", str(written(folder, registration=registration, frame=None, pixel=None)), "--edit", "--reference"])
+    assert "bare.mark.html" in capsys.readouterr().out
+    assert "bare.path.json" in (folder / "bare.mark.html").read_text("utf-8")
+    sha = hashlib.sha256((folder / "bare.png").read_bytes()).hexdigest()
+    region = np.array([[10.0, 60.0], [90.0, 40.0], [90.0, 110.0], [10.0, 130.0]])
+    write_clicks(
+        Clicks("bare.png", sha, SIZE, np.zeros((0, 2)), origin=ORIGIN, fixed=(region,)), folder / "bare.path.json"
+    )
+    study = loaded(folder, registration=registration, frame=None)
+    assert study.pictures[""].registration is not None
+    assert abs(off(study).mean()) < 0.2
+    main(["image", str(folder), "--edit", "--reference"])  # the page opens the marks
+    for changes, arguments, said in (
+        ({"path": "bare.path.json", "file": "bare.png"}, [], "observation.image.path"),
+        ({}, ["--edit", "--reference"], "without `registration`"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["image", str(written(folder, **changes)), *arguments])
+        assert said in capsys.readouterr().err
 
 
 def test_the_example_is_sound() -> None:

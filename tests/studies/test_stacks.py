@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 from tests.discrepancy.surfaces import sphere
+from tests.imaging.test_formats import scan
 from verification.validation.rendered_stacks import Blob, Microscope
 
 from strandline.cli import main
@@ -95,16 +96,39 @@ def test_the_header_states_the_size_of_a_voxel(tmp_path: Path) -> None:
     assert "from the study" in " ".join(typed.stacks[""].notes)
 
 
+OCT = (
+    "<Ocity><Image><SizePixel><SizeZ>48</SizeZ><SizeX>48</SizeX><SizeY>48</SizeY></SizePixel><SizeReal><SizeZ>0.06384"
+    "</SizeZ><SizeX>0.048</SizeX><SizeY>0.048</SizeY></SizeReal></Image><Acquisition><RefractiveIndex>1.33"
+    "</RefractiveIndex></Acquisition></Ocity>"
+)
+"""Header of a volume whose depths are optical paths: 1.33 times as long."""
+
+
+def test_a_volume_that_states_an_index_takes_the_one_that_the_message_asks_for(tmp_path: Path) -> None:
+    folder = written(tmp_path / "s", file="cells.oct", voxel=None, scale="intensity")
+    scan(folder / "cells.oct", grey(), header=OCT)
+    with pytest.raises(InvalidInput, match=r"states a refractive index.*Add `index: 1\.33`"):
+        load_study(folder)
+    found = loaded(folder, file="cells.oct", voxel=None, scale="intensity", index=1.33)
+    assert found.stacks[""].stack.voxel == pytest.approx((V, V, V))
+    np.testing.assert_allclose(found.observed[""].points, loaded(tmp_path / "t").observed[""].points, atol=1e-6)
+    assert "index 1.33 divides y" in found.stacks[""].notes
+
+
 @pytest.mark.parametrize(
     ("changes", "noise", "said"),
     [
+        ({"reader": "nowhere:read"}, None, "observation.stack.reader"),
+        ({"index": 0}, None, "observation.stack.index"),
         ({"voxel": None}, None, "does not state the size of a voxel"),
         ({"voxel": {"x": 1, "y": 1, "unit": "um"}}, None, "does not state z"),
         ({"voxel": {"size": 1, "unit": "um"}}, None, "observation.stack.voxel"),
         ({"voxel": {"x": 1, "y": 1, "z": 1}}, None, "observation.stack.voxel.unit"),
         ({"frame": None}, None, "observation.stack.frame.origin"),
         ({"frame": {"origin": [1, 2]}}, None, "observation.stack.frame.origin"),
-        ({"frame": {"origin": [1, 2, 3], "rotation": 3}}, None, "rotation"),
+        ({"frame": {"origin": [1, 2, 3], "rotation": 3}}, None, "observation.stack.frame.rotation"),
+        ({"exclude": [{"voxels": [[0, 0, 0]]}]}, None, "observation.stack.exclude[0].voxels"),
+        ({"exclude": [{"voxels": [[0, 0, 0], [47, 47, 47]]}]}, None, "at least 10"),
         ({"file": "nothing.npy"}, None, "nothing.npy"),
         ({"file": "page.npy"}, None, "holds no stack"),
         ({"file": "noise.npy"}, None, "contrast over noise"),
@@ -155,6 +179,18 @@ def test_an_open_surface_is_noted(tmp_path: Path) -> None:
     study = load_study(folder)
     assert not study.observed[""].closed
     assert "the surface is open" in " ".join(study.stacks[""].notes)
+
+
+def test_a_region_in_coordinates_of_the_model_turns_with_its_frame(tmp_path: Path) -> None:
+    """The model's x axis runs along the rows of the stack, so the same ball is another place."""
+    turned = {"origin": ORIGIN, "rotation": [0, 0, 90]}
+    study = loaded(tmp_path / "s", frame=turned, exclude=[{"ball": [RADIUS, 0, 0], "radius": 0.005, "unit": "mm"}])
+    points = study.observed[""].points
+    assert np.linalg.norm(points - [RADIUS, 0, 0], axis=1).min() > 0.005
+    assert np.linalg.norm(points - [0, RADIUS, 0], axis=1).min() < 0.002
+    mesh = study.stacks[""].surface.mesh
+    assert np.linalg.norm(mesh.points - ORIGIN - [0, RADIUS / V, 0], axis=1).min() > 5
+    assert "triangles in excluded regions left out" in " ".join(study.stacks[""].notes)
 
 
 def test_an_image_needs_a_section(tmp_path: Path) -> None:

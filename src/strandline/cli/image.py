@@ -23,7 +23,8 @@ __all__ = ["command"]
     metavar="NAME",
     help="With --edit and several pictures: which one; `undeformed` is that of the model's outline.",
 )
-def command(study: Path, edit: bool, condition: str | None) -> None:
+@click.option("--reference", is_flag=True, help="With --edit: the picture to which that one is registered.")
+def command(study: Path, edit: bool, condition: str | None, reference: bool) -> None:
     """Find the edge in the picture of STUDY and write it into STUDY/image: a table, a picture, its errors.
 
     In a stack of pictures find the surface, and write a file for VTK instead of the table.
@@ -31,7 +32,8 @@ def command(study: Path, edit: bool, condition: str | None) -> None:
     With --edit, write a page instead. Open it in a browser, mark the picture, and save the file that `path` names.
     """
     if edit:
-        click.echo(f"wrote {_page(study, condition)}: open it in a browser, and save what you mark beside study.yaml")
+        page = _page(study, condition, reference=reference)
+        click.echo(f"wrote {page}: open it in a browser, and save what you mark beside study.yaml")
         return
     from strandline.studies import load_study
     from strandline.studies.picture_files import write_pictures
@@ -62,6 +64,7 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     for note in found["notes"]:
         yield f"  {note}"
     yield from _sizes(found)
+    yield from _of_frames(found["frames"])
     if found["registration"] is not None:
         yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
     if "outline" in found:
@@ -81,6 +84,25 @@ def _sizes(found: Mapping[str, Any]) -> Iterator[str]:
     yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
     yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
     yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
+
+
+def _of_frames(found: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield what several frames of one state show, beside what their mean picture alone shows."""
+    if found is None:
+        return
+    one, mean, alone = found["one_frame"], found["mean"], found["picture_alone"]
+    compared = "" if found["compared"] == found["frames"] else f", {found['compared']} of them compared"
+    yield f"  from {found['frames']} frames{compared}: {_pair(mean)}; in one frame {1e3 * one['sd']:.3g} µm"
+    yield f"  from their mean alone: {_pair(alone)}"
+    yield f"  the {'frames' if found['used'] == 'frames' else 'mean alone'} set sd and length: s²ℓ is larger"
+    if one["shift"] or one["rotation"]:
+        moved = f"{1e3 * one['shift']:.3g} µm and {one['rotation']:.2g}°"
+        left = f"{1e3 * mean['shift']:.3g} µm and {mean['rotation']:.2g}°"
+        yield f"  frames differ in place by {moved} (sd), their mean by {left}: take these up in `unknown`"
+
+
+def _pair(errors: Mapping[str, float]) -> str:
+    return f"sd {1e3 * errors['sd']:.3g} µm, correlation length {1e3 * errors['length']:.3g} µm"
 
 
 def _as_stated(found: Mapping[str, Any]) -> Iterator[str]:
@@ -108,15 +130,16 @@ def _moved(found: Mapping[str, Any], unit: float) -> str:
     return f"  set-up moved by {shift}; turned by {found['rotation']:.3g}°, sd {found['rotation_sd']:.2g}°"
 
 
-def _page(study: Path, condition: str | None) -> Path:
+def _page(study: Path, condition: str | None, *, reference: bool) -> Path:
     """Write the page for one picture and return its path."""
     from strandline.studies.parse import parse_study
     from strandline.studies.picture_files import UNDEFORMED, write_page
-    from strandline.studies.pictures import picture_of
+    from strandline.studies.pictures import picture_of, reference_of
     from strandline.studies.undeformed import undeformed_picture
 
     content, _ = parse_study(study)
     undeformed = undeformed_picture(content.model)
     if condition == UNDEFORMED and undeformed is not None:
-        return write_page(study, undeformed)
-    return write_page(study, picture_of(content.observation, condition))
+        return write_page(study, reference_of(undeformed) if reference else undeformed)
+    given = picture_of(content.observation, condition)
+    return write_page(study, reference_of(given) if reference else given)

@@ -4,34 +4,50 @@ from strandline.imaging.clicks import Clicks, ScaleBar
 from strandline.imaging.clicks_file import read_clicks, write_clicks
 from strandline.imaging.edge import EDGES, Edge, find_edge
 from strandline.imaging.edge_errors import EdgeErrors
+from strandline.imaging.edge_methods import edge_method
+from strandline.imaging.files.contents import PictureFile
 from strandline.imaging.frame import Frame
+from strandline.imaging.frame_errors import FrameErrors, errors_from_frames
+from strandline.imaging.located import EdgeMethod, Located, Scatter
 from strandline.imaging.outline import Outlined, outline_of
 from strandline.imaging.paths.first_path import typed_path
 from strandline.imaging.paths.read import read_path
 from strandline.imaging.picture import Picture, Stack
-from strandline.imaging.read import read_picture, read_stack
+from strandline.imaging.pixel_size import PixelSize
+from strandline.imaging.read import read_frames, read_picture, read_stack
 from strandline.imaging.reading import PictureReading
 from strandline.imaging.registration import Registration, registered
+from strandline.imaging.strip import strip_along
 
 __all__ = [
     "EDGES",
     "Clicks",
     "Edge",
     "EdgeErrors",
+    "EdgeMethod",
     "Frame",
+    "FrameErrors",
+    "Located",
     "Outlined",
     "Picture",
+    "PictureFile",
     "PictureReading",
+    "PixelSize",
     "Registration",
     "ScaleBar",
+    "Scatter",
     "Stack",
+    "edge_method",
+    "errors_from_frames",
     "find_edge",
     "outline_of",
     "read_clicks",
+    "read_frames",
     "read_path",
     "read_picture",
     "read_stack",
     "registered",
+    "strip_along",
     "typed_path",
     "write_clicks",
 ]

@@ -59,7 +59,8 @@ class Clicks:
         image: File name of the picture.
         sha256: SHA-256 checksum of the picture's file, in hexadecimal.
         size: Width and height of the picture, in pixels.
-        path: Rough path along the edge, in order.
+        path: Rough path along the edge, in order; empty if the picture only serves to register another one to it, by
+            `fixed`.
         closed: Whether the last point of the path is joined to the first.
         scale: Line of known length.
         origin: Pixel of the model's point (0, 0); it may lie outside the picture.
@@ -86,8 +87,9 @@ class Clicks:
             raise _refused("checksum of the picture", self.sha256, "64 digits 0-9, a-f")
         if min(self.size) < 1 or max(self.size) > WIDEST:
             raise _refused("size of the picture", list(self.size), f"[width, height] from 1 to {WIDEST} px")
-        require_path(self.path, "the path", closed=self.closed)
-        require_inside(self.path, self.size, "the path")
+        if len(self.path) or not self.fixed:
+            require_path(self.path, "the path", closed=self.closed)
+            require_inside(self.path, self.size, "the path")
         if self.scale is not None:
             require_inside(np.array([self.scale.start, self.scale.end]), self.size, "scale bar")
         if self.origin is not None:

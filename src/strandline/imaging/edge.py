@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,18 +13,12 @@ from strandline.errors import InvalidInput
 from strandline.imaging.course import Course, course_through, smoothed
 from strandline.imaging.doubts import FEWEST, require_edge, require_path, require_room
 from strandline.imaging.edge_errors import EdgeErrors, edge_errors
-from strandline.imaging.erf_step import ErfStep
-from strandline.imaging.half_level import HalfLevel
+from strandline.imaging.edge_methods import EDGES, edge_method
 from strandline.imaging.located import EdgeMethod, Located
-from strandline.imaging.markov_path import MarkovPath
 from strandline.imaging.strip import GreyValues, Strip, grey_values, inside_polygon, strip_along
-from strandline.registry import lookup
 
 __all__ = ["EDGES", "Edge", "find_edge"]
 
-EDGES: dict[str, Any] = {"erf": ErfStep(), "path": MarkovPath(), "contour": HalfLevel()}
-"""Ways to find an edge by their names: erf for cameras, path for speckle in linear intensity, contour for clean
-pictures."""
 SMOOTH = 5.0
 """Standard deviation of the Gaussian along the path that smooths it before the edge is looked for, px."""
 CLEAR, ASIDE = 8.0, 2.0
@@ -107,7 +100,7 @@ def find_edge(
         raise InvalidInput(
             "share of the edge left out at each end", value=trim, expected="0 or above, below 0.5", remedy="Use 0.05."
         )
-    way = lookup(EDGES, method, "method to find an edge") if isinstance(method, str) else method
+    way = edge_method(method)
     picture = grey_values(values, pixel=pixel, exclude=exclude)
     path = np.asarray(path, dtype=float)
     require_path(path, picture, closed=closed)

@@ -23,6 +23,7 @@ class Picture:
         name: Name of the file in messages.
         sha256: Checksum of the file's bytes; of several files, that of their checksums one after the other.
         notes: Sentences that say what was taken from where.
+        frames: Number of frames whose mean it is.
 
     Raises:
         InvalidInput: A pixel that is not finite, a picture without pixels, or pixels without a size.
@@ -33,6 +34,7 @@ class Picture:
     name: str
     sha256: str
     notes: tuple[str, ...] = ()
+    frames: int = 1
 
     def __post_init__(self) -> None:
         _require_sound(self.values, self.pixel, self.name)

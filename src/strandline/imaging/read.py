@@ -44,7 +44,7 @@ def read_picture(paths: Paths, how: PictureReading) -> Picture:
         return first
     notes = (*first.notes, f"mean of {count} frames")
     files = listed(paths)
-    return replace(first, values=total / count, name=_name(files), sha256=checksum(files), notes=notes)
+    return replace(first, values=total / count, name=_name(files), sha256=checksum(files), notes=notes, frames=count)
 
 
 def read_frames(paths: Paths, how: PictureReading) -> Iterator[Picture]:

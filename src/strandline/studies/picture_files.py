@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import ClosestPoint, Currents, KnowsPointErrors, MeasurementLines
+from strandline.imaging import FrameErrors
+from strandline.interface import PointErrors
 from strandline.report.click_page import write_click_page
 from strandline.report.plots.picture import plot_picture
 from strandline.report.plots.style import DOTS_PER_INCH
@@ -116,7 +118,7 @@ def described(one: Photographed) -> dict[str, Any]:
         "picture": one.picture.name,
         "sha256": one.picture.sha256,
         "pixel_mm": list(one.picture.pixel),
-        "notes": list(one.picture.notes),
+        "notes": list(one.notes),
         "points": len(one.edge.points),
         "sd": e.sd,
         "length": e.length,
@@ -127,9 +129,26 @@ def described(one: Photographed) -> dict[str, Any]:
         "contrast_to_noise": e.contrast_to_noise,
         "limit_share": e.limit_share,
         "facts": e.facts,
+        "frames": None if one.repeated is None else _of_frames(one.repeated),
         "registration": None if one.registration is None else asdict(one.registration),
         "noise_variance": _variances(one),
     }
+
+
+def _of_frames(found: FrameErrors) -> dict[str, Any]:
+    """Return the errors that frames of one state show, lengths in mm, and those of their mean picture alone."""
+    return {
+        "frames": found.frames,
+        "compared": found.compared,
+        "one_frame": _stated(found.one),
+        "mean": _stated(found.mean),
+        "picture_alone": {"sd": found.picture_sd, "length": found.picture_length},
+        "used": "frames" if found.larger else "picture",
+    }
+
+
+def _stated(errors: PointErrors) -> dict[str, float]:
+    return {name: getattr(errors, name) for name in ("sd", "length", "shift", "rotation", "scale", "offset")}
 
 
 def _along(one: Photographed) -> tuple[np.ndarray, np.ndarray]:

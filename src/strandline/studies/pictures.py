@@ -1,7 +1,7 @@
 """Pictures of a study: the edge in each, in the model's coordinates, with the errors that the picture itself shows."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,28 +9,33 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidStudy
+from strandline.errors import InvalidInput, InvalidStudy
 from strandline.imaging import (
     Clicks,
     Edge,
     Frame,
+    FrameErrors,
     Picture,
     PictureReading,
     Registration,
+    edge_method,
+    errors_from_frames,
     find_edge,
     read_clicks,
+    read_frames,
     read_path,
     read_picture,
     registered,
     typed_path,
 )
+from strandline.imaging.markov_path import MarkovPath
 from strandline.imaging.pixel_size import PixelSize
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
 
-__all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture"]
+__all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture", "reference_of"]
 
 PLACE = "observation.image"
 MODEL = "model"
@@ -48,6 +53,8 @@ class Photographed:
         edge: The edge, in pixels; its errors and arc lengths in mm.
         interface: The edge as an interface in the model's coordinates, mm.
         registration: Where the set-up is in the picture, if it was found from another one of it.
+        repeated: Errors of the edge from the frames whose mean the picture is; None for a single one.
+        doubts: Why such frames show no errors.
     """
 
     picture: Picture
@@ -56,11 +63,18 @@ class Photographed:
     edge: Edge
     interface: Interface
     registration: Registration | None = None
+    repeated: FrameErrors | None = None
+    doubts: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         """Name of the picture's file."""
         return self.picture.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences that say what was taken from where, and what is in doubt."""
+        return (*self.picture.notes, *self.doubts, *(self.repeated.notes if self.repeated is not None else ()))
 
     @property
     def errors(self) -> PointErrors:
@@ -94,19 +108,40 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         frame, registration = _placed(folder, given, clicks, picture)
         path, closed = _path(folder, given, clicks, frame, undeformed, size)
         exclude = [np.array(corners, float) for corners in given.exclude]
+        exclude += clicks.exclude if clicks is not None else ()
         edge = find_edge(
             picture.values,
             path,
-            method=given.edge,
+            method=edge_method(given.edge, f"{PLACE}.edge"),
             solid=given.solid,
             closed=closed,
-            exclude=[*exclude, *(clicks.exclude if clicks is not None else ())],
+            exclude=exclude,
             pixel=picture.pixel,
             trim=given.trim,
         )
+        repeated, doubts = _repeated(folder, given, clicks, picture, edge, exclude)
+        edge = edge if repeated is None else repeated.put_into(edge)
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
-    return Photographed(picture, frame, path, edge, interface, registration)
+    return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts)
+
+
+def _repeated(
+    folder: Path,
+    given: ImageFile,
+    clicks: Clicks | None,
+    picture: Picture,
+    edge: Edge,
+    exclude: Sequence[Float[np.ndarray, "corner 2"]],
+) -> tuple[FrameErrors | None, tuple[str, ...]]:
+    """Return the errors that several frames of one state show, or why they show none."""
+    if picture.frames == 1:
+        return None, ()
+    frames = read_frames([folder / name for name in given.files], _reading(given, clicks))
+    try:
+        return errors_from_frames(frames, edge, number=picture.frames, exclude=exclude), ()
+    except InvalidInput as error:
+        return None, (f"no errors from the frames, for {error.what}: {error.value}",)
 
 
 def clicked(folder: Path, given: ImageFile) -> Clicks | None:
@@ -136,6 +171,24 @@ def picture_of(source: ObservationFile | list[ConditionFile], condition: str | N
     return found[condition]
 
 
+def reference_of(given: ImageFile) -> ImageFile:
+    """Return the section of the picture to which a picture is registered, its marks as the path.
+
+    Raises:
+        InvalidStudy: The picture is registered to none.
+    """
+    how = given.registration
+    if how is None:
+        raise InvalidStudy(
+            "--reference",
+            value=f"{', '.join(given.files)}, without `registration`",
+            expected="a picture that is registered to another",
+            remedy="Leave --reference out, or add `registration: {to: FILE, marks: FILE.path.json}`.",
+        )
+    marks = how.marks or f"{Path(how.files[0]).stem}.path.json"
+    return given.model_copy(update={"file": how.to, "path": marks, "registration": None})
+
+
 def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
     """Return the picture alone, and whether study or header state the size of its pixels; else it is 1 mm."""
     paths = [folder / name for name in given.files]
@@ -150,13 +203,17 @@ def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
             return read_picture(paths, replace(how, pixel=PixelSize(1.0, 1.0, source="nothing yet"))), False
 
 
-def _reading(given: ImageFile, clicks: Clicks | None) -> PictureReading:
-    """Return how to read the picture, with the size of a pixel from a scale bar if the study states none."""
+def _reading(given: ImageFile, clicks: Clicks | None, name: str | None = None) -> PictureReading:
+    """Return how to read the picture, with the size of a pixel from a scale bar if the study states none.
+
+    A bar shows the size along itself only: pixels are taken as square, and the note says so.
+    """
     how = PictureReading.from_options(given.reading, PLACE)
     size = None if clicks is None else clicks.pixel_mm
     if how.pixel is not None or size is None:
         return how
-    return replace(how, pixel=PixelSize(size, size, source=f"the scale bar in {given.path}"))
+    source = f"the scale bar in {given.path if name is None else name}, as if pixels were square"
+    return replace(how, pixel=PixelSize(size, size, source=source))
 
 
 def _placed(
@@ -167,7 +224,7 @@ def _placed(
     if how is None:
         return _frame(given, clicks, picture), None
     marks = None if how.marks is None else read_clicks(folder / how.marks)
-    other = read_picture([folder / name for name in how.files], _reading(given, marks))
+    other = read_picture([folder / name for name in how.files], _reading(given, marks, how.marks))
     if marks is not None:
         marks.require_picture(other.sha256, (other.values.shape[1], other.values.shape[0]))
     regions = [*(np.array(one, float) for one in how.fixed), *(marks.fixed if marks is not None else ())]
@@ -176,9 +233,10 @@ def _placed(
             f"{PLACE}.registration.marks",
             value=f"{how.marks}, without a fixed region",
             expected="a region that does not move with the specimen",
-            remedy="Mark one: `strandline image STUDY --edit`, or give `fixed`.",
+            remedy="Mark one: `strandline image STUDY --edit --reference`, or give `fixed`.",
         )
-    found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=given.edge == "path")
+    speckle = isinstance(edge_method(given.edge, f"{PLACE}.edge"), MarkovPath)
+    found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=speckle)
     return _frame(given, marks, other).moved(found), found
 
 
@@ -200,6 +258,13 @@ def _path(
 ) -> tuple[Float[np.ndarray, "click 2"], bool]:
     """Return the first path, in pixels, and whether it is closed."""
     if clicks is not None:
+        if not len(clicks.path):
+            raise InvalidStudy(
+                f"{PLACE}.path",
+                value=f"{given.path}, without a path",
+                expected="at least 3 points along the interface",
+                remedy="Click them: `strandline image STUDY --edit`.",
+            )
         return clicks.path, clicks.closed or given.closed
     if given.path == MODEL:
         if undeformed is None or undeformed.dim != 2:

@@ -6,7 +6,7 @@ from pathlib import Path
 from strandline.errors import InvalidStudy
 from strandline.imaging import PictureReading, Stack, read_stack
 from strandline.imaging.pixel_size import PixelSize
-from strandline.imaging.surfaces import StackFrame, Surface, find_surface
+from strandline.imaging.surfaces import StackFrame, Surface, find_surface, region_of
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.stack import StackFile
@@ -51,6 +51,9 @@ class Scanned:
             notes.append(f"the surface is open: the faces of the stack cut off {100 * found.open_share:.2g} % of it")
         if found.area_share < 0.999:
             notes.append(f"the largest of several surfaces, {100 * found.area_share:.3g} % of their area")
+        if self.surface.left_out:
+            left = f"{self.surface.left_out} triangles in excluded regions left out"
+            notes.append(f"{left}: `closest_point` does not compare there, but currents compare whole surfaces")
         return tuple(notes)
 
 
@@ -67,13 +70,16 @@ def scanned(folder: Path, given: StackFile) -> Scanned:
     with refused_at():
         stack = read_stack([folder / name for name in given.files], _reading(given))
         frame = StackFrame.from_options(given.frame or {}, f"{PLACE}.frame", voxel=stack.voxel)
-        surface = find_surface(stack, solid=given.solid, triangles=given.triangles, smooth=given.smooth)
+        exclude = [region_of(one, f"{PLACE}.exclude[{k}]", frame) for k, one in enumerate(given.exclude)]
+        surface = find_surface(
+            stack, solid=given.solid, triangles=given.triangles, smooth=given.smooth, exclude=exclude
+        )
         return Scanned(stack, frame, surface, frame.interface(surface.mesh))
 
 
 def _reading(given: StackFile) -> PictureReading:
     """Return how to read the stack."""
-    names = ("scale", "channel", "dataset")
+    names = ("index", "scale", "channel", "dataset", "reader")
     options = {name: value for name in names if (value := getattr(given, name)) is not None}
     how = PictureReading.from_options(options, PLACE)
     if given.voxel is None:

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from verification.validation.rendered_stacks import Blob, Microscope
 
 from strandline.errors import InvalidInput
 from strandline.imaging import Stack
-from strandline.imaging.surfaces import StackFrame, Surface, find_surface
+from strandline.imaging.surfaces import StackFrame, Surface, find_surface, region_of
 
 V = 1e-3
 CENTRE = (0.0242, 0.0235, 0.0238)
@@ -165,3 +166,61 @@ def test_frames_keep_the_normals_out_of_the_solid() -> None:
     np.testing.assert_allclose(up, mesh.points * V * [1, -1, 1])
     with pytest.raises(InvalidInput, match=r"frame\.y"):
         StackFrame((0.0, 0.0, 0.0), CUBES.voxel, y="back")
+
+
+def test_a_frame_that_is_turned_leads_back_to_the_voxels() -> None:
+    """A point of the model appears at origin + S R m / voxel, R as an independent implementation makes it."""
+    voxel, signs = np.array(FLAT.voxel), np.array([1.0, -1.0, 1.0])
+    frame = StackFrame((5.0, 6.0, 7.0), FLAT.voxel, y="up", rotation=(20.0, -35.0, 110.0))
+    turn = Rotation.from_euler("xyz", [20.0, -35.0, 110.0], degrees=True)
+    points = np.random.default_rng(4).standard_normal((10, 3))
+    np.testing.assert_allclose(frame.to_mm([5.0, 6.0, 7.0] + signs * turn.apply(points) / voxel), points, atol=1e-12)
+    surface = frame.interface(found("sphere").mesh)
+    assert (surface.normals * (surface.centres - surface.points.mean(axis=0))).sum(axis=1).min() > 0
+
+
+@pytest.mark.parametrize(
+    "region",
+    [
+        {"ball": [0, 0, -14], "radius": 6, "unit": "um"},
+        {"box": [[9, 9, -9], [-9, -9, -20]], "unit": "um"},
+        {"voxels": [[0, 0, 0], [48, 48, 14]]},
+    ],
+)
+def test_a_region_is_left_out_with_all_that_it_does(region: dict[str, Any]) -> None:
+    """A bright lump on the sphere is gone, and what is left is as good, and knows it, as without the lump."""
+    values = stack("sphere").values.copy()
+    values[8:13, 22:27, 22:27] = values.max()
+    voxels = tuple(float(one / V) for one in CENTRE)
+    frame = StackFrame(voxels, CUBES.voxel, z="last")  # type: ignore[arg-type]
+    with_lump = Stack(values, CUBES.voxel, "lump", "0")
+    whole = find_surface(with_lump, solid="bright", triangles=1500)
+    cut = find_surface(with_lump, solid="bright", triangles=1500, exclude=[region_of(region, "exclude[0]", frame)])
+    assert np.abs(off("sphere", whole)).max() > 1.0
+    assert np.abs(off("sphere", cut)).max() < 0.4
+    assert len(cut.mesh.cells) + cut.left_out == len(whole.mesh.cells)
+    assert cut.left_out > 20
+    assert cut.errors.sd == pytest.approx(found("sphere").errors.sd, rel=0.1)
+    assert cut.errors.open_share == 0
+    assert not frame.interface(cut.mesh).closed
+
+
+@pytest.mark.parametrize(
+    ("region", "said"),
+    [
+        ({"voxels": [[0, 0, 0], [48, 48, 48]]}, "triangles outside of the regions.*got 0.*at least 10"),
+        ({"voxels": [[0, 0, 0]]}, r"exclude\[0\]\.voxels"),
+        ({"voxels": [[0, 0, 0], [1, 1, 1]], "unit": "um"}, "voxels.*unit"),
+        ({"box": [[0, 0, 0], [1, 1, 1]]}, "exclude"),
+        ({"ball": [0, 0], "radius": 1, "unit": "um"}, r"exclude\[0\]\.ball"),
+        ({"ball": [0, 0, 0], "radius": 0, "unit": "um"}, r"exclude\[0\]\.radius"),
+        ({"ball": [0, 0, 0], "radius": 1, "unit": "yard"}, r"exclude\[0\]\.unit"),
+        ({"blob": [0, 0, 0]}, "unknown option"),
+        ([[0, 0, 0], [1, 1, 1]], r"exclude\[0\]"),
+    ],
+)
+def test_a_region_that_cannot_be_used_is_one_line(region: Any, said: str) -> None:
+    frame = StackFrame((0.0, 0.0, 0.0), CUBES.voxel)
+    with pytest.raises(InvalidInput, match=said) as error:
+        find_surface(stack("sphere"), solid="bright", exclude=[region_of(region, "exclude[0]", frame)])
+    assert "\n" not in str(error.value)

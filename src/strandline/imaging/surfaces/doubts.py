@@ -3,10 +3,12 @@
 from strandline.errors import InvalidInput
 from strandline.imaging.surfaces.surface_errors import SurfaceErrors
 
-__all__ = ["FEWEST", "require_surface", "require_triangles"]
+__all__ = ["FEWEST", "require_left", "require_surface", "require_triangles"]
 
 FEWEST = 100
 """Fewest triangles of a surface."""
+FEWEST_LEFT = 10
+"""Fewest triangles beside the regions that are left out."""
 LEAST_CONTRAST = 2.0
 """Smallest contrast to noise of a voxel."""
 MOST_OPEN = 0.5
@@ -27,6 +29,21 @@ def require_triangles(number: int) -> None:
             value=number,
             expected=f"at least {FEWEST}",
             remedy="Use a stack with smaller voxels, or ask for more `triangles`.",
+        )
+
+
+def require_left(number: int) -> None:
+    """Refuse regions that leave out nearly all of a surface.
+
+    Raises:
+        InvalidInput: Fewer than 10 triangles are left.
+    """
+    if number < FEWEST_LEFT:
+        raise InvalidInput(
+            "number of triangles outside of the regions to exclude",
+            value=number,
+            expected=f"at least {FEWEST_LEFT}",
+            remedy="Exclude less, and check the frame in whose coordinates the regions are given.",
         )
 
 

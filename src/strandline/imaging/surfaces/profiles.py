@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import map_coordinates
 
 from strandline.imaging.surfaces.levels import Field
@@ -45,6 +45,10 @@ class Profiles:
     def blurs(self) -> Float[np.ndarray, " point"]:
         """Standard deviation of the Gaussian whose step has this slope."""
         return np.asarray(1 / (np.maximum(self.slopes, 1e-3) * math.sqrt(2 * math.pi)))
+
+    def of(self, used: Int[np.ndarray, " used"]) -> "Profiles":
+        """Return the profiles of some of the points."""
+        return Profiles(*(one[used] for one in (self.offsets, self.found, self.inside, self.outside, self.slopes)))
 
 
 def sampled(

@@ -1,18 +1,20 @@
 """The surface of a solid in a stack of pictures, sub-voxel, with its errors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from strandline.errors import InvalidInput
 from strandline.imaging.picture import Stack
 from strandline.imaging.surfaces.curvature import blur_along_axes, dislocation, shape_operators
-from strandline.imaging.surfaces.doubts import FEWEST, require_surface, require_triangles
+from strandline.imaging.surfaces.doubts import FEWEST, require_left, require_surface, require_triangles
 from strandline.imaging.surfaces.levels import Field, field_of, two_levels
 from strandline.imaging.surfaces.marching import largest_part, level_surface
 from strandline.imaging.surfaces.mesh import Mesh, vector_areas
 from strandline.imaging.surfaces.profiles import Profiles, normals_of, profiles_at
+from strandline.imaging.surfaces.regions import Region
 from strandline.imaging.surfaces.surface_errors import SurfaceErrors, noise_beside, surface_errors
 from strandline.imaging.surfaces.thinning import thinned
 
@@ -29,10 +31,12 @@ class Surface:
         mesh: Triangles in voxel coordinates (x, y, z) = (column, row, plane), the centre of the first voxel at
             (0, 0, 0). Seen from outside of the solid their corners run counter-clockwise, if the axes are right-handed.
         errors: Errors that the stack shows.
+        left_out: Number of triangles that were left out because a corner lies in a region to exclude.
     """
 
     mesh: Mesh
     errors: SurfaceErrors
+    left_out: int = 0
 
     def __repr__(self) -> str:
         e = self.errors
@@ -42,7 +46,14 @@ class Surface:
         )
 
 
-def find_surface(stack: Stack, *, solid: str, triangles: int = 5000, smooth: float | None = None) -> Surface:
+def find_surface(
+    stack: Stack,
+    *,
+    solid: str,
+    triangles: int = 5000,
+    smooth: float | None = None,
+    exclude: Sequence[Region] = (),
+) -> Surface:
     """Return the surface of the solid in a stack: the largest connected one.
 
     Marching cubes (Lorensen and Cline 1987) find it, it is thinned, and each corner moves along its normal to where the
@@ -54,6 +65,7 @@ def find_surface(stack: Stack, *, solid: str, triangles: int = 5000, smooth: flo
         triangles: Most triangles.
         smooth: Standard deviation of the Gaussian that smooths the stack, in sides of a cube with a voxel's volume; by
             default 1, and up to 2 in a noisy stack.
+        exclude: Regions; triangles with a corner in one of them are left out.
 
     Raises:
         InvalidInput: scikit-image is missing, or the stack says too little about the surface; see
@@ -72,12 +84,33 @@ def find_surface(stack: Stack, *, solid: str, triangles: int = 5000, smooth: flo
     mesh, normals, profiles = _refined(field, mesh, level, bright=solid == "bright")
     variances = blur_along_axes(profiles.blurs, normals)
     moved = dislocation(shape_operators(mesh.points, normals), variances)
+    cut = _cut_share(field, mesh, level, bright=solid == "bright")
+    number = len(mesh.cells)
+    used, mesh = _outside(mesh, exclude, field.stretch)
+    normals, moved, profiles = normals[used], moved[used], profiles.of(used)
     noise = noise_beside(field, mesh, normals, profiles)
     mesh = Mesh(mesh.points + moved[:, None] * normals, mesh.cells)
-    cut = _cut_share(field, mesh, level, bright=solid == "bright")
     errors = surface_errors(field, mesh, profiles, noise, moved, unit=unit, open_share=cut, area_share=share)
     require_surface(errors, 1 - float(profiles.found.mean()))
-    return Surface(Mesh(mesh.points / field.stretch, mesh.cells), errors)
+    return Surface(Mesh(mesh.points / field.stretch, mesh.cells), errors, number - len(mesh.cells))
+
+
+def _outside(
+    mesh: Mesh, exclude: Sequence[Region], stretch: Float[np.ndarray, " 3"]
+) -> tuple[Int[np.ndarray, " used"], Mesh]:
+    """Return the triangles without a corner in a region to exclude, and the numbers of the points that they use.
+
+    Raises:
+        InvalidInput: Too few are left.
+    """
+    if not exclude:
+        return np.arange(len(mesh.points)), mesh
+    inside = np.zeros(len(mesh.points), dtype=bool)
+    for region in exclude:
+        inside |= region(mesh.points / stretch)
+    kept = ~inside[mesh.cells].any(axis=1)
+    require_left(int(kept.sum()))
+    return np.unique(mesh.cells[kept]), mesh.of_cells(kept)
 
 
 def _refined(

@@ -35,7 +35,7 @@ class RegisteredTo(Section):
 
 
 class ImageFile(Section):
-    """A picture with the observed interface; `strandline.imaging` checks the keys from `pixel` to `frame`."""
+    """A picture with the observed interface; `strandline.imaging` checks `edge`, and from `pixel` to `frame`."""
 
     file: str | Annotated[list[str], Field(min_length=1)]
     """the picture, relative to the study folder; a list, or a folder: frames of one state, averaged"""
@@ -54,6 +54,8 @@ class ImageFile(Section):
     """of a colour picture: `grey` (default), `red`, `green` or `blue`"""
     dataset: Any = None
     """name of the data set in an HDF5 file"""
+    reader: Any = None
+    """[your own reader](../how-to/extend.md#a-picture-format) of the file, `module:name`; default: by its suffix"""
     frame: Any = None
     """where the model's (0, 0) is, `{origin: [212, 640]}` in pixels from the left and the top; with `x: left` or
     `y: down` if the model's axes point there, and `rotation` in degrees"""
@@ -67,8 +69,9 @@ class ImageFile(Section):
     """whether the interface is closed"""
     solid: Literal["bright", "dark"]
     """the side of the model: the brighter or the darker one"""
-    edge: Literal["erf", "path", "contour"] = "erf"
-    """how the edge is found: `erf` for cameras, `path` for speckle, `contour` for the half level of clean pictures"""
+    edge: Any = "erf"
+    """how the edge is found: `erf` for cameras, `path` for speckle, `contour` for the half level of clean pictures; or
+    [your own](../how-to/extend.md#an-edge-method), `{method: "module:name", options: {…}}`"""
     trim: Annotated[Number, Field(ge=0, lt=0.5)] = 0.05
     """share of the edge left out at each end of an open one"""
     exclude: list[Annotated[list[Place], Field(min_length=3)]] = []
@@ -88,5 +91,5 @@ class ImageFile(Section):
     @property
     def reading(self) -> dict[str, Any]:
         """How to read the picture."""
-        names = ("pixel", "page", "average", "index", "scale", "channel", "dataset")
+        names = ("pixel", "page", "average", "index", "scale", "channel", "dataset", "reader")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}

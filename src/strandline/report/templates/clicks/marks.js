@@ -86,6 +86,7 @@ function problems() {
 
 function problemsOfPath() {
   const { path, closed } = marks;
+  if (path.length === 0 && marks.fixed.length > 0) return [];  // another picture is registered to this one, no more
   if (path.length < FEWEST) return [`The path has ${counted(path.length, "point")}; it needs at least ${FEWEST}.`];
   if (path.length > MOST) return [`The path has ${path.length} points; at most ${MOST} are possible.`];
   const outside = path.findIndex((p) => !inside(p));
