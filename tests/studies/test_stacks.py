@@ -135,7 +135,7 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     shown = capsys.readouterr().out
     files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
     assert sorted(files) == ["surface.json", "surface.png", "surface.vtu"]
-    for words in ("stack of 48 planes, 1 µm apart, from the study", "closed", "σ_N² for currents", "surface.vtu"):
+    for words in ("stack of 48 planes, 1 µm apart, from the study", "closed", "σ_N² for closest_point", "surface.vtu"):
         assert words in shown
     study = load_study(folder)
     how = Reading.from_options({"file": "surface.vtu", "unit": "mm"}, "surface")
@@ -144,8 +144,11 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     content = json.loads(files["surface.json"])
     assert content["triangles"] == len(read.cells)
     assert content["sd"] == pytest.approx(study.stacks[""].errors.sd)
-    assert content["noise_variance"]["closest_point, to_simulated"] > 0
-    write_stacks(folder, study.stacks)
+    (name, one), other = content["noise_variance"].items()
+    assert name.startswith("closest_point, direction to_simulated")
+    assert one["value"] > 0
+    assert other[0] == "normal_offset"
+    write_stacks(folder, study.stacks, measures=study.discrepancies)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
 
 
