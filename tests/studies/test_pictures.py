@@ -21,6 +21,7 @@ from strandline.report.plots.picture import off_smooth, plot_picture
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
 from strandline.studies.picture_files import described, write_pictures
+from strandline.studies.read_how import read_how
 from strandline.testing.studies import write_study
 
 PIXEL, SIZE, ORIGIN = 0.01, (220, 160), (10.0, 120.0)
@@ -143,7 +144,9 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
     points = study.observed[""].points
     assert not ((points[:, 0] > 0.82) & (points[:, 0] < 1.18)).any()
     assert abs(off(study).mean()) < 0.05
-    assert "scale bar in hump.path.json" in " ".join(study.pictures[""].picture.notes)
+    notes = " ".join(study.pictures[""].notes)
+    assert "scale bar in hump.path.json" in notes
+    assert "at pixel (10, 120) from the marks in hump.path.json" in notes
     picture(tmp_path / "s", seed=2)
     with pytest.raises(InvalidInput, match="hump"):
         load_study(tmp_path / "s")
@@ -260,6 +263,27 @@ def test_the_residual_of_an_edge_has_its_sd_and_its_band_is_drawn(tmp_path: Path
     (band,) = residual.patches
     assert isinstance(band, Rectangle)
     assert (band.get_y(), band.get_height()) == pytest.approx((-2e3 * one.edge.errors.sd, 4e3 * one.edge.errors.sd))
+
+
+def test_how_a_picture_was_read_is_said_everywhere_with_its_origin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written(tmp_path / "s", frame={"origin": list(ORIGIN), "x": "right", "rotation": 1})
+    study = load_study(folder)
+    (one,) = read_how(study)
+    picture = study.pictures[""].picture
+    assert (one["condition"], one["file"], one["sha256"]) == ("", "hump.png", picture.sha256)
+    assert one["notes"] == [
+        "pixel size 10 × 10 µm from the study",
+        "numbers taken as intensity, for the study states no scale",
+        "the model's (0, 0) at pixel (10, 120) from the study; its axes point x right, y up (default), turned by 1°",
+    ]
+    main(["check", str(folder)])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "hump.png" in line]
+    assert line == f"  hump.png: {'; '.join(one['notes'])}; sha256 {picture.sha256[:12]}…"
+    main(["image", str(folder)])
+    shown = capsys.readouterr().out
+    assert all(f"  {note}\n" in shown for note in [*one["notes"], f"sha256 {picture.sha256}"])
 
 
 def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(

@@ -17,6 +17,7 @@ from strandline.interface import PointErrors
 from strandline.readers import Reading, read_interface
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
+from strandline.studies.read_how import read_how
 from strandline.studies.stack_files import vtu, write_stacks
 from strandline.testing.studies import write_study
 
@@ -142,6 +143,9 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     read = read_interface(folder / "image" / "surface.vtu", how)
     np.testing.assert_allclose(read.points, study.observed[""].points, rtol=1e-6, atol=1e-10)
     content = json.loads(files["surface.json"])
+    (how_read,) = read_how(study)
+    assert (how_read["file"], how_read["notes"]) == ("cells.npy", content["notes"])
+    assert "at voxel (24.2, 23.5, 23.8) from the study; its axes point x right (default), y down" in shown
     assert content["triangles"] == len(read.cells)
     assert content["sd"] == pytest.approx(study.stacks[""].errors.sd)
     (name, one), other = content["noise_variance"].items()

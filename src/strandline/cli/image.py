@@ -61,6 +61,7 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     yield f"{of}{found['picture']}: edge of {found['points']} points"
     for note in found["notes"]:
         yield f"  {note}"
+    yield f"  sha256 {found['sha256']}"
     yield from _sizes(found)
     yield from (
         f"  {check['verdict']}: {check['name']} {check['shown']} ({check['expected']})" for check in found["checks"]
@@ -99,6 +100,7 @@ def _of_stack(one: "PictureFiles") -> Iterator[str]:
     of = f"{one.condition}: " if one.condition else ""
     yield f"{of}{found['stack']}: surface of {found['triangles']} triangles, {'closed' if found['closed'] else 'open'}"
     yield from (f"  {note}" for note in found["notes"])
+    yield f"  sha256 {found['sha256']}"
     yield from _sizes(found)
     yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
     yield from _as_stated(found)

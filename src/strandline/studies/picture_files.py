@@ -18,14 +18,13 @@ from strandline.studies.chosen import in_words, refused_at
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.pictures import Photographed, clicked, read_only_picture
+from strandline.studies.read_how import UNDEFORMED
 from strandline.studies.undeformed import Undeformed
 
 __all__ = ["IMAGE", "UNDEFORMED", "PictureFiles", "described", "variances", "write_page", "write_pictures"]
 
 IMAGE = "image"
 """Folder, in the study's, of what is written."""
-UNDEFORMED = "undeformed"
-"""Name, in files and options, of the picture that gives the model its outline."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ def described(one: Photographed, measures: Mapping[str, Discrepancy]) -> dict[st
         "picture": one.picture.name,
         "sha256": one.picture.sha256,
         "pixel_mm": list(one.picture.pixel),
-        "notes": list(one.picture.notes),
+        "notes": list(one.notes),
         "points": len(one.edge.points),
         "sd": e.sd,
         "length": e.length,

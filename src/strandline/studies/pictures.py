@@ -29,6 +29,7 @@ from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
+from strandline.studies.read_how import frame_note
 
 __all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture"]
 
@@ -48,6 +49,7 @@ class Photographed:
         edge: The edge, in pixels; its errors and arc lengths in mm.
         interface: The edge as an interface in the model's coordinates, mm.
         registration: Where the set-up is in the picture, if it was found from another one of it.
+        placed: Sentence that says where the model lies in the picture, and who said so.
     """
 
     picture: Picture
@@ -56,6 +58,12 @@ class Photographed:
     edge: Edge
     interface: Interface
     registration: Registration | None = None
+    placed: str = ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences that say what was taken from where, and how the model lies in the picture."""
+        return (*self.picture.notes, self.placed) if self.placed else self.picture.notes
 
     @property
     def name(self) -> str:
@@ -91,7 +99,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         size = picture.values.shape[1], picture.values.shape[0]
         if clicks is not None:
             clicks.require_picture(picture.sha256, size)
-        frame, registration = _placed(folder, given, clicks, picture)
+        frame, registration, placed = _placed(folder, given, clicks, picture)
         path, closed = _path(folder, given, clicks, frame, undeformed, size)
         exclude = [np.array(corners, float) for corners in given.exclude]
         edge = find_edge(
@@ -106,7 +114,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         )
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
-    return Photographed(picture, frame, path, edge, interface, registration)
+    return Photographed(picture, frame, path, edge, interface, registration, placed)
 
 
 def clicked(folder: Path, given: ImageFile) -> Clicks | None:
@@ -161,11 +169,15 @@ def _reading(given: ImageFile, clicks: Clicks | None) -> PictureReading:
 
 def _placed(
     folder: Path, given: ImageFile, clicks: Clicks | None, picture: Picture
-) -> tuple[Frame, Registration | None]:
-    """Return where the model lies in the picture, if need be by what does not move from another picture to it."""
+) -> tuple[Frame, Registration | None, str]:
+    """Return where the model lies in the picture, if need be by what does not move from another picture to it.
+
+    The sentence says so, and where origin and axes come from.
+    """
     how = given.registration
     if how is None:
-        return _frame(given, clicks, picture), None
+        frame, origin = _frame(given, clicks, picture, str(given.path))
+        return frame, None, frame_note(frame, given.frame, origin)
     marks = None if how.marks is None else read_clicks(folder / how.marks)
     other = read_picture([folder / name for name in how.files], _reading(given, marks))
     if marks is not None:
@@ -179,15 +191,17 @@ def _placed(
             remedy="Mark one: `strandline image STUDY --edit`, or give `fixed`.",
         )
     found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=given.edge == "path")
-    return _frame(given, marks, other).moved(found), found
+    frame, origin = _frame(given, marks, other, str(how.marks))
+    return frame.moved(found), found, f"in {other.name}, {frame_note(frame, given.frame, origin)}"
 
 
-def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture) -> Frame:
-    """Return where the model lies in the picture; the origin is the clicked one if the study states none."""
+def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture, marks: str) -> tuple[Frame, str]:
+    """Return where the model lies in the picture, and what gives the origin: the marks if the study states none."""
+    source = "the study"
     options: Mapping[str, Any] | Any = {} if given.frame is None else given.frame
     if isinstance(options, Mapping) and "origin" not in options and clicks is not None and clicks.origin is not None:
-        options = {**options, "origin": list(clicks.origin)}
-    return Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel)
+        options, source = {**options, "origin": list(clicks.origin)}, f"the marks in {marks}"
+    return Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel), source
 
 
 def _path(

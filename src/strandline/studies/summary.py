@@ -25,6 +25,7 @@ from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
 from strandline.studies.chosen import in_words
 from strandline.studies.outline_effect import outline_effect
+from strandline.studies.read_how import read_how
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
@@ -70,6 +71,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "inputs": _inputs(calibration),
         "log_evidence": calibration.posterior.log_evidence,
         "likelihood": _likelihood(calibration),
+        "pictures": read_how(study),
         "undeformed_outline": outline_effect(study, calibration.records, calibration.posterior),
         "surrogate": _surrogate(calibration.surrogate)
         if calibration.field is None
