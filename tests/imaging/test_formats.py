@@ -223,7 +223,7 @@ def test_a_scan_and_its_pixel_size(tmp_path: Path) -> None:
     assert found.pixel == pytest.approx((3.1 / COLUMNS, 1.5 / ROWS / 1.333), rel=1e-12)
     assert "index 1.333 divides y" in found.notes
     assert any("from the header of the scan" in note for note in found.notes)
-    assert any(note.startswith("frame 2 of 4") for note in found.notes)
+    assert any(note.startswith("frame 2 of 4") and note.endswith("from the study") for note in found.notes)
     mean = read(tmp_path / "a.oct", pixel=None, scale="dB", average=True)
     np.testing.assert_allclose(mean.values, (10 ** (decibels.astype(float) / 10)).mean(0), rtol=1e-12)
 

@@ -240,6 +240,30 @@ def test_inferred_noise_has_quantiles(reported: Any) -> None:
     )
 
 
+def test_the_report_says_how_each_picture_was_read(reported: Any) -> None:
+    def page(*pictures: dict[str, Any]) -> str:
+        summary = {**reported.outcome.summary, "pictures": list(pictures)}
+        return str(template("report.html.j2").render(s=summary, figures=[], study_text="", check=None, picture=None))
+
+    notes = ["pixel size 8 × 8 µm from the study", "its axes point y up (default)"]
+    one = {"condition": "", "file": "drop.png", "sha256": "0123456789abcdef", "notes": notes}
+    said = "pixel size 8 × 8 µm from the study; its axes point y up (default); sha256 0123456789ab…"
+    assert f'<tr><td class="text">drop.png</td><td class="text">{said}</td></tr>' in page(one)
+    assert "<td>slow</td>" in page(one, {**one, "condition": "slow"})
+    assert "read as" not in page()
+
+
+def test_every_part_of_the_arc_is_in_a_table_that_is_folded_if_it_is_long(reported: Any) -> None:
+    text = rendered(reported, misfit(condition(FINE, BAD)))
+    assert "<tr><td>0.9 – 1.1</td><td>6</td><td>6.5</td><td>5.2</td><td>0.0004</td></tr>" in text
+    assert "<tr><td>0 – 0.9</td><td>0.1</td><td>1</td><td>0.4</td><td>1</td></tr>" in text
+    assert "<details>" not in text
+    many = rendered(reported, misfit(condition(*[FINE] * 6, BAD), condition(FINE, name="V100")))
+    assert "<details>" in many
+    assert "<td>V50</td><td>0.9 – 1.1</td>" in many
+    assert "parts of the arc" not in rendered(reported, misfit(condition(line=False)))
+
+
 def test_the_first_line_says_that_it_does_not_fit(reported: Any) -> None:
     text = rendered(reported, misfit(condition(FINE, BAD)))
     after = text[text.index("</h1>") + 5 :].lstrip()

@@ -9,16 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from matplotlib.patches import Rectangle
 from PIL import Image
 from scipy.special import ndtr
 
 from strandline.cli import main
+from strandline.discrepancy import ClosestPoint, Currents
 from strandline.errors import InvalidInput
 from strandline.imaging import Clicks, ScaleBar, write_clicks
 from strandline.interface import PointErrors, UnknownErrors
+from strandline.report.plots.picture import off_smooth, plot_picture
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
-from strandline.studies.picture_files import write_pictures
+from strandline.studies.picture_files import described, write_pictures
+from strandline.studies.read_how import read_how
 from strandline.testing.studies import write_study
 
 PIXEL, SIZE, ORIGIN = 0.01, (220, 160), (10.0, 120.0)
@@ -177,7 +181,9 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
     points = study.observed[""].points
     assert not ((points[:, 0] > 0.82) & (points[:, 0] < 1.18)).any()
     assert abs(off(study).mean()) < 0.05
-    assert "scale bar in hump.path.json, as if pixels were square" in " ".join(study.pictures[""].picture.notes)
+    notes = " ".join(study.pictures[""].notes)
+    assert "scale bar in hump.path.json, as if pixels were square" in notes
+    assert "at pixel (10, 120) from the marks in hump.path.json" in notes
     picture(tmp_path / "s", seed=2)
     with pytest.raises(InvalidInput, match="hump"):
         load_study(tmp_path / "s")
@@ -248,8 +254,9 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     shown = capsys.readouterr().out
     files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
     assert sorted(files) == ["edge.csv", "edge.json", "edge.png"]
-    for words in ("pixel size 10 × 10 µm from the study", "contrast over noise", "σ_N² for currents", "image/edge.csv"):
+    for words in ("pixel size 10 × 10 µm from the study", "fine: contrast over noise", "image/edge.csv"):
         assert words in shown
+    assert "σ_N² for normal_offset: none needed" in shown
     study = load_study(folder)
     table = np.loadtxt(folder / "image" / "edge.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, :2], study.observed[""].points, atol=1e-6)
@@ -257,8 +264,75 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     content = json.loads(files["edge.json"])
     assert content["points"] == len(table)
     assert content["sd"] == pytest.approx(study.pictures[""].errors.sd)
-    write_pictures(folder, study.pictures)
+    write_pictures(folder, study.pictures, measures=study.discrepancies)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
+
+
+def test_every_check_is_shown_with_its_limit_and_refuses_beyond_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same numbers: what is shown near its limit is refused beyond it."""
+    folder = written(tmp_path / "s", trim=0.41)
+    main(["image", str(folder)])
+    shown = capsys.readouterr().out
+    checks = {one["name"]: one for one in json.loads((folder / "image/edge.json").read_text("utf-8"))["checks"]}
+    assert list(checks) == ["points", "contrast over noise", "at the limit of the strip", "blur"]
+    assert (checks["points"]["verdict"], checks["points"]["limit"]) == ("warned", 30)
+    assert 30 <= checks["points"]["value"] < 45
+    assert f"warned: points {checks['points']['value']:.0f} (at least 30, one per pixel)" in shown
+    assert checks["blur"]["verdict"] == "fine"
+    assert checks["blur"]["value"] == pytest.approx(1.5 / 100, rel=0.5)
+    with pytest.raises(InvalidInput, match=r"number of points of the edge: got \d+; expected at least 30"):
+        loaded(tmp_path / "s", trim=0.45)
+
+
+def test_the_noise_variance_is_that_of_the_measures_of_the_study(tmp_path: Path) -> None:
+    study = loaded(tmp_path / "s")
+    one, wide = study.pictures[""], Currents(0.37)
+    found = described(one, {"currents": wide, "closest_point": ClosestPoint(direction="symmetric")})["noise_variance"]
+    (name, first), (_, second), (_, last) = found.items()
+    assert name.startswith("currents, width 0.37")
+    assert first == {"value": wide.noise_variance(one.errors, one.interface), "unit": "mm²", "note": None}
+    assert (second["value"], second["unit"]) == (None, None)
+    assert "a run of the study computes it" in second["note"]
+    assert "none needed" in last["note"]
+
+
+def test_the_residual_of_an_edge_has_its_sd_and_its_band_is_drawn(tmp_path: Path) -> None:
+    one = loaded(tmp_path / "s").pictures[""]
+    left = off_smooth(one.edge)
+    assert left.shape == one.edge.arc.shape
+    assert left.std() == pytest.approx(one.edge.errors.sd, rel=0.3)
+    figure = plot_picture(one.picture, one.path, one.edge)
+    whole, near, _, residual = figure.axes
+    width = float(abs(np.subtract(*near.get_xlim())))
+    assert width < 0.2 * float(abs(np.subtract(*whole.get_xlim())))
+    assert 4 * one.edge.errors.sd / PIXEL > 0.03 * width
+    np.testing.assert_allclose(residual.lines[-1].get_ydata(), 1e3 * left)
+    (band,) = residual.patches
+    assert isinstance(band, Rectangle)
+    assert (band.get_y(), band.get_height()) == pytest.approx((-2e3 * one.edge.errors.sd, 4e3 * one.edge.errors.sd))
+
+
+def test_how_a_picture_was_read_is_said_everywhere_with_its_origin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written(tmp_path / "s", frame={"origin": list(ORIGIN), "x": "right", "rotation": 1})
+    study = load_study(folder)
+    (one,) = read_how(study)
+    picture = study.pictures[""].picture
+    assert (one["condition"], one["file"], one["sha256"]) == ("", "hump.png", picture.sha256)
+    assert one["notes"] == [
+        "pixel size 10 × 10 µm from the study",
+        "numbers taken as intensity, for the study states no scale",
+        "the model's (0, 0) at pixel (10, 120) from the study; its axes point x right, y up (default), turned by 1°",
+    ]
+    main(["check", str(folder)])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "hump.png" in line]
+    assert line == f"  hump.png: {'; '.join(one['notes'])}; sha256 {picture.sha256[:12]}…"
+    main(["image", str(folder)])
+    shown = capsys.readouterr().out
+    assert all(f"  {note}\n" in shown for note in [*one["notes"], f"sha256 {picture.sha256}"])
 
 
 def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(

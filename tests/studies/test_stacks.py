@@ -18,6 +18,7 @@ from strandline.interface import PointErrors
 from strandline.readers import Reading, read_interface
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
+from strandline.studies.read_how import read_how
 from strandline.studies.stack_files import vtu, write_stacks
 from strandline.testing.studies import write_study
 
@@ -159,17 +160,23 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     shown = capsys.readouterr().out
     files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
     assert sorted(files) == ["surface.json", "surface.png", "surface.vtu"]
-    for words in ("stack of 48 planes, 1 µm apart, from the study", "closed", "σ_N² for currents", "surface.vtu"):
+    for words in ("stack of 48 planes, 1 µm apart, from the study", "closed", "σ_N² for closest_point", "surface.vtu"):
         assert words in shown
     study = load_study(folder)
     how = Reading.from_options({"file": "surface.vtu", "unit": "mm"}, "surface")
     read = read_interface(folder / "image" / "surface.vtu", how)
     np.testing.assert_allclose(read.points, study.observed[""].points, rtol=1e-6, atol=1e-10)
     content = json.loads(files["surface.json"])
+    (how_read,) = read_how(study)
+    assert (how_read["file"], how_read["notes"]) == ("cells.npy", content["notes"])
+    assert "at voxel (24.2, 23.5, 23.8) from the study; its axes point x right (default), y down" in shown
     assert content["triangles"] == len(read.cells)
     assert content["sd"] == pytest.approx(study.stacks[""].errors.sd)
-    assert content["noise_variance"]["closest_point, to_simulated"] > 0
-    write_stacks(folder, study.stacks)
+    (name, one), other = content["noise_variance"].items()
+    assert name.startswith("closest_point, direction to_simulated")
+    assert one["value"] > 0
+    assert other[0] == "normal_offset"
+    write_stacks(folder, study.stacks, measures=study.discrepancies)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
 
 

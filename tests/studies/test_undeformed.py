@@ -14,6 +14,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
+from strandline.studies.read_how import read_how
 from strandline.studies.undeformed import Undeformed, with_errors_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "oct-biofilm"
@@ -89,6 +90,13 @@ def test_other_noise_stays(study: Study) -> None:
     inferred = with_errors_of(study.undeformed, UnknownErrors(offset=0.001), SEEN, conditions=1)
     assert isinstance(inferred, UnknownErrors)
     assert inferred.offset > 0.001
+
+
+def test_both_pictures_say_how_they_were_read(study: Study) -> None:
+    first, second = read_how(study)
+    assert (first["condition"], first["file"], second["file"]) == ("undeformed", "undeformed.png", "deformed.png")
+    assert first["notes"][-1].startswith("the model's (0, 0) at pixel (-105, 205) from the study")
+    assert second["notes"][-1].startswith("in undeformed.png, the model's (0, 0) at pixel (-105, 205) from the study")
 
 
 def test_the_command_writes_both_pictures(study: Study, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,6 +29,7 @@ def command(study: Path, plot: bool, widths: bool) -> None:
     from strandline.studies import load_study
     from strandline.studies.first_run import facing, require_same_size
     from strandline.studies.folder import require_writable
+    from strandline.studies.read_how import read_lines
 
     loaded = load_study(study)
     require_writable(loaded.folder)
@@ -51,6 +52,8 @@ def command(study: Path, plot: bool, widths: bool) -> None:
     for condition in loaded.turned:
         of = f" of {condition}" if condition else ""
         click.echo(f"  the observed points{of} run opposite to the model's interface and will be turned round")
+    for line in read_lines(loaded):
+        click.echo(f"  {line}")
     click.echo(f"  {told}")
     for line in lines:
         click.echo(f"  {line}")

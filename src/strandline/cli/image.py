@@ -47,10 +47,10 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
             expected="`image: {file: …, path: …, solid: …}`, or `stack: {file: …, solid: …}`",
             remedy='See the guide "From a picture", docs/how-to/picture.md.',
         )
-    for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed):
+    for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed, measures=loaded.discrepancies):
         for line in _lines(one):
             click.echo(line)
-    for one in write_stacks(loaded.folder, loaded.stacks):
+    for one in write_stacks(loaded.folder, loaded.stacks, measures=loaded.discrepancies):
         for line in _of_stack(one):
             click.echo(line)
     click.echo(f"next: strandline check {study}")
@@ -63,8 +63,12 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     yield f"{of}{found['picture']}: edge of {found['points']} points"
     for note in found["notes"]:
         yield f"  {note}"
+    yield f"  sha256 {found['sha256']}"
     yield from _sizes(found)
     yield from _of_frames(found["frames"])
+    yield from (
+        f"  {check['verdict']}: {check['name']} {check['shown']} ({check['expected']})" for check in found["checks"]
+    )
     if found["registration"] is not None:
         yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
     if "outline" in found:
@@ -83,7 +87,6 @@ def _sizes(found: Mapping[str, Any]) -> Iterator[str]:
     micrometres = {name: f"{1e3 * found[name]:.3g} µm" for name in ("sd", "length", "offset", "blur")}
     yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
     yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
-    yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
 
 
 def _of_frames(found: Mapping[str, Any] | None) -> Iterator[str]:
@@ -108,8 +111,9 @@ def _pair(errors: Mapping[str, float]) -> str:
 def _as_stated(found: Mapping[str, Any]) -> Iterator[str]:
     """Yield how a study states these errors."""
     yield "  as `noise: {sd: image, unit: um, unknown: {shift: …, rotation: …, scale: …}}` states it"
-    for name, variance in found["noise_variance"].items():
-        yield f"  σ_N² for {name}: {variance:.3g}"
+    for name, one in found["noise_variance"].items():
+        said = one["note"] if one["value"] is None else f"{one['value']:.3g} {one['unit']}".strip()
+        yield f"  σ_N² for {name}: {said}"
 
 
 def _of_stack(one: "PictureFiles") -> Iterator[str]:
@@ -118,7 +122,9 @@ def _of_stack(one: "PictureFiles") -> Iterator[str]:
     of = f"{one.condition}: " if one.condition else ""
     yield f"{of}{found['stack']}: surface of {found['triangles']} triangles, {'closed' if found['closed'] else 'open'}"
     yield from (f"  {note}" for note in found["notes"])
+    yield f"  sha256 {found['sha256']}"
     yield from _sizes(found)
+    yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
     yield from _as_stated(found)
     yield from (f"  wrote {file}" for file in one.files)
 

@@ -1,4 +1,4 @@
-"""What makes an edge in a picture unfit to be used: each refusal is one line."""
+"""What makes a picture or a path in it unfit to be used: each refusal is one line."""
 
 import math
 
@@ -7,20 +7,11 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.imaging.course import Course
-from strandline.imaging.located import Located
 from strandline.imaging.strip import GreyValues
 from strandline.interface import Interface
 
-__all__ = ["require_edge", "require_intensity", "require_path", "require_room", "require_speckle"]
+__all__ = ["require_intensity", "require_path", "require_room", "require_speckle"]
 
-FEWEST = 30
-"""Fewest points of an edge."""
-LEAST_CONTRAST = 2.0
-"""Smallest contrast to noise."""
-AT_LIMIT = 0.02
-"""Largest share of an edge at the limit of the strip."""
-BLUR = 1 / 3
-"""Largest blur, as a share of the smallest radius of the edge."""
 _ROOM, _CROSSED = 4.0, 0.05
 """Distance from the path within which normals may not cross, px, but for this share of them."""
 _SYMMETRIC = 0.5
@@ -77,49 +68,6 @@ def require_room(course: Course) -> None:
             value=f"on {100 * crossed.mean():.0f} % of its length, within {_ROOM:g} px",
             expected=f"bends with radii above {_ROOM:g} px, and no other part of the path nearby",
             remedy="Smooth the path, leave out thin parts, or use a picture with smaller pixels.",
-        )
-
-
-def require_edge(located: Located, kept: int, radius: float) -> None:
-    """Refuse an edge of which the picture says too little.
-
-    Args:
-        located: The edge.
-        kept: Number of points that are left after trimming and exclusion.
-        radius: Smallest radius of curvature of the edge, px.
-
-    Raises:
-        InvalidInput: Fewer than 30 points; contrast to noise below 2; more than 2 % of the edge at the limit of the
-            strip; or a blur above a third of the smallest radius.
-    """
-    if kept < FEWEST:
-        raise InvalidInput(
-            "number of points of the edge",
-            value=kept,
-            expected=f"at least {FEWEST}, one per pixel",
-            remedy="Extend the path, exclude less, or use a picture with smaller pixels.",
-        )
-    if not located.contrast_to_noise >= LEAST_CONTRAST:
-        raise InvalidInput(
-            "contrast over noise at the edge",
-            value=f"{located.contrast_to_noise:.3g}",
-            expected=f"at least {LEAST_CONTRAST:g}",
-            remedy="Check that the path follows the edge, average several frames, or write `edge: path`.",
-        )
-    limit = float(located.at_limit.sum()) / kept
-    if limit > AT_LIMIT:
-        raise InvalidInput(
-            "edge at the limit of the strip around the path",
-            value=f"{100 * limit:.1f} % of it",
-            expected=f"at most {100 * AT_LIMIT:g} %",
-            remedy="Put the path closer to the edge.",
-        )
-    if located.blur > BLUR * radius:
-        raise InvalidInput(
-            "blur of the edge",
-            value=f"{located.blur:.3g} px where the smallest radius is {radius:.3g} px",
-            expected="at most a third of the smallest radius",
-            remedy="Use a sharper picture, or leave the sharpest bends out.",
         )
 
 

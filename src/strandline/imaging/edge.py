@@ -11,7 +11,8 @@ from scipy.ndimage import median_filter
 
 from strandline.errors import InvalidInput
 from strandline.imaging.course import Course, course_through, smoothed
-from strandline.imaging.doubts import FEWEST, require_edge, require_path, require_room
+from strandline.imaging.doubts import require_path, require_room
+from strandline.imaging.edge_checks import FEWEST, EdgeCheck, edge_checks, require_edge
 from strandline.imaging.edge_errors import EdgeErrors, edge_errors
 from strandline.imaging.edge_methods import EDGES, edge_method
 from strandline.imaging.located import EdgeMethod, Located
@@ -45,6 +46,7 @@ class Edge:
         kept: Normals of the strip whose points are kept, shape (normal,).
         closed: Whether the last point is followed by the first.
         method: The way the edge was found.
+        unit: Length of the smaller side of a pixel, in the unit of the pixel size.
     """
 
     points: Float[np.ndarray, "point 2"]
@@ -57,6 +59,12 @@ class Edge:
     kept: Bool[np.ndarray, " normal"]
     closed: bool
     method: EdgeMethod
+    unit: float
+
+    @property
+    def checks(self) -> tuple[EdgeCheck, ...]:
+        """What the picture shows of the edge, each number with the limit beyond which it would be refused."""
+        return edge_checks(len(self.points), self.errors, unit=self.unit)
 
     def __repr__(self) -> str:
         e = self.errors
@@ -92,7 +100,7 @@ def find_edge(
 
     Raises:
         InvalidInput: The path crosses itself or leaves the picture, or the picture says too little about the edge; see
-            `strandline.imaging.doubts`.
+            `strandline.imaging.doubts` and `strandline.imaging.edge_checks`.
     """
     if solid not in ("bright", "dark"):
         raise InvalidInput("side of the solid", value=solid, expected="bright or dark", remedy="Choose one of them.")
@@ -169,7 +177,7 @@ def _edge(picture: GreyValues, located: Located, counted: Bool[np.ndarray, " nor
     side = math.sqrt(float(np.mean(((normals * picture.stretch) ** 2).sum(axis=1)))) if kept.any() else 1.0
     found = replace(located, at_limit=located.at_limit & kept)
     errors = edge_errors(found, inner, bias=way.bias, side=side, unit=unit, kept=int(kept.sum()))
-    require_edge(found, int(kept.sum()), errors.radius / unit)
+    require_edge(int(kept.sum()), errors, unit=unit)
     return Edge(
         points=(located.points / picture.stretch)[kept],
         normals=normals,
@@ -181,4 +189,5 @@ def _edge(picture: GreyValues, located: Located, counted: Bool[np.ndarray, " nor
         kept=kept,
         closed=course.closed and bool(kept.all()),
         method=way,
+        unit=unit,
     )

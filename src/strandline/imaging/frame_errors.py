@@ -15,8 +15,8 @@ from jaxtyping import Bool, Int
 
 from strandline.discrepancy.contours.repeats import Repeats, errors_from_repeats
 from strandline.errors import InvalidInput
-from strandline.imaging.doubts import require_edge
 from strandline.imaging.edge import Edge
+from strandline.imaging.edge_checks import require_edge
 from strandline.imaging.picture import Picture
 from strandline.imaging.strip import grey_values
 from strandline.interface import Interface, PointErrors
@@ -99,9 +99,14 @@ def _in_frame(
     try:
         located = edge.method.locate(picture, edge.strip.course, edge.kept)
         kept = located.found & edge.kept
-        require_edge(
-            replace(located, at_limit=located.at_limit & kept), int(kept.sum()), edge.errors.radius / picture.unit
+        number, limit = int(kept.sum()), int((located.at_limit & kept).sum())
+        shown = replace(
+            edge.errors,
+            contrast_to_noise=located.contrast_to_noise,
+            limit_share=limit / max(number, 1),
+            blur=located.blur * picture.unit,
         )
+        require_edge(number, shown, unit=picture.unit)
     except InvalidInput as error:
         raise InvalidInput(
             f"frame {number} by itself: {error.what}",

@@ -64,7 +64,7 @@ def read_frames(paths: Paths, how: PictureReading) -> Iterator[Picture]:
             numbers = range(file.frames) if how.average else (_page(file, how, path.name),)
             for k in numbers:
                 values, notes = intensity(loaded(file, k, path.name), how, path.name)
-                frame = (f"frame {k} of {file.frames}{_layers(file)}",) if file.frames > 1 and not how.average else ()
+                frame = (_frame_note(k, file, how),) if file.frames > 1 and not how.average else ()
                 said = (*_size_notes(size, how.index), *file.notes, *frame, *notes)
                 yield Picture(values, (size.x, size.y / (how.index or 1.0)), path.name, digest, said)
 
@@ -129,6 +129,10 @@ def _page(file: PictureFile, how: PictureReading, name: str) -> int:
         raise refused(f"{name} has no such page", page, "0: it has a single one", "Leave `page` out.")
     expected = f"a page from 0 to {file.frames - 1}{_layers(file)}"
     raise refused(f"{name} has no such page", page, expected, "Correct `page`.")
+
+
+def _frame_note(k: int, file: PictureFile, how: PictureReading) -> str:
+    return f"frame {k} of {file.frames}{_layers(file)}, {'the default' if how.page is None else 'from the study'}"
 
 
 def _layers(file: PictureFile) -> str:

@@ -10,7 +10,7 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.registry import lookup, suggestion
 from strandline.text import decimal
 
-__all__ = ["construct", "entry", "open_entry", "refused_at", "require_parts"]
+__all__ = ["construct", "entry", "in_words", "open_entry", "refused_at", "require_parts"]
 
 
 @contextlib.contextmanager
@@ -103,6 +103,15 @@ def construct(factory: Any, options: Mapping[str, Any] | None, place: str, **giv
         raise InvalidStudy(
             place, value=options, expected=" ".join(str(error).split()), remedy=f"Correct the options of {place}."
         ) from None
+
+
+def in_words(chosen: Any) -> str:
+    """Return the options of an object in words: ``Uniform: low 100, high 800``."""
+    if not dataclasses.is_dataclass(chosen):
+        return repr(chosen)
+    options = ((field.name, getattr(chosen, field.name)) for field in dataclasses.fields(chosen))
+    shown = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in options)
+    return f"{type(chosen).__name__}: {shown}" if shown else type(chosen).__name__
 
 
 def _option(value: Any, annotation: Any, place: str) -> Any:

@@ -3,30 +3,29 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from strandline.discrepancy import ClosestPoint, Currents, KnowsPointErrors, MeasurementLines
+from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, Whitens, unit_of
 from strandline.imaging import FrameErrors
-from strandline.interface import PointErrors
+from strandline.interface import Interface, Observation, PointErrors
+from strandline.likelihood.compared import adapted
 from strandline.report.click_page import write_click_page
 from strandline.report.plots.picture import plot_picture
 from strandline.report.plots.style import DOTS_PER_INCH
-from strandline.studies.chosen import refused_at
+from strandline.studies.chosen import in_words, refused_at
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.pictures import Photographed, clicked, read_only_picture
+from strandline.studies.read_how import UNDEFORMED
 from strandline.studies.undeformed import Undeformed
 
-__all__ = ["IMAGE", "UNDEFORMED", "WIDTH", "PictureFiles", "write_page", "write_pictures"]
+__all__ = ["IMAGE", "UNDEFORMED", "PictureFiles", "described", "variances", "write_page", "write_pictures"]
 
 IMAGE = "image"
 """Folder, in the study's, of what is written."""
-UNDEFORMED = "undeformed"
-"""Name, in files and options, of the picture that gives the model its outline."""
-WIDTH = 0.1
-"""Width of the currents for which a noise variance is given, in extents of the interface."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,11 @@ class PictureFiles:
 
 
 def write_pictures(
-    folder: Path, pictures: Mapping[str, Photographed], undeformed: Undeformed | None = None
+    folder: Path,
+    pictures: Mapping[str, Photographed],
+    undeformed: Undeformed | None = None,
+    *,
+    measures: Mapping[str, Discrepancy] = MappingProxyType({}),
 ) -> list[PictureFiles]:
     """Write table, picture and numbers of the edge of each condition into ``image/`` of the study's folder.
 
@@ -53,6 +56,7 @@ def write_pictures(
         folder: Folder of the study.
         pictures: The pictures with the observed interfaces, by condition.
         undeformed: The undeformed outline from a picture, whose files begin with ``undeformed-``.
+        measures: The measures of the study, by name, whose noise variances are given.
 
     Raises:
         InvalidStudy: The folder cannot be written to.
@@ -64,7 +68,7 @@ def write_pictures(
         first = {} if undeformed is None else {UNDEFORMED: undeformed.picture}
         for condition, one in {**first, **pictures}.items():
             stem = f"{condition}-edge" if condition else "edge"
-            content = described(one)
+            content = described(one, {} if condition == UNDEFORMED else measures)
             rows = np.column_stack([one.interface.points, *_along(one)])
             with whole_file(target / f"{stem}.csv") as path:
                 np.savetxt(path, rows, delimiter=",", header="x,y,sd,arc", comments="", fmt="%.7g")
@@ -111,8 +115,8 @@ def write_page(folder: Path, given: ImageFile) -> Path:
             )
 
 
-def described(one: Photographed) -> dict[str, Any]:
-    """Return the errors of an edge, lengths in mm, and σ_N² of measures that fit them."""
+def described(one: Photographed, measures: Mapping[str, Discrepancy]) -> dict[str, Any]:
+    """Return the errors of an edge, lengths in mm, what `check` thinks of it, and σ_N² of measures that fits it."""
     e = one.edge.errors
     return {
         "picture": one.picture.name,
@@ -131,7 +135,11 @@ def described(one: Photographed) -> dict[str, Any]:
         "facts": e.facts,
         "frames": None if one.repeated is None else _of_frames(one.repeated),
         "registration": None if one.registration is None else asdict(one.registration),
-        "noise_variance": _variances(one),
+        "checks": [
+            {key: getattr(check, key) for key in ("name", "value", "limit", "verdict", "shown", "expected")}
+            for check in one.edge.checks
+        ],
+        "noise_variance": variances(one.interface, one.errors, measures),
     }
 
 
@@ -158,13 +166,30 @@ def _along(one: Photographed) -> tuple[np.ndarray, np.ndarray]:
     return (sds[::-1], arc[-1] - arc[::-1]) if turned else (sds, arc - arc[0])
 
 
-def _variances(one: Photographed) -> dict[str, float]:
-    """Return σ_N² by measure, by the closed form of each."""
-    width = float(f"{WIDTH * np.ptp(one.interface.points, axis=0).max():.1g}")
-    measures: dict[str, KnowsPointErrors] = {
-        "closest_point, to_simulated": ClosestPoint(direction="to_simulated"),
-        "measurement_lines, 40": MeasurementLines(40),
-        f"currents, width {width:g} mm": Currents(width),
-    }
-    found = {name: measure.noise_variance(one.errors, one.interface) for name, measure in measures.items()}
-    return {name: variance for name, variance in found.items() if variance is not None}
+def variances(seen: Interface, errors: PointErrors, measures: Mapping[str, Discrepancy]) -> dict[str, dict[str, Any]]:
+    """Return σ_N² that fits the errors of observed points by its closed form, by measure with its options.
+
+    Each entry holds the `value`, None without one, its `unit`, and a `note` that says why there is none. The measure
+    `normal_offset` is always among them: it needs none.
+
+    Args:
+        seen: The observed interface.
+        errors: The errors of its points.
+        measures: The measures of a study, by name.
+    """
+    found = {}
+    for name, measure in {**measures, "normal_offset": measures.get("normal_offset", NormalOffset())}.items():
+        fitted = adapted(measure, Observation(seen, errors))
+        options = in_words(fitted).partition(": ")[2]
+        shown = f"{name}, {options}" if options and not isinstance(fitted, Whitens) else name
+        value, note = _variance(fitted, seen, errors)
+        found[shown] = {"value": value, "unit": unit_of(fitted, seen) if value is not None else None, "note": note}
+    return found
+
+
+def _variance(measure: Discrepancy, seen: Interface, errors: PointErrors) -> tuple[float | None, str | None]:
+    """Return σ_N² of a measure, or why there is none."""
+    if isinstance(measure, Whitens):
+        return None, "none needed, it weighs the points by their errors"
+    closed = measure.noise_variance(errors, seen) if isinstance(measure, KnowsPointErrors) else None
+    return closed, None if closed is not None else "no closed form holds, a run of the study computes it"

@@ -34,6 +34,7 @@ from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.image import ImageFile
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
+from strandline.studies.read_how import frame_note
 
 __all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture", "reference_of"]
 
@@ -55,6 +56,7 @@ class Photographed:
         registration: Where the set-up is in the picture, if it was found from another one of it.
         repeated: Errors of the edge from the frames whose mean the picture is; None for a single one.
         doubts: Why such frames show no errors.
+        placed: Sentence that says where the model lies in the picture, and who said so.
     """
 
     picture: Picture
@@ -65,6 +67,7 @@ class Photographed:
     registration: Registration | None = None
     repeated: FrameErrors | None = None
     doubts: tuple[str, ...] = ()
+    placed: str = ""
 
     @property
     def name(self) -> str:
@@ -74,7 +77,9 @@ class Photographed:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences that say what was taken from where, and what is in doubt."""
-        return (*self.picture.notes, *self.doubts, *(self.repeated.notes if self.repeated is not None else ()))
+        placed = (self.placed,) if self.placed else ()
+        repeated = () if self.repeated is None else self.repeated.notes
+        return (*self.picture.notes, *placed, *self.doubts, *repeated)
 
     @property
     def errors(self) -> PointErrors:
@@ -105,7 +110,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         size = picture.values.shape[1], picture.values.shape[0]
         if clicks is not None:
             clicks.require_picture(picture.sha256, size)
-        frame, registration = _placed(folder, given, clicks, picture)
+        frame, registration, placed = _placed(folder, given, clicks, picture)
         path, closed = _path(folder, given, clicks, frame, undeformed, size)
         exclude = [np.array(corners, float) for corners in given.exclude]
         exclude += clicks.exclude if clicks is not None else ()
@@ -123,7 +128,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         edge = edge if repeated is None else repeated.put_into(edge)
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
-    return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts)
+    return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts, placed)
 
 
 def _repeated(
@@ -218,11 +223,15 @@ def _reading(given: ImageFile, clicks: Clicks | None, name: str | None = None) -
 
 def _placed(
     folder: Path, given: ImageFile, clicks: Clicks | None, picture: Picture
-) -> tuple[Frame, Registration | None]:
-    """Return where the model lies in the picture, if need be by what does not move from another picture to it."""
+) -> tuple[Frame, Registration | None, str]:
+    """Return where the model lies in the picture, if need be by what does not move from another picture to it.
+
+    The sentence says so, and where origin and axes come from.
+    """
     how = given.registration
     if how is None:
-        return _frame(given, clicks, picture), None
+        frame, origin = _frame(given, clicks, picture, str(given.path))
+        return frame, None, frame_note(frame, given.frame, origin)
     marks = None if how.marks is None else read_clicks(folder / how.marks)
     other = read_picture([folder / name for name in how.files], _reading(given, marks, how.marks))
     if marks is not None:
@@ -237,15 +246,17 @@ def _placed(
         )
     speckle = isinstance(edge_method(given.edge, f"{PLACE}.edge"), MarkovPath)
     found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=speckle)
-    return _frame(given, marks, other).moved(found), found
+    frame, origin = _frame(given, marks, other, str(how.marks))
+    return frame.moved(found), found, f"in {other.name}, {frame_note(frame, given.frame, origin)}"
 
 
-def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture) -> Frame:
-    """Return where the model lies in the picture; the origin is the clicked one if the study states none."""
+def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture, marks: str) -> tuple[Frame, str]:
+    """Return where the model lies in the picture, and what gives the origin: the marks if the study states none."""
+    source = "the study"
     options: Mapping[str, Any] | Any = {} if given.frame is None else given.frame
     if isinstance(options, Mapping) and "origin" not in options and clicks is not None and clicks.origin is not None:
-        options = {**options, "origin": list(clicks.origin)}
-    return Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel)
+        options, source = {**options, "origin": list(clicks.origin)}, f"the marks in {marks}"
+    return Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel), source
 
 
 def _path(

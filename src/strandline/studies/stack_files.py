@@ -2,16 +2,15 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
-from strandline.discrepancy import ClosestPoint, Currents, KnowsPointErrors
+from strandline.discrepancy import Discrepancy
 from strandline.interface import Interface
 from strandline.report.plots.stack import plot_stack
 from strandline.report.plots.style import DOTS_PER_INCH
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
-from strandline.studies.picture_files import IMAGE, WIDTH, PictureFiles
+from strandline.studies.picture_files import IMAGE, PictureFiles, variances
 from strandline.studies.stacks import Scanned
 
 __all__ = ["described", "vtu", "write_stacks"]
@@ -20,12 +19,15 @@ TRIANGLE = 5
 """VTK's number of the kind of a cell."""
 
 
-def write_stacks(folder: Path, stacks: Mapping[str, Scanned]) -> list[PictureFiles]:
+def write_stacks(
+    folder: Path, stacks: Mapping[str, Scanned], *, measures: Mapping[str, Discrepancy] = MappingProxyType({})
+) -> list[PictureFiles]:
     """Write surface, slices and numbers of each condition into ``image/`` of the study's folder.
 
     Args:
         folder: Folder of the study.
         stacks: The stacks with the observed surfaces, by condition.
+        measures: The measures of the study, by name, whose noise variances are given.
 
     Raises:
         InvalidStudy: The folder cannot be written to.
@@ -36,7 +38,7 @@ def write_stacks(folder: Path, stacks: Mapping[str, Scanned]) -> list[PictureFil
         target.mkdir(exist_ok=True)
         for condition, one in stacks.items():
             stem = f"{condition}-surface" if condition else "surface"
-            content = described(one)
+            content = described(one, measures)
             with whole_file(target / f"{stem}.vtu") as path:
                 path.write_text(vtu(one.interface), encoding="utf-8")
             figure: Any = plot_stack(one.stack, one.surface.mesh)
@@ -48,7 +50,7 @@ def write_stacks(folder: Path, stacks: Mapping[str, Scanned]) -> list[PictureFil
     return out
 
 
-def described(one: Scanned) -> dict[str, Any]:
+def described(one: Scanned, measures: Mapping[str, Discrepancy]) -> dict[str, Any]:
     """Return the errors of a surface, lengths in mm, and σ_N² of measures that fit them."""
     e = one.surface.errors
     return {
@@ -66,7 +68,7 @@ def described(one: Scanned) -> dict[str, Any]:
         "contrast_to_noise": e.contrast_to_noise,
         "open_share": e.open_share,
         "facts": e.facts,
-        "noise_variance": _variances(one),
+        "noise_variance": variances(one.interface, one.errors, measures),
     }
 
 
@@ -91,14 +93,3 @@ def _array(name: str, kind: str, rows: Any, components: int = 1) -> str:
     several = f' NumberOfComponents="{components}"' if components > 1 else ""
     body = "\n".join(rows)
     return f'<DataArray type="{kind}" Name="{name}"{several} format="ascii">\n{body}\n</DataArray>\n'
-
-
-def _variances(one: Scanned) -> dict[str, float]:
-    """Return σ_N² by measure, mm² and for currents mm⁴, by the closed form of each."""
-    width = float(f"{WIDTH * np.ptp(one.interface.points, axis=0).max():.1g}")
-    measures: dict[str, KnowsPointErrors] = {
-        "closest_point, to_simulated": ClosestPoint(direction="to_simulated"),
-        f"currents, width {width:g} mm": Currents(width),
-    }
-    found = {name: measure.noise_variance(one.errors, one.interface) for name, measure in measures.items()}
-    return {name: variance for name, variance in found.items() if variance is not None}

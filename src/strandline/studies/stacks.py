@@ -10,6 +10,7 @@ from strandline.imaging.surfaces import StackFrame, Surface, find_surface, regio
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.stack import StackFile
+from strandline.studies.read_how import frame_note
 
 __all__ = ["Scanned", "scanned"]
 
@@ -25,12 +26,14 @@ class Scanned:
         frame: Where the model lies in it.
         surface: The surface, in voxels; its errors in mm.
         interface: The surface as an interface in the model's coordinates, mm.
+        placed: Sentence that says where the model lies in the stack, and who said so.
     """
 
     stack: Stack
     frame: StackFrame
     surface: Surface
     interface: Interface
+    placed: str = ""
 
     @property
     def name(self) -> str:
@@ -46,7 +49,7 @@ class Scanned:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences that say what was taken from where, and what of the solid the stack shows."""
-        found, notes = self.surface.errors, list(self.stack.notes)
+        found, notes = self.surface.errors, [*self.stack.notes, *([self.placed] if self.placed else [])]
         if found.open_share > 0:
             notes.append(f"the surface is open: the faces of the stack cut off {100 * found.open_share:.2g} % of it")
         if found.area_share < 0.999:
@@ -74,7 +77,7 @@ def scanned(folder: Path, given: StackFile) -> Scanned:
         surface = find_surface(
             stack, solid=given.solid, triangles=given.triangles, smooth=given.smooth, exclude=exclude
         )
-        return Scanned(stack, frame, surface, frame.interface(surface.mesh))
+        return Scanned(stack, frame, surface, frame.interface(surface.mesh), frame_note(frame, given.frame))
 
 
 def _reading(given: StackFile) -> PictureReading:

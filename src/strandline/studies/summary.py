@@ -4,7 +4,7 @@ import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, fields, is_dataclass, replace
+from dataclasses import asdict, replace
 from importlib import metadata
 from typing import Any
 
@@ -23,8 +23,10 @@ from strandline.report.nearness import as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
+from strandline.studies.chosen import in_words
 from strandline.studies.outline_effect import outline_effect
 from strandline.studies.provenance import observation_digest
+from strandline.studies.read_how import read_how
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
@@ -71,6 +73,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "inputs": _inputs(calibration),
         "log_evidence": calibration.posterior.log_evidence,
         "likelihood": _likelihood(calibration),
+        "pictures": read_how(study),
         "undeformed_outline": outline_effect(study, calibration.records, calibration.posterior),
         "surrogate": _surrogate(calibration.surrogate)
         if calibration.field is None
@@ -207,7 +210,7 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
             "q95": float(quantiles[2, i]),
             "map": float(posterior.map_estimate[i]),
             "nuisance": parameter.nuisance,
-            "prior": _described(parameter.prior),
+            "prior": in_words(parameter.prior),
             "box": list(parameter.interval),
             "prior_mass_cut": parameter.mass_cut,
         }
@@ -224,7 +227,7 @@ def _likelihood(calibration: Calibration) -> dict[str, Any]:
     nodes = {name: len(interface.points) for name, interface in run.interfaces.items()}
     return {
         "discrepancy": name,
-        "options": _described(adapted(discrepancy, observations[0])),
+        "options": in_words(adapted(discrepancy, observations[0])),
         "unit": likelihood.unit,
         **_noise(observations[0], discrepancy, nodes[observations[0].condition]),
         **inferred_noise(calibration),
@@ -282,15 +285,6 @@ def _sensitivity(calibration: Calibration) -> dict[str, Any] | None:
         "inputs": {name: {kind: float(getattr(indices, kind)[i]) for kind in kinds} for i, name in enumerate(names)},
         "evaluations": indices.evaluations,
     }
-
-
-def _described(chosen: Any) -> str:
-    """Return the options of an object in words: ``Uniform: low 100, high 800``."""
-    if not is_dataclass(chosen):
-        return repr(chosen)
-    options = ((field.name, getattr(chosen, field.name)) for field in fields(chosen))
-    shown = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in options)
-    return f"{type(chosen).__name__}: {shown}" if shown else type(chosen).__name__
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,25 +1,48 @@
-"""The edge found in a picture: over the picture, along its normals, and what is left when it is smoothed."""
+"""The edge found in a picture: over the picture, from near, along its normals, and minus itself smoothed."""
+
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Rectangle
+from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging import Edge, Picture
-from strandline.report.plots.style import BLACK, DOUBLE, GREEN, ORANGE, RED, figure_or_new, legend_under, styled
+from strandline.report.plots.style import (
+    BLACK,
+    DOUBLE,
+    GREEN,
+    ORANGE,
+    RED,
+    SKY,
+    figure_or_new,
+    legend_under,
+    styled,
+)
 
-__all__ = ["plot_picture"]
+__all__ = ["off_smooth", "plot_picture"]
 
 MM_TO_MICROMETRES = 1e3
 MARGIN = 0.1
 """Part of the picture around the edge that is shown, as a share of the edge's extent."""
 DARKEST = 0.5, 99.5
 """Percentiles of the grey values that are shown black and white."""
+NEAR, SDS = 6.0, 8.0
+"""Half the side of what is shown from near: at least so many pixels, and so many standard deviations of a point."""
+SMOOTH, LENGTHS = 5.0, 2.0
+"""Standard deviation of the Gaussian along the edge that smooths it for the residual: at least so many pixels, and so
+many correlation lengths of the errors, which would else be smoothed away."""
 
 
 def plot_picture(
     picture: Picture, path: Float[np.ndarray, "click 2"], edge: Edge, *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
-    """Draw the picture with the edge and a band of ± 2 standard deviations, and the strip along its normals.
+    """Draw the edge in the picture, a part of it from near, the strip along its normals, and its residuals.
+
+    The bands are ± 2 standard deviations of a point. They are too narrow to be seen in the whole picture, so a part
+    of it is drawn from near, around the middle of the edge.
 
     Args:
         picture: The picture.
@@ -28,32 +51,81 @@ def plot_picture(
         figure: Figure to draw in; a new one by default.
     """
     with styled():
-        figure = figure_or_new(figure, (DOUBLE, 3.6))
-        whole, strip = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
+        figure = figure_or_new(figure, (DOUBLE, 5.8))
+        (whole, near), (strip, residual) = figure.subplots(2, 2, height_ratios=(1.25, 1.0))
         black, white = np.percentile(picture.values, DARKEST)
         grey = {"cmap": "gray", "vmin": black, "vmax": white, "interpolation": "nearest"}
-        whole.imshow(picture.values, **grey)
-        far = 2 * edge.errors.sd * edge.normals / np.array(picture.pixel)
-        band = np.concatenate([edge.points + far, (edge.points - far)[::-1]])
-        whole.fill(*band.T, color=ORANGE, alpha=0.5, linewidth=0, label="± 2 sd of a point")
-        whole.plot(*edge.points.T, color=GREEN, linewidth=0.7, label="edge")
-        whole.plot(*path.T, color=RED, marker="+", markersize=4, linestyle="none", label="first path")
-        (left, bottom), (right, top) = edge.points.min(axis=0), edge.points.max(axis=0)
-        around = MARGIN * max(right - left, top - bottom)
-        rows, columns = picture.values.shape
-        whole.set_xlim(max(left - around, -0.5), min(right + around, columns - 0.5))
-        whole.set_ylim(min(top + around, rows - 0.5), max(bottom - around, -0.5))
-        whole.set(
-            xlabel="x [pixels]", ylabel="y [pixels]", aspect=picture.pixel[1] / picture.pixel[0], title=picture.name
-        )
-        unit = MM_TO_MICROMETRES * min(picture.pixel)
-        places, number = unit * edge.strip.places, len(edge.kept)
-        strip.imshow(edge.strip.samples.T, extent=(0, number, places[-1], places[0]), aspect="auto", **grey)
-        strip.plot(np.flatnonzero(edge.kept) + 0.5, unit * edge.offsets[edge.kept], color=GREEN, linewidth=0.7)
-        for end in np.flatnonzero(np.diff(edge.kept.astype(int))):
-            strip.axvline(end + 1, color=BLACK, linestyle=":", linewidth=0.8)
-        strip.invert_yaxis()
-        strip.set(xlabel="normal", ylabel="distance from the smooth path [µm]", title="along the normals")
-        handles, labels = whole.get_legend_handles_labels()
-        legend_under(figure, dict(zip(labels, handles, strict=True)))
+        _whole(whole, picture, path, edge, grey)
+        _near(near, whole, picture, edge, grey)
+        _strip(strip, picture, edge, grey)
+        _residual(residual, edge)
+        parts = [ax.get_legend_handles_labels() for ax in (whole, near, residual)]
+        entries = {label: one for handles, labels in parts for one, label in zip(handles, labels, strict=True)}
+        legend_under(figure, entries)
     return figure
+
+
+def off_smooth(edge: Edge) -> Float[np.ndarray, " point"]:
+    """Return the distance of each point of an edge from the edge smoothed along itself, in the unit of its arc."""
+    number = len(edge.kept)
+    offsets = np.interp(np.arange(number), np.flatnonzero(edge.kept), edge.offsets[edge.kept])
+    sigma = max(SMOOTH, LENGTHS * edge.errors.length / edge.errors.spacing)
+    smooth = gaussian_filter1d(offsets, sigma, mode="wrap" if edge.closed else "nearest")
+    return np.asarray(edge.unit * (offsets - smooth)[edge.kept])
+
+
+def _whole(ax: Axes, picture: Picture, path: Float[np.ndarray, "click 2"], edge: Edge, grey: Any) -> None:
+    """Draw the picture around the edge."""
+    ax.imshow(picture.values, **grey)
+    ax.plot(*edge.points.T, color=GREEN, linewidth=0.7, label="edge")
+    ax.plot(*path.T, color=RED, marker="+", markersize=4, linestyle="none", label="first path")
+    (left, bottom), (right, top) = edge.points.min(axis=0), edge.points.max(axis=0)
+    around = MARGIN * max(right - left, top - bottom)
+    rows, columns = picture.values.shape
+    ax.set_xlim(max(left - around, -0.5), min(right + around, columns - 0.5))
+    ax.set_ylim(min(top + around, rows - 0.5), max(bottom - around, -0.5))
+    ax.set(xlabel="x [pixels]", ylabel="y [pixels]", aspect=picture.pixel[1] / picture.pixel[0], title=picture.name)
+
+
+def _near(ax: Axes, whole: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
+    """Draw the middle of the edge from near, with its band, and frame it in the whole picture."""
+    pixel = np.array(picture.pixel)
+    centre = edge.points[len(edge.points) // 2]
+    half = max(NEAR * edge.unit, SDS * edge.errors.sd) / pixel
+    ax.imshow(picture.values, **grey)
+    far = 2 * edge.errors.sd * edge.normals / pixel
+    pieces = np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1  # a region left out has no band
+    for k, part in enumerate(np.split(np.arange(len(edge.points)), pieces)):
+        band = np.concatenate([(edge.points + far)[part], (edge.points - far)[part][::-1]])
+        ax.fill(*band.T, color=ORANGE, alpha=0.5, linewidth=0, label="± 2 sd of a point" if k == 0 else None)
+    ax.plot(*edge.points.T, color=GREEN, linewidth=0.7, marker=".", markersize=3.0)
+    (left, top), (right, bottom) = centre - half, centre + half
+    ax.set(xlim=(left, right), ylim=(bottom, top), aspect=pixel[1] / pixel[0])
+    ax.set(xlabel="x [pixels]", ylabel="y [pixels]", title="the frame on the left, from near")
+    whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, edgecolor=SKY, linewidth=1.0))
+
+
+def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
+    """Draw the grey values along the normals of the smooth path."""
+    unit = MM_TO_MICROMETRES * min(picture.pixel)
+    places, number = unit * edge.strip.places, len(edge.kept)
+    ax.imshow(edge.strip.samples.T, extent=(0, number, places[-1], places[0]), aspect="auto", **grey)
+    ax.plot(np.flatnonzero(edge.kept) + 0.5, unit * edge.offsets[edge.kept], color=GREEN, linewidth=0.7)
+    for end in np.flatnonzero(np.diff(edge.kept.astype(int))).tolist():
+        ax.axvline(end + 1, color=BLACK, linestyle=":", linewidth=0.8)
+    ax.invert_yaxis()
+    ax.set(xlabel="normal", ylabel="distance from the smooth path [µm]", title="along the normals")
+
+
+def _residual(ax: Axes, edge: Edge) -> None:
+    """Draw the edge minus itself smoothed."""
+    band = 2 * MM_TO_MICROMETRES * edge.errors.sd
+    values = MM_TO_MICROMETRES * off_smooth(edge)
+    arc, gaps = edge.arc - edge.arc[0], np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1
+    ax.axhspan(-band, band, color=ORANGE, alpha=0.3, linewidth=0)
+    ax.axhline(0.0, color=BLACK, linewidth=0.8)
+    for part in np.split(np.arange(len(arc)), gaps):
+        ax.plot(arc[part], values[part], color=GREEN, linewidth=0.6)
+    low, high = ax.get_ylim()
+    ax.set_ylim(min(low, -1.5 * band), max(high, 1.5 * band))
+    ax.set(xlabel="arc length [mm]", ylabel="residual [µm]", title="the edge minus itself smoothed")
