@@ -45,7 +45,7 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
             "observation",
             value="no picture",
             expected="`image: {file: …, path: …, solid: …}`, or `stack: {file: …, solid: …}`",
-            remedy='See the guide "From a picture", docs/how-to/picture.md.',
+            remedy='See the guide "Start from a picture", docs/how-to/picture.md.',
         )
     for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed, measures=loaded.discrepancies):
         for line in _lines(one):
@@ -73,8 +73,8 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
         yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
     if "outline" in found:
         smooth = {name: f"{1e3 * found['outline'][name]:.3g} µm" for name in ("sd", "length")}
-        yield f"  smooth outline: sd of a point {smooth['sd']}, correlation length {smooth['length']}; the noise of"
-        yield "  the observation takes them up"
+        yield f"  smooth outline: sd of a point {smooth['sd']}, correlation length {smooth['length']};"
+        yield "  these errors are added to the noise of the observation"
         yield from (f"  wrote {file}" for file in one.files)
         return
     yield from _as_stated(found)

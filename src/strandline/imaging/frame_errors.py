@@ -99,14 +99,14 @@ def _in_frame(
     try:
         located = edge.method.locate(picture, edge.strip.course, edge.kept)
         kept = located.found & edge.kept
-        number, limit = int(kept.sum()), int((located.at_limit & kept).sum())
+        points, limit = int(kept.sum()), int((located.at_limit & kept).sum())
         shown = replace(
             edge.errors,
             contrast_to_noise=located.contrast_to_noise,
-            limit_share=limit / max(number, 1),
+            limit_share=limit / max(points, 1),
             blur=located.blur * picture.unit,
         )
-        require_edge(number, shown, unit=picture.unit)
+        require_edge(points, shown, unit=picture.unit)
     except InvalidInput as error:
         raise InvalidInput(
             f"frame {number} by itself: {error.what}",
