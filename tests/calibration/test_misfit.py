@@ -14,6 +14,7 @@ from tests.discrepancy.surfaces import sheet
 from strandline.calibration import Calibration, Misfit, Problem, Settings, calibrate
 from strandline.calibration.misfit import Prediction, by_runs, judge, misfit_of
 from strandline.calibration.misfit.best_fit import BestFit
+from strandline.calibration.misfit.patches import patches_of
 from strandline.calibration.misfit.predictive import DRAWS
 from strandline.calibration.misfit.reference import PER_PART, corrected, drawn_statistics
 from strandline.calibration.misfit.verdict import verdict_on
@@ -293,29 +294,74 @@ def test_parts_of_the_arc_cover_it_and_the_bump_is_found_where_it_is() -> None:
     assert found.region_p == worst.p_value
 
 
-def test_a_surface_has_residuals_but_no_arc() -> None:
-    flat = sheet(7)
-    shape = np.sin(np.pi * flat.points[:, 0])[:, None] * np.array([0.0, 0.0, 1.0])
+FLAT = sheet(9)
+RISE = np.sin(np.pi * FLAT.points[:, 0])[:, None] * np.array([0.0, 0.0, 1.0])
+ROUGH = PointErrors(0.005, 0.1)
+
+
+def on_surface(change: np.ndarray | None = None, *, seed: int = 2) -> Misfit:
+    """Return the misfit of a sheet that rises by 0.1 and is moved by a change along z, with correlated errors."""
     box = ParameterSpace((Parameter("rise", Uniform(0.0, 0.2)),))
     draws = np.linspace(0.09, 0.11, 50)[:, None]
     known = Posterior(box, draws, np.full(50, -np.log(50.0)), np.zeros(50), box.log_prior(draws), 0.0)
 
     def points(x: np.ndarray) -> Mapping[str, np.ndarray]:
-        return {"": flat.points + x[:, :1, None] * shape}
+        return {"": FLAT.points + x[:, :1, None] * RISE}
 
     def uncertain(x: np.ndarray, least: float) -> Mapping[str, np.ndarray]:
-        return {"": flat.points[None][:0]}
+        return {"": FLAT.points[None][:0]}
 
-    prediction, errors = Prediction({"": flat}, points, uncertain, "the model itself"), PointErrors(0.005, 0.1)
-    exact = Interface(points(np.array([[0.1]]))[""][0], flat.cells)
-    seen = errors.draw(exact, np.random.default_rng(2))
-    right = misfit_of(prediction, (Observation(seen, errors),), NormalOffset(), known, seed=1)
-    assert not right.flagged
-    assert right.p_value is not None
-    assert (right.region_p, right.conditions[0].ratio, right.conditions[0].regions) == (None, None, ())
-    assert right.smooth_p is None
-    bent = Interface(seen.points + 0.03 * np.cos(3 * np.pi * flat.points[:, 1:2]) * np.array([0, 0, 1.0]), flat.cells)
-    assert misfit_of(prediction, (Observation(bent, errors),), NormalOffset(), known, seed=1).flagged
+    prediction = Prediction({"": FLAT}, points, uncertain, "the model itself")
+    exact = Interface(points(np.array([[0.1]]))[""][0], FLAT.cells)
+    seen = ROUGH.draw(exact, np.random.default_rng(seed))
+    if change is not None:
+        seen = Interface(seen.points + change[:, None] * np.array([0.0, 0.0, 1.0]), FLAT.cells)
+    return misfit_of(prediction, (Observation(seen, ROUGH),), NormalOffset(), known, seed=seed)
+
+
+def test_patches_cover_a_surface_and_are_compact() -> None:
+    which = patches_of(FLAT.points)
+    assert set(which.tolist()) == set(range(8))
+    np.testing.assert_array_equal(which, patches_of(FLAT.points))
+    sizes = np.bincount(which)
+    assert sizes.min() > 0.3 * sizes.max()
+    spread = [FLAT.points[which == k].std(axis=0).max() for k in range(8)]
+    assert max(spread) < 0.6 * FLAT.points.std(axis=0).max()
+    assert patches_of(FLAT.points[:3]).tolist() == [0, 0, 0]
+
+
+def test_a_wrong_surface_is_flagged_and_its_patch_is_named() -> None:
+    """Planted: a bump outwards over a few errors of the points, near one corner."""
+    off = np.linalg.norm(FLAT.points[:, :2] - (0.8, 0.2), axis=1)
+    found = on_surface(0.03 * np.exp(-0.5 * (off / 0.12) ** 2))
+    assert found.flagged
+    (one,) = found.conditions
+    worst = min(one.regions, key=lambda region: (region.p_value, -region.excess))
+    assert worst.centre is not None
+    assert np.linalg.norm(np.array(worst.centre[:2]) - (0.8, 0.2)) < 0.25
+    assert (worst.side, worst.p_value < 0.01, worst.mean > 0.005) == ("outside", True, True)
+    where = r"near \(\S+, \S+, \S+\) mm the observed surface lies \S+ µm outside the prediction"
+    assert re.search(where, found.verdict)
+
+
+def test_right_surfaces_are_not_flagged(fewer: None) -> None:
+    """The p-values of all residuals and of the patches' means are those of the noise."""
+    found = [on_surface(seed=seed) for seed in range(30)]
+    assert sum(one.flagged for one in found) <= 2
+    assert stats.kstest([float(one.p_value or 0.0) for one in found], "uniform").pvalue > 0.005
+    least = np.array([float(one.region_p or 0.0) for one in found])
+    assert (least < 0.05).mean() < 0.2
+    assert found[0].smooth_p is None
+
+
+def test_residuals_of_a_surface_have_their_own_sd_and_length(fewer: None) -> None:
+    """Over draws the ratio is about 1; a slow wave has a length of its own."""
+    ratios = [on_surface(seed=seed).conditions[0].ratio for seed in range(12)]
+    assert 0.4 < float(np.median(ratios)) < 2.5
+    slow = on_surface(0.02 * np.cos(np.pi * FLAT.points[:, 1]))
+    assert slow.flagged
+    assert slow.conditions[0].ratio > 8
+    assert slow.conditions[0].found.length > 2 * ROUGH.length
 
 
 def runs(number: int, *, closed: bool) -> tuple[np.ndarray, list[RunRecord]]:

@@ -1,5 +1,6 @@
 """Noise inferred from residuals: its own posterior, the density of the inputs, and coverage with a planted bug."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,10 +12,10 @@ from strandline.discrepancy import ClosestPoint, Discrepancy, NormalOffset, Whit
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
-from strandline.likelihood.inferred_noise import _log_evidences, require_inferable
+from strandline.likelihood.inferred_noise import NoisePosterior, _log_evidences, require_inferable
 from strandline.likelihood.joint_errors import error_model
 from strandline.likelihood.linearised import linearise
-from strandline.likelihood.model_error import offset_scales, offset_waves
+from strandline.likelihood.model_error import Cause, offset_scales, offset_waves
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
 NODES = np.linspace(0.0, 1.0, 61)
@@ -193,6 +194,18 @@ def test_a_model_that_errs_is_noticed_and_widens_the_posterior() -> None:
     _, known = grid(Observation(wrong(1, 0.004), PointErrors(0.001)))
     _, erring = grid(Observation(wrong(1, 0.004), ERRING))
     assert (erring > 2 * known).all()
+
+
+def test_amplitude_and_length_of_the_offset_are_those_of_the_models_that_err() -> None:
+    causes = (Cause(), *(Cause(a, share) for a in (0.001, 0.004, 0.016) for share in (0.1, 0.4)))
+    mass = np.array([0.5, 0.0, 0.0, 0.1, 0.4, 0.0, 0.0])  # all of it at 0.004, a fifth at the shorter length
+    found = NoisePosterior(np.array([1.0]), np.array([1.0]), causes, mass[:, None, None], 0.0)
+    offset = found.quantiles_of_offset([0.1, 0.5, 0.6])
+    assert offset is not None
+    assert offset["amplitude"][1] == pytest.approx(0.004)
+    assert offset["share"] == pytest.approx([0.1, 0.1 * 4**0.8, 0.4])
+    none = replace(found, causes=(Cause(), Cause(spread=0.1)), weights=np.array([0.5, 0.5])[:, None, None])
+    assert none.quantiles_of_offset([0.5]) is None
 
 
 def test_the_posterior_without_the_error_is_that_of_the_stated_noise() -> None:

@@ -30,10 +30,11 @@ def condition(*regions: Region, name: str = "V50", length: float = 0.02, line: b
         residual=0.002 * np.sin(9 * ARC),
         stated=StatedErrors(PointErrors(0.001), assumed=False),
         expected=ResidualNoise(0.001, 0.02),
-        found=ResidualNoise(0.0014, length) if line else None,
+        found=ResidualNoise(0.0014, length),
         p_value=0.3,
         predictive_p=0.4,
         regions=regions,
+        surface=not line,
     )
 
 
@@ -240,6 +241,23 @@ def test_inferred_noise_has_quantiles(reported: Any) -> None:
     )
 
 
+def test_inferred_noise_stands_beside_what_was_stated(reported: Any) -> None:
+    """A range and an unknown length; the error of the model has quantiles of its own."""
+    prior = {"sd_um": [1.0, 10.0], "length_um": None}
+    alone = of_noise(reported, False, (2.0, 3.0, 4.0), (10.0, 15.0, 21.0), prior=prior)
+    row = '<td class="text">log-uniform from 1 to 10</td><td>3</td><td>2</td><td>4</td>'
+    assert f"<tr><td>sd of a point</td>{row}</tr>" in alone
+    assert '<td class="text">unknown: log-uniform over a wide range</td><td>15</td><td>10</td><td>21</td>' in alone
+    assert "if it errs" not in alone
+    ends = {"q05": 60.0, "median": 170.0, "q95": 600.0}
+    error = {"probability": 0.9, "amplitude_um": 2.0, "spread": 0.0, "amplitude_quantiles_um": ends, "length_um": ends}
+    both = {"sd_um": 3.0, "length_um": 0.0}
+    text = of_noise(reported, True, (3.0, 3.0, 3.0), (1e-9, 1e-9, 1e-9), prior=both, model_error=error)
+    assert '<td>sd of a point</td><td class="text">3, known</td><td>3</td>' in text
+    assert '<td>correlation length</td><td class="text">0, known</td><td>0</td>' in text
+    assert text.count("<td>170</td><td>60</td><td>600</td>") == 2
+
+
 def test_the_report_says_how_each_picture_was_read(reported: Any) -> None:
     def page(*pictures: dict[str, Any]) -> str:
         summary = {**reported.outcome.summary, "pictures": list(pictures)}
@@ -261,7 +279,10 @@ def test_every_part_of_the_arc_is_in_a_table_that_is_folded_if_it_is_long(report
     many = rendered(reported, misfit(condition(*[FINE] * 6, BAD), condition(FINE, name="V100")))
     assert "<details>" in many
     assert "<td>V50</td><td>0.9 – 1.1</td>" in many
-    assert "parts of the arc" not in rendered(reported, misfit(condition(line=False)))
+    assert "parts of the interface" not in rendered(reported, misfit(condition(line=False)))
+    patch = replace(BAD, begin=0.0, end=0.0, centre=(0.81, 0.2, 0.05))
+    surface = rendered(reported, misfit(condition(FINE, line=True), condition(patch, line=False)))
+    assert "<td>(0.81, 0.2, 0.05)</td><td>6</td>" in surface
 
 
 def test_the_first_line_says_that_it_does_not_fit(reported: Any) -> None:

@@ -213,13 +213,18 @@ def test_a_study_with_unknown_noise(tmp_path: Path) -> None:
         tmp_path / "beam",
         observation={"synthetic": {"E": 400, "tilt": 0.02, "load": 1e-5}, "noise": {"sd": 0.003}},
         discrepancy={"normal_offset": {}},
-        noise={"sd": "unknown", "length": "unknown", "unit": "um", "model_error": True},
+        noise={"sd": [1, 9], "length": "unknown", "unit": "um", "model_error": True},
         surrogate={"field": {}},
     )
     found = outcome.summary["likelihood"]["inferred_noise"]
     assert 1.0 < found["sd_um"]["median"] < 9.0
     assert found["sd_um"]["q05"] < found["sd_um"]["median"] < found["sd_um"]["q95"]
     assert 0 <= found["model_error"]["probability"] <= 1
+    assert found["prior"] == {"sd_um": [1.0, 9.0], "length_um": None}
+    for name in ("amplitude_quantiles_um", "length_um"):
+        assert 0 < found["model_error"][name]["q05"] <= found["model_error"][name]["q95"]
+    whole = 1e3 * float(outcome.calibration.problem.observations[0].interface.lengths.sum())
+    assert 0.05 * whole <= found["model_error"]["length_um"]["median"] * 1.0001 <= 0.5001 * whole
     without, with_it = found["without_model_error"]["E"], outcome.summary["inputs"]["E"]
     assert 0 < without["sd"] < 1.3 * with_it["sd"]
     assert abs(without["mean"] - 400.0) < 4 * without["sd"]

@@ -58,13 +58,23 @@ class NoisePosterior:
 
     def quantiles(self, levels: Sequence[float]) -> dict[str, list[float]]:
         """Return quantiles of ``sd`` and ``length``, mm."""
-        return {
-            name: np.exp(np.interp(levels, np.cumsum(mass) - 0.5 * mass, np.log(values))).tolist()
-            for name, values, mass in (
-                ("sd", self.sds, self.weights.sum(axis=(0, 2))),
-                ("length", self.lengths, self.weights.sum(axis=(0, 1))),
-            )
-        }
+        sd, length = self.weights.sum(axis=(0, 2)), self.weights.sum(axis=(0, 1))
+        return {"sd": _quantiles(levels, self.sds, sd), "length": _quantiles(levels, self.lengths, length)}
+
+    def quantiles_of_offset(self, levels: Sequence[float]) -> dict[str, list[float]] | None:
+        """Return quantiles of the offset's ``amplitude``, mm, and ``share``, given that there is one.
+
+        The share is its length in lengths of the interface. None if no offset was allowed.
+        """
+        mass, erring = self.weights.sum(axis=(1, 2)), [k for k, one in enumerate(self.causes) if one.amplitude > 0]
+        whole = float(mass[erring].sum()) if erring else 0.0
+        if not whole > 0:
+            return None
+        found = {}
+        for name in ("amplitude", "share"):
+            values, which = np.unique([getattr(self.causes[k], name) for k in erring], return_inverse=True)
+            found[name] = _quantiles(levels, values, np.bincount(which, mass[erring] / whole))
+        return found
 
     @property
     def probability_of_model_error(self) -> float:
@@ -205,6 +215,13 @@ def _grid(
         least, most = found["sd"][0] / WIDER, found["sd"][1] * WIDER
         low, high = found["length"][0] / WIDER, min(found["length"][1] * WIDER, shortest)
     return unknown.sds(np.geomspace(least, most, SDS)), unknown.lengths(np.geomspace(low, high, LENGTHS))
+
+
+def _quantiles(
+    levels: Sequence[float], values: Float[np.ndarray, " value"], mass: Float[np.ndarray, " value"]
+) -> list[float]:
+    """Return quantiles of probabilities on a grid, interpolated in the logarithm of the values."""
+    return [float(one) for one in np.exp(np.interp(levels, np.cumsum(mass) - 0.5 * mass, np.log(values)))]
 
 
 def _log_share(given: tuple[float, float] | float | None, values: Float[np.ndarray, " value"]) -> float:

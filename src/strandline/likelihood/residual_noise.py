@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.distance import pdist
 
 from strandline.discrepancy import Discrepancy, KnowsPointErrors, independent_terms, unit_of
 from strandline.interface import (
@@ -24,10 +25,12 @@ from strandline.interface import (
 from strandline.likelihood.compared import errors_of
 from strandline.likelihood.noise_rule import noise_variance
 
-__all__ = ["ResidualNoise", "StatedErrors", "noise_of_residuals", "stated_errors"]
+__all__ = ["ResidualNoise", "StatedErrors", "noise_of_residuals", "noise_on_surface", "stated_errors"]
 
 FEW_DRAWS = 20
 """Drawn observations for an assumed standard deviation: it is known to 8 %."""
+MOST = 1500
+"""Most points of a surface between which distances are taken."""
 _SMALL = 0.1
 """Standard deviation for which the noise variance of a measure is computed, in spacings of the observed points."""
 
@@ -114,4 +117,25 @@ def noise_of_residuals(residuals: Float[np.ndarray, " point"], polyline: Interfa
     below = np.flatnonzero(products <= 0)
     last = int(below[0]) if below.size else len(products)
     length = spacing * (0.5 + float(products[1:last].sum() / products[0]))
+    return ResidualNoise(math.sqrt(float(np.mean(residuals**2))), length)
+
+
+def noise_on_surface(residuals: Float[np.ndarray, " point"], surface: Interface) -> ResidualNoise:
+    """Return the standard deviation about zero and the integral correlation length of residuals on a surface, mm.
+
+    The covariance of two residuals is averaged over pairs at about the same distance in space, in steps of the spacing
+    h, and summed up to its first zero: ℓ = h (½ + Σ ρ). Of many points, every second or third is taken.
+    """
+    step = -(-len(residuals) // MOST)
+    values, points = residuals[::step], surface.points[::step]
+    square, h = float(np.mean(values**2)), math.sqrt(float(surface.areas.sum()) / len(values))
+    if not square > 0:
+        return ResidualNoise(0.0, 0.5 * h)
+    which = np.rint(pdist(points) / h).astype(int)
+    first, second = np.triu_indices(len(values), 1)
+    number = np.maximum(np.bincount(which), 1)
+    covariance = np.bincount(which, values[first] * values[second]) / number
+    below = np.flatnonzero(covariance[1:] <= 0)
+    last = 1 + int(below[0]) if below.size else len(covariance)
+    length = h * (0.5 + float(covariance[1:last].sum()) / square)
     return ResidualNoise(math.sqrt(float(np.mean(residuals**2))), length)

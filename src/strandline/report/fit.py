@@ -41,7 +41,7 @@ def _condition(found: ConditionMisfit) -> dict[str, Any]:
     return {
         "condition": found.condition,
         "sd_um": TO_MICROMETRES * found.rms,
-        "length_um": None if own is None else TO_MICROMETRES * own.length,
+        "length_um": TO_MICROMETRES * own.length,
         "stated_sd_um": TO_MICROMETRES * expected.sd,
         "stated_length_um": TO_MICROMETRES * expected.length,
         "assumed": found.stated.assumed,
@@ -65,8 +65,9 @@ def _removed(found: Mapping[str, tuple[float, ...]]) -> dict[str, Any]:
 
 def _region(found: Region) -> dict[str, Any]:
     return {
-        "begin_mm": found.begin,
-        "end_mm": found.end,
+        "begin_mm": found.begin if found.centre is None else None,
+        "end_mm": found.end if found.centre is None else None,
+        "centre_mm": None if found.centre is None else list(found.centre),
         "mean_um": TO_MICROMETRES * found.mean,
         "rms_um": TO_MICROMETRES * found.rms,
         "excess": found.excess,
@@ -77,7 +78,7 @@ def _region(found: Region) -> dict[str, Any]:
 def fit_figures(calibration: Calibration) -> Iterator[Captioned]:
     """Yield the residuals along the observed polylines; nothing for surfaces."""
     found = calibration.misfit
-    lines = [one for one in (found.conditions if found is not None else ()) if one.found is not None]
+    lines = [one for one in (found.conditions if found is not None else ()) if not one.surface]
     if not lines:
         return
     drawn = {one.condition: _along(one) for one in lines}

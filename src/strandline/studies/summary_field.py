@@ -1,5 +1,6 @@
 """The entries of summary.json on a surrogate of the field: the surrogate, its certificate, and a comparison."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,11 +8,14 @@ from jaxtyping import Float
 
 from strandline.calibration import Calibration
 from strandline.design.active import BatchCheck, FieldOutcome, Step
-from strandline.interface import UnknownErrors
+from strandline.interface import Observation, UnknownErrors, steady_lengths
+from strandline.likelihood.inferred_noise import NoisePosterior
 
 __all__ = ["certificate", "comparison", "field_surrogate", "inferred_noise"]
 
 TO_MICROMETRES = 1e3
+LEVELS = {"q05": 0.05, "median": 0.5, "q95": 0.95}
+"""Quantiles of inferred noise and of an error of the model."""
 
 
 def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, Any]:
@@ -43,19 +47,21 @@ def inferred_noise(calibration: Calibration) -> dict[str, Any]:
     inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
     if inferred is None:
         return {}
-    found, levels = inferred.posterior, {"q05": 0.05, "median": 0.5, "q95": 0.95}
-    quantiles = found.quantiles(list(levels.values()))
+    found = inferred.posterior
+    quantiles = found.quantiles(list(LEVELS.values()))
     of: dict[str, Any] = {
-        f"{name}_um": dict(zip(levels, (TO_MICROMETRES * value for value in values), strict=True))
+        f"{name}_um": dict(zip(LEVELS, (TO_MICROMETRES * value for value in values), strict=True))
         for name, values in quantiles.items()
     }
     noises = [seen.noise for seen in calibration.problem.observations]
     of["stated"] = all(isinstance(one, UnknownErrors) and one.stated for one in noises)
+    of["prior"] = _prior(next(one for one in noises if isinstance(one, UnknownErrors)))
     if len(found.causes) > 1:
         of["model_error"] = {
             "probability": found.probability_of_model_error,
             "amplitude_um": TO_MICROMETRES * found.model_error,
             "spread": found.spread,
+            **_offset(found, calibration.problem.observations),
         }
     without = None if calibration.field is None else calibration.field.without_error
     if without is not None:
@@ -64,6 +70,30 @@ def inferred_noise(calibration: Calibration) -> dict[str, Any]:
             for i, name in enumerate(calibration.problem.space.names)
         }
     return {"inferred_noise": of}
+
+
+def _prior(noise: UnknownErrors) -> dict[str, list[float] | float | None]:
+    """Return what the study states of sd and correlation length, µm: a range, a number, or None if it is unknown."""
+
+    def stated(one: tuple[float, float] | float | None) -> list[float] | float | None:
+        if isinstance(one, tuple):
+            return [float(f"{TO_MICROMETRES * end:.12g}") for end in one]
+        return None if one is None else float(f"{TO_MICROMETRES * one:.12g}")
+
+    return {"sd_um": stated(noise.sd), "length_um": stated(noise.length)}
+
+
+def _offset(found: NoisePosterior, observations: Sequence[Observation]) -> dict[str, Any]:
+    """Return quantiles of amplitude and length of the model's offset, µm, if it errs; None if no offset was allowed."""
+    quantiles = found.quantiles_of_offset(list(LEVELS.values()))
+    whole = float(np.mean([steady_lengths(seen.interface).sum() for seen in observations]))
+    return {
+        key: None if quantiles is None else dict(zip(LEVELS, (unit * one for one in quantiles[name]), strict=True))
+        for key, name, unit in (
+            ("amplitude_quantiles_um", "amplitude", TO_MICROMETRES),
+            ("length_um", "share", TO_MICROMETRES * whole),
+        )
+    }
 
 
 def certificate(calibration: Calibration) -> dict[str, Any] | None:

@@ -32,7 +32,7 @@ from strandline.calibration.misfit.waves import beyond, waves_p
 from strandline.discrepancy import Discrepancy
 from strandline.errors import StrandlineError
 from strandline.interface import GLOBAL, Observation, PointErrors, arc_lengths, steady_normals
-from strandline.likelihood.residual_noise import noise_of_residuals
+from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface
 from strandline.posterior import Posterior
 
 __all__ = ["invisible", "misfit_of"]
@@ -135,11 +135,12 @@ def _conditions(
                 residual=mine,
                 stated=stated,
                 expected=stated.noise_along(interface),
-                found=noise_of_residuals(mine, interface) if line else None,
+                found=noise_of_residuals(mine, interface) if line else noise_on_surface(mine, interface),
                 p_value=float(shares[k]),
                 predictive_p=predictive.conditions[k],
                 regions=tuple(r for r, span in zip(regions, parts.spans, strict=True) if span.observation == k),
                 removed=removed[k],
+                surface=not line,
             )
         )
     return tuple(found)
@@ -148,10 +149,10 @@ def _conditions(
 def _regions(
     residuals: Residuals, local: Float[np.ndarray, " seen"], parts: Parts, seen: Statistics, drawn: Statistics
 ) -> list[Region]:
-    """Return the parts of the arcs, with p-values of their mean and of their sum of squares, both corrected."""
+    """Return the parts of the arcs and the patches, with corrected p-values of their mean and their sum of squares."""
     by_squares, by_mean = tail(drawn.squares, seen.squares), tail(np.abs(drawn.means), np.abs(seen.means))
     p_values = corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
-    chosen = sorted({span.observation for span in parts.spans})
+    chosen = sorted({span.observation for span in parts.spans if span.centre is None})
     normals = {k: steady_normals(residuals.observations[k].interface) for k in chosen}
     found = []
     for j, span in enumerate(parts.spans):
@@ -160,8 +161,12 @@ def _regions(
         excess = abs(mean) / float(drawn.means[:, j].std())
         if abs(mean) < 0.5 * rms:
             excess = float(np.sqrt(seen.squares[0, j] / drawn.squares[:, j].mean()))
-        towards = np.sign(mean) * normals[span.observation][mine[residuals.parts[span.observation]]].mean(axis=0)
-        found.append(Region(span.begin, span.end, mean, rms, _side(towards), excess, float(p_values[j])))
+        if span.centre is None:
+            normal = normals[span.observation][mine[residuals.parts[span.observation]]].mean(axis=0)
+            side = _side(np.sign(mean) * normal)
+        else:
+            side = "outside" if mean > 0 else "inside"
+        found.append(Region(span.begin, span.end, mean, rms, side, excess, float(p_values[j]), span.centre))
     return found
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.misfit.best_fit import BestFit
+from strandline.calibration.misfit.patches import patches_of
 from strandline.calibration.misfit.residuals import Residuals
 from strandline.calibration.misfit.verdict import FAMILIES, LEVEL
 from strandline.calibration.misfit.waves import waves_of
@@ -30,22 +31,24 @@ PARTS, FEWEST_POINTS = 6, 4
 
 @dataclass(frozen=True)
 class Span:
-    """A part of the arc of an observed interface.
+    """A part of the arc of an observed interface, or a patch of a surface.
 
     Args:
         observation: Number of the observation.
-        begin: Arc length at which it begins, mm.
-        end: Arc length at which it ends, mm.
+        begin: Arc length at which it begins, mm; 0 for a patch.
+        end: Arc length at which it ends, mm; 0 for a patch.
+        centre: Mean point of a patch, mm; None for a part of an arc.
     """
 
     observation: int
     begin: float
     end: float
+    centre: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Parts of the arcs of all observed interfaces, and waves along these arcs.
+    """Parts of the arcs of all observed interfaces, or patches of surfaces, and waves along these arcs.
 
     Args:
         spans: The parts.
@@ -78,7 +81,7 @@ class Statistics:
 
 
 def parts_of(observations: Sequence[Observation]) -> Parts:
-    """Return equal parts of the arc of each observed polyline, those with points; surfaces have none."""
+    """Return equal parts of the arc of each observed polyline, those with points, and patches of each surface."""
     spans, columns, first = [], [], 0
     total = sum(len(seen.interface.points) for seen in observations)
     for k, interface in enumerate(seen.interface for seen in observations):
@@ -91,6 +94,14 @@ def parts_of(observations: Sequence[Observation]) -> Parts:
                 column[first : first + number] = which == part
                 columns.append(column)
                 spans.append(Span(k, whole * part / count, whole * (part + 1) / count))
+        else:
+            which = patches_of(interface.points)
+            for part in np.unique(which).tolist():
+                column = np.zeros(total)
+                column[first : first + number] = which == part
+                columns.append(column)
+                x, y, z = interface.points[which == part].mean(axis=0).tolist()
+                spans.append(Span(k, 0.0, 0.0, (x, y, z)))
         first += number
     members = np.stack(columns, axis=1) if columns else np.zeros((total, 0))
     return Parts(tuple(spans), members, waves_of(observations))

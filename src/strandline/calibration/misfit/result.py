@@ -13,17 +13,19 @@ __all__ = ["ConditionMisfit", "Misfit", "Region"]
 
 @dataclass(frozen=True)
 class Region:
-    """A part of the arc of an observed interface.
+    """A part of the arc of an observed interface, or a patch of a surface.
 
     Args:
-        begin: Arc length of the observed interface at which it begins, mm.
-        end: Arc length at which it ends, mm.
+        begin: Arc length of the observed interface at which it begins, mm; 0 for a patch.
+        end: Arc length at which it ends, mm; 0 for a patch.
         mean: Mean residual, mm, positive on the side of the normals.
         rms: Root mean square of the residuals, mm.
-        side: Where the observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like.
+        side: Where the observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like;
+            on a surface ``outside`` or ``inside``, outside being the side of the normals.
         excess: Ratio of the mean, or of the root mean square if it is more than twice the mean, to what the noise
             allows.
         p_value: Probability of such residuals of a right model in any part, corrected for the number of parts.
+        centre: Mean point of a patch, mm; None for a part of an arc.
     """
 
     begin: float
@@ -33,6 +35,7 @@ class Region:
     side: str
     excess: float
     p_value: float
+    centre: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +48,13 @@ class ConditionMisfit:
         residual: Signed distance of each point, mm.
         stated: Errors of the points that the observation states.
         expected: Standard deviation and correlation length of residuals with these errors, mm.
-        found: Those of the residuals, mm; None on a surface.
+        found: Those of the residuals, mm; on a surface the correlation length is that over distances in space.
         p_value: Probability that a right model leaves residuals as large.
         predictive_p: Posterior-predictive p-value of d².
-        regions: Parts of the arc; none on a surface.
+        regions: Parts of the arc, or patches of the surface.
         removed: Most probable global errors of the observation, which the residuals do not contain: shift and offset,
             mm, rotation, degrees, and scale, a share; none if none are stated.
+        surface: Whether a surface was observed.
     """
 
     condition: str
@@ -58,11 +62,12 @@ class ConditionMisfit:
     residual: Float[np.ndarray, " point"]
     stated: StatedErrors
     expected: ResidualNoise
-    found: ResidualNoise | None
+    found: ResidualNoise
     p_value: float
     predictive_p: float
     regions: tuple[Region, ...] = ()
     removed: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    surface: bool = False
 
     @property
     def rms(self) -> float:
@@ -70,9 +75,10 @@ class ConditionMisfit:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property
-    def ratio(self) -> float | None:
-        """Ratio of s²ℓ of the residuals to that of the stated errors; None on a surface."""
-        return None if self.found is None else self.found.level / self.expected.level
+    def ratio(self) -> float:
+        """Ratio of s²ℓ of the residuals to that of the stated errors; of s²ℓ² on a surface."""
+        longer = self.found.length / self.expected.length
+        return self.found.level / self.expected.level * (longer if self.surface else 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -44,7 +44,7 @@ def verdict_on(
         run_alone: Whether a single run stands for all inputs; then large residuals prove nothing.
     """
     regions = [region.p_value for one in conditions for region in one.regions]
-    ratio = max((one.ratio for one in conditions if one.ratio is not None), default=0.0)
+    ratio = max((one.ratio for one in conditions), default=0.0)
     least = min(1.0, FAMILIES * min(p_value, predictive_p, smooth_p, *regions))
     what = "observation" if len(conditions) == 1 else "observations"
     if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL):
@@ -97,7 +97,9 @@ def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *
         return f"{said}: {_where(condition, region)}"
     if smooth:
         return f"{said}: the residuals vary slowly along the observed interface, as noise would not"
-    return f"{said}: s²ℓ of the residuals is {_short(ratio)} times that of the stated noise" if ratio > RATIO else said
+    level = "s²ℓ²" if any(one.surface for one in conditions) else "s²ℓ"
+    larger = f": {level} of the residuals is {_short(ratio)} times that of the stated noise"
+    return said + larger if ratio > RATIO else said
 
 
 def _where(condition: str, region: Region) -> str:
@@ -105,6 +107,9 @@ def _where(condition: str, region: Region) -> str:
     size = f"lies {_length(abs(region.mean))} {region.side} the prediction"
     if abs(region.mean) < 0.5 * region.rms or not region.side:
         size = f"departs from the prediction by {_length(region.rms)}, root mean square"
+    if region.centre is not None:
+        at = ", ".join(_place(one) for one in region.centre)
+        return f"near ({at}) mm{of} the observed surface {size}, {_short(region.excess)} times what the noise allows"
     where = f"near s = {_place(region.begin)}–{_place(region.end)} mm{of}"
     return f"{where} the observed interface {size}, {_short(region.excess)} times what the noise allows"
 
