@@ -60,7 +60,7 @@ def test_a_model_that_does_not() -> None:
     assert found.flagged
     assert found.text == (
         "The model does not explain the observation (p = 0.0016): near s = 0.9–1.1 mm of condition V50 the observed "
-        "interface lies 6 µm above the prediction, 5.2 times what the noise allows; trust neither mean "
+        "interface lies 6 µm above the prediction, 5.2 standard deviations of such a mean; trust neither mean "
         "nor width of the posterior."
     )
 
@@ -80,6 +80,11 @@ def test_noise_that_was_fitted_to_the_residuals_explains_them_unless_they_are_sm
     else:
         fitted = f"with noise fitted to its residuals: sd 2.1 µm, correlated over {1e3 * length:.0f} µm."
         assert found.text == f"The model explains the observation: p = 0.43, {fitted}"
+
+
+def test_a_model_that_is_wrong_everywhere() -> None:
+    parts = (replace(BAD, begin=0.0, end=0.4, p_value=0.002), BAD)
+    assert ": everywhere, most near s = 0.9–1.1 mm of" in verdict(condition(*parts), p=0.004).text
 
 
 def test_residuals_of_both_signs_depart() -> None:

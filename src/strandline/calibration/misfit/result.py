@@ -22,8 +22,8 @@ class Region:
         rms: Root mean square of the residuals, mm.
         side: Where the observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like;
             on a surface ``outside`` or ``inside``, outside being the side of the normals.
-        excess: Ratio of the mean, or of the root mean square if it is more than twice the mean, to what the noise
-            allows.
+        excess: Mean over the standard deviation of such a mean of the noise; if the root mean square is more than twice
+            the mean, its ratio to that of the noise instead.
         p_value: Probability of such residuals of a right model in any part, corrected for the number of parts.
         centre: Mean point of a patch, mm; None for a part of an arc.
     """

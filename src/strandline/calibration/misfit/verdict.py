@@ -94,7 +94,9 @@ def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *
     p_value, _, condition, region = min(found, key=lambda one: one[:2], default=(1.0, 0.0, "", None))
     said = f" ({_said(least)})" if least < LEVEL else ""
     if said and region is not None and p_value < DOUBTFUL:
-        return f"{said}: {_where(condition, region)}"
+        mine = next(one for one in conditions if one.condition == condition).regions
+        everywhere = len(mine) > 1 and all(one.p_value < DOUBTFUL for one in mine)
+        return f"{said}: {_where(condition, region, everywhere=everywhere)}"
     if smooth:
         return f"{said}: the residuals vary slowly along the observed interface, as noise would not"
     level = "s²ℓ²" if any(one.surface for one in conditions) else "s²ℓ"
@@ -102,16 +104,20 @@ def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *
     return said + larger if ratio > RATIO else said
 
 
-def _where(condition: str, region: Region) -> str:
-    of = f" of condition {condition}" if condition else ""
-    size = f"lies {_length(abs(region.mean))} {region.side} the prediction"
-    if abs(region.mean) < 0.5 * region.rms or not region.side:
-        size = f"departs from the prediction by {_length(region.rms)}, root mean square"
+def _where(condition: str, region: Region, *, everywhere: bool) -> str:
+    """Return where a model is wrong, and by how much beside the noise."""
+    of, times = f" of condition {condition}" if condition else "", _short(region.excess)
+    lies = f"lies {_length(abs(region.mean))} {region.side} the prediction"
+    if not region.side:
+        lies = f"departs from the prediction by {_length(abs(region.mean))} on average"
+    size = f"{lies}, {times} standard deviations of such a mean"
+    if abs(region.mean) < 0.5 * region.rms:
+        size = f"departs from the prediction by {_length(region.rms)}, root mean square, {times} times the noise"
+    most = "everywhere, most " if everywhere else ""
     if region.centre is not None:
-        at = ", ".join(_place(one) for one in region.centre)
-        return f"near ({at}) mm{of} the observed surface {size}, {_short(region.excess)} times what the noise allows"
-    where = f"near s = {_place(region.begin)}–{_place(region.end)} mm{of}"
-    return f"{where} the observed interface {size}, {_short(region.excess)} times what the noise allows"
+        return f"{most}near ({', '.join(_place(one) for one in region.centre)}) mm{of} the observed surface {size}"
+    where = f"{most}near s = {_place(region.begin)}–{_place(region.end)} mm{of}"
+    return f"{where} the observed interface {size}"
 
 
 def _place(mm: float) -> str:
