@@ -8,8 +8,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -64,10 +65,11 @@ def forward(*options: str) -> Callable[[Path], list[str]]:
     return lambda folder: ["forward", str(write_study(folder)), *options]
 
 
+@dataclass(frozen=True)
 class Flat:
     """A measure that is the same for all interfaces, so that no noise of the points has a rule."""
 
-    unit = "mm²"
+    unit: ClassVar[str] = "mm²"
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         return 1.0
@@ -278,7 +280,7 @@ CASES: dict[str, tuple[Callable[[Path], list[str]], list[str]]] = {
         changed(design={"active": {"runs": 60, "batch": 100}}),
         ["design.active.batch: got 100", "at most 52"],
     ),
-    "measure without a rule": (no_rule, ["noise of the observed points", "normal_offset"]),
+    "measure without a rule": (no_rule, ["noise of Flat", "a noise variance for such errors", "normal_offset"]),
     "init without a name": (lambda folder: ["init", ""], ["an argument is empty: got ''"]),
     "workers not a number": (lambda folder: [*changed()(folder), "--workers", "0"], ["--workers"]),
 }

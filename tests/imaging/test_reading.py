@@ -170,7 +170,7 @@ def test_pages_of_several_axes_are_counted_through(tmp_path: Path) -> None:
     for name, axes in (("a.tif", "T 2, Z 3, C 4"), ("a.npy", "axis 0 2, axis 1 3, axis 2 4")):
         found = read_picture(tmp_path / name, reading(pixel=SQUARE, page=17))
         np.testing.assert_array_equal(found.values, values[1, 1, 1])
-        assert any(note == f"frame 17 of 24 ({axes})" for note in found.notes)
+        assert f"frame 17 of 24 ({axes}), from the study" in found.notes
 
 
 def test_coloured_frames(tmp_path: Path) -> None:

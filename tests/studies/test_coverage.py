@@ -90,7 +90,7 @@ def test_what_it_writes(folder: Path) -> None:
     assert page.count("<img ") == page.count('src="data:image/png') == 2
     pictures = sorted(path.name for path in (folder / "figures").glob("coverage*"))
     assert pictures == ["coverage_intervals.pdf", "coverage_intervals.png", "coverage_ranks.pdf", "coverage_ranks.png"]
-    assert repr(found).startswith("<StudyCoverage of beam: The posterior is ")
+    assert repr(found).startswith("<StudyCoverage of beam: Nothing speaks against the posterior, but 20 ")
 
 
 class Stopped(Exception):

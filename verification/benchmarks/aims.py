@@ -75,7 +75,6 @@ AIMS = (
     Aim("SMC, economical setting against the study's", "sampler", r"SMC", RATIO, 20, "ours too"),
     Aim("currents, 10⁴ × 10⁴ triangles", "norms", r"currents.*\b1\d{4}²", RATIO, 5, "NumPy"),
     Aim("currents, 10⁵ × 10⁵ triangles, memory", "norms", r"currents.*\b1\d{5}²", MOST, 1000, "MiB"),
-    Aim("normal_offset, 1600 points × 10 000 interfaces", "norms", r"normal_offset.*1600", MOST, 1, "s"),
     Aim("closest points, 6600 to 2000 segments", "norms", r"closest.*6600.*2000", RATIO, 15, ""),
     Aim("overhead of a run, local processes", "executors", r"overhead.*worker processes", MOST, 5, "ms"),
     Aim("overhead of a run, Dask", "executors", r"overhead.*Dask", MOST, 20, "ms"),
