@@ -97,6 +97,7 @@ def test_the_direction_of_the_observed_points_does_not_matter() -> None:
 
 def test_few_points_and_points_without_an_order_have_no_means() -> None:
     assert local_means(observed(300).points, 200) is None
+    assert local_means(observed(1100).points, 200) is None  # four or five points a place would move posteriors
     shuffled = np.random.default_rng(1).permutation(observed().points)
     assert local_means(shuffled, 200) is None
 

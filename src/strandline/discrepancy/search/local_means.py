@@ -17,8 +17,9 @@ from strandline.interface import Interface
 
 __all__ = ["LocalMeans", "local_means"]
 
-FEWEST = 4
-"""Fewest points in a mean: with fewer, little would be saved."""
+FEWEST = 6
+"""Fewest points in a mean: with fewer, little would be saved. Means drop what the slopes of r within a place tell, and
+with many places of few points this moved a posterior by 0.27 standard deviations."""
 TURN = 0.35
 """Largest angle by which the course may turn along the points of one mean, radians."""
 GAP = 10.0
