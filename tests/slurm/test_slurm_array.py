@@ -232,9 +232,12 @@ def test_a_run_that_is_told_of_the_end_of_its_walltime_is_a_timeout(slurm, tmp_p
     """SLURM sends SIGUSR1 to the job 45 s before the end; here the test does, for a minute is the least walltime."""
     model = Counted(str(tmp_path), Faulty(fault="hang", above=302.0))
 
+    def running():
+        return slurm.command("squeue", "--noheader", "--array", "--states=RUNNING", "--format=%i").split()
+
     def announce():
-        assert wait_until(lambda: sum(calls(tmp_path).values()) == 3, 20)
-        for row in slurm.command("squeue", "--noheader", "--array", "--states=RUNNING", "--format=%i").split():
+        assert wait_until(lambda: sum(calls(tmp_path).values()) == 3 and len(running()) == 2, 20)
+        for row in running():
             slurm.command("scancel", "--batch", "--signal=USR1", row)
 
     done, _ = disturbed(tmp_path, slurm, model, 3, announce, walltime="00:05:00")

@@ -36,6 +36,10 @@ def test_detached_and_collected(slurm, tmp_path, capsys):
         assert {ledger.attempts(record.key) for record in ledger} == {1}
     here = run_study(load_study(write_study(tmp_path / "here", **SMALL)), executor=InProcess())
     assert summary["inputs"] == json.loads(json.dumps(here.summary["inputs"]))
+    capsys.readouterr()
+    main(["run", "--quiet", "--detach", str(folder)])
+    assert "12 forward runs ok, 0 failed (0 new, 12 reused)" in capsys.readouterr().out, "nothing has changed"
+    (folder / "summary.json").unlink()
     main(["run", "--quiet", "--detach", str(folder)])
     assert "every run of the design is done" in capsys.readouterr().out
 
