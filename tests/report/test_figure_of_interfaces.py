@@ -4,9 +4,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from strandline.interface import Interface
 from strandline.report.figures import BEST, _data
+from strandline.report.plots.interfaces import plot_interfaces
 
 
 def test_runs_are_drawn_where_the_observation_has_other_nodes_and_no_rest_is_known(reported: Any) -> None:
@@ -25,3 +27,13 @@ def test_runs_are_drawn_where_the_observation_has_other_nodes_and_no_rest_is_kno
     ok = [record for record in calibration.records if record.ok]
     np.testing.assert_array_equal(best, ok[int(np.argmax(measured))].interfaces[""].points)
     assert len(lines) >= 4
+
+
+@pytest.mark.parametrize(("height", "stretch"), [(0.02, 15), (0.1, 3), (0.4, 1)])
+def test_a_flat_interface_is_stretched_and_the_axis_says_so(height: float, stretch: int) -> None:
+    x = np.linspace(0.0, 1.0, 20)
+    ax = plot_interfaces(Interface.polyline(np.column_stack([x, height * x * (2 - x)])))
+    assert ax.get_aspect() == stretch
+    assert ax.get_ylabel() == ("y [mm]" if stretch == 1 else f"y [mm], {stretch} × stretched")
+    drawn = ax.get_tightbbox().height
+    assert drawn > 0.2 * ax.get_tightbbox().width

@@ -23,7 +23,7 @@ from strandline.calibration.learning import known_field
 from strandline.calibration.source import Source, posterior_source, prior_source
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
-from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
+from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.likelihood.set_aside import Judge
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
@@ -36,6 +36,7 @@ from strandline.studies.check_file import posterior_digest
 from strandline.studies.coverage_file import TO_MICROMETRES, ReplicateFile, describe_coverage
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import COVERAGE, REPLICATES, require_writable, told_if_unwritable, write_json
+from strandline.studies.provenance import points_digest
 from strandline.studies.study import Study
 from strandline.studies.study_runs import settled
 from strandline.version import __version__
@@ -279,10 +280,6 @@ def _noise(one: Noise | PointErrors | UnknownErrors) -> str:
     return repr(one) if isinstance(one, PointErrors | UnknownErrors) else f"{type(one).__qualname__}: {one.facts}"
 
 
-def _points_digest(seen: Interface) -> str:
-    return sha256(seen.points.tobytes() + seen.cells.tobytes()).hexdigest()
-
-
 def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> str:
     """Return a digest of everything that a replicate depends on, apart from its number."""
     runs, noises = study.runs, [study.noise, *study.noises.values()]
@@ -295,7 +292,7 @@ def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> 
         "measure": f"{measure}: {study.discrepancies[measure]!r}",
         "noise": [_noise(one) for one in noises],
         "conditions": list(study.noises),
-        "observed": {name: _points_digest(seen) for name, seen in observations_of(study).items()},
+        "observed": {name: points_digest(seen) for name, seen in observations_of(study).items()},
         "posterior": None if posterior is None else posterior_digest(posterior),
         "seed": seed,
         "version": __version__,

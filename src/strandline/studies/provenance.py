@@ -6,11 +6,11 @@ from dataclasses import replace
 from hashlib import sha256
 
 from strandline.errors import InvalidStudy
-from strandline.interface import Observation, PointErrors, UnknownErrors
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.runs import FailurePolicy
 from strandline.studies.study import Study
 
-__all__ = ["observation_digest", "replaced", "require_its_own_text"]
+__all__ = ["observation_digest", "points_digest", "replaced", "require_its_own_text"]
 
 FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"})
 """Fields that change no result, and those that are compared separately."""
@@ -52,11 +52,16 @@ def observation_digest(study: Study) -> str:
     return sha256(json.dumps(facts).encode()).hexdigest()
 
 
+def points_digest(seen: Interface) -> str:
+    """Return a digest of an interface's points and cells."""
+    return sha256(seen.points.tobytes() + seen.cells.tobytes()).hexdigest()
+
+
 def _facts(seen: Observation) -> tuple[str, str, str]:
     """Return the condition, a digest of the points, and the noise."""
-    points, noise = sha256(seen.interface.points.tobytes() + seen.interface.cells.tobytes()).hexdigest(), seen.noise
+    noise = seen.noise
     stated = noise if isinstance(noise, PointErrors | UnknownErrors) else (type(noise).__qualname__, noise.facts)
-    return seen.condition, points, repr(stated)
+    return seen.condition, points_digest(seen.interface), repr(stated)
 
 
 def _same(one: object, other: object) -> bool:

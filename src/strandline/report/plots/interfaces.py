@@ -26,6 +26,8 @@ __all__ = ["plot_conditions", "plot_interfaces"]
 
 _HALF_LINE = 38
 """Characters of a label that leave room for a second one next to it."""
+_FLAT = 0.3
+"""Least height of the drawn interfaces, relative to their width; flatter ones are stretched."""
 
 
 def plot_interfaces(
@@ -35,7 +37,7 @@ def plot_interfaces(
     simulated: Mapping[str, Interface] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw interfaces in the plane, in mm, at equal scales.
+    """Draw interfaces in the plane, in mm, at equal scales; flat ones are stretched in y, and the axis says so.
 
     Args:
         observed: the measured interface, green.
@@ -55,6 +57,10 @@ def plot_interfaces(
         for k, (label, interface) in enumerate((simulated or {}).items()):
             _draw(ax, interface, (BLACK, *CYCLE)[k % 6], labels[label], width=1.2, style=(*DASHES, "-")[k % 6])
         ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+        width, height = ax.dataLim.size
+        if 0 < height < _FLAT * width:
+            stretch = max(round(_FLAT * width / height), 2)
+            ax.set(aspect=stretch, ylabel=f"y [mm], {stretch} × stretched")
         below(ax, columns=1 if long else 2, handlelength=3.2)
     return ax
 
