@@ -116,7 +116,7 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
         ({"inputs": {"E": {}}}, "inputs.E.prior", None, "this key"),
         ({"noise": None}, "noise", None, "this key"),
         ({"noise": {"sd": 1, "variance": 1}}, "noise", {"sd": 1, "variance": 1}, "either `variance` or `sd`"),
-        ({"noise": {"sd": 0}}, "noise.sd", 0, "greater than 0"),
+        ({"noise": {"sd": 0}}, "noise.sd", 0, "a number greater than 0"),
         ({"noise": {"sd": float("nan")}}, "noise.sd", None, "a finite number"),
         ({"noise": {"variance": 1, "unit": "um"}}, "noise", None, "a `variance` is already in the unit of d²"),
         ({"noise": {"sd": 1, "length": 5}}, "noise", None, "`length` with the `sd` of the observed points"),
@@ -127,7 +127,7 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
             "`unknown` with the `sd` of the",
         ),
         ({"noise": {"sd": 1, "unit": "um", "length": -5}}, "noise.length", -5, "greater than or equal to 0"),
-        ({"noise": {"sd": -1, "unit": "um"}}, "noise.sd", -1, "greater than 0"),
+        ({"noise": {"sd": -1, "unit": "um"}}, "noise.sd", -1, "a number greater than 0"),
         (
             {"noise": {"sd": "unkown", "unit": "um"}},
             "noise.sd",

@@ -75,6 +75,9 @@ def _contents(path: Path) -> Mapping[str, Any]:
         found = json.loads(text.decode("utf-8-sig"))
     except OSError as error:
         raise _refused("cannot be read", error.strerror or str(error), "a file of clicks, NAME.path.json") from None
+    except json.JSONDecodeError as error:
+        place = f"an error in line {error.lineno}, column {error.colno}"
+        raise _refused("is not JSON", place, "a file that the page of clicks saved") from None
     except (ValueError, RecursionError) as error:
         raise _refused("is not JSON", str(error), "a file that the page of clicks saved") from None
     if not isinstance(found, Mapping):

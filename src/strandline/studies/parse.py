@@ -180,4 +180,5 @@ def _expectation(finding: Mapping[str, Any]) -> str:
         least, most = limits.get("min_length"), limits.get("max_length")
         return f"at least {least} entries" if kind == "too_short" else f"at most {most} entries"
     text = str(finding["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
-    return WORDS.get(kind, text[:1].lower() + text[1:])
+    said = WORDS.get(kind, text[:1].lower() + text[1:])
+    return f"a number {said}" if kind.startswith(("greater_than", "less_than")) else said
