@@ -65,9 +65,10 @@ def _certified(certificate: Mapping[str, Any]) -> str:
             f"converged: {check['draws']} runs at hand, each predicted from the others, give {check['effective']:.0%} "
             "effective weights by the true model; no new run was needed"
         )
+    besides = f" and {check['left_out']} earlier runs, each predicted from the others," if check["left_out"] else ""
     return (
-        f"converged: at {check['draws']} {check['by']} the true model gives {check['effective']:.0%} effective draws "
-        f"and moves means by at most {shift:.2f} sd"
+        f"converged: at {check['draws']} {check['by']}{besides} the true model gives {check['effective']:.0%} "
+        f"effective draws and moves means by at most {shift:.2f} sd"
     )
 
 

@@ -143,6 +143,7 @@ def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict
         "passed": found.passed,
         "draws": found.draws,
         "failed": found.failed,
+        "left_out": found.left_out,
         "early": found.early,
         "reasons": list(found.reasons),
         "k_hat": None if weights is None or not np.isfinite(weights.smoothed.k_hat) else weights.smoothed.k_hat,

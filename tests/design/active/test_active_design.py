@@ -12,7 +12,7 @@ from tests.design.active.fakes import SPACE, FakeLearner, interface, known, reco
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch
 from strandline.design.active import campaign as campaign_module
-from strandline.design.active.checking import Tolerances, number_of_probes, objections
+from strandline.design.active.checking import LeftOut, Tolerances, number_of_probes, objections
 from strandline.design.active.state import Remembered, State
 from strandline.discrepancy import TrackedPoints
 from strandline.errors import InvalidInput, TooFewRuns
@@ -31,6 +31,8 @@ PROBES = number_of_probes(2)
 def nothing_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """`FakeLearner` has a surrogate of its first runs only, which cannot be left out one by one."""
     monkeypatch.setattr(ActiveDesign, "_left_out", lambda self, state: ())
+    none = LeftOut(np.empty((0, 2)), np.empty(0))
+    monkeypatch.setattr(ActiveDesign, "_near", lambda self, state, records: none)
 
 
 def honest(one: RunRecord) -> float:

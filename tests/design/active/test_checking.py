@@ -1,11 +1,12 @@
 """How often checks pass right and wrong surrogates, and after how many draws."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from strandline.design.active.checking import BatchCheck, Tolerances, looks, number_of_probes, probes, verdict
+from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, looks, number_of_probes, probes, verdict
 from strandline.design.active.parabola import fewest, smooth_effect
 
 TOLERANCES = Tolerances(shift=0.1, width=0.15, k_hat=0.5, effective=0.8)
@@ -13,18 +14,25 @@ Error = Callable[[np.ndarray], np.ndarray]
 REPLICATES = 60
 
 
-def checked(error: Error, seed: int, *, dim: int = 2, noise: float = 0.02, most: int = 25) -> BatchCheck:
-    """Check a normal surrogate whose log-likelihood is off by `error` and by noise; draws come two by two."""
+def checked(
+    error: Error, seed: int, *, dim: int = 2, noise: float = 0.02, most: int = 25, earlier: int = 0, blind: bool = False
+) -> BatchCheck:
+    """Check a normal surrogate whose log-likelihood is off by `error` and by noise; draws come two by two.
+
+    Earlier runs have twice the noise, and are `blind` if they do not notice the error.
+    """
     random = np.random.default_rng(seed)
     posterior, pool, equal = (random.standard_normal((number, dim)) for number in (500, 200, most))
-    number = number_of_probes(dim)
+    number = number_of_probes(dim, earlier)
+    before = np.random.default_rng([seed, 1]).standard_normal((earlier, dim))
+    seen = (0.0 if blind else error(before)) + 2 * noise * np.random.default_rng([seed, 2]).standard_normal(earlier)
     draws = np.concatenate([pool[probes(pool, number)], equal])
     ratios = error(draws) + noise * random.standard_normal(len(draws))
     ends = looks(number, len(draws), 2)
     for end in ends:
         last = end == ends[-1]
         given = draws[:end], ratios[:end], posterior, TOLERANCES
-        found = verdict(*given, probing=number, looks=len(ends), last=last)
+        found = verdict(*given, probing=number, looks=len(ends), last=last, left_out=LeftOut(before, seen))
         if isinstance(found, BatchCheck):
             assert found.draws == end
             assert found.early == (not last)
@@ -33,8 +41,8 @@ def checked(error: Error, seed: int, *, dim: int = 2, noise: float = 0.02, most:
     raise AssertionError("the last look is never open")
 
 
-def share_passed(error: Error, **options: float) -> float:
-    return float(np.mean([checked(error, seed, **options).passed for seed in range(REPLICATES)]))  # type: ignore[arg-type]
+def share_passed(error: Error, **options: Any) -> float:
+    return float(np.mean([checked(error, seed, **options).passed for seed in range(REPLICATES)]))
 
 
 def right(z: np.ndarray) -> np.ndarray:
@@ -79,6 +87,39 @@ def test_wrong_surrogates_of_more_inputs_do_not(name: str, dim: int, monkeypatch
 
 def test_a_good_surrogate_needs_few_draws() -> None:
     assert np.mean([checked(right, seed).draws for seed in range(REPLICATES)]) < number_of_probes(2) + 2
+
+
+@pytest.mark.parametrize("blind", [False, True], ids=["seen by earlier runs", "not seen by them"])
+@pytest.mark.parametrize("error", WRONG.values(), ids=WRONG.keys())
+def test_wrong_surrogates_do_not_pass_with_earlier_runs_either(error: Error, blind: bool) -> None:
+    assert share_passed(error, earlier=8, blind=blind) <= 0.05
+
+
+def test_earlier_runs_save_draws() -> None:
+    found = [checked(right, seed, earlier=8) for seed in range(REPLICATES)]
+    assert all(one.passed and one.left_out == 8 for one in found)
+    assert np.mean([one.draws for one in found]) < number_of_probes(2, 8) + 1 < number_of_probes(2) - 1
+
+
+def test_earlier_runs_that_are_far_off_do_not_object() -> None:
+    """They are predicted with fewer runs than the posterior has."""
+    found = [checked(right, seed, earlier=8, noise=1e-3) for seed in range(3)]
+    assert all(one.passed for one in found)
+    random = np.random.default_rng(3)
+    posterior, draws, before = (random.standard_normal((number, 2)) for number in (500, 14, 8))
+    far = LeftOut(before, 3.0 * random.standard_normal(8))
+    ratios = 0.01 * random.standard_normal(14)
+    one = verdict(draws, ratios, posterior, TOLERANCES, probing=6, looks=9, last=False, left_out=far)
+    assert isinstance(one, BatchCheck)
+    assert (one.passed, one.left_out) == (True, 0)
+
+
+def test_without_new_draws_a_tail_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The planted bug: earlier runs, which have not seen the tail, are enough with one draw."""
+    monkeypatch.setattr("strandline.design.active.checking.FEWEST_BESIDES", -1)
+    monkeypatch.setattr(f"{__name__}.number_of_probes", lambda dim, earlier: 5)
+    monkeypatch.setattr(f"{__name__}.probes", lambda pool, number: np.arange(number))
+    assert share_passed(WRONG["missed tail"], earlier=8, blind=True) > 0.05
 
 
 def test_without_probes_tails_are_missed(monkeypatch: pytest.MonkeyPatch) -> None:

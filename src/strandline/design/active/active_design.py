@@ -16,6 +16,8 @@ from strandline.design.active.checking import (
     FEWEST_DRAWS,
     POOL,
     BatchCheck,
+    LeftOut,
+    agree,
     looks,
     number_of_probes,
     objections,
@@ -24,7 +26,7 @@ from strandline.design.active.checking import (
 )
 from strandline.design.active.choice import choose
 from strandline.design.active.elsewhere import Surprise, left_out_surprise, points_around, points_elsewhere, surprises
-from strandline.design.active.left_out import left_out_ratios
+from strandline.design.active.left_out import NEAR, left_out_ratios
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
@@ -91,6 +93,7 @@ class Checked:
         probing: Number of probes.
         ends: Numbers of draws at which the verdict is sought, from the next one on.
         elsewhere: Inputs of runs where nobody has looked yet.
+        left_out: Earlier runs inside the posterior, each predicted from all others.
         looks: Number of times that the verdict is sought; by default as many as `ends`.
     """
 
@@ -100,6 +103,7 @@ class Checked:
     probing: int
     ends: tuple[int, ...]
     elsewhere: Float[np.ndarray, "new dim"]
+    left_out: LeftOut | None = None
     looks: int = 0
 
     def __post_init__(self) -> None:
@@ -178,7 +182,7 @@ class ActiveDesign:
             check = self._judged_without_runs(records)
         self.steps.append(self._step(check))
         asked = sum(len(batch.points) for batch in self.batches if batch.kind != "given")
-        stable, left = self._stable(), self.active.runs - asked
+        stable, left = self._stable(records), self.active.runs - asked
         if check is not None and check.passed and (stable or kind == "given"):
             self.converged, self.reasons = True, ()
             return None
@@ -199,7 +203,7 @@ class ActiveDesign:
                 self.reasons = self._why_not(check)
                 return None
             if self._confirmed() or room < 1:
-                return self._noted(self._to_check(x, left), "check")
+                return self._noted(self._to_check(x, records, left), "check")
         points = choose(
             self.state,
             self.space,
@@ -223,11 +227,14 @@ class ActiveDesign:
         self.batches.append(Batch(points, kind))
         return self.batches[-1]
 
-    def _to_check(self, x: Float[np.ndarray, "run dim"], left: int) -> Float[np.ndarray, "new dim"]:
+    def _to_check(
+        self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], left: int
+    ) -> Float[np.ndarray, "new dim"]:
         """Return the first draws of a check, and where nobody has looked yet."""
         state = self.state
         assert state is not None
-        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim), left)
+        earlier = self._near(state, records)
+        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier.x)), left)
         pool = np.unique(subset(weights, POOL, self.seed + 1))
         first = pool[probes(state.positions[pool], probing)]
         others = subset(weights, self.active.check, self.seed)
@@ -237,7 +244,7 @@ class ActiveDesign:
         elsewhere = points_elsewhere(x, self.space, self.active.unseen, room) if room > 0 else x[:0]
         ends = looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
-        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere)
+        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier)
         return np.concatenate([draws[: ends[0]], elsewhere])
 
     def _more_draws(self) -> Float[np.ndarray, "run dim"]:
@@ -259,8 +266,8 @@ class ActiveDesign:
         ratios = true - checked.log_expected[here]
         state, tolerances = checked.state, self.active.tolerances
         posterior = state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)]
-        draws, times = checked.draws[here], checked.looks
-        found = verdict(draws, ratios, posterior, tolerances, probing=probing, looks=times, last=last)
+        draws, times, earlier = checked.draws[here], checked.looks, checked.left_out
+        found = verdict(draws, ratios, posterior, tolerances, probing=probing, looks=times, last=last, left_out=earlier)
         if not isinstance(found, BatchCheck) or not found.passed:
             return found
         self._odd = self._surprises(checked.elsewhere, x, records, checked.state)
@@ -334,14 +341,28 @@ class ActiveDesign:
             check=check,
         )
 
-    def _stable(self) -> bool:
+    def _stable(self, records: Sequence[RunRecord]) -> bool:
         """Return whether the posterior has moved little up to this step, and up to the step it is compared with.
 
-        A check that has failed does not count as that step: two batches must follow it before the next check.
+        A check that has failed does not count as that step: two batches must follow it before the next check. Before
+        the first check, one batch is enough if the runs inside the posterior agree with predictions from the others.
         """
         last = self.steps[-1]
-        before = [step for step in self.steps if step.runs == last.since and step.kind != "check"]
-        return self._calm(last) and any(self._calm(step) for step in before)
+        if not self._calm(last):
+            return False
+        if all(step.check is None for step in self.steps) and self._agree(records):
+            return True
+        return any(self._calm(step) for step in self.steps if step.runs == last.since and step.kind != "check")
+
+    def _agree(self, records: Sequence[RunRecord]) -> bool:
+        state = self.state
+        assert state is not None
+        posterior = state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)]
+        return agree(self._near(state, records), posterior, self.active.tolerances)
+
+    def _near(self, state: State, records: Sequence[RunRecord]) -> LeftOut:
+        """Return the runs near the posterior: a parabola reaches a little farther than the draws."""
+        return LeftOut(*left_out_ratios(state, records, self.log_likelihood, self.space.log_prior, mass=NEAR))
 
     def _calm(self, step: Step) -> bool:
         return step.moved is not None and self._quiet(step.moved)
@@ -365,7 +386,7 @@ class ActiveDesign:
                 f"one of the last two batches still moved the posterior (by {moved.shift:.2f} standard deviations, its "
                 f"width by {moved.width:.0%}, with {moved.effective:.0%} of its draws effective after it)"
             )
-        elif not self._stable():
+        elif len(both) < 2 or None in both:
             reasons.append("the posterior has not stood still for two batches yet")
         return (*reasons, *(("no check on the true model was made",) if check is None else check.reasons))
 

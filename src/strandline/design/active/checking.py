@@ -2,8 +2,9 @@
 
 The first draws are probes: of many draws those that lie farthest apart, so that tails are tried before anything is
 settled. A parabola through the logarithms of true over expected likelihood bounds how far means and standard deviations
-would move, see `strandline.design.active.parabola`; the error probability is shared out over all looks. If the bounds
-never settle it, the importance weights of all draws but the probes do.
+would move, see `strandline.design.active.parabola`; the error probability is shared out over all looks. Earlier runs
+inside the posterior, each predicted from all others, join the parabola: their errors are at least as large. If the
+bounds never settle it, the importance weights of all draws but the probes do.
 """
 
 import math
@@ -21,7 +22,9 @@ __all__ = [
     "FEWEST_DRAWS",
     "POOL",
     "BatchCheck",
+    "LeftOut",
     "Tolerances",
+    "agree",
     "looks",
     "number_of_probes",
     "objections",
@@ -30,7 +33,9 @@ __all__ = [
 ]
 
 FEWEST_DRAWS = 8
-"""Fewest draws that can settle anything."""
+"""Fewest draws that can settle anything without earlier runs."""
+FEWEST_BESIDES = 2
+"""Fewest probes besides two for each input, whatever the number of earlier runs."""
 POOL = 200
 """Draws from which the probes are picked."""
 ERROR_PROBABILITY = 0.05
@@ -59,16 +64,30 @@ class Tolerances:
 
 
 @dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Earlier runs inside a posterior, each predicted from all others.
+
+    Args:
+        x: Their inputs, shape (run, dim).
+        log_ratios: Logarithm of true over predicted likelihood at each, up to the constant of the draws, shape (run,).
+    """
+
+    x: Float[np.ndarray, "run dim"]
+    log_ratios: Float[np.ndarray, " run"]
+
+
+@dataclass(frozen=True, eq=False)
 class BatchCheck:
     """The true model at draws of the posterior.
 
     Args:
         draws: Number of draws.
         failed: Number of draws whose run failed; they are left out of the weights.
-        reweighting: Reweighting by the draws whose run succeeded.
+        reweighting: Reweighting by the draws whose run succeeded, and by the earlier runs if these settled it.
         passed: Whether all figures are within the tolerances.
         reasons: Figures outside the tolerances, in words.
         early: Whether the first draws settled it.
+        left_out: Number of earlier runs that helped to settle it, each predicted from all others.
     """
 
     draws: int
@@ -77,11 +96,16 @@ class BatchCheck:
     passed: bool
     reasons: tuple[str, ...]
     early: bool = False
+    left_out: int = 0
 
 
-def number_of_probes(dim: int) -> int:
-    """Return the number of probes: as many as the effect of a smooth error needs, at least eight."""
-    return max(FEWEST_DRAWS, fewest(dim))
+def number_of_probes(dim: int, left_out: int = 0) -> int:
+    """Return the number of probes: as many as the effect of a smooth error needs besides earlier runs.
+
+    They are at least eight without earlier runs, and reach into the tails of each input in any case.
+    """
+    alone = max(FEWEST_DRAWS, fewest(dim))
+    return min(alone, max(alone - left_out, 2 * dim + FEWEST_BESIDES))
 
 
 def probes(draws: Float[np.ndarray, "draw dim"], number: int) -> Int[np.ndarray, " probe"]:
@@ -113,6 +137,7 @@ def verdict(
     probing: int,
     looks: int,
     last: bool,
+    left_out: LeftOut | None = None,
 ) -> BatchCheck | Literal["open"]:
     """Return the verdict of the draws so far, or that more are needed.
 
@@ -124,7 +149,10 @@ def verdict(
         probing: Number of probes.
         looks: Number of times that the verdict is sought.
         last: Whether no more draws will come.
+        left_out: Earlier runs inside the posterior. They can confirm it, but not object: they are predicted with fewer
+            runs than the posterior has.
     """
+    left_out = None if left_out is None or not len(left_out.x) else left_out
     good = ~np.isnan(log_ratios)
     number, kept, ratios = len(draws), draws[good], log_ratios[good]
     failed = number - len(kept)
@@ -135,11 +163,19 @@ def verdict(
 
     if failed > max(1.0, MOST_FAILED * number) and (last or failed > MOST_EARLY):
         return ended((f"{failed} of the check's {number} runs failed, more than {MOST_FAILED:.0%}",))
+    excluded = not np.isfinite(ratios).all()
+    level = ERROR_PROBABILITY / looks / (1 if left_out is None else 2)
+    if left_out is not None and not excluded and len(kept) > 2 * draws.shape[1]:
+        x = np.concatenate([left_out.x, kept])
+        all_ratios = np.concatenate([left_out.log_ratios, ratios])
+        if len(x) >= fewest(x.shape[1]) and _within(smooth_effect(x, all_ratios, posterior, level), tolerances):
+            weights, earlier = reweight(x, all_ratios), len(left_out.x)
+            return BatchCheck(number, failed, weights, passed=True, reasons=(), early=not last, left_out=earlier)
     if found is None or len(kept) < fewest(draws.shape[1]):
         return ended((f"only {len(kept)} of {number} runs of the check succeeded",)) if last else "open"
-    if not np.isfinite(ratios).all():
+    if excluded:
         return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
-    effect = smooth_effect(kept, ratios, posterior, ERROR_PROBABILITY / looks)
+    effect = smooth_effect(kept, ratios, posterior, level)
     if _within(effect, tolerances):
         return ended(())
     if surely := _beyond(effect, tolerances):
@@ -151,6 +187,16 @@ def verdict(
         return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))
     whole = reweight(draws[equal], log_ratios[equal])
     return ended(objections(whole, tolerances) or _likely_beyond(effect, tolerances), whole)
+
+
+def agree(left_out: LeftOut, posterior: Float[np.ndarray, "particle dim"], tolerances: Tolerances) -> bool:
+    """Return whether earlier runs alone, if there are enough of them, show that a posterior is within the tolerances.
+
+    They say nothing where no run has been: draws of the posterior must confirm it.
+    """
+    if len(left_out.x) < fewest(posterior.shape[1]):
+        return False
+    return _within(smooth_effect(left_out.x, left_out.log_ratios, posterior, ERROR_PROBABILITY), tolerances)
 
 
 def _within(effect: Effect, tolerances: Tolerances) -> bool:

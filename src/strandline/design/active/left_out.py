@@ -8,10 +8,10 @@ from jaxtyping import Float
 from strandline.design.active.state import State
 from strandline.runs import RunRecord
 
-__all__ = ["left_out_ratios"]
+__all__ = ["NEAR", "left_out_ratios"]
 
-MASS = 0.95
-"""Runs count if they lie in the densest part of the posterior that has this mass."""
+MASS, NEAR = 0.95, 0.995
+"""Runs lie inside the posterior, or near it, if they are in its densest part that has this mass."""
 
 
 def left_out_ratios(
@@ -19,6 +19,8 @@ def left_out_ratios(
     records: Sequence[RunRecord],
     log_likelihood: Callable[[RunRecord], float],
     log_prior: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]],
+    *,
+    mass: float = MASS,
 ) -> tuple[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]]:
     """Return the inputs of the runs inside the posterior, and log(true/predicted likelihood) of each.
 
@@ -30,15 +32,16 @@ def left_out_ratios(
         records: Records of all runs, in the order of `state.knowledge.x`.
         log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
         log_prior: Function that returns the log prior density of points, shape (point,).
+        mass: Mass of the densest part of the posterior whose runs count.
     """
     knowledge, likelihood = state.knowledge, state.knowledge.likelihood
     x = knowledge.x[knowledge.ok]
     density = state.log_expected + np.asarray(log_prior(state.positions))
     order = np.argsort(-density)
-    within = np.cumsum(np.exp(state.log_weights)[order]) <= MASS
+    within = np.cumsum(np.exp(state.log_weights)[order]) <= mass
     lowest = density[order[within]].min() if within.any() else density.max()
     inside = knowledge.expected(x) + np.asarray(log_prior(x)) >= lowest
     good = [record for record in records if record.ok]
     true = np.array([log_likelihood(good[i]) for i in np.flatnonzero(inside)])
-    predicted = likelihood.left_out(np.flatnonzero(inside))
+    predicted = likelihood.left_out(np.flatnonzero(inside)) + knowledge.log_feasibility(x[inside])
     return x[inside], true - predicted
