@@ -267,3 +267,21 @@ def test_invalid_options(options, names):
 def test_states_unit_and_that_it_is_no_sum_of_independent_distances():
     assert Currents(0.1).unit == "mm²"
     assert Currents(0.1).terms(Interface.polyline(ARC)) is None
+
+
+@pytest.mark.parametrize("variance", [1e-5, 1e-4, 5e-4])
+def test_a_tolerance_that_suits_the_noise_changes_no_likelihood(variance):
+    s = np.linspace(0.0, 1.0, 120)
+    seen = Interface.polyline(np.column_stack([s, 0.3 * np.sin(np.pi * s)]))
+    runs = np.stack([np.column_stack([s, h * np.sin(np.pi * s) ** 2]) for h in np.linspace(0.2, 0.4, 40)])
+    exact, template = Currents(0.01), Interface.polyline(runs[0])
+    looser = exact.tolerating(variance, seen)
+    assert looser.tolerance > exact.tolerance
+    difference = looser.many(runs, template, seen) - exact.many(runs, template, seen)
+    assert 0 < np.abs(difference).max() / (2 * variance) < 0.01
+
+
+def test_a_tolerance_is_never_smaller_than_the_stated_one():
+    seen = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.1], [2.0, 0.0]]))
+    assert Currents(0.1, tolerance=0.01).tolerating(1e-12, seen).tolerance == 0.01
+    assert Currents(0.1, quadrature="centre").tolerating(1.0, seen) == Currents(0.1, quadrature="centre")

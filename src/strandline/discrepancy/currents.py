@@ -1,7 +1,7 @@
 """RKHS norm of the difference of two interfaces as currents, Eqs. (10)-(11) of the study."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -22,6 +22,9 @@ QUADRATURES = ("refined", "centre")
 _FINEST = 1e-14
 _THINNEST, _WIDEST = 1e-9, 1e9
 """Widths beyond which squares overflow or vanish, mm."""
+_NEGLIGIBLE = 0.01
+"""Error of d²/σ_N² that changes no posterior."""
+_LOOSEST = 1e-3
 _SAFETY = 1 / 50
 """Share of the tolerance that one inner product may use up: d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ adds up four."""
 
@@ -94,6 +97,13 @@ class Currents:
         rule = Rule((self.tolerance if refined else _FINEST) * bound.square, bound.share if refined else None)
         polylines = points, template.cells, observed.points, observed.cells
         return currents_of_many(*polylines, width=self.width, square=bound.square, rule=rule)
+
+    def tolerating(self, variance: float, observed: Interface) -> "Currents":
+        """Return the measure with the tolerance that this σ_N² needs, if that is larger."""
+        if self.quadrature != "refined":
+            return self
+        enough = _NEGLIGIBLE * variance / _bound(self, Snapshot.of(observed)).square
+        return replace(self, tolerance=max(self.tolerance, min(enough, _LOOSEST)))
 
     def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
         """Return σ_N² = 2√(2π) s²ℓ/σ_W, mm², with ℓ at least half the spacing h of the observed points.

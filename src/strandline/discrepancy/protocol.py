@@ -14,6 +14,7 @@ __all__ = [
     "CountsDistances",
     "Discrepancy",
     "HasTerms",
+    "HasTolerance",
     "KnowsPointErrors",
     "Whitens",
     "independent_terms",
@@ -91,6 +92,15 @@ class Whitens(Protocol):
 
     def whitened(self, errors: PointErrors) -> Discrepancy:
         """Return the measure d² = rᵀ C⁻¹ r, C the covariance of the residuals r."""
+        ...
+
+
+@runtime_checkable
+class HasTolerance(Protocol):
+    """A measure that is computed to a tolerance, and faster to a larger one."""
+
+    def tolerating(self, variance: float, observed: Interface) -> Discrepancy:
+        """Return the measure with a tolerance that changes log L by less than a hundredth if σ_N² is `variance`."""
         ...
 
 

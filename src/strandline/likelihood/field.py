@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
-from strandline.discrepancy import Discrepancy, NormalOffset, count_of_distances, squared_discrepancies
+from strandline.discrepancy import Discrepancy, HasTolerance, NormalOffset, count_of_distances, squared_discrepancies
 from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
@@ -103,6 +103,8 @@ class FieldLikelihood:
             template = templates[seen.condition]
             one = compared(seen, self.discrepancy, len(template.points))
             measure = one.measure.rough() if rough and isinstance(one.measure, WhitenedOffset) else one.measure
+            if isinstance(measure, HasTolerance):
+                measure = measure.tolerating(one.noise.scale, seen.interface)
             squares = squared_discrepancies(measure, points[seen.condition], template, seen.interface)
             total += one.noise.log_density(squares)
         return total
