@@ -13,14 +13,17 @@ import pytest
 from scipy.special import ndtr
 
 import strandline as sl
+from strandline.imaging import PictureReading, PixelSize
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study, run_study
 from strandline.testing import (
     criteria,
     discrepancies,
+    edges,
     executors,
     kernels,
     noise,
+    pictures,
     priors,
     readers,
     simulators,
@@ -66,6 +69,17 @@ def test_its_study_runs(doors: ModuleType, tmp_path: Path, without_report: None)
     posterior = run_study(load_study(tmp_path)).calibration.posterior
     assert abs(posterior.mean[0] - 0.25) < 3 * posterior.sd[0]
     assert (tmp_path / "runs.txt").read_text() == "24 runs\n"
+
+
+def test_its_edge_method_and_picture_format_pass_their_suites(doors: ModuleType, tmp_path: Path) -> None:
+    for check in edges.CHECKS.values():
+        check(doors.Steepest())
+    grey = np.random.default_rng(1).integers(0, 4096, (30, 40))
+    path = tmp_path / "seen.raw"
+    path.write_bytes(np.array(grey.shape, "<u2").tobytes() + grey.astype("<u2").tobytes())
+    how = PictureReading(pixel=PixelSize(0.008, 0.008, source="the test"), reader="my_doors:read_raw")
+    for one in pictures.CHECKS.values():
+        one(path, how)
 
 
 def test_its_picture_format_and_edge_method_find_an_edge(doors: ModuleType, tmp_path: Path) -> None:

@@ -4,19 +4,23 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import meshio
 import numpy as np
 import pytest
+from PIL import Image
 from tests.models.test_umbridge_client import JACOBIAN, running
 from tests.models.test_umbridge_client import model as served_model
 from tests.readers.test_meshes import TETRA, VTP_ASCII, grid, pvd
 
 from strandline.design.active import CRITERIA
 from strandline.discrepancy import DISCREPANCIES
+from strandline.imaging import EDGES, Located, PictureFile, PictureReading, PixelSize
+from strandline.imaging.erf_step import ErfStep
+from strandline.imaging.markov_path import MarkovPath
 from strandline.interface import NOISES, GaussianNoise, Interface
 from strandline.models import MODELS
 from strandline.models.biofilm.model import Biofilm
@@ -28,7 +32,18 @@ from strandline.priors import PRIORS, Normal, Uniform
 from strandline.readers import READERS, Contents, Reading
 from strandline.surrogate import fit_log_likelihood
 from strandline.surrogate.kernels import KERNELS, Isotropic, Kernel
-from strandline.testing import criteria, discrepancies, kernels, noise, priors, readers, simulators, surrogates
+from strandline.testing import (
+    criteria,
+    discrepancies,
+    edges,
+    kernels,
+    noise,
+    pictures,
+    priors,
+    readers,
+    simulators,
+    surrogates,
+)
 from strandline.testing.models import Cantilever
 
 NUMBERS = {"beta": (2.6, 1.4, 0.0, 110.0), "lognormal": (5.86, 0.4), "normal": (3.0, 2.0), "uniform": (100.0, 800.0)}
@@ -116,6 +131,65 @@ def test_every_reader(suffix: str, tmp_path: Path) -> None:
     how = Reading(path.name, "mm", block="line" if suffix in WITH_LINES else None)
     for check in readers.CHECKS.values():
         check(path, how)
+
+
+PIXEL = PixelSize(0.008, 0.008, source="the test")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".npy"])
+def test_readers_of_pictures(suffix: str, tmp_path: Path) -> None:
+    path, grey = tmp_path / f"seen{suffix}", np.random.default_rng(1).integers(0, 255, (60, 80), "uint8")
+    if suffix == ".npy":
+        np.save(path, grey)
+    else:
+        Image.fromarray(grey).save(path)
+    for check in pictures.CHECKS.values():
+        check(path, PictureReading(pixel=PIXEL))
+
+
+def squeezed(path: Path, how: PictureReading, name: str) -> PictureFile:
+    """Read as many rows as are there."""
+    values = np.fromfile(path, "u1")
+    rows = max(len(values) // 80, 1)
+    return PictureFile((rows, 80), lambda frame: np.resize(values if len(values) else [0, 1], (rows, 80)))
+
+
+def test_a_wrong_reader_of_pictures_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "seen.raw"
+    path.write_bytes(np.random.default_rng(1).bytes(4800))
+    how = PictureReading(pixel=PIXEL, reader="tests.testing.test_conformance:squeezed")
+    assert complaints(pictures.CHECKS, path, how) == "an empty file is read"
+
+
+CAMERA = {**EDGES, "path": MarkovPath(likelihood="gaussian")}
+
+
+@pytest.mark.parametrize("name", CAMERA)
+def test_every_edge_method(name: str) -> None:
+    for check in edges.CHECKS.values():
+        check(CAMERA[name])
+
+
+@dataclass(frozen=True)
+class OffBy(ErfStep):
+    """An edge that is off, or too sure of itself."""
+
+    far: float = 0.0
+    sure: float = 1.0
+
+    def locate(self, picture: Any, course: Any, counted: Any) -> Located:
+        found = super().locate(picture, course, counted)
+        scatter = replace(found.scatter, sd=found.scatter.sd / self.sure)
+        return replace(found, offsets=found.offsets + self.far, sds=found.sds / self.sure, scatter=scatter)
+
+
+def test_wrong_edge_methods_are_noticed() -> None:
+    assert complaints(edges.CHECKS, ErfStep()) == ""
+    far = complaints(edges.CHECKS, OffBy(far=0.5, passes=1))
+    assert "0.5 pixels off, with a bias of 0.1" in far
+    assert "standard deviation" not in far
+    sure = complaints(edges.CHECKS, OffBy(sure=4.0))
+    assert sure.startswith("the stated standard deviation is 0.")
 
 
 BEAM = {"E": 400.0, "load": 1e-5}
