@@ -93,7 +93,7 @@ class Checked:
         probing: Number of probes.
         ends: Numbers of draws at which the verdict is sought, from the next one on.
         elsewhere: Inputs of runs where nobody has looked yet.
-        left_out: Earlier runs inside the posterior, each predicted from all others.
+        left_out: Earlier runs near the posterior, each predicted from all others.
         looks: Number of times that the verdict is sought; by default as many as `ends`.
     """
 
@@ -345,7 +345,7 @@ class ActiveDesign:
         """Return whether the posterior has moved little up to this step, and up to the step it is compared with.
 
         A check that has failed does not count as that step: two batches must follow it before the next check. Before
-        the first check, one batch is enough if the runs inside the posterior agree with predictions from the others.
+        the first check, one batch is enough if the runs near the posterior agree with predictions from the others.
         """
         last = self.steps[-1]
         if not self._calm(last):

@@ -3,8 +3,8 @@
 The first draws are probes: of many draws those that lie farthest apart, so that tails are tried before anything is
 settled. A parabola through the logarithms of true over expected likelihood bounds how far means and standard deviations
 would move, see `strandline.design.active.parabola`; the error probability is shared out over all looks. Earlier runs
-inside the posterior, each predicted from all others, join the parabola: their errors are at least as large. If the
-bounds never settle it, the importance weights of all draws but the probes do.
+near the posterior, each predicted from all others, join the parabola: their errors are at least as large. If the bounds
+never settle it, the importance weights of all draws but the probes do.
 """
 
 import math
@@ -65,7 +65,7 @@ class Tolerances:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """Earlier runs inside a posterior, each predicted from all others.
+    """Earlier runs near a posterior, each predicted from all others.
 
     Args:
         x: Their inputs, shape (run, dim).
@@ -149,7 +149,7 @@ def verdict(
         probing: Number of probes.
         looks: Number of times that the verdict is sought.
         last: Whether no more draws will come.
-        left_out: Earlier runs inside the posterior. They can confirm it, but not object: they are predicted with fewer
+        left_out: Earlier runs near the posterior. They can confirm it, but not object: they are predicted with fewer
             runs than the posterior has.
     """
     left_out = None if left_out is None or not len(left_out.x) else left_out
