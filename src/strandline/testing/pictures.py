@@ -5,14 +5,13 @@ wrong.
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from strandline.errors import InvalidInput
 from strandline.imaging import PictureReading, read_picture
-from strandline.testing.parts import by_name
+from strandline.testing.parts import by_name, refusal
 
 __all__ = ["CHECKS"]
 
@@ -38,21 +37,9 @@ def check_a_damaged_file_is_refused(path: Path, how: PictureReading) -> None:
     """An empty file and half a file are refused in one line."""
     content = path.read_bytes()
     for what, left in (("an empty file", b""), ("half a file", content[: len(content) // 2])):
-        complaint = _complaint(path.name, left, how)
+        complaint = refusal(path.name, left, partial(read_picture, how=how))
         assert complaint, f"{what} is read"
         assert "\n" not in complaint, f"{what} is refused in several lines"
-
-
-def _complaint(name: str, content: bytes, how: PictureReading) -> str:
-    """Return the error message for a file with this content; empty if it is read."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        path.write_bytes(content)
-        try:
-            read_picture(path, how)
-        except InvalidInput as error:
-            return str(error)
-    return ""
 
 
 CHECKS: dict[str, Callable[[Path, PictureReading], None]] = by_name(

@@ -6,13 +6,13 @@ wrong.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from strandline.readers import Reading, Unreadable, read_interface
-from strandline.testing.parts import by_name
+from strandline.readers import Reading, read_interface
+from strandline.testing.parts import by_name, refusal
 
 __all__ = ["CHECKS"]
 
@@ -49,21 +49,9 @@ def check_a_damaged_file_is_refused(path: Path, how: Reading) -> None:
         ("a file of random bytes", noise, how),
         ("half a file, whose points are counted,", content[: len(content) // 2], counted),
     ):
-        complaint = _complaint(path.name, left, by)
+        complaint = refusal(path.name, left, partial(read_interface, how=by))
         assert complaint, f"{what} is read"
         assert "\n" not in complaint, f"{what} is refused in several lines"
-
-
-def _complaint(name: str, content: bytes, how: Reading) -> str:
-    """Return the error message for a file with this content; empty if it is read."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        path.write_bytes(content)
-        try:
-            read_interface(path, how)
-        except Unreadable as error:
-            return str(error)
-    return ""
 
 
 CHECKS: dict[str, Callable[[Path, Reading], None]] = by_name(
