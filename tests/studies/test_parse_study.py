@@ -134,6 +134,12 @@ def test_other_mistakes_are_told_by_place(tmp_path: Path) -> None:
             "unkown",
             "a range [low, high], `unknown`, `column` or `image`",
         ),
+        (
+            {"noise": {"sd": {"uniform": [1, 5]}, "unit": "um"}},
+            "noise.sd",
+            {"uniform": [1, 5]},
+            "a number, a range [low, high], `unknown`",
+        ),
         ({"noise": {"sd": 1, "unit": "inch"}}, "noise.unit", "inch", "'mm', 'um', 'µm' or 'm'"),
         ({"noise": {"sd": 1, "unit": "um", "unknown": {"shift": -5}}}, "noise.unknown.shift", -5, "or equal to 0"),
         (

@@ -6,7 +6,7 @@ the studies.
 
 With `--planted`, mistakes are planted in the analysis too: the ranks must then leave their band.
 
-    python -m verification.validation.own_likelihood [--replicates 200] [--published 100] [--planted 60] FOLDER ...
+    python -m verification.validation.own_likelihood [--replicates 200] [--planted 60] [--mistake WORD] FOLDER ...
 """
 
 import argparse
@@ -50,8 +50,10 @@ def with_mistakes(experiment: Experiment) -> dict[str, Experiment]:
     }
 
 
-def rows(study: Study, replicates: int, published: int, planted: int) -> Iterator[tuple[object, ...]]:
-    """Yield a row for each input with the likelihood of the noise, then with the study's own."""
+def rows(
+    study: Study, replicates: int, published: int, planted: int, mistake: str = ""
+) -> Iterator[tuple[object, ...]]:
+    """Yield a row for each input: the likelihood of the noise, the study's own, those with a mistake of this name."""
     (name, measure), noise = next(iter(study.discrepancies.items())), study.noise
     own = replace(study, noise=ERRORS, discrepancies={"normal_offset": NormalOffset()})
     judge = Judge(own.observations(observations_of(study)), own.discrepancies, study.settings.failures)
@@ -70,7 +72,8 @@ def rows(study: Study, replicates: int, published: int, planted: int) -> Iterato
                 published,
             ),
         }
-        analyses |= {label: (one, planted) for label, one in with_mistakes(experiment).items() if planted}
+        wrong = with_mistakes(experiment).items() if planted else ()
+        analyses |= {label: (one, planted) for label, one in wrong if mistake in label}
         for label, (one, number) in analyses.items():
             begun = perf_counter()
             found = CoverageFound(
@@ -100,6 +103,7 @@ def main() -> None:
     parser.add_argument("--replicates", type=int, default=200)
     parser.add_argument("--published", type=int, default=100, help="replicates with the study's σ_N², which cost more")
     parser.add_argument("--planted", type=int, default=0, help="replicates with each planted mistake")
+    parser.add_argument("--mistake", default="", help="a word of the only mistake to plant: σ, forgotten or dropped")
     options = parser.parse_args()
     use_double()
     columns = ("study", "likelihood", "observations", "input", "mean sd", "sd / limit")
@@ -107,7 +111,7 @@ def main() -> None:
     formats = ("s", "s", "d", "s", ".3g", ".2f", ".0f", ".0f", ".2f", "s", ".2f")
     found: list[tuple[object, ...]] = []
     for folder in options.folders:
-        for row in rows(load_study(folder), options.replicates, options.published, options.planted):
+        for row in rows(load_study(folder), options.replicates, options.published, options.planted, options.mistake):
             found.append(row)
             print(*row, sep="  ", flush=True)
     print(Table("own_likelihood", "1 µm of white noise", columns, formats, tuple(found)).markdown())

@@ -1,6 +1,6 @@
 """The keys `observation` and `noise` of study.yaml."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -158,10 +158,11 @@ def _is_number(text: str) -> bool:
 
 
 def _number_or(words: tuple[str, ...]) -> Callable[[Any], Any]:
-    """Return a validator that refuses a mistyped word and says which words there are."""
+    """Return a validator that refuses a mistyped word or keys, such as a prior, and says what there is."""
 
     def check(value: Any) -> Any:
-        if isinstance(value, str) and value not in words and not _is_number(value):
+        mistyped = isinstance(value, str) and value not in words and not _is_number(value)
+        if mistyped or isinstance(value, Mapping):
             *others, last = ("a number", "a range [low, high]", *(f"`{word}`" for word in words))
             raise ValueError(f"{', '.join(others)} or {last}")
         return value
