@@ -53,7 +53,7 @@ def with_mistakes(experiment: Experiment) -> dict[str, Experiment]:
 def rows(
     study: Study, replicates: int, published: int, planted: int, mistake: str = ""
 ) -> Iterator[tuple[object, ...]]:
-    """Yield a row for each input: the likelihood of the noise, the study's own, those with a mistake of this name."""
+    """Yield a row for each input with the noise's likelihood, the study's own, and planted mistakes of this name."""
     (name, measure), noise = next(iter(study.discrepancies.items())), study.noise
     own = replace(study, noise=ERRORS, discrepancies={"normal_offset": NormalOffset()})
     judge = Judge(own.observations(observations_of(study)), own.discrepancies, study.settings.failures)
@@ -103,7 +103,7 @@ def main() -> None:
     parser.add_argument("--replicates", type=int, default=200)
     parser.add_argument("--published", type=int, default=100, help="replicates with the study's σ_N², which cost more")
     parser.add_argument("--planted", type=int, default=0, help="replicates with each planted mistake")
-    parser.add_argument("--mistake", default="", help="a word of the only mistake to plant: σ, forgotten or dropped")
+    parser.add_argument("--mistake", default="", help="plant only mistakes with this word in their name")
     options = parser.parse_args()
     use_double()
     columns = ("study", "likelihood", "observations", "input", "mean sd", "sd / limit")
