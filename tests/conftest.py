@@ -64,7 +64,12 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Draw the same examples each time in `make test`, others each time in `make test-all`."""
+    """Draw the same examples each time in `make test`, others each time in `make test-all`.
+
+    ArviZ notes the day of its first import in a file: processes that do so together get in each other's way.
+    """
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
+        import arviz  # noqa: F401
     hypothesis.settings.register_profile("same", derandomize=True)
     if config.getoption("markexpr") == "not long":
         hypothesis.settings.load_profile("same")

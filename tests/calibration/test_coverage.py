@@ -18,6 +18,7 @@ from strandline.discrepancy import ClosestPoint, Discrepancy, NormalOffset, Trac
 from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Noise, Observation, PointErrors
 from strandline.posterior import Posterior
+from strandline.posterior.uniformity import weighted_ranks
 
 TO_SIMULATED = ClosestPoint(direction="to_simulated")
 QUICK = 30
@@ -53,7 +54,7 @@ def repeated(
 
 
 def least_p(found: CoverageFound) -> float:
-    return min(band.p_value for band in found.bands)
+    return min(band.p_value for band in (*found.bands, found.fit_band))
 
 
 @pytest.mark.parametrize(
@@ -231,16 +232,37 @@ def test_a_coarse_surrogate_is_noticed() -> None:
     assert coarse.beyond > 0.5
 
 
-def gaussians(shift: float = 0.0, width: float = 1.0, number: int = 200) -> CoverageFound:
-    """Return what posteriors show whose z-scores are Gaussian, in evenly spaced quantiles."""
+def gaussians(shift: float = 0.0, width: float = 1.0, number: int = 200, *, fit: float = 1.0) -> CoverageFound:
+    """Return what posteriors show whose z-scores are Gaussian, in evenly spaced quantiles.
+
+    `fit` is the power of the ranks of the log-likelihood.
+    """
     random = np.random.default_rng(3)
     columns = [random.permutation((np.arange(number) + 0.5) / number) for _ in range(2)]
     z = np.stack([norm.ppf(columns[0]), shift + width * norm.ppf(columns[1])], axis=1)
     one, half = np.ones(2), np.full(2, 0.5)
+    fits = random.permutation((np.arange(number) + 0.5) / number) ** fit
     made = [
-        Replicate(k, row, np.asarray(norm.cdf(row)), 0 * one, one, half, 500.0, "importance") for k, row in enumerate(z)
+        Replicate(k, row, np.asarray(norm.cdf(row)), rank, 0 * one, one, half, 500.0, "importance")
+        for k, (row, rank) in enumerate(zip(z, fits, strict=True))
     ]
     return CoverageFound(("E", "nu"), tuple(made))
+
+
+@pytest.mark.parametrize(("narrow", "inside"), [(1.0, True), (0.5, False)], ids=["right", "½ forgotten"])
+def test_the_fit_shows_what_is_spread_over_seven_inputs(narrow: float, inside: bool) -> None:
+    """Planted: variances that are half as large as they should be, which no single input shows in 20 replicates."""
+    random, made = np.random.default_rng(2), []
+    for k in range(20):
+        truth, draws = random.normal(size=7), np.sqrt(narrow) * random.normal(size=(500, 7))
+        weights = np.full(len(draws), 1 / len(draws))
+        fit = float(np.mean((draws**2).sum(axis=1) > truth @ truth))
+        ranks = weighted_ranks(draws, weights, truth)
+        made.append(Replicate(k, truth, ranks, fit, 0 * truth, 0 * truth + 1, 0 * truth + 1, 500.0, "importance"))
+    found = CoverageFound(tuple("abcdefg"), tuple(made))
+    assert all(band.inside for band in found.bands)
+    assert found.calibrated is found.fit_band.inside is inside
+    assert inside or "fit best" in found.verdict
 
 
 def test_few_replicates_prove_little() -> None:
@@ -251,7 +273,15 @@ def test_few_replicates_prove_little() -> None:
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({}, "The posterior is calibrated: ranks of all inputs stay inside the 95 % band."),
+        ({}, "The posterior is calibrated: all ranks stay inside the 95 % band."),
+        (
+            {"fit": 3.0},
+            "The posterior is too narrow: the truth is among the 90 % of its draws that fit best in 54 % of",
+        ),
+        (
+            {"fit": 0.3},
+            "The posterior is too wide: the truth is among the 90 % of its draws that fit best in 100 % of",
+        ),
         ({"width": 1.8}, "The posterior is too narrow: 90 % intervals of nu contain the truth in 6"),
         (
             {"width": 0.5},

@@ -30,7 +30,8 @@ def sampled(
 
     x = sobol(number, dim, scramble=seed)
     pool = Pool(x, np.zeros(number), np.zeros(number), target(x), number)
-    return followed(pool, log_densities, np.random.default_rng(seed), enough=enough)
+    found = followed(pool, log_densities, np.random.default_rng(seed), enough=enough)
+    return None if found is None else found.weighted
 
 
 MEAN = np.array([0.4, 0.55])

@@ -13,7 +13,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
 from strandline.likelihood.inferred_noise import NoisePosterior, _log_evidences, require_inferable
-from strandline.likelihood.joint_errors import error_model
+from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.model_error import Cause, offset_scales, offset_waves
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
@@ -44,7 +44,7 @@ def observed(seed: int, errors: PointErrors = ERRORS, *, noise: PointErrors | Un
 
 def test_the_best_inputs_are_found_and_the_slopes_are_right() -> None:
     seen = observed(1)
-    lin = linearise(surrogate(), [seen], [ERRORS])
+    lin = linearise(surrogate(), JointErrors((seen,), (ERRORS,)))
     sd = np.sqrt(np.diag(lin.covariance(error_model([seen], [ERRORS]))))
     assert (np.abs(lin.at - TRUTH) < 4 * sd).all()
     model = error_model([seen], [ERRORS])
@@ -133,7 +133,7 @@ def test_many_are_as_one_by_one() -> None:
 
 def grid(seen: Observation) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and sd of the inputs by quadrature over a grid around the truth."""
-    lin = linearise(surrogate(), [seen], [ERRORS])
+    lin = linearise(surrogate(), JointErrors((seen,), (ERRORS,)))
     sd = np.sqrt(np.diag(lin.covariance(error_model([seen], [ERRORS]))))
     axes = [np.linspace(-7, 7, 41) * sd[k] + lin.at[k] for k in (0, 1)]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)

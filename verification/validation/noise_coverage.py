@@ -23,7 +23,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.likelihood.compared import with_variance
-from strandline.likelihood.joint_errors import error_model
+from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.linearised import linearise
 from strandline.models.biofilm.model import Biofilm
 from strandline.numerics.precision import use_double
@@ -98,7 +98,7 @@ def observed(field: FieldSurrogate, truth: Float[np.ndarray, " 2"], errors: Poin
 
 def limit(field: FieldSurrogate, seen: Interface, errors: PointErrors) -> tuple[np.ndarray, np.ndarray]:
     """Return the estimate and the standard deviations of the linearised posterior: the limit of Cramér and Rao."""
-    lin = linearise(field, [Observation(seen, errors)], [errors])
+    lin = linearise(field, JointErrors((Observation(seen, errors),), (errors,)))
     information = np.linalg.inv(lin.covariance(error_model([Observation(seen, errors)], [errors])))
     covariance = np.linalg.inv(information + np.diag(12 / (HIGH - LOW) ** 2))
     return lin.at, np.sqrt(np.diag(covariance))

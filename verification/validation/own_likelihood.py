@@ -92,6 +92,8 @@ def rows(
                     *cover,
                     float(found.z[:, i].std()),
                     "yes" if found.bands[i].inside else "no",
+                    100 * float(found.regions[-1].found[0]),
+                    "yes" if found.fit_band.inside else "no",
                     seconds / number,
                 )
 
@@ -107,8 +109,9 @@ def main() -> None:
     options = parser.parse_args()
     use_double()
     columns = ("study", "likelihood", "observations", "input", "mean sd", "sd / limit")
-    columns += ("50 % cover", "90 % cover", "sd of z", "ranks in band", "s each")
-    formats = ("s", "s", "d", "s", ".3g", ".2f", ".0f", ".0f", ".2f", "s", ".2f")
+    columns += ("50 % cover", "90 % cover", "sd of z", "ranks in band")
+    columns += ("90 % region", "ranks of log L in band", "s each")
+    formats = ("s", "s", "d", "s", ".3g", ".2f", ".0f", ".0f", ".2f", "s", ".0f", "s", ".2f")
     found: list[tuple[object, ...]] = []
     for folder in options.folders:
         for row in rows(load_study(folder), options.replicates, options.published, options.planted, options.mistake):

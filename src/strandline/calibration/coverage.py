@@ -2,13 +2,14 @@
 
 The experiment is repeated at many true inputs: the surrogate of the interface predicts what is there to be seen, the
 study's errors disturb it, and the same surrogate, measure and noise give the posterior. No forward run is made. If the
-posteriors are right, the ranks of the truths in them are uniform (Talts et al. 2018).
+posteriors are right, the ranks of the truths in them are uniform (Talts et al. 2018). So is the rank of the truth's
+log-likelihood among those of the draws, which shows mistakes that are spread over many inputs (Modrák et al. 2023).
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -19,7 +20,7 @@ from strandline.calibration.importance_sampler import Pool, followed
 from strandline.calibration.source import Source
 from strandline.design.refinement import SAMPLING
 from strandline.likelihood import FieldLikelihood, OnHost
-from strandline.posterior.uniformity import Band, Coverage, coverage_of, uniformity, weighted_ranks
+from strandline.posterior.uniformity import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
 from strandline.posterior.weighted import Weighted
 from strandline.smc import sample
 
@@ -28,7 +29,7 @@ __all__ = ["LEVELS", "CoverageFound", "Replicate", "repeatable", "replicated"]
 LEVELS = (0.5, 0.9)
 """Probabilities of the intervals whose coverage is counted."""
 BAND = 0.95
-"""Probability that the ranks of all inputs stay inside their bands if the posteriors are right."""
+"""Probability that all ranks stay inside their bands if the posteriors are right."""
 PARTICLES = 2000
 """Particles of the tempered sampler, which takes over where importance sampling does not get there."""
 CERTAIN = 3.0
@@ -49,6 +50,7 @@ class Replicate:
         number: Its number; with the seed, it decides all its random numbers.
         truth: The true inputs, shape (dim,).
         ranks: Posterior probability below the truth in each input, shape (dim,).
+        fit_rank: Posterior probability of inputs whose log-likelihood is below that of the truth.
         mean: Posterior means, shape (dim,).
         sd: Posterior standard deviations, shape (dim,).
         limit: Standard deviations at the Cramér–Rao limit of the errors with the prior as a Gaussian, shape (dim,).
@@ -59,6 +61,7 @@ class Replicate:
     number: int
     truth: Float[np.ndarray, " dim"]
     ranks: Float[np.ndarray, " dim"]
+    fit_rank: float
     mean: Float[np.ndarray, " dim"]
     sd: Float[np.ndarray, " dim"]
     limit: Float[np.ndarray, " dim"]
@@ -83,22 +86,33 @@ def replicated(experiment: Experiment, source: Source, *, seed: int, number: int
     truth = source.draw(random)
     truths = experiment.truths(truth)
     likelihood = experiment.likelihood(experiment.observed(truths, random))
-    found, by = _posterior(likelihood, source, truth, random)
+    found = _posterior(likelihood, source, truth, random)
+    draws, fit = found.draws, found.log_likelihood[:, None]
     return Replicate(
         number=number,
         truth=truth,
-        ranks=weighted_ranks(found.draws, found.weights, truth),
-        mean=found.mean,
-        sd=found.sd,
+        ranks=weighted_ranks(draws.draws, draws.weights, truth),
+        fit_rank=float(weighted_ranks(fit, draws.weights, np.array([found.of_truth]))[0]),
+        mean=draws.mean,
+        sd=draws.sd,
         limit=_limit(experiment.information(truth, truths), source.covariance),
-        effective=float(1 / np.sum(found.weights**2)),
-        by=by,
+        effective=float(1 / np.sum(draws.weights**2)),
+        by=found.by,
     )
+
+
+class _Sampled(NamedTuple):
+    """Draws of a posterior, with log L of each and of the truth."""
+
+    draws: Weighted
+    log_likelihood: Float[np.ndarray, " draw"]
+    of_truth: float
+    by: By
 
 
 def _posterior(
     likelihood: FieldLikelihood, source: Source, truth: Float[np.ndarray, " dim"], random: np.random.Generator
-) -> tuple[Weighted, By]:
+) -> _Sampled:
     """Sample the posterior; the truth itself is not among the draws that sampling begins with."""
 
     def log_densities(
@@ -114,15 +128,21 @@ def _posterior(
         return first, target
 
     own = (source.points == truth).all(axis=1)
+    of_truth, *others = likelihood.at(np.vstack([likelihood.surrogate.mean(truth[None]), source.coefficients]))
     pool = Pool(
         x=source.points,
         log_counts=np.where(own, -np.inf, source.log_weights + np.log(source.number)),
         log_first=source.log_densities,
-        log_target=source.log_densities + likelihood.at(source.coefficients),
+        log_target=source.log_densities + np.array(others),
         number=source.number,
     )
     found = followed(pool, log_densities, random)
-    return (found, "importance") if found is not None else (_by_smc(likelihood, source, random), "smc")
+    if found is None:
+        draws = _by_smc(likelihood, source, random)
+        return _Sampled(draws, likelihood.at(likelihood.surrogate.mean(draws.draws)), of_truth, "smc")
+    inside = np.isfinite(found.log_first)
+    values = np.where(inside, found.log_target - np.where(inside, found.log_first, 0.0), -np.inf)
+    return _Sampled(found.weighted, values, of_truth, "importance")
 
 
 def _by_smc(likelihood: FieldLikelihood, source: Source, random: np.random.Generator) -> Weighted:
@@ -171,10 +191,28 @@ class CoverageFound:
         return np.array([one.ranks for one in self.replicates])
 
     @cached_property
+    def fit_ranks(self) -> Float[np.ndarray, " replicate"]:
+        """Ranks of the truths' log-likelihoods."""
+        return np.array([one.fit_rank for one in self.replicates])
+
+    @cached_property
     def bands(self) -> tuple[Band, ...]:
-        """Distribution of the ranks of each input, with bands that hold for all inputs together."""
-        level = 1 - (1 - BAND) / len(self.names)
-        return tuple(uniformity(column, level=level) for column in self.ranks.T)
+        """Distribution of the ranks of each input; its band and `fit_band` hold together."""
+        return tuple(uniformity(column, level=self._level) for column in self.ranks.T)
+
+    @cached_property
+    def fit_band(self) -> Band:
+        """Distribution of the ranks of the log-likelihood."""
+        return uniformity(self.fit_ranks, level=self._level)
+
+    @property
+    def _level(self) -> float:
+        return 1 - (1 - BAND) / (len(self.names) + 1)
+
+    @cached_property
+    def regions(self) -> tuple[Coverage, ...]:
+        """How often the truth is among the draws that fit best, for regions of the probabilities `LEVELS`."""
+        return tuple(region_coverage_of(self.fit_ranks, level) for level in LEVELS)
 
     @cached_property
     def intervals(self) -> tuple[Coverage, ...]:
@@ -198,8 +236,8 @@ class CoverageFound:
 
     @property
     def calibrated(self) -> bool:
-        """Whether the ranks of all inputs stay inside their bands."""
-        return all(band.inside for band in self.bands)
+        """Whether all ranks stay inside their bands."""
+        return self.fit_band.inside and all(band.inside for band in self.bands)
 
     @property
     def verdict(self) -> str:
@@ -208,7 +246,7 @@ class CoverageFound:
 
     @cached_property
     def remarks(self) -> tuple[str, ...]:
-        """The verdict, with a sentence for each input whose ranks leave the band."""
+        """The verdict, with a sentence for each input whose ranks leave the band, and for the log-likelihood."""
         return tuple(self._faults()) or (self._right(),)
 
     def _right(self) -> str:
@@ -218,12 +256,25 @@ class CoverageFound:
                 f"Nothing speaks against the posterior, but {len(self.replicates)} replicates show only gross errors; "
                 f"make at least {ENOUGH}."
             )
-        return f"The posterior is calibrated: ranks of all inputs stay inside the {100 * BAND:.0f} % band."
+        return f"The posterior is calibrated: all ranks stay inside the {100 * BAND:.0f} % band."
 
     def _faults(self) -> Iterator[str]:
         for i, (name, band) in enumerate(zip(self.names, self.bands, strict=True)):
             if not band.inside:
                 yield self._fault(i, name)
+        if not self.fit_band.inside:
+            yield self._fault_of_fit()
+
+    def _fault_of_fit(self) -> str:
+        """Return what the ranks of the log-likelihood show: a truth that fits worse than draws do, or better."""
+        for one in reversed(self.regions):
+            often = f"the truth is among the {100 * one.level:.0f} % of its draws that fit best in"
+            often = f"{often} {100 * one.found[0]:.0f} % of the replicates."
+            if one.high[0] < one.level:
+                return f"The posterior is too narrow: {often}"
+            if one.low[0] > one.level:
+                return f"The posterior is too wide: {often}"
+        return f"The posterior is not calibrated: ranks of the log-likelihood leave the {100 * BAND:.0f} % band."
 
     def _fault(self, i: int, name: str) -> str:
         """Return what is wrong with the intervals of an input: their width, their place, or something else."""

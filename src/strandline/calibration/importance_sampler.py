@@ -110,6 +110,11 @@ class Pool:
         together = logsumexp(np.stack([math.log(self.number) + self.log_first, *drawn]), axis=0)
         return np.asarray(log_softmax(self.log_counts + self.log_target - together))
 
+    @property
+    def weighted(self) -> Weighted:
+        """The points with their weights."""
+        return Weighted(self.x, np.exp(self.log_weights))
+
     def extended(self, mixture: StudentMixture, x: Points, log_first: Values, log_target: Values) -> "Pool":
         """Return the pool with draws from a mixture."""
         return replace(
@@ -128,8 +133,8 @@ def followed(
     random: np.random.Generator,
     *,
     enough: float = ENOUGH,
-) -> Weighted | None:
-    """Return weighted draws of the target with an effective sample size of `enough`; None if that is not reached.
+) -> Pool | None:
+    """Return a pool with an effective sample size of `enough` draws of the target; None if that is not reached.
 
     Args:
         pool: The first sample.
@@ -141,7 +146,7 @@ def followed(
     for rounds_left in range(ROUNDS, -1, -1):
         log_weights = pool.log_weights
         if effective_size(log_weights) >= enough:
-            return Weighted(pool.x, np.exp(log_weights))
+            return pool
         if rounds_left:
             mixture = fitted(pool.x, log_weights, random)
             x = mixture.draw(draws, random)

@@ -26,9 +26,12 @@ from strandline.numerics.precision import use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger
-from strandline.smc import SMCResult, sample
+from strandline.smc import SMCResult, carried_over, sample
 
 __all__ = ["calibrate"]
+
+CARRIED = 1
+"""Keeps the random numbers that carry particles over to the exact likelihood apart from those before."""
 
 
 def calibrate(
@@ -115,6 +118,12 @@ def _sample(target: Target, space: ParameterSpace, settings: Settings, tell: Obs
     start, chain = jax.random.split(jax.random.key(settings.seed))
     uniform = jax.random.uniform(start, (settings.particles, space.dim), dtype=float)
     initial = space.prior_quantiles(np.asarray(uniform))
+    if target.nearby is not None:
+        near = sample(chain, target.nearby, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
+        key, extents = jax.random.fold_in(chain, CARRIED), space.high - space.low
+        found = carried_over(key, near, target.compiled, space.log_prior, extents=extents, settings=settings.smc)
+        if found is not None:
+            return found
     return sample(chain, target.compiled, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
 
 

@@ -64,6 +64,11 @@ class Target(Protocol):
         """For the sampler: a JAX function, or one that asks for NumPy arrays."""
         ...
 
+    @property
+    def nearby(self) -> BatchedLogDensity | None:
+        """A log-likelihood close by that takes a fraction of the time; None if there is none."""
+        ...
+
     def values(self, x: Points) -> Values:
         """Return the log-likelihood of NumPy arrays."""
         ...
@@ -101,6 +106,11 @@ class LogLikelihoodTarget:
     def compiled(self) -> BatchedLogDensity:
         """The mean: with JAX if it is a Gaussian process, else for NumPy arrays."""
         return predicted(self.process)
+
+    @property
+    def nearby(self) -> BatchedLogDensity | None:
+        """None."""
+        return None
 
     def values(self, x: Points) -> Values:
         """Return the mean."""
@@ -150,6 +160,15 @@ class FieldTarget:
         """Log L of the predicted interface, for NumPy arrays."""
         return OnHost(self.knowledge.plug_in)
 
+    @cached_property
+    def nearby(self) -> BatchedLogDensity | None:
+        """Log L with residuals that are linear in the field."""
+        return (
+            None
+            if self.knowledge.likelihood.near_fit is None
+            else OnHost(lambda x: np.asarray(self.knowledge.roughly(x)))
+        )
+
     def values(self, x: Points) -> Values:
         """Return log L of the predicted interface."""
         return np.asarray(self.knowledge.plug_in(x))
@@ -164,7 +183,7 @@ class FieldTarget:
 
     def posterior(self, sampling: SMCResult) -> Posterior:
         """Return the particles, reweighted from the sampled log-likelihood to the expected one."""
-        expected = self.knowledge.expected(sampling.positions)
+        expected = self.knowledge.expected(sampling.positions, plug_in=sampling.log_likelihood)
         log_weights = sampling.log_weights + expected - sampling.log_likelihood
         log_evidence = sampling.log_evidence + float(logsumexp(log_weights))
         return _posterior(self.space, sampling, log_softmax(log_weights), expected, log_evidence)

@@ -50,6 +50,8 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
         shares = " ".join(f"{one['found']:>9.1%}" for one in item["intervals"])
         rest = f"{item['z_mean']:>+9.2f} {item['z_sd']:>9.2f} {item['sd']:>9.3g} {item['of_limit']:>9.2f}"
         click.echo(f"{name:>10} {unit:>7} {shares} {rest}")
+    regions = " and ".join(f"{one['found']:.1%}" for one in content["log_likelihood"]["regions"])
+    click.echo(f"truth among the 50 % and the 90 % of the draws that fit best: {regions}")
     for one in content["noise"]:
         click.echo(f"{one['condition'] or 'drawn with'}: {one['in_words']}")
     sampling = content["sampling"]

@@ -1,6 +1,6 @@
 """Signed distances from the observed points to the simulated interface, whitened by their errors if these are known."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
 
@@ -67,14 +67,12 @@ class WhitenedOffset:
 
     Args:
         errors: Errors of the observed points.
-        is_rough: Whether fewer places along a polyline and one step of registration are enough; see `rough`.
 
     Raises:
         InvalidInput: On evaluation, a correlation length above half the length of the observed interface.
     """
 
     errors: PointErrors
-    is_rough: bool = False
     unit: ClassVar[str] = "1"
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
@@ -87,10 +85,6 @@ class WhitenedOffset:
         if self.errors.global_errors(observed.dim):
             require_same_direction(simulated, observed)
         return float(self.many(simulated.points[None], simulated, observed)[0])
-
-    def rough(self) -> "WhitenedOffset":
-        """Return a faster measure of many interfaces, whose d² is off by a few units."""
-        return replace(self, is_rough=True)
 
     def model(self, observed: Interface) -> ErrorModel:
         """Return the covariance of the residuals; kept for the interfaces used last."""
@@ -124,7 +118,6 @@ class WhitenedOffset:
             lambda products: model.shared_errors(products) * moves,
             lambda some, g: {"": self.errors.followed(some[""], template, g, middle=middle)},
             model.gram,
-            rough=self.is_rough,
         )
 
     def terms(self, observed: Interface) -> int:

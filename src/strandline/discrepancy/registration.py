@@ -28,8 +28,6 @@ def linear_sums(
     estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]],
     followed: Callable[[Rows, Float[np.ndarray, "run error"]], Rows],
     gram: Float[np.ndarray, "error error"],
-    *,
-    rough: bool = False,
 ) -> Sums:
     """Return qᵀ D⁻¹ q and Bᵀ D⁻¹ q of each run.
 
@@ -41,13 +39,11 @@ def linear_sums(
             follows.
         followed: Function that returns the points after the observation's g.
         gram: Bᵀ D⁻¹ B.
-        rough: Whether one step of registration and rough sums are enough.
     """
     if not gram.any():
-        return sums(points, rough)
+        return sums(points, False)
     g = estimate(sums(points, True)[1])
-    if not rough:
-        g = estimate(sums(followed(points, g), True)[1] + g @ gram)
-    squares, products = sums(followed(points, g), rough)
+    g = estimate(sums(followed(points, g), True)[1] + g @ gram)
+    squares, products = sums(followed(points, g), False)
     more = g @ gram
     return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,14 @@ from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
 from strandline.discrepancy import Discrepancy, HasTolerance, NormalOffset, count_of_distances, squared_discrepancies
-from strandline.discrepancy.normal_offset import WhitenedOffset
+from strandline.discrepancy.memo import MeasureKey, Snapshot
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
+from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.compared import compared, errors_of
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
+from strandline.likelihood.joint_errors import JointErrors
+from strandline.likelihood.linearised import linearise
+from strandline.likelihood.near_field import NearField
 from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
@@ -23,7 +26,15 @@ __all__ = ["FieldLikelihood", "OnHost", "noise_length", "sd_of_distances"]
 
 DRAWS = 16
 """Fields drawn at each point for the expected likelihood; they come in pairs of opposite sign."""
+TRIED, LIKELY, TOLERATED = 32, 10.0, 0.3
+"""Draws of the field that show whether the closed form of E[L] holds; how much less log L than at the best point they
+may have; largest root mean square of what it misses."""
+ROUNDS, SHIFTS = 5, 16
+"""Rounds of the search for the shift that the noise hides, and shifts tried in each."""
 _BLOCK = 8192  # interfaces predicted together
+
+
+Values = Float[np.ndarray, " point"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,35 +52,73 @@ class FieldLikelihood:
     discrepancy: Discrepancy
 
     def plug_in(self, x: Float[np.ndarray, "point dim"], *, rough: bool = False) -> Float[np.ndarray, " point"]:
-        """Return log L of the predicted interfaces as if they were exact; see `can_be_rough` for `rough`."""
-        blocks = [x[k : k + _BLOCK] for k in range(0, len(x), _BLOCK)]
-        return np.concatenate([self._of(self.surrogate.mean(block), None, rough=rough) for block in blocks])
+        """Return log L of the predicted interfaces as if they were exact; from `near_fit` if `rough`."""
+        if rough and self.near_fit is not None:
+            return self._of_sums(*self.near_fit.sums(self.surrogate.mean(x)))
+        return self.at(self.surrogate.mean(x))
 
-    @property
-    def can_be_rough(self) -> bool:
-        """Whether there is a log L that takes a fraction of the time and is off by a few units.
+    @cached_property
+    def near_fit(self) -> NearField | None:
+        """The residuals where the interface fits best, and as a linear function of the field around.
 
-        It is good enough to find where the posterior is, not to weigh it.
+        None unless they are signed distances in the plane, with stated or inferred errors.
         """
-        return isinstance(self.discrepancy, NormalOffset) and all(
-            seen.interface.dim == 2 and isinstance(seen.noise, PointErrors | UnknownErrors)
-            for seen in self.observations
-        )
+        if self.inferred is not None:
+            return self.inferred.field
+        if self._joint is None or any(seen.interface.dim != 2 for seen in self.observations):
+            return None
+        return linearise(self.surrogate, self._joint).field
+
+    @cached_property
+    def _joint(self) -> JointErrors | None:
+        if self._shared is not None:
+            return self._shared.joint
+        errors = tuple(seen.noise for seen in self.observations if isinstance(seen.noise, PointErrors))
+        stated = isinstance(self.discrepancy, NormalOffset) and len(errors) == len(self.observations)
+        return JointErrors(self.observations, errors) if stated else None
+
+    def _of_sums(self, squares: Float[np.ndarray, " draw"], products: Float[np.ndarray, "draw error"]) -> Values:
+        if self.inferred is not None:
+            return self.inferred.likelihood.of_sums(squares, products)
+        assert self._joint is not None
+        return np.asarray(-0.5 * self._joint.model.square_of(squares, products))
 
     def at(self, coefficients: Float[np.ndarray, "point mode"]) -> Float[np.ndarray, " point"]:
         """Return log L of the interfaces with these coefficients of the modes, mm: `plug_in` of known predictions."""
         blocks = [coefficients[k : k + _BLOCK] for k in range(0, len(coefficients), _BLOCK)]
         return np.concatenate([self._of(block, None) for block in blocks])
 
-    def expected(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def expected(
+        self, x: Float[np.ndarray, "point dim"], *, plug_in: Float[np.ndarray, " point"] | None = None
+    ) -> Float[np.ndarray, " point"]:
         """Return log E[L] over the fields that the surrogate considers possible at each point.
 
-        This is the mean over `DRAWS` fields, with the same standard normal numbers at every point. What the modes leave
-        over is drawn like the modes.
+        Where residuals are linear in the field, this has a closed form. Otherwise it is the mean over `DRAWS` fields,
+        with the same standard normal numbers at every point. What the modes leave over is drawn like the modes.
+
+        Args:
+            x: The points.
+            plug_in: `plug_in` of them, if it is known.
         """
+        if self.inferred is None and self.near_fit is not None:
+            found = self.surrogate.predict(x)
+            plain = self.at(found.mean) if plug_in is None else plug_in
+            values = np.asarray(plain + self.near_fit.gain(found.mean, found.variance))
+            if self._is_linear(self.near_fit, found, plain, values):
+                return values
         number = max(_BLOCK // DRAWS, 1)
         blocks = [x[k : k + number] for k in range(0, len(x), number)]
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
+
+    def _is_linear(self, near: NearField, found: FieldPrediction, plain: Values, values: Values) -> bool:
+        """Return whether the closed form holds: for fields that the observation allows at some likely points."""
+        likely = np.flatnonzero(values >= values.max() - LIKELY)
+        some = likely[np.unique(np.linspace(0, len(likely) - 1, TRIED).astype(int))]
+        modes, rest = len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
+        normal = np.random.default_rng(2).standard_normal((len(some), modes + rest))
+        coefficients, tail, change = near.likely(found.mean[some], found.variance[some], normal)
+        off = self._of(coefficients, tail) - plain[some] - change
+        return bool(np.sqrt(np.mean(off**2)) <= TOLERATED)
 
     def left_out(self, runs: Int[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
         """Return log E[L] at the training runs with these indices, each predicted from all others."""
@@ -89,20 +138,18 @@ class FieldLikelihood:
         self,
         coefficients: Float[np.ndarray, "draw mode"],
         tail: Float[np.ndarray, "draw rest"] | None,
-        *,
-        rough: bool = False,
     ) -> Float[np.ndarray, " draw"]:
         points = self.surrogate.points(coefficients, tail)
         templates = {name: layout.template for name, layout in self.surrogate.layouts.items()}
         if self.inferred is not None:
-            return self.inferred.likelihood.many(points, templates, rough=rough)
+            return self.inferred.likelihood.many(points, templates)
         if self._shared is not None:
-            return -0.5 * self._shared.many(points, templates, rough=rough)
+            return -0.5 * self._shared.many(points, templates)
         total = np.zeros(len(coefficients))
         for seen in self.observations:
             template = templates[seen.condition]
             one = compared(seen, self.discrepancy, len(template.points))
-            measure = one.measure.rough() if rough and isinstance(one.measure, WhitenedOffset) else one.measure
+            measure = one.measure
             if isinstance(measure, HasTolerance):
                 measure = measure.tolerating(one.noise.scale, seen.interface)
             squares = squared_discrepancies(measure, points[seen.condition], template, seen.interface)
@@ -164,8 +211,17 @@ def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     of points, only the local ones count.
     """
     errors = errors_of(observation)
-    if errors is not None:
-        observation = Observation(observation.interface, errors.local_part, observation.condition)
+    if errors is None:
+        return _noise_length(observation, discrepancy)
+    return _length_of(MeasureKey.of(discrepancy), Snapshot.of(observation.interface), errors.local_part)
+
+
+@lru_cache(maxsize=64)
+def _length_of(key: MeasureKey, snapshot: Snapshot, errors: PointErrors) -> float:
+    return _noise_length(Observation(snapshot.interface, errors), key.measure)
+
+
+def _noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     seen = observation.interface
     extent = float(np.ptp(seen.points, axis=0).max())
     found = [_shift(observation, discrepancy, axis, extent) for axis in np.eye(seen.dim)]
@@ -183,12 +239,13 @@ def sd_of_distances(observation: Observation, discrepancy: Discrepancy, simulate
 def _shift(
     observation: Observation, discrepancy: Discrepancy, direction: Float[np.ndarray, " xyz"], extent: float
 ) -> float:
-    """Bisect in the logarithm: d² grows with small shifts."""
+    """Search in the logarithm: d² grows with small shifts."""
     seen, low, high = observation.interface, 1e-7 * extent, 0.5 * extent
     one = compared(observation, discrepancy, len(seen.points))
-    for _ in range(30):
-        middle = float(np.sqrt(low * high))
-        shifted = (seen.points + middle * direction)[None]
-        square = float(squared_discrepancies(one.measure, shifted, seen, seen)[0])
-        low, high = (low, middle) if square > one.noise.scale else (middle, high)
+    for _ in range(ROUNDS):
+        tried = np.geomspace(low, high, SHIFTS)
+        shifted = seen.points + tried[:, None, None] * direction
+        above = squared_discrepancies(one.measure, shifted, seen, seen) > one.noise.scale
+        first = int(np.argmax(above)) if above.any() else SHIFTS - 1
+        low, high = float(tried[max(first - 1, 0)]), float(tried[first])
     return high

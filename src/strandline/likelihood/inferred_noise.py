@@ -11,7 +11,7 @@ its length to the grid.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +24,7 @@ from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.linearised import Linearised, linearise
 from strandline.likelihood.mixture import Mixture
 from strandline.likelihood.model_error import Cause, Causes, causes_of
+from strandline.likelihood.near_field import NearField
 from strandline.surrogate.field import FieldSurrogate
 
 __all__ = ["InferredNoise", "NoisePosterior", "infer_noise", "posterior_of_noise", "require_inferable"]
@@ -100,12 +101,14 @@ class InferredNoise:
         likelihood: The likelihood.
         posterior: Posterior of the noise and of the model's errors.
         explained: What these errors do to the residuals, in root mean square of the posterior, mm.
+        field: The residuals as a function of the field near the best fit, for the sums that the likelihood needs.
         without: The likelihood of a model that does not err, with its own noise; None if no error was allowed.
     """
 
     likelihood: Mixture
     posterior: NoisePosterior
     explained: Float[np.ndarray, "seen cause"]
+    field: NearField
     without: Mixture | None = None
 
     def at_median(self, observations: Sequence[Observation]) -> tuple[Observation, ...]:
@@ -159,10 +162,11 @@ def infer_noise(surrogate: FieldSurrogate, observations: Sequence[Observation]) 
     if len(unknown) < len(observations):
         return None
     typical = [one.typical(o.interface) for one, o in zip(unknown, observations, strict=True)]
-    lin = linearise(surrogate, observations, typical)
+    lin = linearise(surrogate, JointErrors(tuple(observations), tuple(typical)))
     first = posterior_of_noise(lin, observations, unknown, causes_of(lin, observations, unknown[0]))
     sd, length = (first.quantiles([0.5])[name][0] for name in ("sd", "length"))
-    lin = linearise(surrogate, observations, [one.known(sd, length) for one in unknown])  # weighs the residuals better
+    likely = tuple(one.known(sd, length) for one in unknown)
+    lin = linearise(surrogate, JointErrors(tuple(observations), likely))  # weighs the residuals better
     causes = causes_of(lin, observations, unknown[0])
     found = posterior_of_noise(lin, observations, unknown, causes, near=first)
     size = np.sqrt(found.weights.sum(axis=(1, 2)) @ causes.scales**2)
@@ -170,7 +174,9 @@ def infer_noise(surrogate: FieldSurrogate, observations: Sequence[Observation]) 
     if len(causes.compared) > 1:
         none = Causes(causes.compared[:1], causes.columns, causes.scales[:1])
         without = _mixture(lin, seen, unknown, none, posterior_of_noise(lin, seen, unknown, none))
-    return InferredNoise(_mixture(lin, seen, unknown, causes, found), found, causes.columns * size, without)
+    mixture = _mixture(lin, seen, unknown, causes, found)
+    field = replace(lin.field, model=mixture.model)
+    return InferredNoise(mixture, found, causes.columns * size, field, without)
 
 
 def posterior_of_noise(

@@ -1,15 +1,15 @@
 """The residuals of all observations as a linear function of the inputs, at the inputs that fit best."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import qmc
 
-from strandline.interface import ErrorModel, Observation, PointErrors
+from strandline.interface import ErrorModel
 from strandline.likelihood.joint_errors import JointErrors
-from strandline.likelihood.residuals import residuals_of
+from strandline.likelihood.near_field import NearField, near_field
+from strandline.likelihood.residuals import sums_of
 from strandline.surrogate.field import FieldSurrogate
 
 __all__ = ["Linearised", "linearise"]
@@ -29,15 +29,20 @@ class Linearised:
 
     Args:
         at: The inputs that fit best, shape (dim,).
-        residuals: Signed distances of all observed points at these inputs, one observation after the other, mm.
-        slopes: Their derivatives, shape (n, dim), mm per unit of the input.
+        slopes: Derivatives of the residuals in the inputs, shape (n, dim), mm per unit of the input.
         widths: Widths of the box of the inputs.
+        field: The residuals as a function of the field there.
     """
 
     at: Float[np.ndarray, " dim"]
-    residuals: Float[np.ndarray, " seen"]
     slopes: Float[np.ndarray, "seen dim"]
     widths: Float[np.ndarray, " dim"]
+    field: NearField
+
+    @property
+    def residuals(self) -> Float[np.ndarray, " seen"]:
+        """Signed distances of all observed points at `at`, one observation after the other, mm."""
+        return self.field.residuals
 
     @property
     def scaled(self) -> Float[np.ndarray, "seen dim"]:
@@ -49,44 +54,40 @@ class Linearised:
         return np.asarray(np.linalg.inv(model.information(self.slopes)))
 
 
-def linearise(
-    surrogate: FieldSurrogate, observations: Sequence[Observation], errors: Sequence[PointErrors]
-) -> Linearised:
+def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
     """Return the residuals around the inputs that fit best, by Gauss–Newton steps inside the box of the inputs.
 
     Args:
         surrogate: Surrogate of the field.
-        observations: The observed interfaces.
-        errors: Errors of the points of each, to weigh the residuals.
+        joint: The observed interfaces with the errors of their points, to weigh the residuals.
     """
     low, high = surrogate.warping.low, surrogate.warping.high
-    joint, widths = JointErrors(tuple(observations), tuple(errors)), high - low
-    model = joint.model
+    widths, model = high - low, joint.model
     templates = {name: layout.template for name, layout in surrogate.layouts.items()}
 
-    def residuals(x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point seen"]:
-        return residuals_of(joint, surrogate.points(surrogate.mean(x)), templates)
-
-    def around(x: Float[np.ndarray, " dim"]) -> tuple[Float[np.ndarray, " seen"], Float[np.ndarray, "seen dim"]]:
+    def around(x: Float[np.ndarray, " dim"]) -> tuple[NearField, Float[np.ndarray, "seen dim"]]:
         step = _DIFFERENCE * widths * np.where(x + _DIFFERENCE * widths > high, -1.0, 1.0)
-        found = residuals(x + np.vstack([np.zeros(len(x)), np.diag(step)]))
-        return found[0], ((found[1:] - found[0]) / step[:, None]).T
+        coefficients = surrogate.mean(x + np.vstack([np.zeros(len(x)), np.diag(step)]))
+        field = near_field(surrogate, joint, coefficients[0], linear=True)
+        return field, field.slopes @ ((coefficients[1:] - coefficients[0]) / step[:, None]).T
 
     tried = low + widths * qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(TRIED)
-    x = tried[int(np.argmin(model.square(residuals(tried))))]
-    r, J = around(x)
+    squares = model.square_of(*sums_of(joint, surrogate.points(surrogate.mean(tried)), templates))
+    x = tried[int(np.argmin(squares))]
+    field, J = around(x)
     for _ in range(STEPS):
+        r = field.residuals
         moved = _step(x, r, J, model, low, high)
         if (np.abs(moved - x) <= 1e-6 * widths).all():
             break
         for share in SHARES:
-            r_moved, J_moved = around(x + share * (moved - x))
-            if model.square(r_moved) < model.square(r):
+            field_moved, J_moved = around(x + share * (moved - x))
+            if model.square(field_moved.residuals) < model.square(r):
                 break
         else:
             break
-        x, r, J = x + share * (moved - x), r_moved, J_moved
-    return Linearised(x, r, J, widths)
+        x, field, J = x + share * (moved - x), field_moved, J_moved
+    return Linearised(x, J, widths, near_field(surrogate, joint, field.at))
 
 
 def _step(

@@ -40,30 +40,29 @@ class Mixture:
         points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
         return float(self.many(points, interfaces)[0])
 
-    def many(
-        self, points: Points, templates: Mapping[str, Interface], *, rough: bool = False
-    ) -> Float[np.ndarray, " run"]:
-        """Return log L of each run, given its points by condition; faster and off by a few units if `rough`."""
-        return self._of(*sums_of(self.joint, points, templates, self._model, self._global_errors, rough=rough))
+    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
+        """Return log L of each run, given its points by condition."""
+        return self.of_sums(*sums_of(self.joint, points, templates, self.model, self._global_errors))
 
     @cached_property
-    def _model(self) -> ErrorModel:
+    def model(self) -> ErrorModel:
+        """V and B."""
         return ErrorModel(self.local, self.shared)
 
     def _global_errors(self, products: Float[np.ndarray, "run error"]) -> Float[np.ndarray, "run error"]:
         """Return the most probable global errors at the likeliest level; other shared errors stay as they are."""
         likeliest = int(np.argmax(self.log_weights))
         level, scale = self.levels[likeliest], self.scales[likeliest]
-        inverse = np.linalg.inv(level * np.eye(len(scale)) + scale[:, None] * self._model.gram * scale)
+        inverse = np.linalg.inv(level * np.eye(len(scale)) + scale[:, None] * self.model.gram * scale)
         found = (products * scale) @ inverse * scale
         found[:, self.joint.model.shared.shape[1] :] = 0.0
         return np.asarray(found)
 
-    def _of(
+    def of_sums(
         self, squares: Float[np.ndarray, " run"], products: Float[np.ndarray, "run error"]
     ) -> Float[np.ndarray, " run"]:
         """Return log L from Σ r²/V and e = BᵀV⁻¹r, for d² = Σ r²/(κV) - (Se)ᵀ (κ²I + κ S G S)⁻¹ Se, G = BᵀV⁻¹B."""
-        G = self._model.gram
+        G = self.model.gram
         values = np.empty((len(self.levels), len(squares)))
         for k, (level, scale) in enumerate(zip(self.levels, self.scales, strict=True)):
             inverse = np.linalg.inv(level**2 * np.eye(len(G)) + level * scale[:, None] * G * scale)

@@ -36,8 +36,6 @@ def sums_of(
     templates: Mapping[str, Interface],
     model: ErrorModel | None = None,
     estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]] | None = None,
-    *,
-    rough: bool = False,
 ) -> Sums:
     """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r over the signed distances r of all observed points, for each predicted interface.
 
@@ -47,7 +45,6 @@ def sums_of(
         templates: An interface of each condition, for its cells.
         model: D and B, which may have columns after those of the global errors.
         estimate: Function that returns the global errors, in units of B, from Bᵀ D⁻¹ r.
-        rough: Whether sums that are off by a few units are enough.
     """
     model = joint.model if model is None else model
     estimate = model.shared_errors if estimate is None else estimate
@@ -59,7 +56,6 @@ def sums_of(
         lambda products: estimate(products) * moves,
         lambda some, g: joint.followed(some, templates, g),
         model.gram,
-        rough=rough,
     )
 
 

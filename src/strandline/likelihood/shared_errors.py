@@ -41,11 +41,9 @@ class SharedErrors:
         points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
         return float(self.many(points, interfaces)[0])
 
-    def many(
-        self, points: Points, templates: Mapping[str, Interface], *, rough: bool = False
-    ) -> Float[np.ndarray, " run"]:
-        """Return d² of each run, given its points by condition; faster and off by a few units if `rough`."""
-        return self.model.square_of(*sums_of(self.joint, points, templates, rough=rough))
+    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
+        """Return d² of each run, given its points by condition."""
+        return self.model.square_of(*sums_of(self.joint, points, templates))
 
 
 def shared_errors(observations: Sequence[Observation], measure: Discrepancy) -> SharedErrors | None:

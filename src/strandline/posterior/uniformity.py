@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.stats import binom
 
-__all__ = ["Band", "Coverage", "coverage_of", "uniformity", "weighted_ranks"]
+__all__ = ["Band", "Coverage", "coverage_of", "region_coverage_of", "uniformity", "weighted_ranks"]
 
 _SIMULATIONS = 5000
 
@@ -43,11 +43,11 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """How often central intervals contain the truth.
+    """How often central intervals, or regions of the draws that fit best, contain the truth.
 
     Args:
         level: Nominal probability of the intervals.
-        found: Share that contain the truth, for each input.
+        found: Share that contain the truth, for each input; a single one for regions.
         low: Lower end of a 95 % interval for that probability (Wilson 1927).
         high: Upper end of it.
     """
@@ -80,8 +80,18 @@ def uniformity(ranks: Float[np.ndarray, " replicate"], *, level: float = 0.95) -
 
 def coverage_of(ranks: Float[np.ndarray, "replicate dim"], level: float) -> Coverage:
     """Return how often the truth's rank lies in the central part of that probability."""
-    number, z = len(ranks), 1.959964
-    found = (np.abs(ranks - 0.5) <= 0.5 * level).mean(axis=0)
+    return _counted(np.abs(ranks - 0.5) <= 0.5 * level, level)
+
+
+def region_coverage_of(ranks: Float[np.ndarray, " replicate"], level: float) -> Coverage:
+    """Return how often the truth's log-likelihood is above that of a share 1 - `level` of the posterior."""
+    return _counted(ranks[:, None] >= 1 - level, level)
+
+
+def _counted(contained: Bool[np.ndarray, "replicate dim"], level: float) -> Coverage:
+    """Return how often intervals or regions of probability `level` contain the truth."""
+    number, z = len(contained), 1.959964
+    found = contained.mean(axis=0)
     centre, spread = found + z**2 / (2 * number), z * np.sqrt(found * (1 - found) / number + z**2 / (4 * number**2))
     factor = 1 / (1 + z**2 / number)
     return Coverage(level, found, factor * (centre - spread), factor * (centre + spread))

@@ -14,7 +14,9 @@ __all__ = ["draw_coverage"]
 RANKS = (
     "Ranks of the truths in their posteriors: share of the ranks up to each place, minus the share that uniform ranks "
     "would have. If the posteriors are right, all lines stay inside their bands together with a probability of 95 %. "
-    "A line that rises first and then falls below zero means posteriors that are too narrow; the reverse, too wide."
+    "A line that rises first and then falls below zero means posteriors that are too narrow; the reverse, too wide. "
+    "The last panel ranks the truth's log-likelihood among those of the draws: a line above zero means posteriors that "
+    "are too narrow in all inputs together, one below zero too wide."
 )
 INTERVALS = "Share of the central 50 % and 90 % intervals that contain the truth, with its 95 % interval (Wilson)."
 
@@ -22,6 +24,7 @@ INTERVALS = "Share of the central 50 % and 90 % intervals that contain the truth
 def draw_coverage(content: Mapping[str, Any]) -> Iterator[Captioned]:
     """Yield the figure of the ranks and that of the intervals."""
     bands = {name: _band(item) for name, item in content["inputs"].items()}
+    bands["log-likelihood"] = _band(content["log_likelihood"])
     yield Captioned("coverage_ranks", "coverage", RANKS, whole(plots.plot_rank_bands(bands)))
     found = {name: [_interval(one) for one in item["intervals"]] for name, item in content["inputs"].items()}
     yield Captioned("coverage_intervals", "coverage", INTERVALS, whole(plots.plot_intervals(found).figure))

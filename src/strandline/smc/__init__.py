@@ -1,8 +1,9 @@
 """Adaptive tempered Sequential Monte Carlo."""
 
+from strandline.smc.carried import carried_over
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each
 from strandline.smc.moves import BatchedLogDensity, Moved, metropolis
-from strandline.smc.on_host import is_on_host, rejuvenate
+from strandline.smc.on_host import is_on_host
 from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo
 from strandline.smc.resampling import systematic
 from strandline.smc.sampler import sample
@@ -18,11 +19,11 @@ __all__ = [
     "SMCResult",
     "SMCSettings",
     "StepInfo",
+    "carried_over",
     "effective_sample_size",
     "is_on_host",
     "metropolis",
     "next_temperature",
-    "rejuvenate",
     "sample",
     "sample_each",
     "systematic",

@@ -12,6 +12,7 @@ from strandline.calibration.coverage import CoverageFound, Replicate
 from strandline.calibration.experiment import CoordinateErrors, Experiment
 from strandline.calibration.field_quality import FieldQuality
 from strandline.interface import Noise, PointErrors, UnknownErrors
+from strandline.posterior.uniformity import Band, Coverage
 from strandline.studies.study import Study
 from strandline.studies.summary import versions
 from strandline.version import __version__
@@ -20,6 +21,7 @@ __all__ = ["ReplicateFile", "describe_coverage"]
 
 TO_MICROMETRES = 1e3
 ARRAYS = ("truth", "ranks", "mean", "sd", "limit")
+NUMBERS = ("fit_rank", "effective")
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class ReplicateFile:
     def append(self, one: Replicate) -> None:
         """Add a replicate."""
         arrays = {name: getattr(one, name).tolist() for name in ARRAYS}
-        entry = {"of": self.key, "number": one.number, **arrays, "effective": one.effective, "by": one.by}
+        numbers = {name: getattr(one, name) for name in NUMBERS}
+        entry = {"of": self.key, "number": one.number, **arrays, **numbers, "by": one.by}
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry) + "\n")
 
@@ -64,8 +67,9 @@ def _parsed(line: bytes) -> dict[str, Any]:
 
 
 def _replicate(entry: Mapping[str, Any]) -> Replicate:
-    arrays = {name: np.array(entry[name], float) for name in ARRAYS}
-    return Replicate(number=int(entry["number"]), effective=float(entry["effective"]), by=entry["by"], **arrays)
+    arrays: dict[str, Any] = {name: np.array(entry[name], float) for name in ARRAYS}
+    numbers: dict[str, Any] = {name: float(entry[name]) for name in NUMBERS}
+    return Replicate(number=int(entry["number"]), by=entry["by"], **arrays, **numbers)
 
 
 def describe_coverage(
@@ -100,6 +104,13 @@ def describe_coverage(
         "calibrated": found.calibrated,
         "remarks": list(found.remarks),
         "inputs": _inputs(study, found),
+        "log_likelihood": {
+            "inside": found.fit_band.inside,
+            "p_value": found.fit_band.p_value,
+            "regions": [_share(one, 0) for one in found.regions],
+            "ranks": found.fit_ranks.tolist(),
+            "band": _band(found.fit_band),
+        },
         "sampling": {
             "importance": sum(one.by == "importance" for one in found.replicates),
             "smc": sum(one.by == "smc" for one in found.replicates),
@@ -116,19 +127,24 @@ def _inputs(study: Study, found: CoverageFound) -> dict[str, Any]:
             "unit": parameter.unit,
             "inside": band.inside,
             "p_value": band.p_value,
-            "intervals": [
-                {"level": one.level, **{part: float(getattr(one, part)[i]) for part in ("found", "low", "high")}}
-                for one in found.intervals
-            ],
+            "intervals": [_share(one, i) for one in found.intervals],
             "z_mean": float(means[i]),
             "z_sd": float(spreads[i]),
             "sd": float(found.sd[i]),
             "of_limit": float(ratios[i]),
             "ranks": found.ranks[:, i].tolist(),
-            "band": {part: getattr(band, part).tolist() for part in ("places", "found", "low", "high")},
+            "band": _band(band),
         }
         for i, (parameter, band) in enumerate(zip(study.space, found.bands, strict=True))
     }
+
+
+def _share(one: Coverage, i: int) -> dict[str, float]:
+    return {"level": one.level, **{part: float(getattr(one, part)[i]) for part in ("found", "low", "high")}}
+
+
+def _band(band: Band) -> dict[str, list[float]]:
+    return {part: getattr(band, part).tolist() for part in ("places", "found", "low", "high")}
 
 
 def _noise(study: Study, experiment: Experiment) -> list[dict[str, Any]]:

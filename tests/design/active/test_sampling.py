@@ -11,6 +11,7 @@ from strandline.design import sobol
 from strandline.design.active import sampling as module
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.state import State
+from strandline.smc import Particles, carried
 
 X = SPACE.to_physical(sobol(12, 2))
 
@@ -34,8 +35,6 @@ class TwoModes(Assumed):
     def plug_in(self, x: np.ndarray) -> np.ndarray:
         other = replace(self, mean=self.far)
         return np.logaddexp(super().plug_in(x), super(TwoModes, other).plug_in(x))
-
-    expected = plug_in
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +87,9 @@ def test_a_posterior_that_moved_a_little_is_found_from_the_one_before() -> None:
 
 
 def test_moves_that_forget_the_new_weights_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "rejuvenate", lambda key, state, *others, **options: replaced(state))
+    monkeypatch.setattr(carried, "rejuvenate", lambda key, state, *others, **options: replaced(state))
 
-    def replaced(state: module.Particles) -> module.Particles:
+    def replaced(state: Particles) -> Particles:
         return state._replace(log_weights=0 * state.log_weights - np.log(len(state.log_weights)))
 
     assert np.abs(z_scores(first(), (0.25, 0.08))).max() > 4
@@ -139,7 +138,7 @@ def test_a_rough_likelihood_leads_to_the_exact_posterior() -> None:
 
 
 def test_a_rough_likelihood_that_is_not_weighed_off_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    forgotten = lambda host, space, near, *others: near._replace(values=host(near.positions))  # noqa: E731
+    forgotten = lambda host, space, near, *others: replace(near, log_likelihood=host(near.positions))  # noqa: E731
     monkeypatch.setattr(module, "_gone_on", forgotten)
     assert np.abs(z_scores(None, (0.2, 0.1), knowledge=rough((0.2, 0.1), 0.05))).max() > 4
 

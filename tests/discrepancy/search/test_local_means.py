@@ -47,14 +47,6 @@ def test_the_log_likelihood_is_that_of_all_points(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(found, exact, rtol=0.02, atol=3.0)
 
 
-def test_a_rough_measure_is_off_by_a_few_units_where_the_posterior_lies() -> None:
-    measure, seen = WhitenedOffset(ERRORS), observed()
-    exact, rough = (one.many(interfaces(), arch(161), seen) for one in (measure, measure.rough()))
-    near = exact < exact.min() + 10
-    assert np.abs((rough - exact)[near] - (rough - exact)[near].mean()).max() < 2
-    assert not np.array_equal(rough, exact)
-
-
 def on_a_circle(number: int) -> np.ndarray:
     """Return the distances from the middle of the places that stand for 1600 points on a circle of radius 1."""
     angle = np.linspace(0.0, 6.0, 1600)

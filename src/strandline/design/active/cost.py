@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.sampling import MANY_INPUTS_PARTICLES, PARTICLES, ROUGHLY, SAMPLING
+from strandline.design.active.sampling import MANY_INPUTS_PARTICLES, PARTICLES, SAMPLING
 from strandline.discrepancy import Discrepancy, squared_discrepancies
 from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.interface import Interface, Observation
@@ -19,6 +19,8 @@ SLOW_BATCH = 30.0
 """Seconds from which a batch counts as slow."""
 TEMPERING_STEPS = 20
 """Tempering steps from the prior to a much narrower posterior: 21 for a drop with five inputs."""
+LINEAR = 2 + SAMPLING.rejuvenation_steps
+"""Comparisons of each particle where residuals that are linear in the field lead to the posterior."""
 TRIED = 32, 1024
 """Interfaces compared to measure the cost of one; the larger number if the smaller takes less than `QUICK`."""
 QUICK = 0.2
@@ -45,12 +47,8 @@ def seconds_of_a_batch(
         template = simulated[seen.condition]
         measure, width = compared(seen, discrepancy, len(template.points)).measure, noise_length(seen, discrepancy)
         each = _seconds_of_one(seen, measure, template, width)
-        if isinstance(measure, WhitenedOffset):
-            rough = _seconds_of_one(seen, measure.rough(), template, width)
-            total += rough * (1 + TEMPERING_STEPS * ROUGHLY.rejuvenation_steps)
-            total += each * (2 + SAMPLING.rejuvenation_steps + DRAWS)
-        else:
-            total += each * (1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS)
+        linear = isinstance(measure, WhitenedOffset) and seen.interface.dim == 2
+        total += each * (LINEAR if linear else 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS)
     return total * PARTICLES.get(dim, MANY_INPUTS_PARTICLES)
 
 

@@ -1,0 +1,274 @@
+"""Signed distances of the observed points as a function of the field, near one predicted interface.
+
+A small motion of the simulated interface by a along its normal and by τ along its tangent, at the point closest to an
+observed one, changes the signed distance by -a to first order (Danskin 1966) and by τ a' - ½ κ τ² to second order; a'
+is the derivative of a along the interface, κ its curvature. One search for closest points yields these for all modes.
+Sums over the residuals are then polynomials of the coefficients; to first order, the likelihood expected over a
+Gaussian field has a closed form.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.sparse import csr_array
+
+from strandline.discrepancy.normal_offset import extended
+from strandline.discrepancy.registration import Sums
+from strandline.discrepancy.search.nearest import closest_points
+from strandline.interface import ErrorModel, Interface
+from strandline.likelihood.joint_errors import JointErrors
+from strandline.surrogate.field import FieldSurrogate
+
+__all__ = ["NearField", "near_field"]
+
+REGISTRATIONS = 2
+"""Steps of registration, as in `strandline.discrepancy.registration`."""
+STEP = 1e-6
+"""Step of the finite differences, in extents of the interface; all but the ends that go on straight is linear."""
+NOTHING = 1e-9
+"""Distance, in extents of the observed interface, below which it has no direction."""
+TRUSTED = 0.5
+"""Second-order part of the change of the residuals, as a share of the first-order one, up to which it is trusted."""
+BENT = 8
+"""Leading modes that count to second order."""
+BLOCK = 1024
+"""Fields whose likelihood is computed together."""
+
+
+@dataclass(frozen=True, eq=False)
+class NearField:
+    """r ≈ residuals + slopes z + bends z² + tail t, for z = coefficients - at and what the modes leave over.
+
+    Args:
+        at: Coefficients of the predicted interface, mm.
+        residuals: Signed distances of all observed points from it, one observation after the other, mm.
+        slopes: Their derivatives in the coefficients.
+        bends: Factors of the products z_k z_l, k ≤ l, of up to `BENT` leading modes, in the order of
+            `numpy.triu_indices`, 1/mm.
+        tail: Their derivatives in the standard normal numbers t, mm.
+        model: D and B of the residuals' errors, for the sums.
+    """
+
+    at: Float[np.ndarray, " mode"]
+    residuals: Float[np.ndarray, " seen"]
+    slopes: Float[np.ndarray, "seen mode"]
+    bends: Float[np.ndarray, "seen pair"]
+    tail: Float[np.ndarray, "seen rest"]
+    model: ErrorModel
+
+    def sums(self, coefficients: Float[np.ndarray, "draw mode"]) -> Sums:
+        """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r of fields; far away, to first order only."""
+        blocks = [self._sums(coefficients[k : k + BLOCK]) for k in range(0, len(coefficients), BLOCK)]
+        squares, products = zip(*blocks, strict=True)
+        return np.concatenate(squares), np.concatenate(products)
+
+    def _sums(self, coefficients: Float[np.ndarray, "draw mode"]) -> Sums:
+        G, products = self._of_sums
+        z, modes = coefficients - self.at, len(self.at)
+        first, second = np.triu_indices(min(modes, BENT))
+        pairs = z[:, first] * z[:, second]
+        ahead, bent = slice(1, 1 + modes), slice(1 + modes, None)
+        size = np.einsum("dk,dk->d", z @ G[ahead, ahead], z)
+        share = np.einsum("dk,dk->d", pairs @ G[bent, bent], pairs) / np.maximum(size, 1e-300)
+        terms = np.hstack([np.ones((len(z), 1)), z, pairs / (1 + share / TRUSTED**2)[:, None]])
+        return np.einsum("dk,dk->d", terms @ G, terms), terms @ products
+
+    @cached_property
+    def _of_sums(self) -> tuple[Float[np.ndarray, "term term"], Float[np.ndarray, "term error"]]:
+        F = np.column_stack([self.residuals, self.slopes, self.bends])
+        return F.T @ (F / self.model.local[:, None]), F.T @ self.model.features
+
+    def gain(
+        self, mean: Float[np.ndarray, "point mode"], variance: Float[np.ndarray, "point mode"]
+    ) -> Float[np.ndarray, " point"]:
+        """Return log E[L] - log L of the mean, for Gaussian fields with these means and variances, to first order.
+
+        With r = r̄ + S u for standard normal u, E exp(-½ rᵀC⁻¹r) = |M|^(-½) exp(-½ (r̄ᵀC⁻¹r̄ - bᵀM⁻¹b)), M = I + SᵀC⁻¹S
+        and b = SᵀC⁻¹r̄.
+        """
+        out = np.empty(len(mean))
+        for first in range(0, len(mean), BLOCK):
+            part = slice(first, first + BLOCK)
+            root, b, _ = self._whitened(mean[part], variance[part])
+            solved = np.linalg.solve(root, b[..., None])[..., 0]
+            logs = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+            out[part] = 0.5 * (solved**2).sum(axis=1) - logs
+        return out
+
+    def likely(
+        self,
+        mean: Float[np.ndarray, "point mode"],
+        variance: Float[np.ndarray, "point mode"],
+        normal: Float[np.ndarray, "point all"],
+    ) -> tuple[Float[np.ndarray, "point mode"], Float[np.ndarray, "point rest"], Float[np.ndarray, " point"]]:
+        """Return c and t of a draw at each point, of the field given the observation, and log L - log L of the mean.
+
+        Args:
+            mean: Means of the field at the points.
+            variance: Its variances.
+            normal: Standard normal numbers.
+        """
+        root, b, scale = self._whitened(mean, variance)
+        pulled = np.linalg.solve(root, b[..., None])[..., 0]
+        turned = np.swapaxes(root, 1, 2)
+        u = np.linalg.solve(turned, (normal - pulled)[..., None])[..., 0]
+        change = (b * u).sum(axis=1) + 0.5 * ((turned @ u[..., None])[..., 0] ** 2 - u**2).sum(axis=1)
+        modes = mean.shape[1]
+        return mean + scale[:, :modes] * u[:, :modes], u[:, modes:], -change
+
+    def _whitened(
+        self, mean: Float[np.ndarray, "point mode"], variance: Float[np.ndarray, "point mode"]
+    ) -> tuple[Float[np.ndarray, "point all all"], Float[np.ndarray, "point all"], Float[np.ndarray, "point all"]]:
+        """Return the lower Cholesky factor of M, b and the scales of u."""
+        slope, bend = self._quadratic
+        modes = mean.shape[1]
+        scale = np.hstack([np.sqrt(variance), np.ones((len(mean), self.tail.shape[1]))])
+        b = scale * (slope + (mean - self.at) @ bend[:modes])
+        M = np.eye(len(bend)) + scale[:, :, None] * bend * scale[:, None, :]
+        return np.linalg.cholesky(M), b, scale
+
+    @cached_property
+    def _quadratic(self) -> tuple[Float[np.ndarray, " all"], Float[np.ndarray, "all all"]]:
+        """AᵀC⁻¹r and AᵀC⁻¹A, for A with the columns of the tail."""
+        A = np.hstack([self.slopes, self.tail])
+        return A.T @ self.model.solved(self.residuals), self.model.information(A)
+
+
+def near_field(
+    surrogate: FieldSurrogate, joint: JointErrors, coefficients: Float[np.ndarray, " mode"], *, linear: bool = False
+) -> NearField:
+    """Return the residuals near the interface with these coefficients, which follows the observations' global errors.
+
+    Args:
+        surrogate: Surrogate of the field.
+        joint: The observations with the errors of their points.
+        coefficients: Coefficients of the modes, mm.
+        linear: Whether residuals and slopes are enough.
+    """
+    modes, rest = len(coefficients), 0 if linear else len(surrogate.modes.tail)
+    templates = {name: surrogate.layouts[name].template for name in joint.conditions}
+    step = STEP * max(float(np.ptp(one.points, axis=0).max()) for one in templates.values())
+    moved = coefficients + step * np.eye(1 + modes + rest, modes, -1)
+    points = surrogate.points(moved, step * np.eye(1 + modes + rest, rest, -1 - modes) if rest else None)
+    longer = {name: extended(points[name], templates[name]) for name in templates}
+    model, g = joint.model, np.zeros((1, joint.model.shared.shape[1]))
+    for _ in range(REGISTRATIONS if model.shared.any() else 0):
+        first = joint.followed({name: rows[:1] for name, rows in longer.items()}, templates, g)
+        r = _distances(joint, first, templates).residuals + model.shared @ g[0]
+        g = model.shared_errors((r @ model.features)[None]) * joint.moves
+    number, fields = int(np.count_nonzero(joint.moves)) if g.any() else 0, modes + rest
+    rows = {name: np.concatenate([one, one[:1].repeat(number, axis=0)]) for name, one in longer.items()}
+    by = np.repeat(g, 1 + fields + number, axis=0)
+    by[1 + fields :, joint.moves] += STEP * np.eye(number)
+    found = _distances(joint, joint.followed(rows, templates, by) if number else rows, templates)
+    motion = found.by(np.append(np.full(fields, step), np.full(number, STEP)))
+    if number:
+        motion = motion.registered(model, joint.moves, fields)
+    return NearField(
+        at=coefficients,
+        residuals=found.residuals + model.shared @ g[0],
+        slopes=-motion.across[:, :modes],
+        bends=motion.bends(0 if linear else min(modes, BENT)),
+        tail=-motion.across[:, modes:],
+        model=model,
+    )
+
+
+class _Motions(NamedTuple):
+    """Signed distances from an interface, how others move at the closest points, and its curvature there.
+
+    Motions are along the normal, along the tangent, and the derivative of the former along the interface.
+    """
+
+    residuals: Float[np.ndarray, " seen"]
+    across: Float[np.ndarray, "seen other"]
+    along: Float[np.ndarray, "seen other"]
+    turn: Float[np.ndarray, "seen other"]
+    curvature: Float[np.ndarray, " seen"]
+
+    def by(self, steps: Float[np.ndarray, " other"]) -> "_Motions":
+        """Return the motions for steps of one unit."""
+        return self._replace(across=self.across / steps, along=self.along / steps, turn=self.turn / steps)
+
+    def registered(self, model: ErrorModel, moves: Bool[np.ndarray, " error"], fields: int) -> "_Motions":
+        """Return the motions of r + Bg, g the most probable global errors, from those of r at constant g.
+
+        The first motions are those of `fields`, the others those of an interface that follows the global errors. They
+        are not quite B, which belongs to the observed points: with N what they do and g = P (r + Bg),
+        d(r + Bg) = dr + (B - N) dg = (I - (B - N) P)⁻¹ dr.
+        """
+        off = model.shared[:, moves] - self.across[:, fields:]
+        P = model.shared_errors(model.features)[:, moves].T
+        own = self.across[:, :fields]
+        across = own + off @ np.linalg.solve(np.eye(off.shape[1]) - P @ off, P @ own)
+        follows = -P @ across
+        along, turn = (one[:, :fields] + one[:, fields:] @ follows for one in (self.along, self.turn))
+        return self._replace(across=across, along=along, turn=turn)
+
+    def bends(self, modes: int) -> Float[np.ndarray, "seen pair"]:
+        """Return the factors of the products of two motions, of the first ones."""
+        one, other = np.triu_indices(modes)
+        found = self.along[:, one] * self.turn[:, other] + self.along[:, other] * self.turn[:, one]
+        found -= self.curvature[:, None] * self.along[:, one] * self.along[:, other]
+        return np.asarray(found * np.where(one == other, 0.5, 1.0))
+
+
+def _distances(
+    joint: JointErrors, points: Mapping[str, Float[np.ndarray, "row node 2"]], templates: Mapping[str, Interface]
+) -> _Motions:
+    """Return the distances of all observed points from the first of some interfaces, and how the others move."""
+    found = [_of_one(o.interface.points, points[o.condition], templates[o.condition]) for o in joint.observations]
+    return _Motions(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def _of_one(
+    seen: Float[np.ndarray, "seen 2"], points: Float[np.ndarray, "row node 2"], template: Interface
+) -> _Motions:
+    interface = Interface(points[0], template.cells)
+    found = closest_points(seen, interface, once=True)
+    cells, normals = template.cells[found.cells], interface.normals[found.cells]
+    ends = points[0][cells]
+    side = np.where(((seen - ends[:, 0]) * normals).sum(axis=1) < 0, -1.0, 1.0)
+    distance = np.sqrt(found.squares)
+    apart = (distance > NOTHING * np.ptp(seen, axis=0).max())[:, None]
+    away = np.where(apart, distance[:, None], 1.0)
+    n = np.where(apart, side[:, None] * (seen - found.points) / away, normals)
+    t = np.stack([n[:, 1], -n[:, 0]], axis=1)
+    chord = ends[:, 1] - ends[:, 0]
+    t *= np.where((t * chord).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    share = ((found.points - ends[:, 0]) * chord).sum(axis=1) / np.maximum((chord**2).sum(axis=1), 1e-300)
+    moves = points[1:] - points[0]
+    slopes, tangents = _along(template, points[0], moves), _along(template, points[0], interface.points[None])[0]
+    bent = _along(template, points[0], (tangents / np.linalg.norm(tangents, axis=1, keepdims=True))[None])[0]
+
+    def there(values: Float[np.ndarray, "*other node 2"]) -> Float[np.ndarray, "*other seen 2"]:
+        """Return values of the nodes at the closest points."""
+        first, second = values[..., cells[:, 0], :], values[..., cells[:, 1], :]
+        return np.asarray((1 - share)[:, None] * first + share[:, None] * second)
+
+    move, slope = there(moves), there(slopes)
+    return _Motions(
+        side * distance,
+        (move * n).sum(axis=2).T,
+        (move * t).sum(axis=2).T,
+        (slope * n).sum(axis=2).T,
+        (there(bent) * n).sum(axis=1),
+    )
+
+
+def _along(
+    template: Interface, points: Float[np.ndarray, "node 2"], values: Float[np.ndarray, "other node 2"]
+) -> Float[np.ndarray, "other node 2"]:
+    """Return the derivatives of values of the nodes along a polyline: the mean over the segments at each node."""
+    first, second = template.cells.T
+    segments = np.arange(len(first))
+    touching = csr_array((np.ones(2 * len(first)), (np.append(first, second), np.append(segments, segments))))
+    lengths = touching @ np.linalg.norm(points[second] - points[first], axis=1)
+    number, _, dim = values.shape
+    changes = (values[:, second] - values[:, first]).swapaxes(0, 1).reshape(len(segments), number * dim)
+    summed = (touching @ changes) / lengths[:, None]
+    return np.asarray(summed.reshape(len(points), number, dim).swapaxes(0, 1))
