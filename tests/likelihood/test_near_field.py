@@ -8,13 +8,14 @@ import pytest
 from scipy.stats import multivariate_normal
 from tests.calibration.arches import SD, SPACE, TRUTH, arch, knowledge, seen
 
-from strandline.discrepancy import NormalOffset
-from strandline.interface import Observation, PointErrors, UnknownErrors
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset
+from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.likelihood import field as module
 from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.near_field import NearField, near_field
+from strandline.likelihood.nearby import OfStatedErrors
 from strandline.likelihood.residuals import residuals_of
 
 LOCAL = PointErrors(SD)
@@ -34,9 +35,9 @@ def joint(errors: PointErrors) -> JointErrors:
 
 
 def near(errors: PointErrors) -> NearField:
-    found = likelihood(errors).near_fit
-    assert found is not None
-    return found
+    found = likelihood(errors).nearby
+    assert isinstance(found, OfStatedErrors)
+    return found.field
 
 
 @pytest.mark.parametrize("errors", ALL)
@@ -111,24 +112,6 @@ def test_the_gain_is_that_of_a_wider_normal_distribution(errors: PointErrors) ->
         assert gain == pytest.approx(logs[0] - logs[1], abs=1e-6)
 
 
-def test_likely_draws_are_those_of_the_field_given_the_observation() -> None:
-    found = with_tail(near(LOCAL))
-    number, modes = 20_000, len(found.at)
-    mean, variance = np.repeat(found.at[None] + 0.01, number, axis=0), np.full((number, modes), 0.02**2)
-    c, t, change = found.likely(mean, variance, RANDOM.standard_normal((number, modes + 2)))
-    A = np.hstack([found.slopes * 0.02, found.tail])
-    precision = np.eye(modes + 2) + A.T @ found.model.solved(A.T).T
-    r = found.residuals + found.slopes @ (mean[0] - found.at)
-    centre = -np.linalg.solve(precision, A.T @ found.model.solved(r))
-    u = np.hstack([(c - mean) / 0.02, t])
-    spread = np.linalg.inv(precision)
-    assert np.abs((u.mean(axis=0) - centre) / np.sqrt(np.diag(spread) / number)).max() < 4.5
-    np.testing.assert_allclose(np.cov(u.T), spread, atol=5 * np.diag(spread).max() / np.sqrt(number))
-    some = r + u[:3] @ A.T
-    squares = [one @ found.model.solved(one) for one in (*some, r)]
-    np.testing.assert_allclose(change[:3], -0.5 * (np.array(squares[:3]) - squares[3]), rtol=1e-6, atol=1e-8)
-
-
 def wide(errors: PointErrors, widening: float) -> FieldLikelihood:
     """Return the likelihood with a surrogate that is so unsure that it counts for as much as the noise."""
     found = likelihood(errors)
@@ -161,20 +144,71 @@ WIDENING = {LOCAL: 1e7, GLOBAL: 1e8}
 """Makes the variance of the field count for as much as the noise."""
 
 
-def test_slopes_that_are_wrong_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_neighbour_that_is_wrong_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted: slopes that are half as large again; the mean over draws takes the place of the closed form."""
     found, x = wide(LOCAL, WIDENING[LOCAL]), around(LOCAL)
     right = near(LOCAL)
-    monkeypatch.setattr(FieldLikelihood, "near_fit", replace(right, slopes=1.5 * right.slopes))
+    wrong = OfStatedErrors(replace(right, slopes=1.5 * right.slopes), right.model)
+    monkeypatch.setattr(FieldLikelihood, "nearby", wrong)
     closed = found.expected(x)
     np.testing.assert_array_equal(closed, replace(found)._drawn(found.surrogate.predict(x)))
 
 
+def off(found: FieldLikelihood, x: np.ndarray) -> np.ndarray:
+    """Return how much log L nearby is off, but for a constant."""
+    assert found.nearby is not None
+    return np.asarray(found.nearby.log_likelihood(found.surrogate.mean(x)) - found.plug_in(x))
+
+
 @pytest.mark.parametrize("errors", [*ALL, pytest.param(UnknownErrors(), id="unknown")])
-def test_linear_residuals_lead_to_the_posterior(errors: PointErrors | UnknownErrors) -> None:
-    found, x = likelihood(errors), around(errors if isinstance(errors, PointErrors) else LOCAL, 200)
-    off = found.plug_in(x, rough=True) - found.plug_in(x)
-    assert np.ptp(off) < 1.0
+def test_it_leads_to_the_posterior(errors: PointErrors | UnknownErrors) -> None:
+    x = around(errors if isinstance(errors, PointErrors) else LOCAL, 200)
+    assert np.ptp(off(likelihood(errors), x)) < 1.0
+
+
+MEASURES = [
+    pytest.param(Currents(0.03), id="currents"),
+    pytest.param(ClosestPoint(direction="to_simulated"), id="to simulated"),
+    pytest.param(ClosestPoint(direction="to_observed", weighting="length"), id="to observed"),
+    pytest.param(ClosestPoint(direction="symmetric"), id="both ways"),
+    pytest.param(NormalOffset(), id="normal offset"),
+]
+
+
+def by(measure: Discrepancy, widening: float = 1.0) -> tuple[FieldLikelihood, np.ndarray]:
+    """Return a likelihood by this measure that hides shifts as `LOCAL` does, and inputs where the posterior lies."""
+    observation = Observation(arch(TRUTH), GaussianNoise(1.0))
+    shift = arch(TRUTH).points + np.array([0.0, 0.002])
+    noise = GaussianNoise(measure(Interface(shift, arch(TRUTH).cells), arch(TRUTH)))
+    found = knowledge(measure, {"": replace(observation, noise=noise)}).likelihood
+    processes = tuple(replace(one, widening=widening) for one in found.surrogate.processes)
+    return replace(found, surrogate=replace(found.surrogate, processes=processes)), around(LOCAL, 100)
+
+
+@pytest.mark.parametrize("measure", MEASURES)
+def test_other_measures_follow_offsets(measure: Discrepancy) -> None:
+    found, x = by(measure)
+    values = found.plug_in(x)
+    near_best = values > values.max() - 6
+    assert near_best.sum() > 10
+    assert np.ptp(values[near_best]) > 2
+    assert np.ptp(off(found, x)[near_best]) < 0.6
+
+
+def test_the_centre_rule_follows_no_offsets() -> None:
+    assert by(Currents(0.03, quadrature="centre"))[0].nearby is None
+
+
+@pytest.mark.parametrize("measure", MEASURES[:2])
+def test_fields_are_drawn_nearby(measure: Discrepancy, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, x = by(measure, 1e7)
+    some = found.expected(x)
+    exact = found._drawn(found.surrogate.predict(x))
+    assert np.abs(exact - found.plug_in(x)).max() > 0.3
+    assert (some != exact).any()
+    np.testing.assert_allclose(some[exact > exact.max() - 6], exact[exact > exact.max() - 6], atol=0.2)
+    monkeypatch.setattr(type(measure), "of_offsets", lambda *given: 4 * (given[1] ** 2).sum(axis=1))  # planted
+    np.testing.assert_array_equal(replace(found).expected(x), exact)
 
 
 def test_the_best_inputs_fit_best() -> None:

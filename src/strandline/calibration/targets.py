@@ -162,10 +162,10 @@ class FieldTarget:
 
     @cached_property
     def nearby(self) -> BatchedLogDensity | None:
-        """Log L with residuals that are linear in the field."""
+        """Log L by `FieldLikelihood.nearby`."""
         return (
             None
-            if self.knowledge.likelihood.near_fit is None
+            if self.knowledge.likelihood.nearby is None
             else OnHost(lambda x: np.asarray(self.knowledge.roughly(x)))
         )
 

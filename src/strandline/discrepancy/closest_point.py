@@ -88,6 +88,18 @@ class ClosestPoint:
         there, back = (way(points, template, observed) for way in (self._to_observed, self._to_simulated))
         return None if there is None or back is None else 0.5 * (there + back)
 
+    def of_offsets(
+        self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int
+    ) -> Float[np.ndarray, " run"]:
+        """Return the weighted sum of squares, for simulated nodes of the mean square along the observed interface."""
+        lengths = node_weights(observed)
+        mean = offsets**2 @ (lengths / lengths.sum())
+        if self.weighting == "length":
+            return np.asarray(mean)
+        there, back = nodes * mean, (offsets**2).sum(axis=1)
+        shares = {"to_observed": there, "to_simulated": back}
+        return np.asarray(shares.get(self._way, 0.5 * (there + back)))
+
     def adapted(self, errors: PointErrors | None) -> "ClosestPoint":
         """Return the measure with a direction: if none is set, that from points whose errors are stated."""
         return self if self.direction is not None else replace(self, direction="to_simulated" if errors else self._way)

@@ -98,6 +98,18 @@ class Currents:
         polylines = points, template.cells, observed.points, observed.cells
         return currents_of_many(*polylines, width=self.width, square=bound.square, rule=rule)
 
+    def of_offsets(
+        self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int
+    ) -> Float[np.ndarray, " run"] | None:
+        """Return 2√(2π) σ_W ∫ (1 - exp(-δ²/2σ_W²)) dt, for curves that are the distance δ apart and nearly parallel.
+
+        None for the quadrature ``centre``, which depends on where the nodes lie.
+        """
+        if self.quadrature == "centre":
+            return None
+        apart = -np.expm1(-0.5 * (offsets / self.width) ** 2)
+        return np.asarray(2 * math.sqrt(2 * math.pi) * self.width * (apart @ spacings(observed)))
+
     def tolerating(self, variance: float, observed: Interface) -> "Currents":
         """Return the measure with the largest tolerance that σ_N² = `variance`, mm² (mm⁴), allows, at least its own.
 

@@ -48,6 +48,12 @@ class NormalOffset:
         seen = observed.points
         return weighted_sums(seen, points, template, np.ones(len(seen)), np.empty((len(seen), 0)))[0]
 
+    def of_offsets(
+        self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int
+    ) -> Float[np.ndarray, " run"]:
+        """Return their sum of squares."""
+        return np.asarray((offsets**2).sum(axis=1))
+
     def terms(self, observed: Interface) -> int:
         """Return the number of observed points."""
         return len(observed.points)

@@ -13,6 +13,7 @@ __all__ = [
     "ComparesMany",
     "CountsDistances",
     "Discrepancy",
+    "FollowsOffsets",
     "HasTerms",
     "HasTolerance",
     "KnowsPointErrors",
@@ -101,6 +102,23 @@ class HasTolerance(Protocol):
 
     def tolerating(self, variance: float, observed: Interface) -> Discrepancy:
         """Return the measure with a tolerance that changes log L by less than a hundredth if σ_N² is `variance`."""
+        ...
+
+
+@runtime_checkable
+class FollowsOffsets(Protocol):
+    """A measure whose d² nearly follows from signed distances if the two polylines are close to each other."""
+
+    def of_offsets(
+        self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int
+    ) -> Float[np.ndarray, " run"] | None:
+        """Return about d² of simulated interfaces; None if it does not follow.
+
+        Args:
+            offsets: Signed distances of the observed points from each interface, mm.
+            observed: The observed polyline.
+            nodes: Number of nodes of the simulated interfaces.
+        """
         ...
 
 

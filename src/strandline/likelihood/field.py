@@ -1,9 +1,9 @@
 """The likelihood of inputs through a surrogate of the field: the measure is evaluated on the predicted interface."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,12 +13,10 @@ from scipy.stats import norm, qmc
 from strandline.discrepancy import Discrepancy, HasTolerance, NormalOffset, count_of_distances, squared_discrepancies
 from strandline.discrepancy.memo import MeasureKey, Snapshot
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, Observation, PointErrors
+from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared, errors_of
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
-from strandline.likelihood.joint_errors import JointErrors
-from strandline.likelihood.linearised import linearise
-from strandline.likelihood.near_field import NearField
+from strandline.likelihood.nearby import Nearby, Numbers, OfMixture, drawn_fields, nearby
 from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
@@ -26,9 +24,9 @@ __all__ = ["FieldLikelihood", "OnHost", "noise_length", "sd_of_distances"]
 
 DRAWS = 16
 """Fields drawn at each point for the expected likelihood; they come in pairs of opposite sign."""
-TRIED, LIKELY, TOLERATED = 32, 10.0, 0.3
-"""Draws of the field that show whether the closed form of E[L] holds; how much less log L than at the best point they
-may have; largest root mean square of what it misses."""
+TRIED, LIKELY, TOLERATED = 8, 10.0, 0.2
+"""Points at which `nearby` is compared with the measure; how much less likely than the best one they may be, in log L;
+largest difference of log E[L]."""
 ROUNDS, SHIFTS = 5, 16
 """Rounds of the search for the shift that the noise hides, and shifts tried in each."""
 _BLOCK = 8192  # interfaces predicted together
@@ -51,37 +49,16 @@ class FieldLikelihood:
     observations: tuple[Observation, ...]
     discrepancy: Discrepancy
 
-    def plug_in(self, x: Float[np.ndarray, "point dim"], *, rough: bool = False) -> Float[np.ndarray, " point"]:
-        """Return log L of the predicted interfaces as if they were exact; from `near_fit` if `rough`."""
-        if rough and self.near_fit is not None:
-            return self._of_sums(*self.near_fit.sums(self.surrogate.mean(x)))
+    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return log L of the predicted interfaces as if they were exact."""
         return self.at(self.surrogate.mean(x))
 
     @cached_property
-    def near_fit(self) -> NearField | None:
-        """The residuals where the interface fits best, and as a linear function of the field around.
-
-        None unless they are signed distances in the plane, with stated or inferred errors.
-        """
+    def nearby(self) -> Nearby | None:
+        """A log-likelihood that takes a fraction of the time near the best fit; None if there is none."""
         if self.inferred is not None:
-            return self.inferred.field
-        if self._joint is None or any(seen.interface.dim != 2 for seen in self.observations):
-            return None
-        return linearise(self.surrogate, self._joint).field
-
-    @cached_property
-    def _joint(self) -> JointErrors | None:
-        if self._shared is not None:
-            return self._shared.joint
-        errors = tuple(seen.noise for seen in self.observations if isinstance(seen.noise, PointErrors))
-        stated = isinstance(self.discrepancy, NormalOffset) and len(errors) == len(self.observations)
-        return JointErrors(self.observations, errors) if stated else None
-
-    def _of_sums(self, squares: Float[np.ndarray, " draw"], products: Float[np.ndarray, "draw error"]) -> Values:
-        if self.inferred is not None:
-            return self.inferred.likelihood.of_sums(squares, products)
-        assert self._joint is not None
-        return np.asarray(-0.5 * self._joint.model.square_of(squares, products))
+            return OfMixture(self.inferred.field, self.inferred.likelihood)
+        return nearby(self.surrogate, self.observations, self.discrepancy, self._shared)
 
     def at(self, coefficients: Float[np.ndarray, "point mode"]) -> Float[np.ndarray, " point"]:
         """Return log L of the interfaces with these coefficients of the modes, mm: `plug_in` of known predictions."""
@@ -93,32 +70,32 @@ class FieldLikelihood:
     ) -> Float[np.ndarray, " point"]:
         """Return log E[L] over the fields that the surrogate considers possible at each point.
 
-        Where residuals are linear in the field, this has a closed form. Otherwise it is the mean over `DRAWS` fields,
-        with the same standard normal numbers at every point. What the modes leave over is drawn like the modes.
+        This is the mean over `DRAWS` fields, with the same standard normal numbers at every point; what the modes leave
+        over is drawn like the modes. Where `nearby` agrees with the measure, its mean counts, or a closed form.
 
         Args:
             x: The points.
             plug_in: `plug_in` of them, if it is known.
         """
-        if self.inferred is None and self.near_fit is not None:
+        near = self.nearby
+        if near is not None:
             found = self.surrogate.predict(x)
             plain = self.at(found.mean) if plug_in is None else plug_in
-            values = np.asarray(plain + self.near_fit.gain(found.mean, found.variance))
-            if self._is_linear(self.near_fit, found, plain, values):
+            values = np.asarray(plain + near.gain(found, self._numbers))
+            if self._agrees(near, found, plain, values):
                 return values
         number = max(_BLOCK // DRAWS, 1)
         blocks = [x[k : k + number] for k in range(0, len(x), number)]
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
 
-    def _is_linear(self, near: NearField, found: FieldPrediction, plain: Values, values: Values) -> bool:
-        """Return whether the closed form holds: for fields that the observation allows at some likely points."""
+    def _agrees(self, near: Nearby, found: FieldPrediction, plain: Values, values: Values) -> bool:
+        """Return whether the mean over the same fields is the same by the measure and nearby, at some likely points."""
         likely = np.flatnonzero(values >= values.max() - LIKELY)
         some = likely[np.unique(np.linspace(0, len(likely) - 1, TRIED).astype(int))]
-        modes, rest = len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
-        normal = np.random.default_rng(2).standard_normal((len(some), modes + rest))
-        coefficients, tail, change = near.likely(found.mean[some], found.variance[some], normal)
-        off = self._of(coefficients, tail) - plain[some] - change
-        return bool(np.sqrt(np.mean(off**2)) <= TOLERATED)
+        part = FieldPrediction(found.mean[some], found.variance[some])
+        by_nearby = _mean_of_draws(near.log_likelihood(*drawn_fields(part, self._numbers)))
+        off = self._drawn(part) - plain[some] - (by_nearby - near.log_likelihood(part.mean))
+        return bool(np.abs(off).max() <= TOLERATED)
 
     def left_out(self, runs: Int[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
         """Return log E[L] at the training runs with these indices, each predicted from all others."""
@@ -128,11 +105,7 @@ class FieldLikelihood:
         return self._drawn(FieldPrediction(mean[runs], np.stack([one.variances for one in left_out], axis=1)[runs]))
 
     def _drawn(self, found: FieldPrediction) -> Float[np.ndarray, " point"]:
-        of_modes, of_tail = self._numbers
-        drawn = found.mean[:, None] + np.sqrt(found.variance)[:, None] * of_modes
-        tail = np.tile(of_tail, (len(found.mean), 1))
-        values = self._of(drawn.reshape(-1, drawn.shape[2]), tail).reshape(-1, DRAWS)
-        return np.asarray(logsumexp(values, axis=1) - np.log(DRAWS))
+        return _mean_of_draws(self._of(*drawn_fields(found, self._numbers)))
 
     def _of(
         self,
@@ -179,13 +152,17 @@ class FieldLikelihood:
         return shared_errors(self.observations, self.discrepancy)
 
     @cached_property
-    def _numbers(self) -> tuple[Float[np.ndarray, "draw mode"], Float[np.ndarray, "draw rest"]]:
+    def _numbers(self) -> Numbers:
         """Standard normal numbers: a Sobol sequence in the modes, each point with its opposite."""
         modes, rest = len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
         half = qmc.Sobol(modes, seed=np.random.default_rng(0)).random(DRAWS // 2)
         of_modes = norm.ppf(np.clip(half, 1e-6, 1 - 1e-6))
         of_tail = np.random.default_rng(1).standard_normal((DRAWS // 2, rest))
         return np.concatenate([of_modes, -of_modes]), np.concatenate([of_tail, -of_tail])
+
+
+def _mean_of_draws(values: Float[np.ndarray, " draw"]) -> Values:
+    return np.asarray(logsumexp(values.reshape(-1, DRAWS), axis=1) - np.log(DRAWS))
 
 
 @dataclass(frozen=True)
@@ -210,15 +187,14 @@ def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     This is the mean over shifts along the axes; half the interface's extent if no shift costs as much. Of stated errors
     of points, only the local ones count.
     """
-    errors = errors_of(observation)
-    if errors is None:
-        return _noise_length(observation, discrepancy)
-    return _length_of(MeasureKey.of(discrepancy), Snapshot.of(observation.interface), errors.local_part)
+    errors, noise = errors_of(observation), cast(Hashable, observation.noise)
+    known = MeasureKey.of(discrepancy), Snapshot.of(observation.interface)
+    return _length_of(*known, noise if errors is None else errors.local_part)
 
 
 @lru_cache(maxsize=64)
-def _length_of(key: MeasureKey, snapshot: Snapshot, errors: PointErrors) -> float:
-    return _noise_length(Observation(snapshot.interface, errors), key.measure)
+def _length_of(key: MeasureKey, snapshot: Snapshot, noise: Noise | PointErrors) -> float:
+    return _noise_length(Observation(snapshot.interface, noise), key.measure)
 
 
 def _noise_length(observation: Observation, discrepancy: Discrepancy) -> float:

@@ -60,27 +60,50 @@ class NearField:
     tail: Float[np.ndarray, "seen rest"]
     model: ErrorModel
 
-    def sums(self, coefficients: Float[np.ndarray, "draw mode"]) -> Sums:
+    def sums(
+        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
+    ) -> Sums:
         """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r of fields; far away, to first order only."""
-        blocks = [self._sums(coefficients[k : k + BLOCK]) for k in range(0, len(coefficients), BLOCK)]
-        squares, products = zip(*blocks, strict=True)
+        squares, products = [], []
+        for first in range(0, len(coefficients), BLOCK):
+            part = slice(first, first + BLOCK)
+            terms = self._terms(coefficients[part], None if tail is None else tail[part])
+            number = terms.shape[1]
+            squares.append(np.einsum("dk,dk->d", terms @ self._gram[:number, :number], terms))
+            products.append(terms @ self._products[:number])
         return np.concatenate(squares), np.concatenate(products)
 
-    def _sums(self, coefficients: Float[np.ndarray, "draw mode"]) -> Sums:
-        G, products = self._of_sums
-        z, modes = coefficients - self.at, len(self.at)
+    def offsets(
+        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
+    ) -> Float[np.ndarray, "draw seen"]:
+        """Return the residuals r of fields, mm; far away, to first order only."""
+        terms = self._terms(coefficients, tail)
+        return np.asarray(terms @ self._factors[:, : terms.shape[1]].T)
+
+    def _terms(
+        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
+    ) -> Float[np.ndarray, "draw term"]:
+        """Return what the columns of `_factors` are multiplied by."""
+        z, modes, pairs = coefficients - self.at, len(self.at), self.bends.shape[1]
         first, second = np.triu_indices(min(modes, BENT))
-        pairs = z[:, first] * z[:, second]
-        ahead, bent = slice(1, 1 + modes), slice(1 + modes, None)
-        size = np.einsum("dk,dk->d", z @ G[ahead, ahead], z)
-        share = np.einsum("dk,dk->d", pairs @ G[bent, bent], pairs) / np.maximum(size, 1e-300)
-        terms = np.hstack([np.ones((len(z), 1)), z, pairs / (1 + share / TRUSTED**2)[:, None]])
-        return np.einsum("dk,dk->d", terms @ G, terms), terms @ products
+        products = z[:, first] * z[:, second]
+        ahead, bent = slice(1, 1 + modes), slice(1 + modes, 1 + modes + pairs)
+        size = np.einsum("dk,dk->d", z @ self._gram[ahead, ahead], z)
+        share = np.einsum("dk,dk->d", products @ self._gram[bent, bent], products) / np.maximum(size, 1e-300)
+        columns = [np.ones((len(z), 1)), z, products / (1 + share / TRUSTED**2)[:, None]]
+        return np.hstack(columns if tail is None else [*columns, tail])
 
     @cached_property
-    def _of_sums(self) -> tuple[Float[np.ndarray, "term term"], Float[np.ndarray, "term error"]]:
-        F = np.column_stack([self.residuals, self.slopes, self.bends])
-        return F.T @ (F / self.model.local[:, None]), F.T @ self.model.features
+    def _factors(self) -> Float[np.ndarray, "seen term"]:
+        return np.column_stack([self.residuals, self.slopes, self.bends, self.tail])
+
+    @cached_property
+    def _gram(self) -> Float[np.ndarray, "term term"]:
+        return np.asarray(self._factors.T @ (self._factors / self.model.local[:, None]))
+
+    @cached_property
+    def _products(self) -> Float[np.ndarray, "term error"]:
+        return np.asarray(self._factors.T @ self.model.features)
 
     def gain(
         self, mean: Float[np.ndarray, "point mode"], variance: Float[np.ndarray, "point mode"]
@@ -93,43 +116,22 @@ class NearField:
         out = np.empty(len(mean))
         for first in range(0, len(mean), BLOCK):
             part = slice(first, first + BLOCK)
-            root, b, _ = self._whitened(mean[part], variance[part])
+            root, b = self._whitened(mean[part], variance[part])
             solved = np.linalg.solve(root, b[..., None])[..., 0]
             logs = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
             out[part] = 0.5 * (solved**2).sum(axis=1) - logs
         return out
 
-    def likely(
-        self,
-        mean: Float[np.ndarray, "point mode"],
-        variance: Float[np.ndarray, "point mode"],
-        normal: Float[np.ndarray, "point all"],
-    ) -> tuple[Float[np.ndarray, "point mode"], Float[np.ndarray, "point rest"], Float[np.ndarray, " point"]]:
-        """Return c and t of a draw at each point, of the field given the observation, and log L - log L of the mean.
-
-        Args:
-            mean: Means of the field at the points.
-            variance: Its variances.
-            normal: Standard normal numbers.
-        """
-        root, b, scale = self._whitened(mean, variance)
-        pulled = np.linalg.solve(root, b[..., None])[..., 0]
-        turned = np.swapaxes(root, 1, 2)
-        u = np.linalg.solve(turned, (normal - pulled)[..., None])[..., 0]
-        change = (b * u).sum(axis=1) + 0.5 * ((turned @ u[..., None])[..., 0] ** 2 - u**2).sum(axis=1)
-        modes = mean.shape[1]
-        return mean + scale[:, :modes] * u[:, :modes], u[:, modes:], -change
-
     def _whitened(
         self, mean: Float[np.ndarray, "point mode"], variance: Float[np.ndarray, "point mode"]
-    ) -> tuple[Float[np.ndarray, "point all all"], Float[np.ndarray, "point all"], Float[np.ndarray, "point all"]]:
-        """Return the lower Cholesky factor of M, b and the scales of u."""
+    ) -> tuple[Float[np.ndarray, "point all all"], Float[np.ndarray, "point all"]]:
+        """Return the lower Cholesky factor of M, and b."""
         slope, bend = self._quadratic
         modes = mean.shape[1]
         scale = np.hstack([np.sqrt(variance), np.ones((len(mean), self.tail.shape[1]))])
         b = scale * (slope + (mean - self.at) @ bend[:modes])
         M = np.eye(len(bend)) + scale[:, :, None] * bend * scale[:, None, :]
-        return np.linalg.cholesky(M), b, scale
+        return np.linalg.cholesky(M), b
 
     @cached_property
     def _quadratic(self) -> tuple[Float[np.ndarray, " all"], Float[np.ndarray, "all all"]]:

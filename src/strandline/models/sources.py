@@ -65,7 +65,7 @@ def _origin(name: str) -> str | None:
     return None if spec is None else spec.origin
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=4096)
 def _imported(text: str, package: str) -> tuple[str, ...]:
     """Return the names of all modules that this source may import, parents included."""
     return tuple(dict.fromkeys(part for name in _named(ast.parse(text), package) for part in _with_parents(name)))

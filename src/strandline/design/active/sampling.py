@@ -3,8 +3,8 @@
 From one batch to the next the posterior moves little, so its particles are reweighted, resampled and moved: a tenth of
 the evaluations of sampling from the prior. Particles that start from the last posterior cannot see a mode that has
 appeared elsewhere. So draws of the prior are tried as well, and whatever is checked on the true model is sampled from
-the prior. From the prior, a likelihood that is linear in the field leads near the posterior if there is one; its
-particles go on to the exact one in the same way.
+the prior. A likelihood that is quick near the best fit, if there is one, leads near the posterior; from there the
+particles go on to that of the measure in the same way.
 """
 
 from collections.abc import Callable
@@ -34,6 +34,8 @@ STREAM = 4
 """Keeps the random numbers of the active design apart from all others of the same seed."""
 ELSEWHERE = 0.01
 """Largest share of the evidence that draws of the prior may find outside the last posterior's particles."""
+SCOUTS = 1000
+"""Draws of the prior that are tried."""
 OUTSIDE = 5.0
 """Distance from the mean, in standard deviations of the particles, from which a draw is outside."""
 
@@ -60,18 +62,17 @@ def posterior_state(
     initial = space.prior_quantiles(rng.random((number, space.dim)))
     host = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x))
     key = jax.random.key(int(rng.integers(2**32)))
+    earlier = None if before is None or len(before.positions) != number else _sampled(before)
     with one_thread():
-        if before is not None and len(before.positions) == number:
-            found = _gone_on(host, space, _sampled(before), initial, key)
-            if found is not None:
-                return _state(knowledge, found)
         if knowledge.roughly(initial[:1]) is not None:
-            rough = OnHost(lambda x: TEMPERATURE * np.asarray(knowledge.roughly(x)))
-            near = sample(key, rough, space.log_prior, initial, settings=ROUGHLY, on_step=on_step)
-            found = _gone_on(host, space, near, initial, jax.random.fold_in(key, 1))
-            if found is not None:
-                return _state(knowledge, found)
-        found = sample(key, host, space.log_prior, initial, settings=SAMPLING, on_step=on_step)
+            rough, keys = OnHost(lambda x: TEMPERATURE * np.asarray(knowledge.roughly(x))), jax.random.split(key)
+            near = None if earlier is None else _gone_on(rough, space, earlier, initial, keys[0])
+            if near is None:
+                near = sample(key, rough, space.log_prior, initial, settings=ROUGHLY, on_step=on_step)
+            earlier = near
+        found = None if earlier is None else _gone_on(host, space, earlier, initial, jax.random.fold_in(key, 1))
+        if found is None:
+            found = sample(key, host, space.log_prior, initial, settings=SAMPLING, on_step=on_step)
         return _state(knowledge, found)
 
 
@@ -101,6 +102,7 @@ def _gone_on(
     w = np.exp(found.log_weights)
     mean = w @ found.positions
     sd = np.sqrt(w @ (found.positions - mean) ** 2)
+    scouts = scouts[:SCOUTS]
     outside = (np.abs(scouts - mean) > OUTSIDE * np.maximum(sd, np.finfo(float).tiny)).any(axis=1)
     if outside.any():
         elsewhere = logsumexp(host(scouts[outside])) - np.log(len(scouts)) - found.log_evidence

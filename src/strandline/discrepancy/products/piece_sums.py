@@ -23,6 +23,8 @@ PieceSum = Callable[[Pieces, Pieces, Pairs, Orders], Float[np.ndarray, " run"]]
 
 _CHUNK = 1 << 15
 """Numbers that NumPy processes at once."""
+_PIECES = 64
+"""The number of pieces is padded to a multiple of this."""
 _FARTHEST, _STEEPEST = 900.0, 200.0
 """Limits of exponents, to avoid overflow; only pairs so far apart that they contribute nothing reach them."""
 
@@ -49,7 +51,14 @@ def compiled_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np
     number = len(pairs.row)
     room = (1 << max(number - 1, 0).bit_length()) - number  # few lengths: each one is compiled for
     rows = (np.pad(some, (0, room)) for some in (pairs.row, pairs.column, pairs.times))
-    return np.asarray(_loop()(a.middles, a.halves, b.middles, b.halves, *rows, number, WHOLE, orders=orders))
+    pieces = (_padded(some) for some in (a.middles, a.halves, b.middles, b.halves))
+    return np.asarray(_loop()(*pieces, *rows, number, WHOLE, orders=orders))
+
+
+def _padded(pieces: Float[np.ndarray, "piece 2 *run"]) -> Float[np.ndarray, "more 2 *run"]:
+    """Return pieces with more behind them, which no pair refers to, so that there are few lengths."""
+    room = -len(pieces) % _PIECES
+    return np.pad(pieces, ((0, room), *((0, 0),) * (pieces.ndim - 1)))
 
 
 @lru_cache(maxsize=1)
