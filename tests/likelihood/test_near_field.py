@@ -175,10 +175,10 @@ MEASURES = [
 ]
 
 
-def by(measure: Discrepancy, widening: float = 1.0) -> tuple[FieldLikelihood, np.ndarray]:
+def by(measure: Discrepancy, widening: float = 1.0, hidden: float = 0.002) -> tuple[FieldLikelihood, np.ndarray]:
     """Return a likelihood by this measure that hides shifts as `LOCAL` does, and inputs where the posterior lies."""
     observation = Observation(arch(TRUTH), GaussianNoise(1.0))
-    shift = arch(TRUTH).points + np.array([0.0, 0.002])
+    shift = arch(TRUTH).points + np.array([0.0, hidden])
     noise = GaussianNoise(measure(Interface(shift, arch(TRUTH).cells), arch(TRUTH)))
     found = knowledge(measure, {"": replace(observation, noise=noise)}).likelihood
     processes = tuple(replace(one, widening=widening) for one in found.surrogate.processes)
@@ -192,7 +192,7 @@ def test_other_measures_follow_offsets(measure: Discrepancy) -> None:
     near_best = values > values.max() - 6
     assert near_best.sum() > 10
     assert np.ptp(values[near_best]) > 2
-    assert np.ptp(off(found, x)[near_best]) < 0.6
+    assert np.ptp(off(found, x)[near_best]) < 0.2 * np.ptp(values[near_best])
 
 
 def test_the_centre_rule_follows_no_offsets() -> None:
@@ -201,10 +201,10 @@ def test_the_centre_rule_follows_no_offsets() -> None:
 
 @pytest.mark.parametrize("measure", MEASURES[:2])
 def test_fields_are_drawn_nearby(measure: Discrepancy, monkeypatch: pytest.MonkeyPatch) -> None:
-    found, x = by(measure, 1e7)
+    found, x = by(measure, 1e7, 0.004)
     some = found.expected(x)
     exact = found._drawn(found.surrogate.predict(x))
-    assert np.abs(exact - found.plug_in(x)).max() > 0.3
+    assert np.abs(exact - found.plug_in(x)).max() > 0.2
     assert (some != exact).any()
     np.testing.assert_allclose(some[exact > exact.max() - 6], exact[exact > exact.max() - 6], atol=0.2)
     monkeypatch.setattr(type(measure), "of_offsets", lambda *given: 4 * (given[1] ** 2).sum(axis=1))  # planted
