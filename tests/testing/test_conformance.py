@@ -17,7 +17,7 @@ from tests.models.test_umbridge_client import model as served_model
 from tests.readers.test_meshes import TETRA, VTP_ASCII, grid, pvd
 
 from strandline.design.active import CRITERIA
-from strandline.discrepancy import DISCREPANCIES
+from strandline.discrepancy import DISCREPANCIES, ClosestPoint
 from strandline.imaging import EDGES, Located, PictureFile, PictureReading, PixelSize
 from strandline.imaging.erf_step import ErfStep
 from strandline.imaging.markov_path import MarkovPath
@@ -295,7 +295,22 @@ class Meddling:
         return value
 
 
-@pytest.mark.parametrize(("wrong", "words"), [(Signed(), "d² is -"), (Meddling(), "second call|changes the simulated")])
+@dataclass(frozen=True)
+class Halved(ClosestPoint):
+    """Returns half of d² from signed distances."""
+
+    def of_offsets(self, offsets: np.ndarray, observed: Interface, nodes: int) -> np.ndarray:
+        return 0.5 * super().of_offsets(offsets, observed, nodes)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (Signed(), "d² is -"),
+        (Meddling(), "second call|changes the simulated"),
+        (Halved(), "from signed distances is another"),
+    ],
+)
 def test_a_wrong_discrepancy_is_noticed(wrong: Any, words: str) -> None:
     assert re.search(words, complaints(discrepancies.CHECKS, wrong))
 

@@ -31,8 +31,8 @@ class Discrepancy(Protocol):
     """A measure of how far a simulated interface is from the observed one: d² ≥ 0, finite.
 
     A plain function with this signature works. A measure may also state its `unit`, e.g. ``mm²``, and `surface_unit`
-    if d² of surfaces has another one; the noise variance σ_N² has the same unit. `HasTerms`, `CountsDistances`
-    and `ComparesMany` describe what else it may offer.
+    if d² of surfaces has another one; the noise variance σ_N² has the same unit. `HasTerms`, `CountsDistances`,
+    `ComparesMany` and `FollowsOffsets` describe what else it may offer.
     """
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:

@@ -71,31 +71,33 @@ class FieldLikelihood:
         """Return log E[L] over the fields that the surrogate considers possible at each point.
 
         This is the mean over `DRAWS` fields, with the same standard normal numbers at every point; what the modes leave
-        over is drawn like the modes. Where `nearby` agrees with the measure, its mean counts, or a closed form.
+        over is drawn like the modes. For draws of the posterior, `nearby` may tell it instead, if it agrees with the
+        measure.
 
         Args:
             x: The points.
-            plug_in: `plug_in` of them, if it is known.
+            plug_in: `plug_in` of them, if they are draws of the posterior, or of a tempered one.
         """
-        near = self.nearby
-        if near is not None:
+        if plug_in is not None and self.nearby is not None:
             found = self.surrogate.predict(x)
-            plain = self.at(found.mean) if plug_in is None else plug_in
-            values = np.asarray(plain + near.gain(found, self._numbers))
-            if self._agrees(near, found, plain, values):
+            values = np.asarray(plug_in + self._gain(self.nearby, found))
+            if self._agrees(found, values):
                 return values
         number = max(_BLOCK // DRAWS, 1)
         blocks = [x[k : k + number] for k in range(0, len(x), number)]
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
 
-    def _agrees(self, near: Nearby, found: FieldPrediction, plain: Values, values: Values) -> bool:
-        """Return whether the mean over the same fields is the same by the measure and nearby, at some likely points."""
+    def _gain(self, near: Nearby, found: FieldPrediction) -> Values:
+        """Return log E[L] - log L of the mean by a likelihood nearby."""
+        drawn = near.log_likelihood(*drawn_fields(found, self._numbers))
+        return np.asarray(_mean_of_draws(drawn) - near.log_likelihood(found.mean))
+
+    def _agrees(self, found: FieldPrediction, values: Values) -> bool:
+        """Return whether log E[L] is the same by the measure, at some likely points."""
         likely = np.flatnonzero(values >= values.max() - LIKELY)
         some = likely[np.unique(np.linspace(0, len(likely) - 1, TRIED).astype(int))]
-        part = FieldPrediction(found.mean[some], found.variance[some])
-        by_nearby = _mean_of_draws(near.log_likelihood(*drawn_fields(part, self._numbers)))
-        off = self._drawn(part) - plain[some] - (by_nearby - near.log_likelihood(part.mean))
-        return bool(np.abs(off).max() <= TOLERATED)
+        exact = self._drawn(FieldPrediction(found.mean[some], found.variance[some]))
+        return bool(np.abs(exact - values[some]).max() <= TOLERATED)
 
     def left_out(self, runs: Int[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
         """Return log E[L] at the training runs with these indices, each predicted from all others."""

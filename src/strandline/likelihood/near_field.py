@@ -3,8 +3,7 @@
 A small motion of the simulated interface by a along its normal and by τ along its tangent, at the point closest to an
 observed one, changes the signed distance by -a to first order (Danskin 1966) and by τ a' - ½ κ τ² to second order; a'
 is the derivative of a along the interface, κ its curvature. One search for closest points yields these for all modes.
-Sums over the residuals are then polynomials of the coefficients; to first order, the likelihood expected over a
-Gaussian field has a closed form.
+Sums over the residuals are then polynomials of the coefficients.
 """
 
 from collections.abc import Mapping
@@ -104,40 +103,6 @@ class NearField:
     @cached_property
     def _products(self) -> Float[np.ndarray, "term error"]:
         return np.asarray(self._factors.T @ self.model.features)
-
-    def gain(
-        self, mean: Float[np.ndarray, "point mode"], variance: Float[np.ndarray, "point mode"]
-    ) -> Float[np.ndarray, " point"]:
-        """Return log E[L] - log L of the mean, for Gaussian fields with these means and variances, to first order.
-
-        With r = r̄ + S u for standard normal u, E exp(-½ rᵀC⁻¹r) = |M|^(-½) exp(-½ (r̄ᵀC⁻¹r̄ - bᵀM⁻¹b)), M = I + SᵀC⁻¹S
-        and b = SᵀC⁻¹r̄.
-        """
-        out = np.empty(len(mean))
-        for first in range(0, len(mean), BLOCK):
-            part = slice(first, first + BLOCK)
-            root, b = self._whitened(mean[part], variance[part])
-            solved = np.linalg.solve(root, b[..., None])[..., 0]
-            logs = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-            out[part] = 0.5 * (solved**2).sum(axis=1) - logs
-        return out
-
-    def _whitened(
-        self, mean: Float[np.ndarray, "point mode"], variance: Float[np.ndarray, "point mode"]
-    ) -> tuple[Float[np.ndarray, "point all all"], Float[np.ndarray, "point all"]]:
-        """Return the lower Cholesky factor of M, and b."""
-        slope, bend = self._quadratic
-        modes = mean.shape[1]
-        scale = np.hstack([np.sqrt(variance), np.ones((len(mean), self.tail.shape[1]))])
-        b = scale * (slope + (mean - self.at) @ bend[:modes])
-        M = np.eye(len(bend)) + scale[:, :, None] * bend * scale[:, None, :]
-        return np.linalg.cholesky(M), b
-
-    @cached_property
-    def _quadratic(self) -> tuple[Float[np.ndarray, " all"], Float[np.ndarray, "all all"]]:
-        """AᵀC⁻¹r and AᵀC⁻¹A, for A with the columns of the tail."""
-        A = np.hstack([self.slopes, self.tail])
-        return A.T @ self.model.solved(self.residuals), self.model.information(A)
 
 
 def near_field(

@@ -9,7 +9,6 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import logsumexp
 
 from strandline.discrepancy import Discrepancy, FollowsOffsets, NormalOffset
 from strandline.interface import ErrorModel, Observation, PointErrors
@@ -21,7 +20,7 @@ from strandline.likelihood.near_field import NearField
 from strandline.likelihood.shared_errors import SharedErrors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
-__all__ = ["Nearby", "Numbers", "OfMixture", "OfOffsets", "OfStatedErrors", "drawn_fields", "nearby"]
+__all__ = ["Nearby", "Numbers", "OfMixture", "OfOffsets", "OfStatedErrors", "drawn_fields", "follows_offsets", "nearby"]
 
 Values = Float[np.ndarray, " point"]
 Modes = Float[np.ndarray, "point mode"]
@@ -38,10 +37,6 @@ class Nearby(Protocol):
 
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
         """Return log L of the interfaces with these coefficients of the modes, mm, and of what they leave over."""
-        ...
-
-    def gain(self, found: FieldPrediction, numbers: Numbers) -> Values:
-        """Return log E[L] - log L of the mean over Gaussian fields, perhaps drawn with these numbers."""
         ...
 
 
@@ -61,10 +56,6 @@ class OfStatedErrors:
         """Return log L."""
         return np.asarray(-0.5 * self.model.square_of(*self.field.sums(coefficients, tail)))
 
-    def gain(self, found: FieldPrediction, numbers: Numbers) -> Values:
-        """Return log E[L] - log L of the mean in closed form, with residuals that are linear in the field."""
-        return self.field.gain(found.mean, found.variance)
-
 
 @dataclass(frozen=True, eq=False)
 class OfMixture:
@@ -81,10 +72,6 @@ class OfMixture:
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
         """Return log L."""
         return self.mixture.of_sums(*self.field.sums(coefficients, tail))
-
-    def gain(self, found: FieldPrediction, numbers: Numbers) -> Values:
-        """Return log E[L] - log L of the mean, from drawn fields."""
-        return _gain_by_draws(self, found, numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +106,6 @@ class OfOffsets:
             first += len(seen.points)
         return total
 
-    def gain(self, found: FieldPrediction, numbers: Numbers) -> Values:
-        """Return log E[L] - log L of the mean, from drawn fields."""
-        return _gain_by_draws(self, found, numbers)
-
 
 def nearby(
     surrogate: FieldSurrogate,
@@ -139,7 +122,7 @@ def nearby(
         return OfStatedErrors(linearise(surrogate, joint).field, joint.model)
     nodes = tuple(len(surrogate.layouts[seen.condition].template.points) for seen in observations)
     each = tuple(compared(seen, measure, number) for seen, number in zip(observations, nodes, strict=True))
-    if not all(_follows_offsets(one, number) for one, number in zip(each, nodes, strict=True)):
+    if not all(follows_offsets(one.measure, one.observation, number) for one, number in zip(each, nodes, strict=True)):
         return None
     equal = JointErrors(observations, tuple(PointErrors(1.0) for _ in observations))
     return OfOffsets(linearise(surrogate, equal).field, each, nodes)
@@ -152,14 +135,9 @@ def drawn_fields(found: FieldPrediction, numbers: Numbers) -> tuple[Modes, Tail]
     return drawn.reshape(-1, drawn.shape[2]), np.tile(of_tail, (len(found.mean), 1))
 
 
-def _gain_by_draws(nearby: Nearby, found: FieldPrediction, numbers: Numbers) -> Values:
-    draws = len(numbers[0])
-    values = nearby.log_likelihood(*drawn_fields(found, numbers)).reshape(-1, draws)
-    return np.asarray(logsumexp(values, axis=1) - np.log(draws) - nearby.log_likelihood(found.mean))
-
-
-def _follows_offsets(one: Compared, nodes: int) -> bool:
-    seen, measure = one.observation.interface, one.measure
+def follows_offsets(measure: Discrepancy, observation: Observation, nodes: int) -> bool:
+    """Return whether the measure nearly follows from the signed distances of the observed points."""
     if not isinstance(measure, FollowsOffsets):
         return False
+    seen = observation.interface
     return measure.of_offsets(np.zeros((1, len(seen.points))), seen, nodes) is not None

@@ -10,7 +10,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from strandline.discrepancy import Discrepancy, independent_terms, squared_discrepancies, unit_of
+from strandline.discrepancy import (
+    Discrepancy,
+    FollowsOffsets,
+    independent_terms,
+    signed_distances,
+    squared_discrepancies,
+    unit_of,
+)
 from strandline.interface import Interface
 from strandline.testing.parts import by_name
 
@@ -61,6 +68,18 @@ def check_many_are_as_one_by_one(measure: Discrepancy) -> None:
     assert np.allclose(together, alone, rtol=1e-2, atol=1e-4 * alone.max()), "a batch gives other numbers"
 
 
+def check_it_follows_offsets(measure: Discrepancy) -> None:
+    """If it offers d² from signed distances, this is within 10 % of d² for interfaces that are close to each other."""
+    if not isinstance(measure, FollowsOffsets):
+        return
+    observed, heights = arch(0.2), np.array([0.198, 0.199, 0.2, 0.201, 0.202])
+    offsets = np.array([signed_distances(observed.points, arch(height)) for height in heights])
+    found = measure.of_offsets(offsets, observed, len(observed.points))
+    if found is not None:
+        exact = np.array([measure(arch(height), observed) for height in heights])
+        assert np.allclose(found, exact, rtol=0.1, atol=0.02 * exact.max()), "d² from signed distances is another one"
+
+
 def check_it_can_be_sent(measure: Discrepancy) -> None:
     """A pickled copy, as worker processes get it, gives the same number."""
     copy = pickle.loads(pickle.dumps(measure))
@@ -80,6 +99,7 @@ CHECKS: dict[str, Callable[[Discrepancy], None]] = by_name(
     check_it_grows_with_the_distance,
     check_it_changes_nothing,
     check_many_are_as_one_by_one,
+    check_it_follows_offsets,
     check_it_can_be_sent,
     check_unit_and_terms,
 )

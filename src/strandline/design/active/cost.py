@@ -12,6 +12,7 @@ from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.interface import Interface, Observation
 from strandline.likelihood import compared
 from strandline.likelihood.field import DRAWS, noise_length
+from strandline.likelihood.nearby import follows_offsets
 
 __all__ = ["SLOW_BATCH", "seconds_of_a_batch"]
 
@@ -19,8 +20,10 @@ SLOW_BATCH = 30.0
 """Seconds from which a batch counts as slow."""
 TEMPERING_STEPS = 20
 """Tempering steps from the prior to a much narrower posterior: 21 for a drop with five inputs."""
-LINEAR = 2 + SAMPLING.rejuvenation_steps
-"""Comparisons of each particle where residuals that are linear in the field lead to the posterior."""
+FROM_THE_PRIOR = 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS
+"""Comparisons of each particle that is sampled from the prior."""
+NEARBY = 2 + SAMPLING.rejuvenation_steps
+"""Comparisons of each particle that a likelihood nearby has led to the posterior."""
 TRIED = 32, 1024
 """Interfaces compared to measure the cost of one; the larger number if the smaller takes less than `QUICK`."""
 QUICK = 0.2
@@ -47,9 +50,12 @@ def seconds_of_a_batch(
         template = simulated[seen.condition]
         measure, width = compared(seen, discrepancy, len(template.points)).measure, noise_length(seen, discrepancy)
         each = _seconds_of_one(seen, measure, template, width)
-        linear = isinstance(measure, WhitenedOffset) and seen.interface.dim == 2
-        total += each * (LINEAR if linear else 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS)
+        total += each * (NEARBY if _has_nearby(measure, seen, len(template.points)) else FROM_THE_PRIOR)
     return total * PARTICLES.get(dim, MANY_INPUTS_PARTICLES)
+
+
+def _has_nearby(measure: Discrepancy, seen: Observation, nodes: int) -> bool:
+    return seen.interface.dim == 2 and (isinstance(measure, WhitenedOffset) or follows_offsets(measure, seen, nodes))
 
 
 def _seconds_of_one(seen: Observation, measure: Discrepancy, simulated: Interface, width: float) -> float:

@@ -73,7 +73,7 @@ class Knowledge:
 
         Args:
             x: The points.
-            plug_in: `plug_in` of them, if it is known.
+            plug_in: `plug_in` of them, if they are draws of the posterior, or of a tempered one.
         """
         feasible = self.log_feasibility(x)
         plain = None if plug_in is None else plug_in - feasible
