@@ -89,6 +89,13 @@ def test_bends_are_second_derivatives() -> None:
     assert np.abs(differences - expected[:, middle]).mean() < 0.15 * np.abs(differences).mean()
 
 
+def test_residuals_that_are_not_finite_are_of_no_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    lin = linearise(likelihood(LOCAL).surrogate, joint(LOCAL))
+    broken = replace(lin, field=replace(lin.field, slopes=np.full_like(lin.field.slopes, np.nan)))
+    monkeypatch.setattr("strandline.likelihood.nearby.linearise", lambda *given: broken)
+    assert replace(likelihood(LOCAL)).nearby is None
+
+
 def wide(errors: PointErrors, widening: float) -> FieldLikelihood:
     """Return the likelihood with a surrogate that is so unsure that it counts for as much as the noise."""
     found = likelihood(errors)

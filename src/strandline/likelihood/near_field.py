@@ -32,6 +32,8 @@ NOTHING = 1e-9
 """Distance, in extents of the observed interface, below which it has no direction."""
 TRUSTED = 0.5
 """Second-order part of the change of the residuals, as a share of the first-order one, up to which it is trusted."""
+TINY = 1e-300
+"""Keeps quotients finite where segments or motions are nothing."""
 BENT = 8
 """Leading modes that count to second order."""
 BLOCK = 1024
@@ -58,6 +60,11 @@ class NearField:
     bends: Float[np.ndarray, "seen pair"]
     tail: Float[np.ndarray, "seen rest"]
     model: ErrorModel
+
+    @property
+    def finite(self) -> bool:
+        """Whether all of it is finite."""
+        return bool(np.isfinite(self._gram).all())
 
     def sums(
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
@@ -88,7 +95,7 @@ class NearField:
         products = z[:, first] * z[:, second]
         ahead, bent = slice(1, 1 + modes), slice(1 + modes, 1 + modes + pairs)
         size = np.einsum("dk,dk->d", z @ self._gram[ahead, ahead], z)
-        share = np.einsum("dk,dk->d", products @ self._gram[bent, bent], products) / np.maximum(size, 1e-300)
+        share = np.einsum("dk,dk->d", products @ self._gram[bent, bent], products) / np.maximum(size, TINY)
         columns = [np.ones((len(z), 1)), z, products / (1 + share / TRUSTED**2)[:, None]]
         return np.hstack(columns if tail is None else [*columns, tail])
 
@@ -207,10 +214,11 @@ def _of_one(
     t = np.stack([n[:, 1], -n[:, 0]], axis=1)
     chord = ends[:, 1] - ends[:, 0]
     t *= np.where((t * chord).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    share = ((found.points - ends[:, 0]) * chord).sum(axis=1) / np.maximum((chord**2).sum(axis=1), 1e-300)
+    share = ((found.points - ends[:, 0]) * chord).sum(axis=1) / np.maximum((chord**2).sum(axis=1), TINY)
     moves = points[1:] - points[0]
     slopes, tangents = _along(template, points[0], moves), _along(template, points[0], interface.points[None])[0]
-    bent = _along(template, points[0], (tangents / np.linalg.norm(tangents, axis=1, keepdims=True))[None])[0]
+    steep = np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), TINY)
+    bent = _along(template, points[0], (tangents / steep)[None])[0]
 
     def there(values: Float[np.ndarray, "*other node 2"]) -> Float[np.ndarray, "*other seen 2"]:
         """Return values of the nodes at the closest points."""
@@ -237,5 +245,5 @@ def _along(
     lengths = touching @ np.linalg.norm(points[second] - points[first], axis=1)
     number, _, dim = values.shape
     changes = (values[:, second] - values[:, first]).swapaxes(0, 1).reshape(len(segments), number * dim)
-    summed = (touching @ changes) / lengths[:, None]
+    summed = (touching @ changes) / np.maximum(lengths, TINY)[:, None]
     return np.asarray(summed.reshape(len(points), number, dim).swapaxes(0, 1))

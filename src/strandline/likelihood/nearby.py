@@ -119,13 +119,15 @@ def nearby(
     errors = tuple(seen.noise for seen in observations if isinstance(seen.noise, PointErrors))
     if shared is not None or (isinstance(measure, NormalOffset) and len(errors) == len(observations)):
         joint = JointErrors(observations, errors) if shared is None else shared.joint
-        return OfStatedErrors(linearise(surrogate, joint).field, joint.model)
+        field = linearise(surrogate, joint).field
+        return OfStatedErrors(field, joint.model) if field.finite else None
     nodes = tuple(len(surrogate.layouts[seen.condition].template.points) for seen in observations)
     each = tuple(compared(seen, measure, number) for seen, number in zip(observations, nodes, strict=True))
     if not all(follows_offsets(one.measure, one.observation, number) for one, number in zip(each, nodes, strict=True)):
         return None
     equal = JointErrors(observations, tuple(PointErrors(1.0) for _ in observations))
-    return OfOffsets(linearise(surrogate, equal).field, each, nodes)
+    field = linearise(surrogate, equal).field
+    return OfOffsets(field, each, nodes) if field.finite else None
 
 
 def drawn_fields(found: FieldPrediction, numbers: Numbers) -> tuple[Modes, Tail]:
