@@ -10,6 +10,7 @@ from strandline.smc import SMCResult, SMCSettings, carried, carried_over
 
 SETTINGS = SMCSettings(rejuvenation_steps=10)
 EXTENTS = np.full(2, 8.0)
+SCOUTS = np.random.default_rng(7).standard_normal((2000, 2))
 
 
 def log_prior(x):
@@ -34,9 +35,10 @@ def particles(mean=(0.4, 0.0), number=2000, seed=1):
     return SMCResult(x, equal, values, np.asarray(log_prior(x)), float(evidence), float(number), (), 0)
 
 
-def carried_to(mean, found=None, key=0):
+def carried_to(mean, found=None, key=0, likelihood=None):
     start = particles() if found is None else found
-    return carried_over(jax.random.key(key), start, around(mean), log_prior, extents=EXTENTS, settings=SETTINGS)
+    options = {"scouts": SCOUTS, "extents": EXTENTS, "settings": SETTINGS}
+    return carried_over(jax.random.key(key), start, likelihood or around(mean), log_prior, **options)
 
 
 @pytest.mark.parametrize("mean", [(0.42, 0.01), (0.7, -0.2)], ids=["weights alone", "moves"])
@@ -63,6 +65,10 @@ def test_moves_only_if_the_weights_are_uneven():
 
 def test_what_is_far_is_not_reached():
     assert carried_to((2.5, 2.0)) is None
+    near = around((0.42, 0.01))
+    two = lambda x: np.logaddexp(near(x), 3 + around((-2.0, -1.5), 0.3)(x))  # noqa: E731
+    assert carried_to((0.42, 0.01), likelihood=near) is not None
+    assert carried_to((0.42, 0.01), likelihood=two) is None  # a heavy mode that no particle sees
     unknown = replace(particles(), log_evidence=float("nan"))
     assert carried_to((0.42, 0.01), unknown) is None
 

@@ -121,7 +121,8 @@ def _sample(target: Target, space: ParameterSpace, settings: Settings, tell: Obs
     if target.nearby is not None:
         near = sample(chain, target.nearby, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
         key, extents = jax.random.fold_in(chain, CARRIED), space.high - space.low
-        found = carried_over(key, near, target.compiled, space.log_prior, extents=extents, settings=settings.smc)
+        options: dict[str, Any] = {"scouts": initial, "extents": extents, "settings": settings.smc}
+        found = carried_over(key, near, target.compiled, space.log_prior, **options)
         if found is not None:
             return found
     return sample(chain, target.compiled, space.log_prior, initial, settings=settings.smc, on_step=tell.step)

@@ -114,7 +114,7 @@ def test_a_mode_that_appears_elsewhere_is_noticed(monkeypatch: pytest.MonkeyPatc
     found = posterior_state(knowledge, SPACE, (5,), before=first())
     share = np.exp(found.log_weights) @ (found.positions[:, 0] < -0.3)
     assert 0.35 < share < 0.65
-    monkeypatch.setattr(module, "ELSEWHERE", 1e9)
+    monkeypatch.setattr(carried, "ELSEWHERE", 1e9)
     blind = posterior_state(knowledge, SPACE, (5,), before=first())
     assert np.exp(blind.log_weights) @ (blind.positions[:, 0] < -0.3) < 0.01
 

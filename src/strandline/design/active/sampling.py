@@ -32,12 +32,6 @@ TEMPERATURE = 0.5
 """γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
 STREAM = 4
 """Keeps the random numbers of the active design apart from all others of the same seed."""
-ELSEWHERE = 0.01
-"""Largest share of the evidence that draws of the prior may find outside the last posterior's particles."""
-SCOUTS = 1000
-"""Draws of the prior that are tried."""
-OUTSIDE = 5.0
-"""Distance from the mean, in standard deviations of the particles, from which a draw is outside."""
 
 
 def posterior_state(
@@ -96,19 +90,7 @@ def _gone_on(
 ) -> SMCResult | None:
     """Return the particles moved from another likelihood's to those of `host`; None if the two are not near."""
     extents = space.high - space.low
-    found = carried_over(key, before, host, space.log_prior, extents=extents, settings=SAMPLING)
-    if found is None:
-        return None
-    w = np.exp(found.log_weights)
-    mean = w @ found.positions
-    sd = np.sqrt(w @ (found.positions - mean) ** 2)
-    scouts = scouts[:SCOUTS]
-    outside = (np.abs(scouts - mean) > OUTSIDE * np.maximum(sd, np.finfo(float).tiny)).any(axis=1)
-    if outside.any():
-        elsewhere = logsumexp(host(scouts[outside])) - np.log(len(scouts)) - found.log_evidence
-        if elsewhere > np.log(ELSEWHERE):
-            return None
-    return found
+    return carried_over(key, before, host, space.log_prior, scouts=scouts, extents=extents, settings=SAMPLING)
 
 
 def _state(knowledge: Knowledge, found: SMCResult) -> State:
