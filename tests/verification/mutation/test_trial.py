@@ -1,0 +1,73 @@
+"""Mutants of a small package: noticed, not noticed, endless, broken."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from verification.mutation.covering import Covering
+from verification.mutation.places import PARTS, drawn
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = """
+import json, sys
+from pathlib import Path
+from verification.mutation.trial import tried
+
+scratch, tests, limit = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
+found = tried(scratch, [tests], scratch / "output.txt", limit)
+print(json.dumps([found.end, found.test]))
+"""
+RIGHT = "def half(x):\n    return x / 2\n"
+
+
+def judged(folder: Path, source: str, test: str, limit: float = 60.0) -> tuple[str, str]:
+    (folder / "strandline").mkdir()
+    (folder / "strandline" / "__init__.py").write_text(source, "utf-8")
+    (folder / "test_it.py").write_text(f"from strandline import half\n\ndef test_half():\n    {test}\n", "utf-8")
+    command = [sys.executable, "-c", PROGRAM, str(folder), str(folder / "test_it.py"), str(limit)]
+    done = subprocess.run(
+        command, cwd=folder, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True
+    )
+    end, name = json.loads(done.stdout.splitlines()[-1])
+    return end, name
+
+
+@pytest.mark.parametrize(
+    ("source", "test", "limit", "end"),
+    [
+        (RIGHT, "assert half(3) == 1.5", 60.0, "passed"),
+        (RIGHT.replace("/", "*"), "assert half(3) == 1.5", 60.0, "failed"),
+        (RIGHT.replace("/", "*"), "assert half(0) == 0", 60.0, "passed"),
+        ("raise ImportError", "pass", 60.0, "broke"),
+        ("def half(x):\n    while True: pass\n", "half(1)", 4.0, "hung"),
+    ],
+    ids=["right", "noticed", "not noticed", "broken", "endless"],
+)
+def test_a_small_package(tmp_path: Path, source: str, test: str, limit: float, end: str) -> None:
+    found, name = judged(tmp_path, source, test, limit)
+    assert found == end
+    assert name.endswith("test_it.py::test_half") == (end == "failed")
+
+
+def test_every_file_is_drawn_and_the_seed_decides_the_rest() -> None:
+    package = ROOT / "src" / "strandline"
+    one, same, other = drawn(package, 200, 1), drawn(package, 200, 1), drawn(package, 200, 2)
+    assert len(one) == 200
+    assert one == same != other
+    files = {file for file, _ in one}
+    assert {str(file.parent) for file in files} == {folder for part in PARTS.values() for folder in part}
+    assert len(files) > 80
+
+
+def test_tests_that_execute_a_line_come_first_the_quick_file_before_the_slow_one() -> None:
+    tests = {"smc/moves.py": {3: {"slow.py": ["test_a", "test_b"], "quick.py": []}, 4: {"slow.py": ["test_a"]}}}
+    covering = Covering(tests, {"slow.py": 9.0, "quick.py": 1.0})
+    assert covering.stages("smc/moves.py", 3) == [
+        ["slow.py::test_a", "slow.py::test_b"],
+        ["quick.py"],
+        ["slow.py", "--deselect=slow.py::test_a", "--deselect=slow.py::test_b"],
+    ]
+    assert covering.stages("smc/moves.py", 4) == [["slow.py::test_a"], ["slow.py", "--deselect=slow.py::test_a"]]
+    assert covering.stages("smc/moves.py", 5) == covering.stages("other.py", 3) == []

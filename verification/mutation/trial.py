@@ -1,0 +1,118 @@
+"""One mutant against tests, in a copy of the process that has already imported the libraries."""
+
+import contextlib
+import importlib
+import os
+import re
+import signal
+import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+__all__ = ["Outcome", "forked", "prepare", "run_tests", "tried"]
+
+LIBRARIES = (
+    "pytest", "hypothesis", "jax.numpy", "jax.scipy.special", "scipy.optimize", "scipy.stats", "scipy.spatial",
+    "scipy.interpolate", "xarray", "pandas", "matplotlib.pyplot", "matplotlib.backends._backend_pdf_ps", "beartype",
+    "jaxtyping", "pydantic", "rich", "click", "yaml", "jinja2", "skimage", "shapely", "h5netcdf", "arviz",
+    "coverage",
+)  # fmt: skip
+NO_REWRITE = "ignore::pytest.PytestAssertRewriteWarning"
+OPTIONS = ("-q", "-x", "-rf", "-m", "not long", "-p", "no:cacheprovider", "-W", NO_REWRITE)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What tests made of a mutant.
+
+    Args:
+        end: "passed" if all tests passed, "failed" if one failed, "broke" if tests could not begin, "hung" if they took
+            too long.
+        test: The test that failed, if any.
+        seconds: Seconds that the tests took.
+    """
+
+    end: Literal["passed", "failed", "broke", "hung"]
+    test: str
+    seconds: float
+
+
+def prepare() -> None:
+    """Import what tests need, but nothing of strandline."""
+    for name in LIBRARIES:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
+
+
+def tried(package: Path, tests: Sequence[str], output: Path, limit: float) -> Outcome:
+    """Return what tests make of a changed package, in a fork of this process.
+
+    Args:
+        package: Folder that contains the changed package.
+        tests: Tests, and options of pytest.
+        output: File for what pytest prints.
+        limit: Most seconds.
+    """
+
+    def run() -> int:
+        sys.path.insert(0, str(package))
+        os.environ["PYTHONPATH"] = str(package)
+        return run_tests(tests)
+
+    return forked(run, output, limit)
+
+
+def run_tests(tests: Sequence[str]) -> int:
+    """Return pytest's exit code, 0 if there is no test."""
+    import pytest
+
+    code = pytest.main([*OPTIONS, *tests])
+    return 0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else int(code)
+
+
+def forked(run: Callable[[], int], output: Path, limit: float) -> Outcome:
+    """Return how a function that runs tests ends in a fork of this process.
+
+    Args:
+        run: Function that returns pytest's exit code.
+        output: File for what it prints.
+        limit: Most seconds.
+    """
+    start = time.monotonic()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # JAX warns of its threads; it has not started any
+        child = os.fork()
+    if not child:
+        _run_and_exit(run, output)
+    while True:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        seconds = time.monotonic() - start
+        if ended:
+            break
+        if seconds > limit:
+            os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return Outcome("hung", "", seconds)
+        time.sleep(0.05)
+    code, text = os.waitstatus_to_exitcode(status), output.read_text("utf-8", errors="replace")
+    if code == 0:
+        return Outcome("passed", "", seconds)
+    failed = re.search(r"^FAILED (\S+)", text, re.MULTILINE)
+    return Outcome("failed" if failed else "broke", failed[1] if failed else "", seconds)
+
+
+def _run_and_exit(run: Callable[[], int], output: Path) -> None:
+    code = 70
+    try:
+        os.setsid()
+        with output.open("w") as file:
+            os.dup2(file.fileno(), 1)
+            os.dup2(file.fileno(), 2)
+        code = run()
+        sys.stdout.flush()
+    finally:
+        os._exit(code)
