@@ -20,7 +20,7 @@ class Covering:
     """Tests that execute lines.
 
     Args:
-        tests: For each file of the package and each line of it, names of the tests in each file of tests that execute
+        tests: By file of the package and line of it, the names of the tests in each file of tests that execute
             it; none if only its fixtures do.
         seconds: Seconds that each file of tests takes, with coverage.
     """
