@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tests.discrepancy.surfaces import sheet
 
-from strandline.interface import Interface
-from strandline.interface.correlated import correlated
+from strandline.interface import Interface, PointErrors
+from strandline.interface.correlated import correlated, summed_length
 
 DRAWS = 4000
 TOLERANCE = 0.1
@@ -57,3 +57,21 @@ def test_errors_over_a_surface() -> None:
 @pytest.mark.parametrize("interface", [line(20), sheet(5)], ids=["line", "surface"])
 def test_no_length_means_independent_points(interface: Interface) -> None:
     np.testing.assert_allclose(correlations(interface, 0.0), np.eye(len(interface.points)), atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0, 3.0, 8.0])
+def test_the_variance_of_a_slow_mean_is_that_of_the_drawn_errors(share: float) -> None:
+    """Of n points h apart, from their whole covariance; planted: s² max(1, 2ℓ/h), right in both limits only."""
+    number, sd = 400, 0.002
+    outline = Interface.polyline(np.stack([np.linspace(0.0, 4.0, number), np.zeros(number)], axis=1))
+    spacing = 4.0 / (number - 1)
+    length = share * spacing
+    apart = np.abs(np.subtract.outer(np.arange(number), np.arange(number))) * spacing
+    covariance = sd**2 * (np.exp(-apart / length) if length else np.eye(number))
+    slow = np.sin(np.pi * (np.arange(number) + 0.5) / number)
+    exact = slow @ covariance @ slow / (slow @ slow)
+    found = PointErrors(sd, length).local_variances(outline)
+    assert found.mean() == pytest.approx(exact, rel=0.03)
+    assert 2 * summed_length(length, spacing) * sd**2 / spacing == pytest.approx(found.mean(), rel=0.01)
+    if 0.2 < share < 2:
+        assert sd**2 * max(1.0, 2 * share) != pytest.approx(exact, rel=0.03)

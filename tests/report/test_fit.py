@@ -79,7 +79,29 @@ def test_noise_that_was_fitted_to_the_residuals_explains_them_unless_they_are_sm
         assert found.text.endswith("trust neither mean nor width of the posterior.")
     else:
         fitted = f"with noise fitted to its residuals: sd 2.1 µm, correlated over {1e3 * length:.0f} µm."
-        assert found.text == f"The model explains the observation: p = 0.43, {fitted}"
+        assert found.text.startswith(f"The model explains the observation: p = 0.43, {fitted} An error of the model")
+
+
+@pytest.mark.parametrize(
+    ("stated", "removed", "words"),
+    [
+        ({"shift": 0.005}, {"shift": (0.03, 0.04)}, "shifted by 50 µm, 10 times the stated 5 µm"),
+        ({"rotation": 0.5}, {"rotation": (-2.5,)}, "turned by 2.5°, 5 times the stated 0.5°"),
+        ({"scale": 0.005}, {"scale": (0.03,)}, "scaled by 3 %, 6 times the stated 0.5 %"),
+        ({"offset": 0.002, "shift": 0.005}, {"shift": (0.02, 0.0), "offset": (-0.012,)}, "moved along its normals by"),
+    ],
+)
+def test_a_position_that_is_far_from_the_stated_one_is_flagged(
+    stated: dict[str, float], removed: dict[str, tuple[float, ...]], words: str
+) -> None:
+    """Its residuals are noise: the shift has been removed from them."""
+    strained = replace(condition(FINE), stated=StatedErrors(PointErrors(0.001, **stated), assumed=False))
+    found = verdict(replace(strained, removed=removed))
+    assert found.flagged
+    assert f"the observed interface of condition V50 would have to be {words}" in found.text
+    near = {name: tuple(0.4 * one for one in sizes) for name, sizes in removed.items()}
+    assert not verdict(replace(strained, removed=near)).flagged
+    assert not verdict(replace(strained, removed=removed), run_alone=True).flagged
 
 
 def test_a_model_that_is_wrong_everywhere() -> None:

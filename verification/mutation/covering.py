@@ -1,7 +1,7 @@
 """Which tests execute which lines, so that a mutant need not run all others.
 
 Every file of tests runs on its own, with coverage.py. JAX traces a function once in a process, so that coverage.py does
-not see a second test execute it. So the tests seen to execute a line come first, then the others in their files.
+not see a second test execute it. So the tests seen to execute a line come first, then the others in quick files.
 """
 
 import json
@@ -12,7 +12,10 @@ from pathlib import Path
 import coverage
 from verification.mutation.trial import Outcome, forked, run_tests
 
-__all__ = ["Covering", "measured"]
+__all__ = ["QUICK", "Covering", "measured"]
+
+QUICK = 30.0
+"""Seconds of a quick file of tests."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,8 @@ class Covering:
         found = self.tests.get(file, {}).get(line, {})
         order = sorted(found, key=lambda one: self.seconds[one])
         named = [f"{one}::{name}" for one in order for name in found[one]]
-        whole = [[one, *(f"--deselect={one}::{name}" for name in found[one])] for one in order]
+        quick = [one for one in order if self.seconds[one] < QUICK]
+        whole = [[one, *(f"--deselect={one}::{name}" for name in found[one])] for one in quick]
         return [*([named] if named else []), *whole]
 
 

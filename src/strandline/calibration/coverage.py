@@ -269,7 +269,7 @@ class CoverageFound:
         """Return what the ranks of the log-likelihood show: a truth that fits worse than draws do, or better."""
         for one in reversed(self.regions):
             often = f"the truth is among the {100 * one.level:.0f} % of its draws that fit best in"
-            often = f"{often} {100 * one.found[0]:.0f} % of the replicates."
+            often = f"{often} {100 * one.found[0]:.3g} % of the replicates."
             if one.high[0] < one.level:
                 return f"The posterior is too narrow: {often}"
             if one.low[0] > one.level:
@@ -281,7 +281,7 @@ class CoverageFound:
         z = self.z[:, i]
         shifted = abs(z.mean()) > CERTAIN * z.std() / np.sqrt(len(z))
         for one in reversed(self.intervals):
-            often = f"{100 * one.level:.0f} % intervals of {name} contain the truth in {100 * one.found[i]:.0f} % of"
+            often = f"{100 * one.level:.0f} % intervals of {name} contain the truth in {100 * one.found[i]:.3g} % of"
             if one.high[i] < one.level and (z.std() > 1 + WIDTH or not shifted):
                 return f"The posterior is too narrow: {often} the replicates."
             if one.low[i] > one.level:

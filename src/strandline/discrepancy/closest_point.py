@@ -32,7 +32,7 @@ class ClosestPoint:
       the noise variance σ_N² it counts as *one* distance; to make it count as n, set σ_N²/n.
 
     For points with sd s and correlation length ℓ (at least half their spacing h) along an outline of length L, the
-    noise variance σ_N² that fits ``to_simulated`` is s² max(1, 2ℓ/h) with ``sum`` and 2s²ℓ/L with ``length``, far less
+    noise variance σ_N² that fits ``to_simulated`` is s² coth(h/2ℓ) with ``sum`` and 2s²ℓ/L with ``length``, far less
     than s². A study with ``noise: {sd: s, length: ℓ, unit: mm}`` takes it, and for the other directions computes one.
 
     Args:
@@ -105,11 +105,11 @@ class ClosestPoint:
         return self if self.direction is not None else replace(self, direction="to_simulated" if errors else self._way)
 
     def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
-        """Return σ_N², mm², for the distances of observed points: s² max(1, 2ℓ/h), or 2s²ℓ/L of a mean over the length.
+        """Return σ_N², mm², for the distances of observed points: s² coth(h/2ℓ), or 2s²ℓ/L of a mean over the length.
 
-        h is the spacing of the points, L the length of the outline; ℓ is at least h/2. On a surface the area 2πℓ², at
-        least that of a point, takes the place of 2ℓ. None for simulated nodes, whose spacing the observation does not
-        know.
+        h is the spacing of the points, L the length of the outline; the second ℓ is `PointErrors.effective_length`. On
+        a surface, it is s² max(1, 2πℓ²/a), with the area a of a point. None for simulated nodes, whose spacing the
+        observation does not know.
         """
         if self._way != "to_simulated":
             return None

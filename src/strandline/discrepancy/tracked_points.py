@@ -17,7 +17,7 @@ class TrackedPoints:
     """d² = Σ over the nodes of |simulated node - observed node of the same number|², mm²; Eq. (6) for tracked points.
 
     For coordinates with independent errors of sd s, the noise variance σ_N² is s²; for errors that are correlated over
-    a length ℓ along the interface and points h apart, s² max(1, 2ℓ/h). A study with
+    a length ℓ along the interface and points h apart, s² coth(h/2ℓ). A study with
     ``noise: {sd: s, length: ℓ, unit: mm}`` takes this.
 
     Raises:
@@ -42,7 +42,7 @@ class TrackedPoints:
         return int(observed.points.size)
 
     def noise_variance(self, errors: PointErrors, observed: Interface) -> float:
-        """Return σ_N² = s² max(1, 2ℓ/h), mm²: a point errs along its normal and across as much."""
+        """Return σ_N² = s² coth(h/2ℓ), mm²: a point errs along its normal and across as much."""
         return float(errors.local_variances(observed).mean())
 
     def many(

@@ -1,5 +1,6 @@
 """Interfaces: polylines and triangulated surfaces, with a direction, and observations of them."""
 
+from strandline.interface.correlated import summed_length
 from strandline.interface.interface import Interface, Oriented, oriented_like
 from strandline.interface.noise import NOISES, GaussianNoise, Noise
 from strandline.interface.normals import (
@@ -35,4 +36,5 @@ __all__ = [
     "spacings",
     "steady_lengths",
     "steady_normals",
+    "summed_length",
 ]

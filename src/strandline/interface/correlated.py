@@ -1,16 +1,26 @@
 """Random errors at the points of an interface, correlated along it."""
 
 import math
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.interface.interface import Interface
 
-__all__ = ["correlated"]
+__all__ = ["correlated", "summed_length"]
 
 _WAVES = 1000
 """Waves that make up the fields of errors on a surface."""
+
+
+def summed_length(length: Any, spacing: Any) -> Any:
+    """Return (h/2) coth(h/2ℓ), half of h times the sum of exp(-|k|h/ℓ) over all integers k; arrays of any shape.
+
+    It takes the place of the correlation length ℓ of errors at points h apart: nearly ℓ if h is small, h/2 if ℓ is 0.
+    """
+    with np.errstate(divide="ignore"):
+        return 0.5 * spacing / np.tanh(np.divide(0.5 * spacing, length))
 
 
 def correlated(

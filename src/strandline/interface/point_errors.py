@@ -4,11 +4,11 @@ Point i is off by e_i along its normal, with standard deviation s and correlatio
 whole interface may be shifted, turned, scaled, and offset along its normals (a threshold that is a little too low).
 For residuals r, the signed distances of the points to the true interface, this makes the covariance
 
-    C = D + B Bᵀ,  D_ii = s_i² max(1, 2ℓ/h_i) on a polyline, s_i² max(1, 2πℓ²/a_i) on a surface,
+    C = D + B Bᵀ,  D_ii = s_i² coth(h_i/2ℓ) on a polyline, s_i² max(1, 2πℓ²/a_i) on a surface,
 
 with h_i the length and a_i the area that belong to a point, and B what one standard deviation of each global error does
-to r. D has the spectral density of the correlated errors at low frequencies: enough for inputs that move the interface
-over lengths well above ℓ, and never singular.
+to r. D has the spectral density of errors correlated as exp(-t/ℓ) at low frequencies, nearly s² 2ℓ/h for h below ℓ and
+never below s²: enough for inputs that move the interface over lengths well above ℓ, and never singular.
 """
 
 import math
@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from scipy.linalg import cho_solve, solve_triangular
 
 from strandline.errors import InvalidInput
-from strandline.interface.correlated import correlated
+from strandline.interface.correlated import correlated, summed_length
 from strandline.interface.interface import Interface
 from strandline.interface.normals import node_normals, spacings, steady_normals
 from strandline.interface.rotations import as_complex, as_pairs, rotations
@@ -153,8 +153,10 @@ class PointErrors:
 
     def local_variances(self, seen: Interface) -> Float[np.ndarray, " point"]:
         """Return D_ii, mm²."""
-        correlated = 2 * self.length if seen.dim == 2 else 2 * math.pi * self.length**2
-        return np.asarray(self.sds(seen) ** 2 * np.maximum(1.0, correlated / spacings(seen, gaps=False)))
+        own = spacings(seen, gaps=False)
+        if seen.dim == 2:
+            return np.asarray(self.sds(seen) ** 2 * 2 * summed_length(self.length, own) / own)
+        return np.asarray(self.sds(seen) ** 2 * np.maximum(1.0, 2 * math.pi * self.length**2 / own))
 
     def sds(self, seen: Interface) -> Float[np.ndarray, " point"]:
         """Return the standard deviation of each point, mm.
@@ -176,9 +178,10 @@ class PointErrors:
         return np.asarray(self.sds(true) * correlated(true, self.length, number, random))
 
     def effective_length(self, seen: Interface) -> float:
-        """Return ℓ, mm, or half the spacing of the points if that is more: independent points have ℓ = h/2."""
-        spacing = spacings(seen) if seen.dim == 2 else np.sqrt(spacings(seen))
-        return max(self.length, 0.5 * float(spacing.mean()))
+        """Return ℓ, mm, as points h apart show it, see `summed_length`: independent points have ℓ = h/2."""
+        if seen.dim == 2:
+            return float(summed_length(self.length, spacings(seen).mean()))
+        return max(self.length, 0.5 * float(np.sqrt(spacings(seen)).mean()))
 
     def draw(self, true: Interface, random: np.random.Generator) -> Interface:
         """Return `true` as it might be observed; local errors are correlated as exp(-t/ℓ) along it."""

@@ -6,7 +6,7 @@ s²R(ℓ) + BBᵀ + JΣJᵀ: inputs and global errors are marginalised in closed
 correlated like that are a Markov chain along the interface, so that each pair (s, ℓ) costs O(n).
 
 The posterior of the inputs is the mixture over the grid of the posteriors with known s and ℓ. Of these, only the level
-of the noise at low frequencies matters, κ = s² max(1, 2ℓ/h). A model error, if it is asked for, adds its amplitude and
+of the noise at low frequencies matters, κ = s² coth(h/2ℓ). A model error, if it is asked for, adds its amplitude and
 its length to the grid.
 """
 
@@ -19,7 +19,15 @@ from scipy.special import logsumexp
 
 from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.errors import InvalidInput
-from strandline.interface import ErrorModel, Interface, Observation, UnknownErrors, arc_lengths, spacings
+from strandline.interface import (
+    ErrorModel,
+    Interface,
+    Observation,
+    UnknownErrors,
+    arc_lengths,
+    spacings,
+    summed_length,
+)
 from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.linearised import Linearised, linearise
 from strandline.likelihood.mixture import Mixture
@@ -296,7 +304,7 @@ def _mixture(
 
 def _levels(found: NoisePosterior, spacing: float) -> Iterator[tuple[float, float, int]]:
     """Yield weight, κ and number of the cause, for quantiles of κ under each cause."""
-    kappa = (found.sds[:, None] ** 2 * np.maximum(1.0, 2 * found.lengths / spacing)).ravel()
+    kappa = (found.sds[:, None] ** 2 * 2 * summed_length(found.lengths, spacing) / spacing).ravel()
     order = np.argsort(kappa)
     for cause, weights in enumerate(found.weights):
         mass, whole = weights.ravel()[order], float(weights.sum())

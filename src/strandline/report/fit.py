@@ -84,7 +84,7 @@ def fit_figures(calibration: Calibration) -> Iterator[Captioned]:
     drawn = {one.condition: _along(one) for one in lines}
     caption = (
         "Signed distance of each observed point from the prediction that fits best, and twice the standard deviation "
-        "of the noise. A right model leaves residuals that scatter about zero within the band."
+        "of the noise. A correct model leaves residuals that scatter about zero within the band."
     )
     yield Captioned("residuals", "fit", caption, whole(plots.plot_residuals(drawn)))
 

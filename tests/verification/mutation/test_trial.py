@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from verification.mutation.covering import Covering
+from verification.mutation.covering import QUICK, Covering
 from verification.mutation.places import PARTS, drawn
 
 ROOT = Path(__file__).parents[3]
@@ -69,5 +69,6 @@ def test_tests_that_execute_a_line_come_first_the_quick_file_before_the_slow_one
         ["quick.py"],
         ["slow.py", "--deselect=slow.py::test_a", "--deselect=slow.py::test_b"],
     ]
+    assert Covering(tests, {"slow.py": QUICK, "quick.py": 1.0}).stages("smc/moves.py", 4) == [["slow.py::test_a"]]
     assert covering.stages("smc/moves.py", 4) == [["slow.py::test_a"], ["slow.py", "--deselect=slow.py::test_a"]]
     assert covering.stages("smc/moves.py", 5) == covering.stages("other.py", 3) == []

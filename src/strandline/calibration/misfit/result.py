@@ -1,5 +1,6 @@
 """What a comparison of the observations with the best prediction finds."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -68,6 +69,16 @@ class ConditionMisfit:
     regions: tuple[Region, ...] = ()
     removed: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     surface: bool = False
+
+    @property
+    def strained(self) -> tuple[str, float, float]:
+        """The global error that is largest for what is stated: its name, size and stated standard deviation.
+
+        In mm, degrees, or as a share. ("", 0, 1) if none is stated.
+        """
+        stated = {name: float(getattr(self.stated.errors, name)) for name in self.removed}
+        found = [(name, math.hypot(*sizes), stated[name]) for name, sizes in self.removed.items() if stated[name] > 0]
+        return max(found, key=lambda one: one[1] / one[2], default=("", 0.0, 1.0))
 
     @property
     def rms(self) -> float:

@@ -19,6 +19,9 @@ SMALL = 0.995
 SMOOTH = 0.08
 """Correlation length, as a share of the observed interface, from which what was taken for noise is an error of the
 model: errors of a picture reach over a few pixels."""
+STRAINED = 4.5
+"""Shift, rotation, scale or offset, in its stated standard deviations, from which it is not what was stated."""
+STRAINS = {"shift": "shifted", "rotation": "turned", "scale": "scaled", "offset": "moved along its normals"}
 LEAST = 0.001
 """Smallest p-value that is given as a number."""
 
@@ -47,10 +50,11 @@ def verdict_on(
     ratio = max((one.ratio for one in conditions), default=0.0)
     least = min(1.0, FAMILIES * min(p_value, predictive_p, smooth_p, *regions))
     what = "observation" if len(conditions) == 1 else "observations"
-    if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL):
+    strain = _strain(conditions)
+    if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL) and (run_alone or not strain):
         small = ", and the residuals are small for the noise that was stated" if p_value > SMALL else ""
         return Verdict(f"The model explains the {what}: {_said(p_value)}{small}.", flagged=False)
-    because = _reason(conditions, ratio, least, smooth=FAMILIES * smooth_p < LEVEL)
+    because = strain or _reason(conditions, ratio, least, smooth=FAMILIES * smooth_p < LEVEL)
     if run_alone:
         return Verdict(
             f"The best run does not explain the {what}{because}, but no surrogate could be built to check the inputs "
@@ -81,7 +85,30 @@ def with_fitted_noise(verdict: Verdict, observations: Sequence[Observation]) -> 
             "width of the posterior.",
             flagged=True,
         )
-    return Verdict(f"{verdict.text[:-1]}, with noise fitted to its residuals: {said}.", flagged=False)
+    return Verdict(
+        f"{verdict.text[:-1]}, with noise fitted to its residuals: {said}. An error of the model of this size and "
+        "length would be taken for noise: compare them with what you know of the picture.",
+        flagged=False,
+    )
+
+
+def _strain(conditions: Sequence[ConditionMisfit]) -> str:
+    """Return which global error is far larger than stated, in words; nothing if none is."""
+    found = [(one.strained, one.condition) for one in conditions]
+    (name, size, sd), condition = max(found, key=lambda one: one[0][1] / one[0][2], default=(("", 0.0, 1.0), ""))
+    if size < STRAINED * sd:
+        return ""
+    of = f" of condition {condition}" if condition else ""
+    is_length = name in ("shift", "offset")
+    by, stated = (_length(one) if is_length else _share_or_angle(name, one) for one in (size, sd))
+    return (
+        f": the observed interface{of} would have to be {STRAINS[name]} by {by}, {_short(size / sd)} times the stated "
+        f"{stated}"
+    )
+
+
+def _share_or_angle(name: str, value: float) -> str:
+    return f"{_short(value)}°" if name == "rotation" else f"{_short(100 * value)} %"
 
 
 def _said(p: float) -> str:
