@@ -276,7 +276,7 @@ def test_few_replicates_prove_little() -> None:
         ({}, "The posterior is calibrated: all ranks stay inside the 95 % band."),
         (
             {"fit": 3.0},
-            "The posterior is too narrow: the truth is among the 90 % of its draws that fit best in 54 % of",
+            "The posterior is too narrow: the truth is among the 90 % of its draws that fit best in 53.5 % of",
         ),
         (
             {"fit": 0.3},

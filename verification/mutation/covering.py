@@ -23,7 +23,7 @@ class Covering:
     """Tests that execute lines.
 
     Args:
-        tests: By file of the package and line of it, the names of the tests in each file of tests that execute
+        tests: Names by file of the package and line of it: those of the tests in each file of tests that execute
             it; none if only its fixtures do.
         seconds: Seconds that each file of tests takes, with coverage.
     """
