@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -120,6 +121,15 @@ def test_a_posterior_that_never_rests_says_so() -> None:
     assert 60 - PROBES < sum(number for _, number in batches) <= 60
     assert not one.converged
     assert "one of the last two batches still moved the posterior (by 2." in one.reasons[1]
+
+
+def test_a_move_long_ago_is_no_reason() -> None:
+    """The first batch moves the posterior by two standard deviations, all later ones by nothing."""
+    one = design(Active(100), FakeLearner([0.2, 0.6]), log_likelihood=wrong)
+    played(one)
+    assert not one.converged
+    assert max(step.moved.shift for step in one.steps if step.moved is not None) > 1.5
+    assert not any("still moved the posterior" in reason for reason in one.reasons)
 
 
 def test_the_last_runs_are_kept_for_a_check() -> None:
@@ -308,6 +318,41 @@ def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch: pytest.Monk
     assert len(x) == 60
     with pytest.raises(TooFewRuns):
         runs([record(row) for row in x])
+
+
+def campaign(monkeypatch: pytest.MonkeyPatch, learner: FakeLearner) -> ActiveRuns:
+    monkeypatch.setattr(campaign_module, "learn", lambda x, records, *others: (x, records))
+    monkeypatch.setattr(campaign_module, "posterior_state", lambda given, *others, **options: learner(*given))
+    seen, measure = (Observation(interface(MEAN), 0.01),), TrackedPoints()
+    judge = Judge(seen, {"tracked_points": measure}, FailurePolicy())
+    runs = ActiveRuns(Active(60), SPACE, measure, 4, 1, None, judge, aside=nullcontext)
+    monkeypatch.setattr(runs.design, "log_likelihood", honest)
+    runs.design.afresh = lambda state: state
+    return runs
+
+
+def test_a_campaign_ends_with_no_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = campaign(monkeypatch, FakeLearner())
+    runs.design.start(FIRST)
+    x = FIRST
+    while len(batch := runs([record(row) for row in x])):
+        x = np.concatenate([x, batch])
+    assert batch.shape == (0, 2)
+    assert runs.certificate.converged
+    np.testing.assert_array_equal(runs.asked, x)
+
+
+def test_a_check_takes_the_noise_that_was_inferred(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything is learnt, and if the noise is known, the stated one."""
+    runs = campaign(monkeypatch, FakeLearner())
+    one = record(MEAN + 0.3)
+    stated = runs.judge.value(runs.judge.first, one)
+    inferred = SimpleNamespace(likelihood=SimpleNamespace(one=lambda interfaces: stated - 1.0))
+    for of, expected in [(None, stated), (inferred, stated - 1.0)]:
+        runs.design.state = SimpleNamespace(knowledge=SimpleNamespace(likelihood=SimpleNamespace(inferred=of)))
+        assert runs._true(one) == pytest.approx(expected)
+    runs.design.state = None
+    assert runs._true(one) == pytest.approx(stated)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,15 @@
 """Where nobody has looked: shares of the prior's mass, points to look at, and what runs there say."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.design.active.fakes import NOISE, SPACE, interface, known, record
 
 from strandline.design import sobol
+from strandline.design.active import Active, ActiveDesign, Batch
+from strandline.design.active import active_design as design_module
 from strandline.design.active import elsewhere as module
 from strandline.design.active.elsewhere import (
     least_found,
@@ -17,7 +20,9 @@ from strandline.design.active.elsewhere import (
 )
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.state import State
-from strandline.interface import Interface
+from strandline.discrepancy import TrackedPoints
+from strandline.interface import Interface, Observation
+from strandline.likelihood import FieldLikelihood
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import LogNormal, Normal, Uniform
 from strandline.surrogate.field import FieldTraining, fit_field
@@ -143,3 +148,28 @@ def test_a_run_that_the_others_contradict_is_found_once() -> None:
 
 def test_runs_of_a_smooth_model_do_not_contradict_each_other(state: State) -> None:
     assert left_out_surprise(state, 0.2 * NOISE, set(), set()) is None
+
+
+@pytest.mark.parametrize(("kind", "unseen", "found"), [("initial", 0.1, 1), ("posterior", 0.1, 0), ("initial", 1.0, 0)])
+def test_draws_of_the_posterior_are_checked_otherwise(kind: Any, unseen: float, found: int) -> None:
+    one = ActiveDesign(
+        Active(60, unseen=unseen), SPACE, batch=4, learn=lambda *given: None, log_likelihood=float, seed=1
+    )
+    one.batches.append(Batch(X, kind))
+    assert [odd.x.tolist() for odd in one._left_out(spoiled(5, 0.05))] == [X[5].tolist()] * found
+
+
+def test_the_condition_with_the_least_noise_decides_what_is_hidden() -> None:
+    """`TrackedPoints` with σ_N hides a shift of σ_N along each of the nodes together."""
+    training = FieldTraining(X, [{"a": interface(row), "b": interface(row)} for row in X], None, SPACE.low, SPACE.high)
+    seen = [Observation(interface(X[3]), noise**2, name) for name, noise in (("a", 0.02), ("b", 0.005))]
+    both, finest = (
+        FieldLikelihood(fit_field(training), tuple(some), TrackedPoints()) for some in (seen, [seen[1], seen[1]])
+    )
+    state = spoiled(5, 0.05)
+    hidden = [
+        design_module._noise(replace(state, knowledge=replace(state.knowledge, likelihood=one)))
+        for one in (both, finest)
+    ]
+    assert hidden[0] == pytest.approx(hidden[1])
+    assert hidden[0] < 0.005
