@@ -67,6 +67,9 @@ def test_what_has_not_converged_is_told_first(calibration: Calibration, found: F
     assert told(calibration, replace(found, certificate=replace(certificate, converged=True))) == []
     unsure = replace(calibration, field=replace(found, certificate=certificate))
     assert reason_to_doubt(unsure) == "not converged, all 30 runs that were allowed are made"
+    assert unsure.misfit is not None
+    both = replace(unsure, misfit=replace(unsure.misfit, flagged=True))
+    assert reason_to_doubt(both) == "the model does not explain what was observed"
     sure = replace(found, certificate=replace(certificate, converged=True))
     assert reason_to_doubt(replace(calibration, field=sure)) is None
     assert not list(offsets_of_runs(calibration)), "a surrogate of the field has a figure of its own draws"

@@ -11,11 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from strandline.calibration import Calibration, Misfit
 from strandline.calibration.misfit import ConditionMisfit, Region
 from strandline.calibration.misfit.verdict import Verdict, verdict_on, with_fitted_noise
-from strandline.interface import Interface, Observation, PointErrors
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.residual_noise import ResidualNoise, StatedErrors
 from strandline.report.fit import fit_as_json, fit_figures
 from strandline.report.page import template
-from strandline.report.warnings import find_warnings
+from strandline.report.warnings import find_warnings, noise_at_an_end
 
 ARC = np.linspace(0.0, 1.2, 31)
 BAD = Region(0.9, 1.1, 0.006, 0.0065, "above", 5.2, 0.0004)
@@ -53,6 +53,13 @@ def test_a_model_that_fits() -> None:
     assert verdict(condition(FINE)) == Verdict("The model explains the observation: p = 0.43.", flagged=False)
     both = verdict(condition(FINE), condition(FINE, name="V100"))
     assert both.text.startswith("The model explains the observations: ")
+
+
+def test_a_small_p_value_of_some_part_is_not_hidden_by_that_of_all() -> None:
+    found = verdict(condition(FINE), waves=0.006)
+    assert not found.flagged
+    said = "p = 0.43, but look at the residuals: 4 times the smallest p-value is 0.024."
+    assert found.text == f"The model explains the observation: {said}"
 
 
 def test_a_model_that_does_not() -> None:
@@ -102,6 +109,21 @@ def test_a_position_that_is_far_from_the_stated_one_is_flagged(
     near = {name: tuple(0.4 * one for one in sizes) for name, sizes in removed.items()}
     assert not verdict(replace(strained, removed=near)).flagged
     assert not verdict(replace(strained, removed=removed), run_alone=True).flagged
+
+
+@pytest.mark.parametrize(
+    ("sd", "length", "words"),
+    [
+        (0.1001, 0.02, "The inferred sd of the noise lies at the lower end of its range, 100 µm"),
+        (0.199, 0.02, "The inferred sd of the noise lies at the upper end of its range, 200 µm"),
+        (0.15, 0.05, "The inferred correlation length of the noise lies at the upper end of its range, 50 µm"),
+        (0.15, 0.02, ""),
+    ],
+)
+def test_a_range_that_holds_the_noise_back_is_reported(sd: float, length: float, words: str) -> None:
+    found = list(noise_at_an_end({"sd": sd, "length": length}, UnknownErrors((0.1, 0.2), (0.01, 0.05))))
+    assert [one[: len(words)] for one in found] == ([words] if words else [])
+    assert not list(noise_at_an_end({"sd": sd, "length": length}, UnknownErrors(None, 0.05)))
 
 
 def test_a_model_that_is_wrong_everywhere() -> None:

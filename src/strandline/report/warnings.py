@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Calibration
+from strandline.interface import UnknownErrors
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior
 from strandline.posterior.quadrature import mixture
 from strandline.report.field_warnings import field_warnings
 from strandline.runs.tables import EXCLUDED
 
-__all__ = ["find_warnings", "reason_to_doubt", "small_share"]
+__all__ = ["find_warnings", "noise_at_an_end", "reason_to_doubt", "small_share"]
 
 BOUND_SHARE = 0.02
 """A bound counts as touched if the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
@@ -28,6 +29,8 @@ QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
 ERRS = 0.5
 """Probability of an error of the model from which it is worth a warning."""
+AT_THE_END = 0.02
+"""Relative distance of the median of inferred noise from the end of its range that is worth a warning."""
 CUT_TAIL = 0.05
 """Share of the cut reading below the smallest log-likelihood that a warning reports."""
 
@@ -50,6 +53,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
             f"The model is wrong with probability {inferred.posterior.probability_of_model_error:.2g}. The posterior "
             "allows for this error, but says nothing about other loads."
         )
+    yield from _inferred_noise(calibration)
     if calibration.field is None:
         yield from _impossible(calibration)
         yield from _surrogate(calibration)
@@ -78,6 +82,8 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
     certificate = None if calibration.field is None else calibration.field.certificate
     if calibration.field is None and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
         return "the surrogate predicts log-likelihoods above 0"
+    if calibration.misfit is not None and calibration.misfit.flagged:
+        return "the model does not explain what was observed"
     if certificate is not None and not certificate.converged:
         return "not converged, " + certificate.reasons[-1] if certificate.reasons else "not converged"
     if check is not None and check["verdict"] == "bad":
@@ -86,8 +92,6 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
         error = calibration.surrogate.validation.loo_rms_near_mode
         how = calibration.surrogate.left_out
         return f"its shape is in doubt, {how} error near the mode {error:.2g} in log-likelihood"
-    if calibration.misfit is not None and calibration.misfit.flagged:
-        return "the model does not explain what was observed"
     return None
 
 
@@ -103,6 +107,30 @@ def _impossible(calibration: Calibration) -> Iterator[str]:
             f"DO NOT TRUST THIS POSTERIOR: the surrogate predicts log-likelihoods up to {highest:.3g}, and "
             "none above 0 is possible. The noise is small for so few runs: make many more, or state a larger noise."
         )
+
+
+def _inferred_noise(calibration: Calibration) -> Iterator[str]:
+    inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
+    stated = next((seen.noise for seen in calibration.problem.observations), None)
+    if inferred is not None and isinstance(stated, UnknownErrors):
+        yield from noise_at_an_end({k: one[0] for k, one in inferred.posterior.quantiles([0.5]).items()}, stated)
+
+
+def noise_at_an_end(medians: Mapping[str, float], stated: UnknownErrors) -> Iterator[str]:
+    """Yield a sentence for each parameter of inferred noise that the stated range holds back.
+
+    Args:
+        medians: Posterior medians of `sd` and `length`, mm.
+        stated: Their ranges.
+    """
+    for name, words in {"sd": "sd", "length": "correlation length"}.items():
+        given = getattr(stated, name)
+        for end, value in zip(("lower", "upper"), given if isinstance(given, tuple) else (), strict=False):
+            if abs(medians[name] / value - 1) < AT_THE_END:
+                yield (
+                    f"The inferred {words} of the noise lies at the {end} end of its range, {1e3 * value:.3g} µm: "
+                    "widen the range, or look for an error of the model."
+                )
 
 
 def _runs(calibration: Calibration) -> Iterator[str]:

@@ -52,8 +52,10 @@ def verdict_on(
     what = "observation" if len(conditions) == 1 else "observations"
     strain = _strain(conditions)
     if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL) and (run_alone or not strain):
-        small = ", and the residuals are small for the noise that was stated" if p_value > SMALL else ""
-        return Verdict(f"The model explains the {what}: {_said(p_value)}{small}.", flagged=False)
+        remark = ", and the residuals are small for the noise that was stated" if p_value > SMALL else ""
+        if least < DOUBTFUL:
+            remark = f", but look at the residuals: {FAMILIES} times the smallest p-value is {least:.2g}"
+        return Verdict(f"The model explains the {what}: {_said(p_value)}{remark}.", flagged=False)
     because = strain or _reason(conditions, ratio, least, smooth=FAMILIES * smooth_p < LEVEL)
     if run_alone:
         return Verdict(
