@@ -100,4 +100,5 @@ def test_stated_errors_are_taken_as_they_are() -> None:
     errors = PointErrors(0.002, 0.05, shift=0.01)
     stated = stated_errors(Observation(arch(), errors), Currents(0.1), 41)
     assert (stated.errors, stated.assumed) == (errors, False)
-    assert stated.noise_along(arch()).level == pytest.approx(0.002**2 * 0.05)
+    half = 0.5 * arch().lengths.mean()
+    assert stated.noise_along(arch()).level == pytest.approx(0.002**2 * half / np.tanh(half / 0.05), rel=0.01)
