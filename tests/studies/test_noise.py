@@ -8,7 +8,7 @@ import pytest
 from tests.studies.test_run_study import rerun
 
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
+from strandline.interface import GaussianNoise, PointErrors, UnknownErrors, spacings
 from strandline.studies import load_study
 from strandline.studies.noise import require_stated
 from strandline.testing.studies import TWO_LOADS_STUDY, two_loads, write_study
@@ -81,7 +81,8 @@ def test_each_point_has_the_sd_of_its_column(tmp_path: Path) -> None:
     expected = np.array([0.001 * (1 + k % 3) for k in range(17) if not 0.3 <= 0.0625 * k <= 0.4])
     np.testing.assert_allclose(errors.sds(seen), expected)
     assert (errors.length, errors.offset) == pytest.approx((0.02, 0.002))
-    np.testing.assert_allclose(errors.model(seen).local, expected**2, rtol=1e-9)
+    apart = spacings(seen, gaps=False)
+    np.testing.assert_allclose(errors.model(seen).local, expected**2 / np.tanh(apart / 0.04), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
