@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from strandline.calibration.misfit import ConditionMisfit, Region
 from strandline.calibration.misfit.verdict import Verdict, verdict_on, with_fitted_noise
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.residual_noise import ResidualNoise, StatedErrors
+from strandline.report import page
 from strandline.report.fit import fit_as_json, fit_figures
 from strandline.report.page import template
 from strandline.report.warnings import find_warnings, noise_at_an_end
@@ -354,3 +356,10 @@ def test_a_study_has_it_all(reported: Any) -> None:
     assert len(summary["conditions"][0]["regions"]) == 4
     page = reported.outcome.report.read_text()
     assert page.index('id="fit"') < page.index('id="residuals"') < page.index('id="answer"')
+
+
+def test_names_of_inputs_keep_their_capitals() -> None:
+    """Jinja's `capitalize` makes all other letters small: E would become e."""
+    folder = Path(page.__file__).parent / "templates"
+    assert len(list(folder.glob("*.j2"))) > 1
+    assert not [one.name for one in folder.glob("*.j2") if "capitalize" in one.read_text("utf-8")]
