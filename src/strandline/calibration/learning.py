@@ -14,10 +14,12 @@ from strandline.calibration.problem import Observer, Problem, Settings, Stopwatc
 from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveRuns, Certificate, Knowledge, learn
+from strandline.design.active.fidelities import Fidelities, as_by_model
 from strandline.design.refinement import Learnt, Refinement, Round, refine
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
 from strandline.interface import UnknownErrors
 from strandline.likelihood.set_aside import Judge, SetAside
+from strandline.models.fidelities import WithCheaper, first_runs
 from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
@@ -32,7 +34,10 @@ from strandline.runs.executors import usable_cores
 from strandline.runs.failures import counted
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood, fit_named, fit_of_the_user
 
-__all__ = ["Learning", "Lesson", "known_field"]
+__all__ = ["Given", "Learning", "Lesson", "known_field"]
+
+Given = Float[np.ndarray, "run dim"] | Sequence[Mapping[str, float]]
+"""The unknown inputs of runs, shape (run, dim), or all inputs of each by name."""
 
 LARGEST_BATCH = 16
 """Largest default number of runs that an active design chooses together."""
@@ -92,6 +97,7 @@ class Lesson:
         learnt = self.learnt
         return {
             "records": learnt.records,
+            "made": learnt.made,
             "training": learnt.training,
             "log_likelihoods": learnt.log_likelihoods,
             "surrogates": learnt.surrogates,
@@ -117,20 +123,20 @@ class Learning:
         """The judge that decides which runs can be used."""
         return Judge(self.problem.observations, self.problem.discrepancies, self.settings.failures)
 
-    def lesson(self, given: Float[np.ndarray, "run dim"] | None) -> Lesson:
+    def lesson(self, given: Given | None) -> Lesson:
         """Make all forward runs and learn from them, with the surrogate that the settings name if possible.
 
         Args:
-            given: Inputs of finished runs to begin with, shape (run, dim), in place of the Sobol design.
+            given: Inputs of finished runs to begin with, in place of the Sobol design.
         """
-        begin = self._first(self.settings.runs) if given is None else given
+        begin, runs = self._begin(given)
         if self.settings.surrogate == "log_likelihood":
             return self._refined(begin, self.settings.refine)
         choosing = None if self.settings.active is None else self._active(self.settings.active)
         if choosing is not None:
             choosing.design.start(begin, given=given is not None)
         try:
-            learnt, knowledge = self._by_field(begin, choosing)
+            learnt, knowledge = self._by_field(runs, choosing)
         except NoCommonPoints as error:
             if any(isinstance(seen.noise, UnknownErrors) for seen in self.problem.observations):
                 raise  # only a surrogate of the interface can infer the noise
@@ -140,6 +146,17 @@ class Learning:
         certificate = None if choosing is None else choosing.certificate
         aside = self.judge.set_aside(learnt.records)
         return Lesson(learnt, knowledge=knowledge, certificate=certificate, set_aside=aside)
+
+    def _begin(self, given: Given | None) -> tuple[Float[np.ndarray, "run dim"], list[dict[str, float]]]:
+        """Return the unknown inputs of the first runs, each once, and all inputs of these runs."""
+        if given is None:
+            begin = self._first(self.settings.runs)
+            return begin, first_runs(self.problem.model, self._inputs(begin))
+        if isinstance(given, np.ndarray):
+            return given, self._inputs(given)
+        names, runs = self.problem.space.names, [dict(entry) for entry in given]
+        rows = dict.fromkeys(tuple(entry[name] for name in names) for entry in runs)
+        return np.array(list(rows), float), runs
 
     def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
         space = self.problem.space
@@ -192,7 +209,9 @@ class Learning:
             surrogates = _trained(training, log_likelihoods, self.settings)
         return Learnt(points, records, training, log_likelihoods, surrogates)
 
-    def _by_field(self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None) -> tuple[Learnt, Knowledge]:
+    def _by_field(
+        self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None
+    ) -> tuple[Learnt, Knowledge]:
         """Run the model at `first` and where the active design chooses; learn the field.
 
         The surrogates of the log-likelihood are also trained, for comparison, if possible.
@@ -200,6 +219,12 @@ class Learning:
         space = self.problem.space
         with self.watch("forward", self.tell):
             records = self._run(first, choosing)
+        made = records if isinstance(self.problem.model, WithCheaper) else ()
+        if choosing is None or choosing.fidelities is None:
+            records = as_by_model(records, space.names)
+        else:
+            choosing.fidelities.learn(records)
+            records = choosing.fidelities.records
         points = np.array([[record.inputs[name] for name in space.names] for record in records], float)
         with self.watch("surrogate", self.tell):
             if choosing is None or choosing.design.state is None:
@@ -208,10 +233,10 @@ class Learning:
                 knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
             training, log_likelihoods = _training_set(self.judge, points, records)
             surrogates = _to_compare(training, log_likelihoods, self.settings)
-        return Learnt(points, records, training, log_likelihoods, surrogates), knowledge
+        return Learnt(points, records, training, log_likelihoods, surrogates, made), knowledge
 
-    def _run(self, first: Float[np.ndarray, "run dim"], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
-        model, inputs = self.problem.model, self._inputs(first)
+    def _run(self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
+        model, inputs = self.problem.model, [dict(entry) for entry in first]
         common: dict[str, Any] = {
             "ledger": self.ledger,
             "executor": self.executor,
@@ -222,7 +247,7 @@ class Learning:
             return run_campaign(model, inputs, **common)
 
         def choose(records: Sequence[RunRecord]) -> Sequence[Mapping[str, float]]:
-            batch = self._inputs(choosing(records))
+            batch = choosing(records)
             if batch:
                 self.tell.draws(batch)
             return batch
@@ -230,7 +255,9 @@ class Learning:
         return run_batches(model, [inputs], choose, patience=choosing.active.patience, **common)
 
     def _active(self, active: Active) -> ActiveRuns:
-        workers = getattr(self.executor, "workers", None) or usable_cores()
+        workers, model = getattr(self.executor, "workers", None) or usable_cores(), self.problem.model
+        names = [seen.condition for seen in self.problem.observations]
+        both = Fidelities(self.problem.space.names, names, model.cost) if isinstance(model, WithCheaper) else None
         return ActiveRuns(
             active=active,
             space=self.problem.space,
@@ -240,6 +267,8 @@ class Learning:
             scramble=self.settings.scramble,
             judge=self.judge,
             aside=lambda: self.watch("choice", self.tell),
+            inputs=self._inputs,
+            fidelities=both,
             on_step=self.tell.step,
             told=self.tell.batch,
         )

@@ -14,10 +14,9 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from strandline.calibration.cut_posterior import under_uncertainty
-from strandline.calibration.learning import Learning
+from strandline.calibration.learning import Given, Learning
 from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
 from strandline.calibration.targets import Target
 from strandline.likelihood.inferred_noise import require_inferable
@@ -41,7 +40,7 @@ def calibrate(
     ledger: Ledger | Path | str | None = None,
     executor: Executor | None = None,
     observer: Observer | None = None,
-    given: Float[np.ndarray, "run dim"] | None = None,
+    given: Given | None = None,
 ) -> Calibration:
     """Return the posterior of the unknown inputs of `problem`.
 
@@ -54,7 +53,8 @@ def calibrate(
         ledger: Ledger of the forward runs, or its path; if omitted, the runs are not kept.
         executor: Executor of the forward runs; if omitted, they run in this process.
         observer: Functions to call as the work goes on.
-        given: Inputs of finished runs to begin with, shape (run, dim), in place of the Sobol design.
+        given: Inputs of finished runs to begin with, in place of the Sobol design: the unknown ones, shape (run, dim),
+            or all inputs of each run by name.
 
     Raises:
         InvalidInput: An observed condition that the model does not have; raised before any run.

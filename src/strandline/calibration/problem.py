@@ -141,7 +141,8 @@ class Calibration:
     is the reason why there is no field although it was requested. `set_aside` are runs that ended ok but were not used;
     unless only one measure cannot use them, they are invalid in `records`. `turned` are the conditions whose
     observation ran against the runs; in `problem` it is turned round. `misfit` tells whether the model explains the
-    observations within the noise; None if this was not judged.
+    observations within the noise; None if this was not judged. `made` are all runs as they were made, if `records` hold
+    corrected ones of a cheaper model; else it is empty.
     """
 
     problem: Problem
@@ -165,15 +166,21 @@ class Calibration:
     set_aside: tuple[SetAside, ...] = ()
     turned: tuple[str, ...] = ()
     misfit: Misfit | None = None
+    made: tuple[RunRecord, ...] = ()
+
+    @property
+    def all_runs(self) -> tuple[RunRecord, ...]:
+        """All runs as they were made; with a cheaper model, `records` holds its corrected ones instead."""
+        return self.made or self.records
 
     def __repr__(self) -> str:
-        ok = sum(record.ok for record in self.records)
-        return f"<Calibration {self.posterior.line}; {ok} of {len(self.records)} runs ok>"
+        ok = sum(record.ok for record in self.all_runs)
+        return f"<Calibration {self.posterior.line}; {ok} of {len(self.all_runs)} runs ok>"
 
     def _repr_html_(self) -> str:
-        ok = sum(record.ok for record in self.records)
+        ok = sum(record.ok for record in self.all_runs)
         measure = next(iter(self.problem.discrepancies))
-        facts = [("runs", f"{ok} of {len(self.records)} ok"), ("measure", html.escape(measure))]
+        facts = [("runs", f"{ok} of {len(self.all_runs)} ok"), ("measure", html.escape(measure))]
         facts += [("log evidence", f"{self.posterior.log_evidence:.4g}"), ("ESS", f"{self.posterior.ess:.0f}")]
         facts += [("surrogate", "log-likelihood" if self.field is None else "interface as a field")]
         return self.posterior._repr_html_() + html_table(("calibration", ""), facts)

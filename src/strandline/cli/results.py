@@ -46,6 +46,8 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
     if summary["certificate"] is not None and summary["certificate"]["converged"]:
         click.echo(_certified(summary["certificate"]))
         click.echo(summary["certificate"]["statement"])
+        if summary["certificate"].get("fidelities"):
+            click.echo(summary["certificate"]["fidelities"]["statement"])
     for warning in summary["warnings"]:
         click.echo(f"warning: {warning}")
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())

@@ -70,6 +70,7 @@ class Learnt:
         training: Inputs of the successful runs, in the same order, shape (ok, dim).
         log_likelihoods: Log-likelihoods of the successful runs by measure, each of shape (ok,).
         surrogates: Surrogates trained with them, by measure.
+        made: All runs as they were made, if `records` hold corrected ones of a cheaper model; else empty.
     """
 
     design: Float[np.ndarray, "run dim"]
@@ -77,6 +78,7 @@ class Learnt:
     training: Float[np.ndarray, "ok dim"]
     log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]]
     surrogates: Mapping[str, LogLikelihoodSurrogate]
+    made: tuple[RunRecord, ...] = ()
 
     @property
     def log_likelihood(self) -> Float[np.ndarray, " ok"]:

@@ -39,6 +39,8 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     if checked is not None and checked.failed:
         yield f"{checked.failed} of {checked.draws} runs at draws of the posterior failed; the check leaves them out."
     yield from _unsure_cut(calibration, found)
+    if certificate is not None and certificate.fidelities is not None and certificate.fidelities.dropped is not None:
+        yield f"The cheaper model is not used: {certificate.fidelities.dropped}."
     if surrogate.registration_error > surrogate.modes.remainder and surrogate.registration_error > 0:
         yield (
             "The runs' interfaces do not share their nodes and were brought to common points by "

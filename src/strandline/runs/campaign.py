@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strandline.errors import InvalidInput, LedgerError, NumericsError
+from strandline.models.fidelities import run_identity
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy, aborted
@@ -112,7 +113,7 @@ class Campaign:
 
     def add(self, inputs: Sequence[Mapping[str, float]]) -> list[RunRequest]:
         """Add runs to the end of the design; return those that must be made."""
-        keys = [run_key(self.identity, entry) for entry in inputs]
+        keys = [run_key(run_identity(self.model, self.identity, entry), entry) for entry in inputs]
         new = {
             key: RunRequest(key, dict(entry))
             for key, entry in zip(keys, inputs, strict=True)

@@ -234,7 +234,7 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     """
     observer.stage("report")
     begun = time.perf_counter()
-    summary = summarise(study, calibration, new_runs=new_runs, reused_runs=len(calibration.records) - new_runs)
+    summary = summarise(study, calibration, new_runs=new_runs, reused_runs=len(calibration.all_runs) - new_runs)
     results, report = Results(study.folder), study.folder / REPORT
     with suppress(OSError):
         (study.folder / SUMMARY).unlink(missing_ok=True)

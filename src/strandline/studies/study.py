@@ -17,6 +17,7 @@ from strandline.posterior.shown import html_table
 from strandline.runs import Executor
 from strandline.smc import SMCSettings
 from strandline.studies import build
+from strandline.studies.cheaper import with_cheaper
 from strandline.studies.chosen import refused_at
 from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
@@ -145,7 +146,7 @@ def load_study(folder: Path | str) -> Study:
     undeformed = undeformed_in(content.model, folder)
     model = build.build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
-    model = as_in_ledgers(model, (folder / LEDGER, *reuse))
+    model = with_cheaper(as_in_ledgers(model, (folder / LEDGER, *reuse)), content, folder, undeformed)
     space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
     read = {} if truth is not None else read_observations(folder, content.observation, model)

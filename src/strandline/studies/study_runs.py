@@ -8,12 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from jaxtyping import Float
-
 from strandline.calibration import Settings
 from strandline.design import sobol
 from strandline.errors import InvalidStudy
+from strandline.models.fidelities import CHEAPER, first_runs, run_identity
 from strandline.models.protocol import ForwardModel, fingerprint
 from strandline.parameters import ParameterSpace
 from strandline.runs import Ledger, RunRecord, run_key
@@ -73,7 +71,7 @@ class StudyRuns:
 
     def key(self, inputs: Mapping[str, float]) -> str:
         """Return the ledger key of a run."""
-        return run_key(self.identity, inputs)
+        return run_key(run_identity(self.study.model, self.identity, inputs), inputs)
 
     @property
     def design(self) -> list[dict[str, float]]:
@@ -82,7 +80,8 @@ class StudyRuns:
         if given is not None:
             return given
         points = sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble)
-        return [{**study.fixed, **study.space.as_mapping(x)} for x in study.space.to_physical(points)]
+        inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in study.space.to_physical(points)]
+        return first_runs(study.model, inputs)
 
     @property
     def design_keys(self) -> list[str]:
@@ -215,7 +214,7 @@ class StudyRuns:
         """Note the runs of round `number`, counted from 0; drop later rounds."""
         self._note(rounds=[*self.rounds[:number], [self.key(entry) for entry in inputs]], finished=False)
 
-    def begin_active(self, ledger: Ledger) -> Float[np.ndarray, "run dim"] | None:
+    def begin_active(self, ledger: Ledger) -> list[dict[str, float]] | None:
         """Return the inputs of the existing runs that an active design starts with; None for its Sobol design.
 
         They are the runs that the study's own and the reused ledgers hold from another study.yaml, if there are at
@@ -227,8 +226,7 @@ class StudyRuns:
         if "given" not in self._noted:
             found = self._at_hand(ledger)
             self._note(given=found if len(found) >= settings.runs else [], rounds=[], finished=False)
-        names, given = self.study.space.names, self.given
-        return None if given is None else np.array([[entry[name] for name in names] for entry in given])
+        return self.given
 
     def note_batch(self, line: str) -> None:
         """Note the result of the last batch of an active design, for `strandline status`."""
@@ -260,8 +258,8 @@ class StudyRuns:
         return [found[key] for key in sorted(found)]
 
     def _belongs(self, record: RunRecord) -> bool:
-        study = self.study
-        if set(record.inputs) != {*study.fixed, *study.space.names}:
+        study, names = self.study, {*self.study.fixed, *self.study.space.names}
+        if set(record.inputs) - {CHEAPER} != names or record.key != self.key(record.inputs):
             return False
         known = all(record.inputs[name] == value for name, value in study.fixed.items())
         box = zip(study.space.names, study.space.low, study.space.high, strict=True)

@@ -61,7 +61,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "set_aside": [asdict(one) for one in calibration.set_aside],
         "excluded": [
             {"key": record.key, "inputs": dict(record.inputs), "why": record.message}
-            for record in calibration.records
+            for record in calibration.all_runs
             if record.state == EXCLUDED
         ],
         "nearest": nearest,
@@ -164,9 +164,9 @@ def versions() -> dict[str, str]:
 
 
 def _runs(calibration: Calibration) -> dict[str, Any]:
-    failed = [record for record in calibration.records if not record.ok]
+    failed = [record for record in calibration.all_runs if not record.ok]
     return {
-        "ok": len(calibration.records) - len(failed),
+        "ok": len(calibration.all_runs) - len(failed),
         "failed": len(failed),
         "by_kind": dict(Counter(record.failure_kind or record.state for record in failed)),
     }

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from strandline.calibration import Calibration
 from strandline.design.active import BatchCheck, FieldOutcome, Step
+from strandline.design.active.fidelities import FidelityReport
 from strandline.interface import Observation, UnknownErrors, steady_lengths
 from strandline.likelihood.inferred_noise import NoisePosterior
 
@@ -106,14 +107,29 @@ def certificate(calibration: Calibration) -> dict[str, Any] | None:
     return {
         "converged": given.converged,
         "verdict": "converged" if given.converged else "not converged: " + "; ".join(given.reasons),
-        "runs": len(calibration.records),
+        "runs": len(calibration.all_runs),
         "batches": [{"kind": batch.kind, "runs": len(batch.points)} for batch in given.batches],
         "check": None if checked is None else _check(checked, given.checked, names),
         "error_um": TO_MICROMETRES * given.steps[-1].error if given.steps else None,
         "feasible_mass": found.feasible,
         "region_found": given.found,
         "statement": given.statement,
+        "fidelities": None if given.fidelities is None else _fidelities(given.fidelities),
         "history": [_step(step, names) for step in given.steps],
+    }
+
+
+def _fidelities(found: FidelityReport) -> dict[str, Any]:
+    return {
+        "cost": found.cost,
+        "cheaper_runs": found.cheaper,
+        "model_runs": found.model,
+        "equivalents": found.equivalents,
+        "pairs": found.pairs,
+        "error_um": None if found.error is None else TO_MICROMETRES * found.error,
+        "hidden_um": TO_MICROMETRES * found.hidden,
+        "dropped": found.dropped,
+        "statement": found.statement,
     }
 
 

@@ -123,6 +123,7 @@ class ActiveDesign:
         afresh: Function that samples a posterior again, from the prior, before it is checked.
         seed: Seed of all random numbers.
         scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
+        doubts: Function that returns what else speaks against a posterior that its check has passed, in words.
     """
 
     def __init__(
@@ -136,14 +137,16 @@ class ActiveDesign:
         afresh: Callable[[State], State] = lambda state: state,
         seed: int,
         scramble: int | None = None,
+        doubts: Callable[[State], tuple[str, ...]] = lambda state: (),
     ) -> None:
         self.active, self.space, self.batch, self.seed, self.scramble = active, space, batch, seed, scramble
-        self.learn, self.log_likelihood, self.afresh = learn, log_likelihood, afresh
+        self.learn, self.log_likelihood, self.afresh, self.doubts = learn, log_likelihood, afresh, doubts
         self.batches: list[Batch] = []
         self.steps: list[Step] = []
         self.state: State | None = None
         self.converged = False
         self.reasons: tuple[str, ...] = ()
+        self.besides = 0
         self._remembered: list[Remembered] = []
         self._checked: Checked | None = None
         self._odd: tuple[Surprise, ...] = ()
@@ -156,7 +159,7 @@ class ActiveDesign:
     def more_of_the_first(self) -> Batch | None:
         """Return a further batch of the Sobol sequence because too few runs succeeded; None if no runs are left."""
         asked = sum(len(batch.points) for batch in self.batches)
-        number = min(self.batch, self.active.runs - asked)
+        number = min(self.batch, self.active.runs - asked - self.besides)
         if number < 1:
             return None
         points = sobol(asked + number, self.space.dim, scramble=self.scramble)[asked:]
@@ -180,9 +183,10 @@ class ActiveDesign:
                 check = replace(check, passed=False, reasons=(self._odd[0].words(self.space),))
         if kind == "given":
             check = self._judged_without_runs(records)
+        if check is not None and check.passed and (why := self.doubts(self.state)):
+            check = replace(check, passed=False, reasons=why)
         self.steps.append(self._step(check))
-        asked = sum(len(batch.points) for batch in self.batches if batch.kind != "given")
-        stable, left = self._stable(records), self.active.runs - asked
+        stable, left = self._stable(records), self._left
         if check is not None and check.passed and (stable or kind == "given"):
             self.converged, self.reasons = True, ()
             return None
@@ -214,6 +218,12 @@ class ActiveDesign:
             seed=self.seed + 7919 * len(x),
         )
         return self._noted(points, "posterior")
+
+    @property
+    def _left(self) -> int:
+        """Number of runs that are left of those allowed."""
+        asked = sum(len(batch.points) for batch in self.batches if batch.kind != "given")
+        return self.active.runs - asked - self.besides
 
     def _confirmed(self) -> bool:
         """Sample the posterior from the prior; return whether it is the one that the batches have led to."""
@@ -371,7 +381,7 @@ class ActiveDesign:
         return max(moved.shift, moved.width) < self.active.change and moved.effective >= self.active.effective
 
     def _why_not(self, check: BatchCheck | None) -> tuple[str, ...]:
-        left = self.active.runs - sum(len(batch.points) for batch in self.batches if batch.kind != "given")
+        left = self._left
         reasons = [
             f"all {self.active.runs} runs that were allowed are made"
             if left <= 0

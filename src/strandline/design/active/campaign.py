@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from strandline.design.active.active_design import ActiveDesign, Batch
 from strandline.design.active.elsewhere import least_found
+from strandline.design.active.fidelities import Fidelities
 from strandline.design.active.outcome import Certificate
 from strandline.design.active.reported import BatchReport, report_batch
 from strandline.design.active.sampling import posterior_state
@@ -16,7 +17,9 @@ from strandline.design.active.settings import Active
 from strandline.design.active.state import State, learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
+from strandline.likelihood.field import noise_length
 from strandline.likelihood.set_aside import Judge
+from strandline.models.fidelities import by_cheaper
 from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
@@ -42,6 +45,8 @@ class ActiveRuns:
         scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
         judge: Decides which runs can be used.
         aside: Function that returns a context in which each batch is chosen.
+        inputs: Function that returns all inputs by name, given the unknown ones.
+        fidelities: What a cheaper model is used for; None if there is none.
         on_step: Called after each tempering step of the sampling that begins each choice.
         told: Called with a report of each batch once the posterior is updated.
     """
@@ -54,9 +59,12 @@ class ActiveRuns:
     scramble: int | None
     judge: Judge
     aside: Callable[[], Any]
+    inputs: Callable[[Points], list[dict[str, float]]]
+    fidelities: Fidelities | None = None
     on_step: Callable[[StepInfo], None] | None = None
     told: Callable[[BatchReport], None] = lambda report: None
     design: ActiveDesign = field(init=False)
+    _given: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         def state(x: Points, records: Sequence[RunRecord]) -> State:
@@ -78,7 +86,17 @@ class ActiveRuns:
             log_likelihood=self._true,
             seed=self.seed,
             scramble=self.scramble,
+            doubts=self._doubts,
         )
+
+    def _doubts(self, state: State) -> tuple[str, ...]:
+        """Return why runs of a cheaper model are not to be trusted where the posterior lies."""
+        return () if self.fidelities is None else self.fidelities.doubts(self._hidden(state), self.active.shift)
+
+    def _hidden(self, state: State | None) -> float:
+        """Return the shift of an interface that the noise hides, mm."""
+        seen = self.judge.observations if state is None else state.knowledge.likelihood.known_observations
+        return min(noise_length(one, self.discrepancy) for one in seen)
 
     def _true(self, record: RunRecord) -> float:
         """Return the log-likelihood of a run, with the noise as it is known so far."""
@@ -94,9 +112,18 @@ class ActiveRuns:
         """Return the unknown inputs of runs."""
         return np.array([[record.inputs[name] for name in self.space.names] for record in records], float)
 
-    def __call__(self, records: Sequence[RunRecord]) -> Points:
+    def __call__(self, records: Sequence[RunRecord]) -> list[dict[str, float]]:
         """Return the inputs of the next batch, none to stop; more of the first design if too few runs succeeded."""
         with self.aside(), one_thread():
+            if self.fidelities is not None:
+                self.fidelities.learn(records)
+                if lacking := self.fidelities.lacking:
+                    return lacking
+                self._use(self.fidelities)
+                given = self.design.batches[-1].kind == "given"
+                self._given = self.fidelities.by_both if given else self._given
+                self.design.besides = self.fidelities.by_both - self._given
+                records = self.fidelities.records
             try:
                 before = len(self.design.steps)
                 batch = self._next(records)
@@ -106,7 +133,25 @@ class ActiveRuns:
                 batch = self.design.more_of_the_first()
                 if batch is None:
                     raise
-        return np.empty((0, self.space.dim)) if batch is None else batch.points
+        return [] if batch is None else self._runs(batch)
+
+    def _use(self, fidelities: Fidelities) -> None:
+        """Drop a cheaper model of which too few runs succeeded."""
+        if fidelities.correction is None and fidelities.dropped is None:
+            fidelities.drop("it did not succeed together with the model at enough inputs")
+
+    def _runs(self, batch: Batch) -> list[dict[str, float]]:
+        """Return the runs of a batch: of the model, or of a cheaper one, and of both where they are compared."""
+        both, inputs = self.fidelities, self.inputs(batch.points)
+        if both is None or both.dropped is not None:
+            return inputs
+        pairs = 0
+        if batch.kind == "posterior":
+            tolerated = self._hidden(self.design.state) * self.active.shift
+            pairs = int(both.pays(tolerated, self.design.steps[-1].error))
+        elif batch.kind == "check" and self.design.batches[-2].kind != "check":
+            pairs = len(both.try_at(batch.points))
+        return [by_cheaper(entry) for entry in inputs] + inputs[:pairs]
 
     def _next(self, records: Sequence[RunRecord]) -> Batch | None:
         """Return the next batch; the design stays unchanged if the runs do not define a field yet."""
@@ -134,4 +179,5 @@ class ActiveRuns:
             batches=tuple(design.batches),
             checked=checks[-1] if checks else None,
             found=least_found(self.asked, self.space),
+            fidelities=None if self.fidelities is None else self.fidelities.report(self._hidden(design.state)),
         )

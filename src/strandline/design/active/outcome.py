@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from strandline.design.active.active_design import Batch, Step
 from strandline.design.active.elsewhere import SURE
+from strandline.design.active.fidelities import FidelityReport
 from strandline.design.active.state import Knowledge
 from strandline.posterior.shown import html_table
 
@@ -41,6 +42,7 @@ class Certificate:
         checked: the step with the last check, or None.
         found: smallest share of the prior's mass such that a region of it that fits would have been found with 95 %
             probability, wherever it lies.
+        fidelities: What a cheaper model was used for; None if there was none.
     """
 
     converged: bool
@@ -49,6 +51,7 @@ class Certificate:
     batches: tuple[Batch, ...]
     checked: Step | None
     found: float = 1.0
+    fidelities: FidelityReport | None = None
 
     @property
     def statement(self) -> str:

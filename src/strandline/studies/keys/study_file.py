@@ -1,6 +1,6 @@
 """The whole of study.yaml, version 1. These objects never leave `studies`."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -58,6 +58,9 @@ class StudyFile(Section):
     """letters, digits, `_`, `.`, `-`; starts with a letter or digit"""
     model: Choice
     """a [simulator](#models) with its options"""
+    fidelities: Annotated[list[str | dict[str, Any]], Field(min_length=1, max_length=1)] = []
+    """[a cheaper model](../how-to/cheaper-model.md), for most runs of an active design: the options in which it differs
+    from `model`, with `cost`, or the name of its mesh"""
     fixed: dict[Name, Number | Quantity] = {}
     """a known input: a number in the model's unit"""
     inputs: Annotated[dict[Name, Input], Field(min_length=1)]
@@ -83,6 +86,13 @@ class StudyFile(Section):
             raise _unfit(
                 "an active design with a surrogate of the log-likelihood",
                 "`surrogate: {field: {}}` for an active design, or `design: {sobol: {runs: …}}`",
+            )
+        if self.fidelities and self.design.active is None:
+            raise InvalidStudy(
+                "fidelities",
+                value="a cheaper model without an active design",
+                expected="`design: {active: {runs: …}}`, which decides which model to run",
+                remedy="Change the design, or remove fidelities.",
             )
         if self.design.refine is not None and self.surrogate.field is not None:
             raise _unfit(

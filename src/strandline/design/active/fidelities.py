@@ -1,0 +1,288 @@
+"""Runs of a model and of a cheaper one as runs of the model: the cheaper interfaces are corrected.
+
+Each run is made by the cheaper model. At a few inputs both models are run; these pairs teach the correction, see
+`strandline.surrogate.field.correction`. It is trusted once runs of both models at draws of the posterior, which it has
+not learnt from, confirm it. If it explains too little, or is refuted twice, the cheaper model is dropped.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import NoCommonPoints
+from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, is_cheaper
+from strandline.runs import RunRecord
+from strandline.surrogate.field.correction import FEWEST_PAIRS, Correction, fit_correction
+
+__all__ = ["TRIED", "Fidelities", "FidelityReport", "as_by_model"]
+
+TRIED = 3
+"""Draws of a posterior at which the correction is confirmed."""
+MISLEADING = 0.5
+"""A cheaper model is dropped if its corrected interfaces err by more than this share of the interfaces' spread."""
+REFUTED = 2
+"""Number of posteriors at which the correction may prove wrong before the cheaper model is dropped."""
+ENOUGH = 6
+"""Pairs from which errors at left-out ones may stand in for draws of the posterior."""
+
+At = bytes
+
+
+@dataclass(frozen=True)
+class FidelityReport:
+    """What two models were used for.
+
+    Args:
+        cost: Cost of a run of the cheaper one, as a share of one of the model.
+        cheaper: Number of runs by the cheaper one.
+        model: Number of runs by the model itself.
+        pairs: Number of inputs at which both succeeded.
+        error: Largest error of the corrected interface at the draws that confirmed it, root mean square along the
+            interface, mm; None if it has not been confirmed.
+        hidden: Shift of the interface that the noise hides, mm.
+        dropped: Why the cheaper model was dropped; None if it is in use.
+    """
+
+    cost: float
+    cheaper: int
+    model: int
+    pairs: int
+    error: float | None
+    hidden: float
+    dropped: str | None
+
+    @property
+    def equivalents(self) -> float:
+        """What all runs cost, in runs of the model."""
+        return self.model + self.cost * self.cheaper
+
+    @property
+    def statement(self) -> str:
+        """What was found, in words."""
+        cost = (
+            f"{self.cheaper} runs by the cheaper model and {self.model} by the model itself cost as much as "
+            f"{self.equivalents:.3g} runs of the model."
+        )
+        if self.dropped is not None:
+            return f"{cost} The cheaper model is not used: {self.dropped}."
+        if self.error is None:
+            return f"{cost} The correction of the cheaper model was not confirmed."
+        return (
+            f"{cost} Corrected by {self.pairs} pairs of runs, interfaces of the cheaper model are right to "
+            f"{1e3 * self.error:.2g} µm where the posterior lies, {self.error / self.hidden:.0%} of the shift that the "
+            "noise hides."
+        )
+
+
+class Fidelities:
+    """Decides which runs both models make, and what the runs of the cheaper one are worth.
+
+    Args:
+        names: Names of the unknown inputs.
+        conditions: The observed conditions.
+        cost: Cost of a run of the cheaper model, as a share of one of the model.
+    """
+
+    def __init__(self, names: Sequence[str], conditions: Sequence[str], cost: float) -> None:
+        self.names, self.conditions, self.cost = tuple(names), tuple(conditions), cost
+        self.dropped: str | None = None
+        self.correction: Correction | None = None
+        self._trial: list[At] = []
+        self._tried: list[float] = []
+        self.confirmed: float | None = None
+        self.refuted = 0
+        self._runs: dict[At, dict[bool, RunRecord]] = {}
+        self._learnt_from: tuple[str, ...] = ()
+        self._counts = {True: 0, False: 0}
+
+    def learn(self, records: Sequence[RunRecord]) -> None:
+        """Try the correction at new draws of the posterior, if there are any, and learn it from all pairs of runs."""
+        self._runs = {}
+        for record in records:
+            self._runs.setdefault(self._at(record), {})[is_cheaper(record.inputs)] = record
+        self._counts = {kind: sum(is_cheaper(record.inputs) is kind for record in records) for kind in (True, False)}
+        for at in [at for at in self._trial if len(self._runs.get(at, ())) == 2]:
+            self._tried.append(self._error(self._runs[at]))
+            self._trial.remove(at)
+        pairs = [runs for runs in self._runs.values() if _both_ok(runs)]
+        keys = tuple(sorted(runs[False].key for runs in pairs))
+        if self.dropped is not None or len(pairs) < FEWEST_PAIRS or keys == self._learnt_from:
+            return
+        try:
+            self.correction = fit_correction(
+                [self._seen(runs[True]) for runs in pairs], [self._seen(runs[False]) for runs in pairs]
+            )
+        except NoCommonPoints as error:
+            self.drop(str(error.value))
+            return
+        self._learnt_from = keys
+        if self.correction.error > MISLEADING * self.correction.spread:
+            self.drop(
+                f"corrected by {len(pairs)} pairs of runs, its interfaces err by {1e3 * self.correction.error:.2g} µm, "
+                f"where the model's differ by {1e3 * self.correction.spread:.2g} µm"
+            )
+
+    def drop(self, why: str) -> None:
+        """Use runs of the model alone from now on."""
+        self.dropped, self.correction = why, None
+
+    @property
+    def lacking(self) -> list[dict[str, float]]:
+        """Inputs of one more run each that would make the pairs enough; none if there are enough."""
+        missing = FIRST_PAIRS - sum(_both_ok(runs) for runs in self._runs.values())
+        if self.dropped is not None or missing <= 0:
+            return []
+        alone = [next(iter(runs.values())) for runs in self._runs.values() if len(runs) == 1]
+        return [_other(record) for record in alone if record.ok][:missing]
+
+    @property
+    def by_both(self) -> int:
+        """Number of inputs at which both models have run."""
+        return sum(len(runs) == 2 for runs in self._runs.values())
+
+    @property
+    def points(self) -> Float[np.ndarray, "run dim"]:
+        """Inputs of `records`, in the order in which they were first asked for."""
+        return np.array([[record.inputs[name] for name in self.names] for record in self.records], float)
+
+    @property
+    def records(self) -> tuple[RunRecord, ...]:
+        """One record for each of the inputs, as if by the model: its own, or a corrected one of the cheaper model."""
+        out = []
+        for runs in self._runs.values():
+            if False in runs:
+                out.append(runs[False])
+            elif self.dropped is None:
+                out.append(self._corrected(runs[True]))
+        return tuple(out)
+
+    def try_at(self, points: Float[np.ndarray, "draw dim"]) -> Float[np.ndarray, "tried dim"]:
+        """Begin a trial at the first draws of a posterior; return those at which both models are to be run."""
+        tried = points[:TRIED]
+        self._trial, self._tried = [row.tobytes() for row in tried], []
+        return tried
+
+    def pays(self, tolerated: float, error: float) -> bool:
+        """Return whether one more pair lowers the error of the field by more, for its cost, than a cheaper run.
+
+        Args:
+            tolerated: Error of the correction that is tolerated, mm; half of it needs no further pairs.
+            error: Error of the predicted interface where the posterior lies, mm.
+        """
+        wrong = 0.0 if self.correction is None else self.correction.error
+        return wrong > 0.5 * tolerated and self.cost * wrong**2 > error**2
+
+    def doubts(self, hidden: float, share: float) -> tuple[str, ...]:
+        """Return why the correction is not to be trusted where the posterior lies; nothing if it is.
+
+        Args:
+            hidden: Shift of the interface that the noise hides, mm.
+            share: Largest error, as a share of it. An error of this size moves no mean by more than as many sds.
+        """
+        if self.dropped is not None or self.correction is None:
+            return ()
+        found = self._tried
+        if not found and self.correction.pairs >= ENOUGH:
+            found = list(self.correction.left_out)
+        if not found:
+            return ("the correction of the cheaper model has not been confirmed",)
+        worst = max(found)
+        if worst <= share * hidden:
+            self.confirmed = worst
+            return ()
+        self.refuted += 1
+        how = "the model fails where the cheaper one does not" if np.isinf(worst) else f"by {1e3 * worst:.2g} µm"
+        reason = (
+            f"the corrected interface of the cheaper model is wrong at a draw of the posterior ({how}; the noise hides "
+            f"{1e3 * hidden:.2g} µm)"
+        )
+        if self.refuted >= REFUTED:
+            self.drop(reason)
+        return (reason,)
+
+    def report(self, hidden: float) -> FidelityReport:
+        """Return what the two models were used for."""
+        pairs = sum(_both_ok(runs) for runs in self._runs.values())
+        confirmed = None if self.dropped is not None else self.confirmed
+        return FidelityReport(
+            self.cost, self._counts[True], self._counts[False], pairs, confirmed, hidden, self.dropped
+        )
+
+    def _at(self, record: RunRecord) -> At:
+        return np.array([record.inputs[name] for name in self.names], float).tobytes()
+
+    def _seen(self, record: RunRecord) -> dict[str, Any]:
+        return {name: record.interfaces[name] for name in self.conditions if name in record.interfaces}
+
+    def _error(self, runs: Mapping[bool, RunRecord]) -> float:
+        """Return how far the corrected interface is from the model's; infinite if only one of them succeeded."""
+        model, cheaper = runs[False], runs.get(True)
+        if self.correction is None or cheaper is None or not cheaper.ok:
+            return 0.0
+        if not model.ok:
+            return np.inf
+        try:
+            corrected = self.correction.corrected(self._seen(cheaper))
+            return self.correction.distance(corrected, self._seen(model))
+        except NoCommonPoints:
+            return np.inf
+
+    def _corrected(self, record: RunRecord) -> RunRecord:
+        """Return the record of a run as the model would have made it."""
+        inputs = {name: value for name, value in record.inputs.items() if name != CHEAPER}
+        if not record.ok or self.correction is None:
+            return replace(record, inputs=inputs)
+        nothing: dict[str, Any] = {"interfaces": {}, "sensitivities": {}}
+        try:
+            interfaces = self.correction.corrected(self._seen(record))
+        except NoCommonPoints as error:
+            return replace(
+                record, inputs=inputs, state="invalid", failure_kind="no_common_points", message=str(error), **nothing
+            )
+        slopes: dict[str, dict[str, Any]] = {}
+        if record.sensitivities and self.correction.node_by_node:
+            for name in self.names:
+                of = {condition: record.sensitivities[condition][name] for condition in interfaces}
+                for condition, one in self.correction.corrected_slopes(of).items():
+                    slopes.setdefault(condition, {})[name] = one
+        digest = hashlib.sha256("".join(self._learnt_from).encode()).hexdigest()[:8]
+        return replace(
+            record, key=f"{record.key}-{digest}", inputs=inputs, interfaces=interfaces, sensitivities=slopes
+        )
+
+
+def as_by_model(
+    records: Sequence[RunRecord], names: Sequence[str], *, dropped: bool = False
+) -> tuple[RunRecord, ...]:
+    """Return one record for each of the inputs, as if by the model; unchanged if no cheaper model was used.
+
+    Args:
+        records: Runs of both models.
+        names: Names of the unknown inputs.
+        dropped: Whether runs of the cheaper model are left aside.
+    """
+    if not any(is_cheaper(record.inputs) for record in records):
+        return tuple(records)
+    conditions = next((tuple(record.interfaces) for record in records if record.ok), ())
+    both = Fidelities(names, conditions, 0.5)
+    if dropped:
+        both.drop("dropped before")
+    both.learn(records)
+    if both.correction is None:
+        both.drop("no correction")
+    return both.records
+
+
+def _both_ok(runs: Mapping[bool, RunRecord]) -> bool:
+    return len(runs) == 2 and all(record.ok for record in runs.values())
+
+
+def _other(record: RunRecord) -> dict[str, float]:
+    """Return the inputs of the run of the other model."""
+    if is_cheaper(record.inputs):
+        return {name: value for name, value in record.inputs.items() if name != CHEAPER}
+    return {**record.inputs, CHEAPER: 1.0}

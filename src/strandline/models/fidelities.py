@@ -1,0 +1,122 @@
+"""A model with a cheaper one beside it, e.g. on a coarser mesh: one simulator of two fidelities.
+
+A run by the cheaper model has the further input `CHEAPER`; a run without it is one by the model itself. So both kinds
+are kept in one ledger, and a study that has made runs without a cheaper model keeps them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from strandline.errors import InvalidInput
+from strandline.interface import Interface
+from strandline.models.protocol import (
+    ForwardModel,
+    Simulation,
+    declared_conditions,
+    declared_inputs,
+    fingerprint,
+)
+
+__all__ = ["CHEAPER", "FIRST_PAIRS", "WithCheaper", "by_cheaper", "first_runs", "is_cheaper", "run_identity"]
+
+CHEAPER = "cheaper_model"
+"""Input that marks a run by the cheaper model; its value is 1."""
+FIRST_PAIRS = 3
+"""Inputs of a first design at which both models are run."""
+
+
+@dataclass(frozen=True)
+class WithCheaper:
+    """A model and a cheaper one for the same inputs; in all else it is the model.
+
+    Args:
+        model: The model.
+        cheaper: The cheaper one, with the same inputs and conditions.
+        cost: Cost of a run of the cheaper one, as a share of a run of the model; above 0 and below 1.
+
+    Raises:
+        InvalidInput: The two are the same, or differ in inputs or conditions; a cost out of range.
+    """
+
+    model: ForwardModel
+    cheaper: ForwardModel
+    cost: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.cost < 1:
+            raise InvalidInput(
+                "cost of a run of the cheaper model",
+                value=self.cost,
+                expected="a share of the cost of a run of the model, above 0 and below 1",
+                remedy="Divide the seconds of a run of the cheaper model by those of a run of the model.",
+            )
+        if fingerprint(self.model) == fingerprint(self.cheaper):
+            raise InvalidInput(
+                "the cheaper model",
+                value="the model itself",
+                expected="a model whose runs are cheaper, such as one with a coarser mesh",
+                remedy="Change an option, or remove the cheaper model.",
+            )
+        names = [sorted(one.name for one in declared_inputs(model)) for model in (self.model, self.cheaper)]
+        conditions = [sorted(declared_conditions(model)) for model in (self.model, self.cheaper)]
+        for what, (own, other) in (("inputs", names), ("conditions", conditions)):
+            if own != other:
+                raise InvalidInput(
+                    f"{what} of the cheaper model",
+                    value=", ".join(other) or "none",
+                    expected=f"those of the model: {', '.join(own) or 'none'}",
+                    remedy="Let both models take the same inputs and return the same conditions.",
+                )
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
+        """Run the model, or the cheaper one if the inputs are marked."""
+        if is_cheaper(inputs):
+            return self.cheaper({name: value for name, value in inputs.items() if name != CHEAPER}, workdir)
+        return self.model(inputs, workdir)
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the model: the ledger's."""
+        return fingerprint(self.model)
+
+    @cached_property
+    def fingerprint_of_cheaper(self) -> str:
+        """Fingerprint of the cheaper model."""
+        return fingerprint(self.cheaper)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the model itself offers or declares."""
+        if name.startswith("__") or "model" not in self.__dict__:
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+
+def is_cheaper(inputs: Mapping[str, float]) -> bool:
+    """Return whether a run is one by the cheaper model."""
+    return CHEAPER in inputs
+
+
+def by_cheaper(inputs: Mapping[str, float]) -> dict[str, float]:
+    """Return the inputs of the run by the cheaper model."""
+    return {**inputs, CHEAPER: 1.0}
+
+
+def run_identity(model: ForwardModel, own: str, inputs: Mapping[str, float]) -> str:
+    """Return the fingerprint that a run's content address begins with: that of the model that makes it.
+
+    Args:
+        model: The model, or a pair of models.
+        own: Fingerprint of the model.
+        inputs: Inputs of the run.
+    """
+    return model.fingerprint_of_cheaper if isinstance(model, WithCheaper) and is_cheaper(inputs) else own
+
+
+def first_runs(model: ForwardModel, inputs: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """Return the runs of a first design at these inputs: all by the cheaper model if there is one, some by both."""
+    if not isinstance(model, WithCheaper):
+        return [dict(entry) for entry in inputs]
+    return [by_cheaper(entry) for entry in inputs] + [dict(entry) for entry in inputs[:FIRST_PAIRS]]

@@ -1,0 +1,66 @@
+"""The cheaper model of a study, from its key `fidelities`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.models.fidelities import CHEAPER, WithCheaper
+from strandline.models.protocol import ForwardModel
+from strandline.studies.build import build_model
+from strandline.studies.keys import StudyFile
+from strandline.studies.undeformed import Undeformed
+
+__all__ = ["with_cheaper"]
+
+COST = 0.3
+"""Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""
+
+
+def with_cheaper(
+    model: ForwardModel, content: StudyFile, folder: Path, undeformed: Undeformed | None = None
+) -> ForwardModel:
+    """Return the model together with the cheaper one that the study names, or alone if it names none.
+
+    Args:
+        model: The model.
+        content: The study file.
+        folder: Folder of the study.
+        undeformed: The model's undeformed outline, if it comes from a picture.
+
+    Raises:
+        InvalidStudy: The cheaper model cannot be built, or does not fit the model.
+    """
+    if not content.fidelities:
+        return model
+    (given,) = content.fidelities
+    options = dict(given) if isinstance(given, Mapping) else {"mesh": given}
+    cost = options.pop("cost", COST)
+    if isinstance(cost, bool) or not isinstance(cost, int | float):
+        raise InvalidStudy(
+            "fidelities.cost", value=cost, expected="a number above 0 and below 1", remedy="Write e.g. cost: 0.3."
+        )
+    if CHEAPER in {*content.inputs, *content.fixed}:
+        raise InvalidStudy(
+            "an input of a study with fidelities", value=CHEAPER, expected="another name", remedy="Rename it."
+        )
+    other = options.pop("model", None)
+    if other is None:
+        (name, own) = next(iter(content.model.items()))
+        choice: Mapping[str, Mapping[str, Any] | None] = {name: {**(own or {}), **options}}
+    elif options or not isinstance(other, Mapping) or len(other) != 1:
+        raise InvalidStudy(
+            "fidelities.model",
+            value=str(other) if not options else f"with {', '.join(options)} beside it",
+            expected="one simulator with its options, as under `model`, and only `cost` beside it",
+            remedy="Write e.g. fidelities: [{model: {command: {…}}, cost: 0.1}].",
+        )
+    else:
+        choice = other
+    cheaper = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
+    try:
+        return WithCheaper(model, cheaper, float(cost))
+    except InvalidInput as error:
+        raise InvalidStudy(
+            f"fidelities: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
+        ) from None

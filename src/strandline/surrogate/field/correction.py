@@ -1,0 +1,160 @@
+"""What a cheaper model's interface lacks to that of the model itself, learnt from runs of both at the same inputs.
+
+The correction is taken as a linear function of the cheaper interface: a constant plus a Gaussian process with the
+linear kernel of the interface's points. It needs far fewer runs than a function of the inputs: what a coarse mesh adds
+grows with the displacement, whatever causes it. This is the additive part of Kennedy and O'Hagan (2000), with the
+cheaper model's output in place of its inputs. The share of noise is the one with the smallest leave-one-out error.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import NoCommonPoints
+from strandline.interface import Interface
+from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of, registered
+
+__all__ = ["FEWEST_PAIRS", "Correction", "fit_correction"]
+
+FEWEST_PAIRS = 3
+"""Fewest runs of both models."""
+RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
+"""Variances of the noise that are tried, in mean variances of the cheaper interfaces."""
+
+Interfaces = Mapping[str, Interface]
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Difference between the interfaces of a model and a cheaper one, as a function of the latter.
+
+    Args:
+        layouts: Layouts of the points by condition, common to both models.
+        middle: Mean of the cheaper interfaces, all coordinates, mm.
+        scale: Root mean square distance of the cheaper interfaces from it, mm.
+        runs: Cheaper interfaces less their mean, in units of `scale`, with weights (pair, value).
+        constant: Constant part of the correction, mm.
+        factors: Factors of the kernel's rows (pair, value), mm.
+        weights: Roots of each value's share of the interface's length (area).
+        left_out: Error of the correction at each pair, learnt from the others, root mean square along the interface,
+            mm (pair,).
+        spread: Root mean square distance of the model's own interfaces at the pairs from their mean, mm.
+    """
+
+    layouts: Mapping[str, Layout]
+    middle: Float[np.ndarray, " value"]
+    scale: float
+    runs: Float[np.ndarray, "pair value"]
+    constant: Float[np.ndarray, " value"]
+    factors: Float[np.ndarray, "pair value"]
+    weights: Float[np.ndarray, " value"]
+    left_out: Float[np.ndarray, " pair"]
+    spread: float
+
+    @property
+    def pairs(self) -> int:
+        """Number of runs of both models."""
+        return len(self.runs)
+
+    @property
+    def error(self) -> float:
+        """Root mean square of the errors at left-out pairs, mm."""
+        return float(np.sqrt(np.mean(self.left_out**2)))
+
+    def corrected(self, cheaper: Interfaces) -> dict[str, Interface]:
+        """Return the interfaces that the model would return, from those of the cheaper one.
+
+        Raises:
+            NoCommonPoints: An interface without common points with the others.
+        """
+        points = {name: registered(cheaper[name], layout)[0] for name, layout in self.layouts.items()}
+        field = np.concatenate([one.ravel() for one in points.values()])
+        field = field + self.constant + self._slope((field - self.middle)[None])[0]
+        return {name: self.layouts[name].with_points(one) for name, one in self._split(field).items()}
+
+    def corrected_slopes(self, slopes: Mapping[str, Float[np.ndarray, "point xyz"]]) -> dict[str, np.ndarray]:
+        """Return the derivatives of the corrected interfaces in an input, from those of the cheaper ones, by condition.
+
+        They only have common points if the nodes correspond.
+        """
+        field = np.concatenate([np.asarray(slopes[name], float).ravel() for name in self.layouts])
+        return self._split(field + self._slope(field[None])[0])
+
+    @property
+    def node_by_node(self) -> bool:
+        """Whether the points are the nodes of both models."""
+        return all(layout.way == "nodes" for layout in self.layouts.values())
+
+    def distance(self, one: Interfaces, other: Interfaces) -> float:
+        """Return the distance between interfaces with common points, root mean square along the interface, mm.
+
+        Raises:
+            NoCommonPoints: An interface without common points with the others.
+        """
+        (a, b), _ = fields_of([one, other], self.layouts)
+        return float(_rms((a - b)[None], self.weights, len(self.layouts))[0])
+
+    def _slope(self, field: Float[np.ndarray, "some value"]) -> Float[np.ndarray, "some value"]:
+        """Return the linear part of the correction of a change of the cheaper interface."""
+        return np.asarray((field * self.weights / self.scale) @ self.runs.T @ self.factors)
+
+    def _split(self, field: Float[np.ndarray, " value"]) -> dict[str, np.ndarray]:
+        out, begin = {}, 0
+        for name, layout in self.layouts.items():
+            shape = layout.template.points.shape
+            out[name] = field[begin : begin + shape[0] * shape[1]].reshape(shape)
+            begin += shape[0] * shape[1]
+        return out
+
+
+def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -> Correction:
+    """Return the correction learnt from the interfaces of both models at the same inputs, at least `FEWEST_PAIRS`.
+
+    Raises:
+        NoCommonPoints: Interfaces that cannot be brought to common points.
+    """
+    names = list(model[0])
+    if any(set(names) - set(run) for run in (*cheaper, *model)):
+        raise NoCommonPoints(
+            "interfaces of the cheaper model",
+            value="other conditions",
+            expected=f"the model's: {', '.join(names)}",
+            remedy="Let both models return the same conditions.",
+        )
+    layouts = {name: common_layout([run[name] for run in (*model, *cheaper)]) for name in names}
+    below, above = fields_of(cheaper, layouts)[0], fields_of(model, layouts)[0]
+    shares = [np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()]
+    weights = np.sqrt(np.concatenate(shares))
+    middle, conditions = below.mean(axis=0), len(layouts)
+    scale = max(float(np.sqrt(np.mean(_rms(below - middle, weights, 1) ** 2))), np.finfo(float).tiny)
+    runs, lacks = (below - middle) * weights / scale, above - below
+    tried = [_conditioned(runs @ runs.T, lacks, ridge) for ridge in RIDGES]
+    errors = [_rms(left_out, weights, conditions) for _, _, left_out in tried]
+    best = int(np.argmin([np.sum(one**2) for one in errors]))
+    constant, factors, _ = tried[best]
+    spread = float(np.sqrt(np.mean(_rms(above - above.mean(axis=0), weights, conditions) ** 2)))
+    return Correction(layouts, middle, scale, runs, constant, factors, weights, errors[best], spread)
+
+
+def _conditioned(
+    kernel: Float[np.ndarray, "pair pair"], lacks: Float[np.ndarray, "pair value"], ridge: float
+) -> tuple[Float[np.ndarray, " value"], Float[np.ndarray, "pair value"], Float[np.ndarray, "pair value"]]:
+    """Return the constant, the factors of the kernel, and the errors of left-out pairs (universal kriging).
+
+    The errors follow from the precision matrix: Rasmussen and Williams (2006), Section 5.4.2.
+    """
+    number, mean = len(kernel), max(float(np.trace(kernel)) / len(kernel), 1e-12)
+    inverse = np.linalg.inv(kernel + ridge * mean * np.eye(number))
+    ones = inverse.sum(axis=1)
+    constant = ones @ lacks / ones.sum()
+    precision = inverse - np.outer(ones, ones) / ones.sum()
+    return constant, inverse @ (lacks - constant), (precision @ lacks) / np.diagonal(precision)[:, None]
+
+
+def _rms(
+    fields: Float[np.ndarray, "some value"], weights: Float[np.ndarray, " value"], conditions: int
+) -> Float[np.ndarray, " some"]:
+    """Return the root mean square of fields along the interface, over all conditions, mm."""
+    return np.asarray(np.sqrt(np.sum((fields * weights) ** 2, axis=1) / conditions))
