@@ -209,9 +209,7 @@ class Learning:
             surrogates = _trained(training, log_likelihoods, self.settings)
         return Learnt(points, records, training, log_likelihoods, surrogates)
 
-    def _by_field(
-        self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None
-    ) -> tuple[Learnt, Knowledge]:
+    def _by_field(self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None) -> tuple[Learnt, Knowledge]:
         """Run the model at `first` and where the active design chooses; learn the field.
 
         The surrogates of the log-likelihood are also trained, for comparison, if possible.

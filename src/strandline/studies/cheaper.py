@@ -1,5 +1,6 @@
 """The cheaper model of a study, from its key `fidelities`."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,10 +9,11 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models.fidelities import CHEAPER, WithCheaper
 from strandline.models.protocol import ForwardModel
 from strandline.studies.build import build_model
+from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
 from strandline.studies.undeformed import Undeformed
 
-__all__ = ["with_cheaper"]
+__all__ = ["cheaper_dropped", "with_cheaper"]
 
 COST = 0.3
 """Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""
@@ -57,10 +59,19 @@ def with_cheaper(
         )
     else:
         choice = other
-    cheaper = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
     try:
+        cheaper = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
         return WithCheaper(model, cheaper, float(cost))
     except InvalidInput as error:
         raise InvalidStudy(
             f"fidelities: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
         ) from None
+
+
+def cheaper_dropped(folder: Path) -> bool:
+    """Return whether the results in a study's folder leave the runs of its cheaper model aside."""
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        return summary["certificate"]["fidelities"]["dropped"] is not None
+    except (OSError, ValueError, KeyError, TypeError):
+        return False

@@ -22,6 +22,7 @@ from strandline.calibration.field_quality import TOLERATED, TOLERATED_SHARE, Fie
 from strandline.calibration.learning import known_field
 from strandline.calibration.source import Source, posterior_source, prior_source
 from strandline.design.active import Knowledge
+from strandline.design.active.fidelities import as_by_model
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.likelihood.set_aside import Judge
@@ -31,6 +32,7 @@ from strandline.posterior import Posterior
 from strandline.report import write_coverage
 from strandline.runs import Ledger, Progress, RunRecord
 from strandline.runs.soundness import outcome_digest
+from strandline.studies.cheaper import cheaper_dropped
 from strandline.studies.check import finished_posterior
 from strandline.studies.check_file import posterior_digest
 from strandline.studies.coverage_file import TO_MICROMETRES, ReplicateFile, describe_coverage
@@ -240,12 +242,13 @@ def runs_to_learn_from(study: Study) -> tuple[RunRecord, ...]:
 
 
 def _records(study: Study) -> tuple[RunRecord, ...]:
-    """Return the study's runs in the order in which it asked for them."""
+    """Return the study's runs in the order in which it asked for them, those of a cheaper model corrected."""
     runs = study.runs
     keys = [*runs.design_keys, *(key for some in runs.rounds for key in some)]
     with Ledger.open(study.ledger_path, model=runs.identity, read_only=True) as ledger:
         found = {record.key: record for record in settled(ledger, keys, sensitivities=study.sensitivities)}
-    return tuple(found[key] for key in dict.fromkeys(keys) if key in found)
+    records = [found[key] for key in dict.fromkeys(keys) if key in found]
+    return as_by_model(records, study.space.names, dropped=cheaper_dropped(study.folder))
 
 
 def _thinned(study: Study, records: tuple[RunRecord, ...]) -> tuple[RunRecord, ...]:

@@ -1,22 +1,22 @@
 """The results of a finished study, read back: its posterior, its figures, and other posteriors from the same runs."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from jaxtyping import Float
 
 from strandline.calibration import Calibration, Problem, Settings, calibrate
 from strandline.design.refinement import Refinement
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
+from strandline.models.fidelities import is_cheaper
 from strandline.posterior import Posterior, from_datatree, read
 from strandline.report.plots.of_posterior import PosteriorPlots
 from strandline.runs import InProcess
+from strandline.studies.cheaper import cheaper_dropped
 from strandline.studies.chosen import construct, open_entry
 from strandline.studies.folder import POSTERIOR, SUMMARY
 from strandline.studies.observed import noisy
@@ -105,14 +105,14 @@ class Result:
         return self._calibrated(discrepancies={type(measure).__name__: measure})
 
     @cached_property
-    def _inputs(self) -> Float[np.ndarray, "run dim"]:
-        """Unknown inputs of all runs, shape (run, dim), in the order in which the study asked for them."""
+    def _inputs(self) -> list[Mapping[str, float]]:
+        """Inputs of all runs that are used, in the order in which the study asked for them."""
         runs, truth = self.study.runs, self.study.truth
         synthetic = None if truth is None else runs.key(truth)
         with runs.ledger() as ledger:
             records = ledger.latest([key for key in runs.needed_keys if key != synthetic]).values()
-        names = self.study.space.names
-        return np.array([[record.inputs[name] for name in names] for record in records])
+        dropped = cheaper_dropped(self.study.folder)
+        return [record.inputs for record in records if not (dropped and is_cheaper(record.inputs))]
 
     def _calibrated(self, **changes: Any) -> Calibration:
         study = replace(self.study, **changes)

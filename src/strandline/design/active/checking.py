@@ -40,6 +40,8 @@ POOL = 200
 """Draws from which the probes are picked."""
 ERROR_PROBABILITY = 0.05
 """Probability that an early verdict is wrong, over all looks together."""
+GROWTH = 0.25
+"""Share by which the draws of a check grow from one look to the next."""
 FEWEST_WHOLE = 18
 """Fewest draws besides the probes whose importance weights count."""
 MOST_FAILED, MOST_EARLY = 0.1, 3
@@ -124,8 +126,14 @@ def probes(draws: Float[np.ndarray, "draw dim"], number: int) -> Int[np.ndarray,
 
 
 def looks(fewest: int, most: int, batch: int) -> tuple[int, ...]:
-    """Return after how many draws the verdict is sought, if they come in batches of this size."""
-    return (*range(fewest, most, max(batch, 2)), most)
+    """Return after how many draws the verdict is sought, if they come in batches of this size.
+
+    They grow by a quarter each time: more looks would leave less of the error probability for each.
+    """
+    ends, step = [fewest], max(batch, 2)
+    while ends[-1] < most:
+        ends.append(min(ends[-1] + step * math.ceil(GROWTH * ends[-1] / step), most))
+    return tuple(ends)
 
 
 def verdict(

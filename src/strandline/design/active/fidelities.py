@@ -250,14 +250,10 @@ class Fidelities:
                 for condition, one in self.correction.corrected_slopes(of).items():
                     slopes.setdefault(condition, {})[name] = one
         digest = hashlib.sha256("".join(self._learnt_from).encode()).hexdigest()[:8]
-        return replace(
-            record, key=f"{record.key}-{digest}", inputs=inputs, interfaces=interfaces, sensitivities=slopes
-        )
+        return replace(record, key=f"{record.key}-{digest}", inputs=inputs, interfaces=interfaces, sensitivities=slopes)
 
 
-def as_by_model(
-    records: Sequence[RunRecord], names: Sequence[str], *, dropped: bool = False
-) -> tuple[RunRecord, ...]:
+def as_by_model(records: Sequence[RunRecord], names: Sequence[str], *, dropped: bool = False) -> tuple[RunRecord, ...]:
     """Return one record for each of the inputs, as if by the model; unchanged if no cheaper model was used.
 
     Args:

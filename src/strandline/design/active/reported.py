@@ -24,19 +24,22 @@ class BatchReport:
         posterior: mean and standard deviation of each calibrated input by its symbol, as text.
         moved: how far the posterior has moved, in standard deviations; None if there is none to compare with.
         next: what the design does next.
+        objection: what a check objected to, in words; empty if there was none.
     """
 
     number: int
     posterior: tuple[str, ...]
     moved: float | None
     next: Next
+    objection: str = ""
 
     @property
     def line(self) -> str:
         """``batch 3: E 396 ± 31, moved 0.05 sd; next: check``."""
         shown = ", ".join(self.posterior[:SHOWN]) + (", …" if len(self.posterior) > SHOWN else "")
         moved = "" if self.moved is None else f", moved {self.moved:.2f} sd"
-        return f"batch {self.number}: {shown}{moved}; next: {NEXT[self.next]}"
+        objection = f"; check: {self.objection}" if self.objection else ""
+        return f"batch {self.number}: {shown}{moved}{objection}; next: {NEXT[self.next]}"
 
 
 def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
@@ -49,4 +52,6 @@ def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
     posterior = tuple(
         f"{space.parameters[i].shown} {with_sd(float(step.mean[i]), float(step.sd[i]))}" for i in space.calibrated
     )
-    return BatchReport(len(design.steps), posterior, None if step.moved is None else step.moved.shift, coming)
+    objection = "" if step.check is None or not step.check.reasons else step.check.reasons[0]
+    moved = None if step.moved is None else step.moved.shift
+    return BatchReport(len(design.steps), posterior, moved, coming, objection)

@@ -20,8 +20,10 @@ __all__ = ["FEWEST_PAIRS", "Correction", "fit_correction"]
 
 FEWEST_PAIRS = 3
 """Fewest runs of both models."""
-RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
+RIDGES = (1e-3, 1e-2, 1e-1)
 """Variances of the noise that are tried, in mean variances of the cheaper interfaces."""
+FEW, TYPICAL = 5, (1e-2,)
+"""Number of pairs below which left-out ones cannot tell the variance, and what is taken then."""
 
 Interfaces = Mapping[str, Interface]
 
@@ -130,7 +132,8 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
     middle, conditions = below.mean(axis=0), len(layouts)
     scale = max(float(np.sqrt(np.mean(_rms(below - middle, weights, 1) ** 2))), np.finfo(float).tiny)
     runs, lacks = (below - middle) * weights / scale, above - below
-    tried = [_conditioned(runs @ runs.T, lacks, ridge) for ridge in RIDGES]
+    ridges = RIDGES if len(runs) >= FEW else TYPICAL
+    tried = [_conditioned(runs @ runs.T, lacks, ridge) for ridge in ridges]
     errors = [_rms(left_out, weights, conditions) for _, _, left_out in tried]
     best = int(np.argmin([np.sum(one**2) for one in errors]))
     constant, factors, _ = tried[best]
