@@ -27,8 +27,10 @@ def run(at: np.ndarray, *, cheaper: bool = False, lacks: float = 0.1, ok: bool =
     return RunRecord(str(inputs), inputs, "ok", {"": Interface.polyline(np.stack([X, y], axis=1))}, sensitivities=of)
 
 
-def both(cost: float = 0.3) -> Fidelities:
-    return Fidelities(("a", "b"), ("",), cost)
+def both(tolerated: float = 1e-3) -> Fidelities:
+    used = Fidelities(("a", "b"), ("",), 0.3)
+    used.tolerated = tolerated
+    return used
 
 
 def first(**options: Any) -> list[RunRecord]:
@@ -90,24 +92,29 @@ def test_runs_of_the_model_alone_ask_for_the_cheaper_one() -> None:
 def test_a_cheaper_model_that_explains_nothing_is_dropped() -> None:
     used, other = both(), np.random.default_rng(7).uniform(0.1, 0.5, (12, 2))
     misled = [run(at, cheaper=True) for at in POINTS[:8]]
-    for k in range(3):
+    used.learn([*misled, *(run(at) for at in POINTS[:3])])
+    assert used.lacking == []
+    for k in range(5):
         wrong = run(other[k])
         misled.append(RunRecord(f"wrong {k}", run(POINTS[k]).inputs, "ok", wrong.interfaces))
+    used.learn(misled[:-2])
+    assert used.dropped is None
+    assert len(used.lacking) == 2  # three pairs cannot tell
     used.learn(misled)
     assert used.dropped is not None
     assert "err by" in used.dropped
-    np.testing.assert_array_equal(used.points, POINTS[:3])
+    np.testing.assert_array_equal(used.points, POINTS[:5])
 
 
 def test_a_trial_confirms_the_correction_by_runs_that_it_has_not_learnt_from() -> None:
-    used = both()
+    used = both(2e-3)
     used.learn(first())
-    assert used.doubts(0.01, 0.1) == ("the correction of the cheaper model has not been confirmed",)
+    assert used.doubts() == ("the correction of the cheaper model has not been confirmed",)
     tried = used.try_at(POINTS[8:])
     assert len(tried) == TRIED
     more = [run(at, cheaper=True) for at in tried] + [run(at) for at in tried]
     used.learn([*first(), *more])
-    assert used.doubts(0.02, 0.1) == ()
+    assert used.doubts() == ()
     report = used.report(0.02)
     assert report.error is not None
     assert 0 < report.error < 2e-3
@@ -117,17 +124,26 @@ def test_a_trial_confirms_the_correction_by_runs_that_it_has_not_learnt_from() -
 
 
 def test_a_correction_that_is_wrong_at_the_posterior_is_refuted_and_then_dropped() -> None:
-    used, runs = both(), first()
+    used, runs = both(9e-3), first() + [run(at) for at in POINTS[3:8]]
     for k in range(REFUTED):
         used.learn(runs)
         tried, lacks = used.try_at(POINTS[8 + k : 9 + k]), (0.2, 0.0)[k]  # elsewhere it is .1
         runs += [run(at, cheaper=True) for at in tried] + [run(at, lacks=lacks) for at in tried]
         used.learn(runs)
-        (reason,) = used.doubts(0.01, 0.1)
+        (reason,) = used.doubts()
+        assert ("misleads" in reason) == (k == REFUTED - 1)
         assert "wrong at a draw of the posterior" in reason
         assert (used.dropped is not None) == (k == REFUTED - 1)
     assert used.report(0.01).error is None
     assert "is not used" in used.report(0.01).statement
+
+
+def test_a_correction_that_is_wrong_everywhere_is_dropped_at_once() -> None:
+    used = both(1e-5)
+    used.learn(first())
+    (at,) = used.try_at(POINTS[8:9])
+    used.learn([*first(), run(at, cheaper=True), run(at)])
+    assert used.dropped is not None
 
 
 def test_a_model_that_fails_where_the_cheaper_one_does_not_refutes_it() -> None:
@@ -135,8 +151,17 @@ def test_a_model_that_fails_where_the_cheaper_one_does_not_refutes_it() -> None:
     used.learn(first())
     (at,) = used.try_at(POINTS[8:9])
     used.learn([*first(), run(at, cheaper=True), run(at, ok=False)])
-    assert "the model fails where the cheaper one does not" in used.doubts(0.01, 0.1)[0]
+    assert "the model fails where the cheaper one does not" in used.doubts()[0]
     assert not used.records[-1].ok
+
+
+def test_after_the_check_that_it_spoilt_a_dropped_model_raises_no_doubts() -> None:
+    used = both()
+    used.learn(first())
+    used.drop("for a test")
+    assert used.doubts() == ("the cheaper model misleads: for a test",)
+    used.no_check()
+    assert used.doubts() == ()
 
 
 def test_a_pair_pays_if_the_correction_errs_more_than_the_field_for_its_cost() -> None:
@@ -144,9 +169,11 @@ def test_a_pair_pays_if_the_correction_errs_more_than_the_field_for_its_cost() -
     used.learn(first())
     assert used.correction is not None
     wrong = used.correction.error
-    assert not used.pays(3 * wrong, 0.1 * wrong)  # good enough
-    assert used.pays(wrong, 0.1 * wrong)
-    assert not used.pays(wrong, 10 * wrong)  # the field errs more
+    used.tolerated = 3 * wrong
+    assert not used.pays(0.1 * wrong)  # good enough
+    used.tolerated = wrong
+    assert used.pays(0.1 * wrong)
+    assert not used.pays(10 * wrong)  # the field errs more
 
 
 def test_runs_of_one_model_stay_as_they_are() -> None:

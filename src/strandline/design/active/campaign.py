@@ -91,7 +91,7 @@ class ActiveRuns:
 
     def _doubts(self, state: State) -> tuple[str, ...]:
         """Return why runs of a cheaper model are not to be trusted where the posterior lies."""
-        return () if self.fidelities is None else self.fidelities.doubts(self._hidden(state), self.active.shift)
+        return () if self.fidelities is None else self.fidelities.doubts()
 
     def _hidden(self, state: State | None) -> float:
         """Return the shift of an interface that the noise hides, mm."""
@@ -116,6 +116,7 @@ class ActiveRuns:
         """Return the inputs of the next batch, none to stop; more of the first design if too few runs succeeded."""
         with self.aside(), one_thread():
             if self.fidelities is not None:
+                self.fidelities.tolerated = self.active.shift * self._hidden(self.design.state)
                 self.fidelities.learn(records)
                 if lacking := self.fidelities.lacking:
                     return lacking
@@ -143,12 +144,13 @@ class ActiveRuns:
     def _runs(self, batch: Batch) -> list[dict[str, float]]:
         """Return the runs of a batch: of the model, or of a cheaper one, and of both where they are compared."""
         both, inputs = self.fidelities, self.inputs(batch.points)
+        if both is not None and batch.kind != "check":
+            both.no_check()
         if both is None or both.dropped is not None:
             return inputs
         pairs = 0
         if batch.kind == "posterior":
-            tolerated = self._hidden(self.design.state) * self.active.shift
-            pairs = int(both.pays(tolerated, self.design.steps[-1].error))
+            pairs = int(both.pays(self.design.steps[-1].error))
         elif batch.kind == "check" and self.design.batches[-2].kind != "check":
             pairs = len(both.try_at(batch.points))
         return [by_cheaper(entry) for entry in inputs] + inputs[:pairs]

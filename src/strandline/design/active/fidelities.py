@@ -26,8 +26,10 @@ MISLEADING = 0.5
 """A cheaper model is dropped if its corrected interfaces err by more than this share of the interfaces' spread."""
 REFUTED = 2
 """Number of posteriors at which the correction may prove wrong before the cheaper model is dropped."""
-ENOUGH = 6
-"""Pairs from which errors at left-out ones may stand in for draws of the posterior."""
+HOPELESS = 3.0
+"""A refuted correction gets no second chance if left-out pairs err by so many times what is tolerated."""
+FIRM, ENOUGH = 5, 6
+"""Pairs from which errors at left-out ones tell that a cheaper model misleads, or that it does not."""
 
 At = bytes
 
@@ -93,21 +95,32 @@ class Fidelities:
         self.correction: Correction | None = None
         self._trial: list[At] = []
         self._tried: list[float] = []
+        self._spoilt = False
+        self.tolerated = np.inf
         self.confirmed: float | None = None
-        self.refuted = 0
+        self.refuted: list[str] = []
         self._runs: dict[At, dict[bool, RunRecord]] = {}
         self._learnt_from: tuple[str, ...] = ()
         self._counts = {True: 0, False: 0}
 
     def learn(self, records: Sequence[RunRecord]) -> None:
-        """Try the correction at new draws of the posterior, if there are any, and learn it from all pairs of runs."""
+        """Try the correction at new draws of the posterior, if there are any, and learn it from all pairs of runs.
+
+        An error at these draws of more than `tolerated`, mm, refutes it.
+        """
         self._runs = {}
         for record in records:
             self._runs.setdefault(self._at(record), {})[is_cheaper(record.inputs)] = record
         self._counts = {kind: sum(is_cheaper(record.inputs) is kind for record in records) for kind in (True, False)}
-        for at in [at for at in self._trial if len(self._runs.get(at, ())) == 2]:
-            self._tried.append(self._error(self._runs[at]))
-            self._trial.remove(at)
+        tried = [at for at in self._trial if len(self._runs.get(at, ())) == 2]
+        found = [self._error(self._runs[at]) for at in tried]
+        self._trial = [at for at in self._trial if at not in tried]
+        self._tried += found
+        self._learn_correction()
+        if max(found, default=0.0) > self.tolerated:
+            self._refute(max(found))
+
+    def _learn_correction(self) -> None:
         pairs = [runs for runs in self._runs.values() if _both_ok(runs)]
         keys = tuple(sorted(runs[False].key for runs in pairs))
         if self.dropped is not None or len(pairs) < FEWEST_PAIRS or keys == self._learnt_from:
@@ -120,20 +133,37 @@ class Fidelities:
             self.drop(str(error.value))
             return
         self._learnt_from = keys
-        if self.correction.error > MISLEADING * self.correction.spread:
+        if self._explains_little and len(pairs) >= FIRM:
             self.drop(
                 f"corrected by {len(pairs)} pairs of runs, its interfaces err by {1e3 * self.correction.error:.2g} µm, "
                 f"where the model's differ by {1e3 * self.correction.spread:.2g} µm"
             )
 
+    @property
+    def _explains_little(self) -> bool:
+        return self.correction is not None and self.correction.error > MISLEADING * self.correction.spread
+
+    def _refute(self, error: float) -> None:
+        """Note that the correction was wrong at draws of a posterior; drop the cheaper model if it is hopeless."""
+        how = "the model fails where the cheaper one does not" if np.isinf(error) else f"by {1e3 * error:.2g} µm"
+        reason = (
+            f"the corrected interface of the cheaper model is wrong at a draw of the posterior ({how}; "
+            f"{1e3 * self.tolerated:.2g} µm are tolerated)"
+        )
+        self.refuted.append(reason)
+        hopeless = self.correction is not None and self.correction.error > HOPELESS * self.tolerated
+        if hopeless or len(self.refuted) >= REFUTED:
+            self.drop(reason)
+
     def drop(self, why: str) -> None:
-        """Use runs of the model alone from now on."""
-        self.dropped, self.correction = why, None
+        """Use runs of the model alone from now on; a check under way must not pass with what it has seen."""
+        self.dropped, self.correction, self._spoilt = why, None, True
 
     @property
     def lacking(self) -> list[dict[str, float]]:
         """Inputs of one more run each that would make the pairs enough; none if there are enough."""
-        missing = FIRST_PAIRS - sum(_both_ok(runs) for runs in self._runs.values())
+        wanted = FIRM if self._explains_little else FIRST_PAIRS
+        missing = wanted - sum(_both_ok(runs) for runs in self._runs.values())
         if self.dropped is not None or missing <= 0:
             return []
         alone = [next(iter(runs.values())) for runs in self._runs.values() if len(runs) == 1]
@@ -160,49 +190,40 @@ class Fidelities:
                 out.append(self._corrected(runs[True]))
         return tuple(out)
 
+    def no_check(self) -> None:
+        """Note that no check is under way."""
+        self._trial, self._spoilt = [], False
+
     def try_at(self, points: Float[np.ndarray, "draw dim"]) -> Float[np.ndarray, "tried dim"]:
         """Begin a trial at the first draws of a posterior; return those at which both models are to be run."""
         tried = points[:TRIED]
         self._trial, self._tried = [row.tobytes() for row in tried], []
         return tried
 
-    def pays(self, tolerated: float, error: float) -> bool:
+    def pays(self, error: float) -> bool:
         """Return whether one more pair lowers the error of the field by more, for its cost, than a cheaper run.
 
+        An error of the correction of half of what is tolerated needs no further pairs.
+
         Args:
-            tolerated: Error of the correction that is tolerated, mm; half of it needs no further pairs.
             error: Error of the predicted interface where the posterior lies, mm.
         """
         wrong = 0.0 if self.correction is None else self.correction.error
-        return wrong > 0.5 * tolerated and self.cost * wrong**2 > error**2
+        return wrong > 0.5 * self.tolerated and self.cost * wrong**2 > error**2
 
-    def doubts(self, hidden: float, share: float) -> tuple[str, ...]:
-        """Return why the correction is not to be trusted where the posterior lies; nothing if it is.
-
-        Args:
-            hidden: Shift of the interface that the noise hides, mm.
-            share: Largest error, as a share of it. An error of this size moves no mean by more than as many sds.
-        """
-        if self.dropped is not None or self.correction is None:
-            return ()
+    def doubts(self) -> tuple[str, ...]:
+        """Return why the correction is not to be trusted where the posterior lies; nothing if it is."""
+        if self.correction is None:
+            return (f"the cheaper model misleads: {self.dropped}",) if self._spoilt else ()
         found = self._tried
         if not found and self.correction.pairs >= ENOUGH:
             found = list(self.correction.left_out)
         if not found:
             return ("the correction of the cheaper model has not been confirmed",)
-        worst = max(found)
-        if worst <= share * hidden:
-            self.confirmed = worst
-            return ()
-        self.refuted += 1
-        how = "the model fails where the cheaper one does not" if np.isinf(worst) else f"by {1e3 * worst:.2g} µm"
-        reason = (
-            f"the corrected interface of the cheaper model is wrong at a draw of the posterior ({how}; the noise hides "
-            f"{1e3 * hidden:.2g} µm)"
-        )
-        if self.refuted >= REFUTED:
-            self.drop(reason)
-        return (reason,)
+        if max(found) > self.tolerated:
+            return tuple(self.refuted[-1:]) or ("the corrections of the cheaper model are not right where it was run",)
+        self.confirmed = max(found)
+        return ()
 
     def report(self, hidden: float) -> FidelityReport:
         """Return what the two models were used for."""
