@@ -7,8 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import logsumexp
-from scipy.stats import norm, qmc
+from scipy.stats import qmc
 
 from strandline.discrepancy import Discrepancy, HasTolerance, NormalOffset, count_of_distances, squared_discrepancies
 from strandline.discrepancy.memo import MeasureKey, Snapshot
@@ -16,15 +15,18 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared, errors_of
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
-from strandline.likelihood.nearby import Nearby, Numbers, OfMixture, drawn_fields, nearby
+from strandline.likelihood.nearby import Nearby, OfMixture, nearby
+from strandline.likelihood.parabolas import Around, FittedParabola, log_gain, mean_of_draws, numbers
 from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
 __all__ = ["FieldLikelihood", "OnHost", "noise_length", "sd_of_distances"]
 
-DRAWS = 16
-"""Fields drawn at each point for the expected likelihood; they come in pairs of opposite sign."""
-TRIED, LIKELY, TOLERATED = 8, 10.0, 0.2
+DRAWS, NEAR_DRAWS = 16, 64
+"""Fields drawn at each point for the expected likelihood, and for the one nearby; in pairs of opposite sign."""
+STARTS = 256
+"""Inputs among which the best ones are the middle of the parabola of a likelihood without one nearby."""
+TRIED, LIKELY, TOLERATED = 8, 10.0, 0.1
 """Points at which `nearby` is compared with the measure; how much less likely than the best one they may be, in log L;
 largest difference of log E[L]."""
 ROUNDS, SHIFTS = 5, 16
@@ -70,9 +72,9 @@ class FieldLikelihood:
     ) -> Float[np.ndarray, " point"]:
         """Return log E[L] over the fields that the surrogate considers possible at each point.
 
-        This is the mean over `DRAWS` fields, with the same standard normal numbers at every point; what the modes leave
-        over is drawn like the modes. For draws of the posterior, `nearby` may tell it instead, if it agrees with the
-        measure.
+        Draws of the fields weigh off what a parabola of log L misses, see `strandline.likelihood.parabolas`; their
+        standard normal numbers are the same at every point. For draws of the posterior, `nearby` may tell it, if it
+        agrees with the measure.
 
         Args:
             x: The points.
@@ -87,10 +89,30 @@ class FieldLikelihood:
         blocks = [x[k : k + number] for k in range(0, len(x), number)]
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
 
+    def nearly_expected(self, x: Float[np.ndarray, "point dim"]) -> Values:
+        """Return log E[L] without draws: log L of the predicted interfaces, and what a parabola says of the fields."""
+        found, plug_in = self.surrogate.predict(x), self.plug_in(x)
+        return np.asarray(plug_in + log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in))
+
+    @cached_property
+    def parabola(self) -> Around:
+        """A parabola of log L around any field: of the likelihood nearby, or else fitted around the best inputs."""
+        if self.nearby is not None:
+            return self.nearby.parabola
+        warping = self.surrogate.warping
+        sobol = qmc.Sobol(len(warping.low), seed=np.random.default_rng(0)).random(STARTS)
+        tried = self.surrogate.mean(warping.low + (warping.high - warping.low) * sobol)
+        best = tried[int(np.argmax(self.at(tried)))]
+        step = min(noise_length(seen, self.discrepancy) for seen in self.known_observations)
+        return FittedParabola.fitted(self.at, best, step)
+
     def _gain(self, near: Nearby, found: FieldPrediction) -> Values:
         """Return log E[L] - log L of the mean by a likelihood nearby."""
-        drawn = near.log_likelihood(*drawn_fields(found, self._numbers))
-        return np.asarray(_mean_of_draws(drawn) - near.log_likelihood(found.mean))
+        drawn, size = numbers(NEAR_DRAWS, *self._sizes), max(_BLOCK // NEAR_DRAWS, 1)
+        parts = [slice(k, k + size) for k in range(0, len(found.mean), size)]
+        some = [FieldPrediction(found.mean[part], found.variance[part]) for part in parts]
+        each = [mean_of_draws(near.log_likelihood, near.parabola.parabolas(one.mean), one, drawn) for one in some]
+        return np.asarray(np.concatenate(each) - near.log_likelihood(found.mean))
 
     def _agrees(self, found: FieldPrediction, values: Values) -> bool:
         """Return whether log E[L] is the same by the measure, at some likely points."""
@@ -107,7 +129,8 @@ class FieldLikelihood:
         return self._drawn(FieldPrediction(mean[runs], np.stack([one.variances for one in left_out], axis=1)[runs]))
 
     def _drawn(self, found: FieldPrediction) -> Float[np.ndarray, " point"]:
-        return _mean_of_draws(self._of(*drawn_fields(found, self._numbers)))
+        parabolas = self.parabola.parabolas(found.mean)
+        return mean_of_draws(self._of, parabolas, found, numbers(DRAWS, *self._sizes))
 
     def _of(
         self,
@@ -153,18 +176,10 @@ class FieldLikelihood:
     def _shared(self) -> SharedErrors | None:
         return shared_errors(self.observations, self.discrepancy)
 
-    @cached_property
-    def _numbers(self) -> Numbers:
-        """Standard normal numbers: a Sobol sequence in the modes, each point with its opposite."""
-        modes, rest = len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
-        half = qmc.Sobol(modes, seed=np.random.default_rng(0)).random(DRAWS // 2)
-        of_modes = norm.ppf(np.clip(half, 1e-6, 1 - 1e-6))
-        of_tail = np.random.default_rng(1).standard_normal((DRAWS // 2, rest))
-        return np.concatenate([of_modes, -of_modes]), np.concatenate([of_tail, -of_tail])
-
-
-def _mean_of_draws(values: Float[np.ndarray, " draw"]) -> Values:
-    return np.asarray(logsumexp(values.reshape(-1, DRAWS), axis=1) - np.log(DRAWS))
+    @property
+    def _sizes(self) -> tuple[int, int]:
+        """How many modes there are, and how many fields outside them."""
+        return len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from strandline.interface import ErrorModel, Interface
 from strandline.likelihood.joint_errors import JointErrors, Points
@@ -62,10 +62,28 @@ class Mixture:
         self, squares: Float[np.ndarray, " run"], products: Float[np.ndarray, "run error"]
     ) -> Float[np.ndarray, " run"]:
         """Return log L from Σ r²/V and e = BᵀV⁻¹r, for d² = Σ r²/(κV) - (Se)ᵀ (κ²I + κ S G S)⁻¹ Se, G = BᵀV⁻¹B."""
-        G = self.model.gram
         values = np.empty((len(self.levels), len(squares)))
-        for k, (level, scale) in enumerate(zip(self.levels, self.scales, strict=True)):
-            inverse = np.linalg.inv(level**2 * np.eye(len(G)) + level * scale[:, None] * G * scale)
-            scaled = products * scale
-            values[k] = squares / level - ((scaled @ inverse) * scaled).sum(axis=1)
+        for k, (level, inverse) in enumerate(zip(self.levels, self._inverses, strict=True)):
+            values[k] = squares / level - ((products @ inverse) * products).sum(axis=1)
         return np.asarray(logsumexp(self.log_weights[:, None] - 0.5 * values, axis=0))
+
+    def weights_of_sums(
+        self, gram: Float[np.ndarray, "term term"], products: Float[np.ndarray, "term error"]
+    ) -> Float[np.ndarray, "term term"]:
+        """Return the mean of FᵀC_k⁻¹F over the components, each as likely as the first column of F makes it.
+
+        Args:
+            gram: FᵀV⁻¹F.
+            products: FᵀV⁻¹B.
+        """
+        inverses = zip(self.levels, self._inverses, strict=True)
+        each = np.array([gram / level - products @ inverse @ products.T for level, inverse in inverses])
+        return np.asarray(np.tensordot(softmax(self.log_weights - 0.5 * each[:, 0, 0]), each, axes=1))
+
+    @property
+    def _inverses(self) -> Float[np.ndarray, "level error error"]:
+        """S_k (κ_k²I + κ_k S_k G S_k)⁻¹ S_k."""
+        G = self.model.gram
+        S, levels = self.scales, self.levels[:, None, None]
+        inner = levels**2 * np.eye(len(G)) + levels * S[:, :, None] * G * S[:, None, :]
+        return np.asarray(S[:, :, None] * np.linalg.inv(inner) * S[:, None, :])

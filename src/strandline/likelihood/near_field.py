@@ -64,7 +64,7 @@ class NearField:
     @property
     def finite(self) -> bool:
         """Whether all of it is finite."""
-        return bool(np.isfinite(self._gram).all())
+        return bool(np.isfinite(self.gram).all())
 
     def sums(
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
@@ -75,8 +75,8 @@ class NearField:
             part = slice(first, first + BLOCK)
             terms = self._terms(coefficients[part], None if tail is None else tail[part])
             number = terms.shape[1]
-            squares.append(np.einsum("dk,dk->d", terms @ self._gram[:number, :number], terms))
-            products.append(terms @ self._products[:number])
+            squares.append(np.einsum("dk,dk->d", terms @ self.gram[:number, :number], terms))
+            products.append(terms @ self.products[:number])
         return np.concatenate(squares), np.concatenate(products)
 
     def offsets(
@@ -84,32 +84,43 @@ class NearField:
     ) -> Float[np.ndarray, "draw seen"]:
         """Return the residuals r of fields, mm; far away, to first order only."""
         terms = self._terms(coefficients, tail)
-        return np.asarray(terms @ self._factors[:, : terms.shape[1]].T)
+        return np.asarray(terms @ self.factors[:, : terms.shape[1]].T)
 
     def _terms(
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
     ) -> Float[np.ndarray, "draw term"]:
-        """Return what the columns of `_factors` are multiplied by."""
-        z, modes, pairs = coefficients - self.at, len(self.at), self.bends.shape[1]
+        """Return what the columns of `factors` are multiplied by."""
+        z = coefficients - self.at
+        products, share = self.bending(z)
+        columns = [np.ones((len(z), 1)), z, share[:, None] * products]
+        return np.hstack(columns if tail is None else [*columns, tail])
+
+    def bending(
+        self, z: Float[np.ndarray, "draw mode"]
+    ) -> tuple[Float[np.ndarray, "draw pair"], Float[np.ndarray, " draw"]]:
+        """Return the products z_k z_l, and the share with which they count: less and less far away."""
+        modes, pairs = len(self.at), self.bends.shape[1]
         first, second = np.triu_indices(min(modes, BENT))
         products = z[:, first] * z[:, second]
         ahead, bent = slice(1, 1 + modes), slice(1 + modes, 1 + modes + pairs)
-        size = np.einsum("dk,dk->d", z @ self._gram[ahead, ahead], z)
-        share = np.einsum("dk,dk->d", products @ self._gram[bent, bent], products) / np.maximum(size, TINY)
-        columns = [np.ones((len(z), 1)), z, products / (1 + share / TRUSTED**2)[:, None]]
-        return np.hstack(columns if tail is None else [*columns, tail])
+        size = np.einsum("dk,dk->d", z @ self.gram[ahead, ahead], z)
+        share = np.einsum("dk,dk->d", products @ self.gram[bent, bent], products) / np.maximum(size, TINY)
+        return products, np.asarray(1 / (1 + share / TRUSTED**2))
 
     @cached_property
-    def _factors(self) -> Float[np.ndarray, "seen term"]:
+    def factors(self) -> Float[np.ndarray, "seen term"]:
+        """Residuals, slopes, bends and tail side by side."""
         return np.column_stack([self.residuals, self.slopes, self.bends, self.tail])
 
     @cached_property
-    def _gram(self) -> Float[np.ndarray, "term term"]:
-        return np.asarray(self._factors.T @ (self._factors / self.model.local[:, None]))
+    def gram(self) -> Float[np.ndarray, "term term"]:
+        """Their products, weighed by D⁻¹."""
+        return np.asarray(self.factors.T @ (self.factors / self.model.local[:, None]))
 
     @cached_property
-    def _products(self) -> Float[np.ndarray, "term error"]:
-        return np.asarray(self._factors.T @ self.model.features)
+    def products(self) -> Float[np.ndarray, "term error"]:
+        """Their products with B, weighed by D⁻¹."""
+        return np.asarray(self.factors.T @ self.model.features)
 
 
 def near_field(

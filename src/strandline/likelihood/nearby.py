@@ -4,7 +4,9 @@ They take a hundredth of the time of comparing interfaces, and lead a sampler ne
 weighed off against the measure itself.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -17,18 +19,21 @@ from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.mixture import Mixture
 from strandline.likelihood.near_field import NearField
+from strandline.likelihood.parabolas import NearParabola
 from strandline.likelihood.shared_errors import SharedErrors
-from strandline.surrogate.field import FieldPrediction, FieldSurrogate
+from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["Nearby", "Numbers", "OfMixture", "OfOffsets", "OfStatedErrors", "drawn_fields", "follows_offsets", "nearby"]
+__all__ = ["Nearby", "OfMixture", "OfOffsets", "OfStatedErrors", "follows_offsets", "nearby"]
 
 Values = Float[np.ndarray, " point"]
 Modes = Float[np.ndarray, "point mode"]
 Tail = Float[np.ndarray, "point rest"]
-Numbers = tuple[Float[np.ndarray, "draw mode"], Float[np.ndarray, "draw rest"]]
-"""Standard normal numbers that fields are drawn with: of the modes, and of what they leave over."""
 BLOCK = 1 << 22
 """Residuals computed together."""
+ROWS = 512
+"""Offsets tried one by one together."""
+SMALL, NOTHING = 1e-4, 1e-12
+"""Relative step of d² to see how log L changes; least size of offsets, mm."""
 
 
 @runtime_checkable
@@ -37,6 +42,11 @@ class Nearby(Protocol):
 
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
         """Return log L of the interfaces with these coefficients of the modes, mm, and of what they leave over."""
+        ...
+
+    @property
+    def parabola(self) -> NearParabola:
+        """A parabola of the residuals that is like log L near the best fit."""
         ...
 
 
@@ -56,6 +66,12 @@ class OfStatedErrors:
         """Return log L."""
         return np.asarray(-0.5 * self.model.square_of(*self.field.sums(coefficients, tail)))
 
+    @cached_property
+    def parabola(self) -> NearParabola:
+        """log L itself."""
+        across = self.model.shared_errors(self.field.products) @ self.field.products.T
+        return NearParabola(self.field, self.field.gram - across)
+
 
 @dataclass(frozen=True, eq=False)
 class OfMixture:
@@ -72,6 +88,13 @@ class OfMixture:
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
         """Return log L."""
         return self.mixture.of_sums(*self.field.sums(coefficients, tail))
+
+    @cached_property
+    def parabola(self) -> NearParabola:
+        """The mean over the components, as likely as they are at the best fit."""
+        weights = self.mixture.weights_of_sums(self.field.gram, self.field.products)
+        best = float(self.log_likelihood(self.field.at[None])[0])
+        return NearParabola(self.field, weights, best + 0.5 * float(weights[0, 0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +117,65 @@ class OfOffsets:
         parts = [slice(k, k + size) for k in range(0, len(coefficients), size)]
         return np.concatenate([self._block(coefficients[p], None if tail is None else tail[p]) for p in parts])
 
+    @cached_property
+    def parabola(self) -> NearParabola:
+        """The same weights everywhere: those that square and derivative of d² have at the best fit."""
+        r = self.field.residuals
+        weights = np.concatenate([one.weights(r[part]) for one, part in self._parts()])
+        factors = self.field.factors
+        gram = factors.T @ (factors * weights[:, None])
+        best = float(self.log_likelihood(self.field.at[None])[0])
+        return NearParabola(self.field, gram, best + 0.5 * float(gram[0, 0]))
+
     def _block(self, coefficients: Modes, tail: Tail | None) -> Values:
-        offsets, total, first = self.field.offsets(coefficients, tail), np.zeros(len(coefficients)), 0
+        offsets = self.field.offsets(coefficients, tail)
+        return np.asarray(sum(one.log_likelihood(offsets[:, part]) for one, part in self._parts()))
+
+    def _parts(self) -> Iterator[tuple["_ByOffsets", slice]]:
+        first = 0
         for one, nodes in zip(self.compared, self.nodes, strict=True):
-            seen = one.observation.interface
-            own = offsets[:, first : first + len(seen.points)]
-            assert isinstance(one.measure, FollowsOffsets)
-            squares = one.measure.of_offsets(own, seen, nodes)
-            assert squares is not None
-            total += one.noise.log_density(squares)
-            first += len(seen.points)
-        return total
+            number = len(one.observation.interface.points)
+            yield _ByOffsets(one, nodes), slice(first, first + number)
+            first += number
+
+
+@dataclass(frozen=True, eq=False)
+class _ByOffsets:
+    """log L of one observation by a measure of offsets.
+
+    Args:
+        compared: The observation with its measure and its noise.
+        nodes: Number of nodes of the simulated interface.
+    """
+
+    compared: Compared
+    nodes: int
+
+    def log_likelihood(self, offsets: Float[np.ndarray, "draw seen"]) -> Values:
+        return np.asarray(self.compared.noise.log_density(self._squares(offsets)))
+
+    def weights(self, r: Float[np.ndarray, " seen"]) -> Float[np.ndarray, " seen"]:
+        """Return w with log L ≈ constant - ½ Σ w r² near some offsets, whose typical size each of them has at least."""
+        size = np.maximum(np.abs(r), max(float(np.sqrt(np.mean(r**2))), NOTHING))
+        squares = np.concatenate([self._squares(_rows(size, k)) for k in range(0, len(r), ROWS)])
+        d2 = float(self._squares(size[None])[0])
+        density = self.compared.noise.log_density(np.array([d2, (1 + SMALL) * d2]))
+        return np.asarray(2 * squares / size**2 * float(density[0] - density[1]) / (SMALL * d2))
+
+    def _squares(self, offsets: Float[np.ndarray, "draw seen"]) -> Values:
+        measure = self.compared.measure
+        assert isinstance(measure, FollowsOffsets)
+        squares = measure.of_offsets(offsets, self.compared.observation.interface, self.nodes)
+        assert squares is not None
+        return squares
+
+
+def _rows(size: Float[np.ndarray, " seen"], first: int) -> Float[np.ndarray, "row seen"]:
+    """Return rows of the diagonal matrix with these sizes, from the first one on."""
+    number = min(ROWS, len(size) - first)
+    rows = np.zeros((number, len(size)))
+    rows[np.arange(number), first + np.arange(number)] = size[first : first + number]
+    return rows
 
 
 def nearby(
@@ -128,13 +199,6 @@ def nearby(
     equal = JointErrors(observations, tuple(PointErrors(1.0) for _ in observations))
     field = linearise(surrogate, equal).field
     return OfOffsets(field, each, nodes) if field.finite else None
-
-
-def drawn_fields(found: FieldPrediction, numbers: Numbers) -> tuple[Modes, Tail]:
-    """Return the fields drawn at each point with the same numbers, one point after the other."""
-    of_modes, of_tail = numbers
-    drawn = found.mean[:, None] + np.sqrt(found.variance)[:, None] * of_modes
-    return drawn.reshape(-1, drawn.shape[2]), np.tile(of_tail, (len(found.mean), 1))
 
 
 def follows_offsets(measure: Discrepancy, observation: Observation, nodes: int) -> bool:
