@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import softmax
 
 from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate
 from strandline.design.active import Active
@@ -227,14 +228,15 @@ class Bent:
 
 
 def test_what_uncertainty_of_the_field_does_is_told(tmp_path: Path) -> None:
-    """From seven runs the expected likelihood is not the plug-in one; its weights are those of the posterior."""
+    """From seven runs the expected likelihood is not the plug-in one, which weights of the same draws lead to."""
     model, space = Bent(), ParameterSpace(tuple(Parameter(name, Uniform(-1.0, 1.0)) for name in "ab"))
     seen = Observation(model({"a": 0.2, "b": 0.1}, tmp_path).interfaces[""], 0.02**2)
     asked = Problem(model, space, {}, (seen,), {"tracked": TrackedPoints()})
     found = answer(tmp_path / "ledger.sqlite", asked, replace(SETTINGS, runs=7, active=None))
     assert found.field is not None
-    effect, weights = found.field.effect, np.exp(found.sampling.log_weights)
-    plain = weights @ found.sampling.positions
+    effect, sampled = found.field.effect, found.sampling
+    exact = found.field.knowledge.plug_in(sampled.positions)
+    plain = softmax(sampled.log_weights + exact - sampled.log_likelihood) @ sampled.positions
     np.testing.assert_allclose(effect.shift * found.posterior.sd, found.posterior.mean - plain, atol=1e-9)
     assert np.abs(np.log(effect.sd_ratio)).max() > 0.02
     assert effect.effective < 0.995

@@ -188,10 +188,10 @@ def test_fields_are_drawn_nearby(measure: Discrepancy, monkeypatch: pytest.Monke
     assert np.abs(exact - found.plug_in(x)).max() > 0.2
     assert (some != exact).any()
     np.testing.assert_allclose(some[exact > exact.max() - 6], exact[exact > exact.max() - 6], atol=0.2)
-    monkeypatch.setattr(type(measure), "of_offsets", lambda *given: 4 * (given[1] ** 2).sum(axis=1))  # planted
+    monkeypatch.setattr(type(measure), "of_offsets", lambda *given: 40 * (given[1] ** 2).sum(axis=1))  # planted
     planted = replace(found)
     np.testing.assert_array_equal(planted.expected(x, plug_in=found.plug_in(x)), planted.expected(x))
-    np.testing.assert_allclose(planted.expected(x), exact, atol=0.2)  # only the draws lie elsewhere
+    np.testing.assert_allclose(planted.expected(x), exact, atol=0.5)  # only the draws lie elsewhere
     np.testing.assert_array_equal(found.expected(x), exact)  # these may lie anywhere
 
 

@@ -118,14 +118,16 @@ def _sample(target: Target, space: ParameterSpace, settings: Settings, tell: Obs
     start, chain = jax.random.split(jax.random.key(settings.seed))
     uniform = jax.random.uniform(start, (settings.particles, space.dim), dtype=float)
     initial = space.prior_quantiles(np.asarray(uniform))
-    if target.nearby is not None:
-        near = sample(chain, target.nearby, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
-        key, extents = jax.random.fold_in(chain, CARRIED), space.high - space.low
-        options: dict[str, Any] = {"scouts": initial, "extents": extents, "settings": settings.smc}
-        found = carried_over(key, near, target.compiled, space.log_prior, **options)
+    options: dict[str, Any] = {"scouts": initial, "extents": space.high - space.low, "settings": settings.smc}
+    found = None
+    for stage, one in enumerate((*target.leading, target.compiled)):
         if found is not None:
-            return found
-    return sample(chain, target.compiled, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
+            key = jax.random.fold_in(chain, CARRIED + stage - 1)
+            found = carried_over(key, found, one, space.log_prior, **options)
+        if found is None:
+            found = sample(chain, one, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
+    assert found is not None
+    return found
 
 
 def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:

@@ -65,8 +65,8 @@ class Target(Protocol):
         ...
 
     @property
-    def nearby(self) -> BatchedLogDensity | None:
-        """A log-likelihood close by that takes a fraction of the time; None if there is none."""
+    def leading(self) -> tuple[BatchedLogDensity, ...]:
+        """Log-likelihoods that lead near it, one after the other, in a fraction of the time."""
         ...
 
     def values(self, x: Points) -> Values:
@@ -108,9 +108,9 @@ class LogLikelihoodTarget:
         return predicted(self.process)
 
     @property
-    def nearby(self) -> BatchedLogDensity | None:
+    def leading(self) -> tuple[BatchedLogDensity, ...]:
         """None."""
-        return None
+        return ()
 
     def values(self, x: Points) -> Values:
         """Return the mean."""
@@ -141,7 +141,9 @@ class LogLikelihoodTarget:
 
 @dataclass(frozen=True, eq=False)
 class FieldTarget:
-    """Log-likelihood of the predicted interface; the posterior uses the one expected over possible interfaces.
+    """Log-likelihood expected over the interfaces that the surrogate considers possible.
+
+    It is sampled in closed form; draws of the interfaces weigh off the rest for the joint posterior.
 
     Args:
         knowledge: Surrogate of the field, its likelihood and feasibility.
@@ -157,21 +159,21 @@ class FieldTarget:
 
     @cached_property
     def compiled(self) -> BatchedLogDensity:
-        """Log L of the predicted interface, for NumPy arrays."""
-        return OnHost(self.knowledge.plug_in)
+        """Log E[L] in closed form, for NumPy arrays."""
+        return OnHost(self.knowledge.nearly_expected)
 
     @cached_property
-    def nearby(self) -> BatchedLogDensity | None:
-        """Log L by `FieldLikelihood.nearby`."""
-        return (
-            None
-            if self.knowledge.likelihood.nearby is None
-            else OnHost(lambda x: np.asarray(self.knowledge.roughly(x)))
-        )
+    def leading(self) -> tuple[BatchedLogDensity, ...]:
+        """Log L by `FieldLikelihood.nearby`, of the predicted interface and expected."""
+        known = self.knowledge
+        if known.likelihood.nearby is None:
+            return ()
+        ways = (known.roughly, known.roughly_expected)
+        return tuple(OnHost(lambda x, way=way: np.asarray(way(x))) for way in ways)  # type: ignore[misc]
 
     def values(self, x: Points) -> Values:
-        """Return log L of the predicted interface."""
-        return np.asarray(self.knowledge.plug_in(x))
+        """Return log E[L] in closed form."""
+        return self.knowledge.nearly_expected(x)
 
     def hessian(self, x: Point, scales: Point) -> Float[np.ndarray, "dim dim"]:
         """Return second derivatives by central differences over a tenth of the scales."""
@@ -182,18 +184,17 @@ class FieldTarget:
         return one_thread()
 
     def posterior(self, sampling: SMCResult) -> Posterior:
-        """Return the particles, reweighted from the sampled log-likelihood to the expected one."""
-        expected = self.knowledge.expected(sampling.positions, plug_in=sampling.log_likelihood)
+        """Return the particles, reweighted from the sampled log-likelihood to the expected one by draws."""
+        expected = self.knowledge.expected(sampling.positions, plug_in=self.knowledge.plug_in(sampling.positions))
         log_weights = sampling.log_weights + expected - sampling.log_likelihood
         log_evidence = sampling.log_evidence + float(logsumexp(log_weights))
         return _posterior(self.space, sampling, log_softmax(log_weights), expected, log_evidence)
 
     def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> Checks:
         """Return how the surrogate's variance, feasibility and the other surrogate change the posterior."""
-        weights = np.exp(sampling.log_weights)
-        plain = Weighted(sampling.positions, weights)
-        ratios = posterior.weights / np.maximum(weights, 1e-300)
-        effective = float(1.0 / (weights @ ratios**2))
+        exact = self.knowledge.plug_in(sampling.positions) - sampling.log_likelihood
+        plain = Weighted(sampling.positions, np.exp(log_softmax(sampling.log_weights + exact)))
+        effective = float(1.0 / np.sum(plain.weights**2 / np.maximum(posterior.weights, 1e-300)))
         effect = VarianceEffect((posterior.mean - plain.mean) / posterior.sd, posterior.sd / plain.sd, effective)
         feasible = float(posterior.weights @ np.exp(self.knowledge.log_feasibility(posterior.draws)))
         compared = None if self.beside is None else _moments_by(self.beside.mean, self.space, seed)

@@ -16,17 +16,17 @@ from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared, errors_of
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
 from strandline.likelihood.nearby import Nearby, OfMixture, nearby
-from strandline.likelihood.parabolas import Around, FittedParabola, log_gain, mean_of_draws, numbers
+from strandline.likelihood.parabolas import Around, FittedParabola, log_gain, mean_of_draws, numbers, share_gained
 from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
 __all__ = ["FieldLikelihood", "OnHost", "noise_length", "sd_of_distances"]
 
-DRAWS, NEAR_DRAWS = 16, 64
+DRAWS, NEAR_DRAWS = 16, 32
 """Fields drawn at each point for the expected likelihood, and for the one nearby; in pairs of opposite sign."""
-STARTS = 256
-"""Inputs among which the best ones are the middle of the parabola of a likelihood without one nearby."""
-TRIED, LIKELY, TOLERATED = 8, 10.0, 0.1
+STARTS, SHARES = 256, (1.0, 0.3, 0.1)
+"""Inputs tried in each round of the search for the best ones, and the shares of the box around them."""
+TRIED, LIKELY, TOLERATED = 8, 10.0, 0.2
 """Points at which `nearby` is compared with the measure; how much less likely than the best one they may be, in log L;
 largest difference of log E[L]."""
 ROUNDS, SHIFTS = 5, 16
@@ -82,41 +82,53 @@ class FieldLikelihood:
         """
         if plug_in is not None and self.nearby is not None:
             found = self.surrogate.predict(x)
-            values = np.asarray(plug_in + self._gain(self.nearby, found))
-            if self._agrees(found, values):
+            values = self._nearby_expected(self.nearby, found, plug_in)
+            if self._agrees(found, values, values - plug_in):
                 return values
         number = max(_BLOCK // DRAWS, 1)
         blocks = [x[k : k + number] for k in range(0, len(x), number)]
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
 
-    def nearly_expected(self, x: Float[np.ndarray, "point dim"]) -> Values:
-        """Return log E[L] without draws: log L of the predicted interfaces, and what a parabola says of the fields."""
-        found, plug_in = self.surrogate.predict(x), self.plug_in(x)
-        return np.asarray(plug_in + log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in))
+    def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Values) -> Values:
+        """Return log E[L] - log L of the predicted interfaces in closed form, by a parabola of log L.
+
+        Args:
+            x: The points.
+            plug_in: log L of the predicted interfaces, by `plug_in` or `nearby`.
+        """
+        found = self.surrogate.predict(x)
+        return log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in)
 
     @cached_property
     def parabola(self) -> Around:
         """A parabola of log L around any field: of the likelihood nearby, or else fitted around the best inputs."""
         if self.nearby is not None:
             return self.nearby.parabola
-        warping = self.surrogate.warping
-        sobol = qmc.Sobol(len(warping.low), seed=np.random.default_rng(0)).random(STARTS)
-        tried = self.surrogate.mean(warping.low + (warping.high - warping.low) * sobol)
-        best = tried[int(np.argmax(self.at(tried)))]
+        low, high = self.surrogate.warping.low, self.surrogate.warping.high
+        spread = qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(STARTS) - 0.5
+        x = 0.5 * (low + high)
+        for share in SHARES:
+            tried = np.vstack([x, np.clip(x + share * (high - low) * spread, low, high)])
+            x = tried[int(np.argmax(self.plug_in(tried)))]
         step = min(noise_length(seen, self.discrepancy) for seen in self.known_observations)
-        return FittedParabola.fitted(self.at, best, step)
+        return FittedParabola.fitted(self.at, self.surrogate.mean(x[None])[0], step)
 
-    def _gain(self, near: Nearby, found: FieldPrediction) -> Values:
-        """Return log E[L] - log L of the mean by a likelihood nearby."""
-        drawn, size = numbers(NEAR_DRAWS, *self._sizes), max(_BLOCK // NEAR_DRAWS, 1)
-        parts = [slice(k, k + size) for k in range(0, len(found.mean), size)]
-        some = [FieldPrediction(found.mean[part], found.variance[part]) for part in parts]
-        each = [mean_of_draws(near.log_likelihood, near.parabola.parabolas(one.mean), one, drawn) for one in some]
-        return np.asarray(np.concatenate(each) - near.log_likelihood(found.mean))
+    def _nearby_expected(self, near: Nearby, found: FieldPrediction, plug_in: Values) -> Values:
+        """Return log E[L] by draws of a likelihood nearby; what this is off at the mean field counts in part."""
+        drawn, size, values = numbers(NEAR_DRAWS, *self._sizes), max(_BLOCK // NEAR_DRAWS, 1), []
+        for first in range(0, len(found.mean), size):
+            part = slice(first, first + size)
+            one = FieldPrediction(found.mean[part], found.variance[part])
+            parabolas = near.parabola.parabolas(one.mean)
+            off = plug_in[part] - near.log_likelihood(one.mean)
+            rest = 1 - share_gained(parabolas, one.variance)
+            values.append(mean_of_draws(near.log_likelihood, parabolas, one, drawn) + rest * off)
+        return np.concatenate(values)
 
-    def _agrees(self, found: FieldPrediction, values: Values) -> bool:
-        """Return whether log E[L] is the same by the measure, at some likely points."""
+    def _agrees(self, found: FieldPrediction, values: Values, gained: Values) -> bool:
+        """Return whether log E[L] is the same by the measure, at some likely points that gain little to much."""
         likely = np.flatnonzero(values >= values.max() - LIKELY)
+        likely = likely[np.argsort(gained[likely], kind="stable")]
         some = likely[np.unique(np.linspace(0, len(likely) - 1, TRIED).astype(int))]
         exact = self._drawn(FieldPrediction(found.mean[some], found.variance[some]))
         return bool(np.abs(exact - values[some]).max() <= TOLERATED)

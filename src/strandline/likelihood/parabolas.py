@@ -24,7 +24,17 @@ from scipy.stats import norm, qmc
 from strandline.likelihood.near_field import BENT, NearField
 from strandline.surrogate.field import FieldPrediction
 
-__all__ = ["Around", "FittedParabola", "NearParabola", "Numbers", "Parabolas", "log_gain", "mean_of_draws", "numbers"]
+__all__ = [
+    "Around",
+    "FittedParabola",
+    "NearParabola",
+    "Numbers",
+    "Parabolas",
+    "log_gain",
+    "mean_of_draws",
+    "numbers",
+    "share_gained",
+]
 
 Values = Float[np.ndarray, " point"]
 Modes = Float[np.ndarray, "point mode"]
@@ -216,14 +226,25 @@ def log_gain(parabolas: Parabolas, variance: Modes, log_likelihood: Values | Non
     Args:
         parabolas: Parabolas around the mean fields.
         variance: Variances of the coefficients.
-        log_likelihood: log L of the mean fields, if it is known better. Nothing gains more than its distance from
-            `Parabolas.top`, so where the parabolas are wrong, far away, they do little harm.
+        log_likelihood: log L of the mean fields, if it is known better than by the parabolas. The gain is then the same
+            share of how far it lies below `Parabolas.top`, so that log E[L] never exceeds that.
     """
     tilted = _Tilted.of(parabolas, variance)
+    below = parabolas.below if log_likelihood is None else np.maximum(parabolas.top - log_likelihood, 0.0)
+    return np.asarray(_share(tilted, parabolas) * below - tilted.log_root + parabolas.rest)
+
+
+def share_gained(parabolas: Parabolas, variance: Modes) -> Values:
+    """Return how much of the distance of log L from its top the mean over fields gains, from 0 to 1.
+
+    An error of log L at the mean field leaves the rest of it in log E[L].
+    """
+    return _share(_Tilted.of(parabolas, variance), parabolas)
+
+
+def _share(tilted: _Tilted, parabolas: Parabolas) -> Values:
     gained = 0.5 * np.einsum("pk,pk->p", tilted.pulled, tilted.pulled)
-    if log_likelihood is not None:
-        gained *= np.clip((parabolas.top - log_likelihood) / np.maximum(parabolas.below, TINY), 0.0, 1.0)
-    return np.asarray(gained - tilted.log_root + parabolas.rest)
+    return np.asarray(np.minimum(gained / np.maximum(parabolas.below, TINY), 1.0))
 
 
 def mean_of_draws(

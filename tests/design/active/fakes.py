@@ -55,6 +55,9 @@ class Assumed(Knowledge):
     def plug_in(self, x: np.ndarray) -> np.ndarray:
         return np.asarray(-0.5 * np.sum(((x - np.array(self.mean)) / self.sd) ** 2, axis=1))
 
+    def gain(self, x: np.ndarray, plug_in: np.ndarray) -> np.ndarray:
+        return np.zeros(len(x))
+
     def expected(self, x: np.ndarray, *, plug_in: np.ndarray | None = None) -> np.ndarray:
         return self.plug_in(x)
 

@@ -101,12 +101,12 @@ def grow(
 
 def delivered(one: Case, knowledge: Knowledge, seed: int) -> Moments:
     """Return the moments of the posterior as a study computes it at the end, with enough particles to judge it."""
-    host = OnHost(knowledge.plug_in)
+    host = OnHost(knowledge.nearly_expected)
     initial = one.space.prior_quantiles(np.random.default_rng([seed, 9]).random((PARTICLES, one.space.dim)))
     settings = SMCSettings(rejuvenation_steps=15, zeta=0.5)
     with one_thread():
         found = sample(jax.random.key(seed), host, one.space.log_prior, initial, settings=settings)
-        expected = knowledge.expected(found.positions)
+        expected = knowledge.expected(found.positions, plug_in=knowledge.plug_in(found.positions))
     weights = np.exp(log_softmax(found.log_weights + expected - found.log_likelihood))
     moments = Weighted(found.positions, weights)
     return Moments(moments.mean, moments.sd)

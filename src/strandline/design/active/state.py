@@ -20,6 +20,8 @@ from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
 __all__ = ["Knowledge", "Moved", "Remembered", "State", "learn"]
 
+Values = Float[np.ndarray, " point"]
+
 TOLERATED_REMAINDER = 0.08
 """Largest remainder that the modes may leave, as a share of the interface's shift that the noise hides."""
 
@@ -65,6 +67,25 @@ class Knowledge:
             return None
         near = self.likelihood.nearby.log_likelihood(self.surrogate.mean(x))
         return np.asarray(near + self.log_feasibility(x))
+
+    def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Float[np.ndarray, " point"]) -> Values:
+        """Return log E[L] - log L in closed form: what the surrogate's uncertainty adds to `plug_in` or `roughly`.
+
+        Args:
+            x: The points.
+            plug_in: What one of these returns for them.
+        """
+        return self.likelihood.gain(x, plug_in)
+
+    def nearly_expected(self, x: Float[np.ndarray, "point dim"]) -> Values:
+        """Return `plug_in` with its `gain`: what `expected` returns, but for what a parabola of log L misses."""
+        values = self.plug_in(x)
+        return np.asarray(values + self.gain(x, values))
+
+    def roughly_expected(self, x: Float[np.ndarray, "point dim"]) -> Values | None:
+        """Return `roughly` with its `gain`; None if there is no such way."""
+        values = self.roughly(x)
+        return None if values is None else np.asarray(values + self.gain(x, values))
 
     def expected(
         self, x: Float[np.ndarray, "point dim"], *, plug_in: Float[np.ndarray, " point"] | None = None
@@ -129,11 +150,12 @@ class State:
         knowledge: Knowledge from the runs, from which the posterior follows.
         positions: Particles, shape (particle, dim).
         log_weights: Normalised log weights of the posterior with the expected likelihood, shape (particle,).
-        log_weights_tempered: Normalised log weights of π_γ, shape (particle,).
+        log_weights_tempered: Normalised log weights of π_γ ∝ L^γ p, with the likelihood L that was sampled.
         log_weights_plug_in: Log weights of the posterior as if the predicted interfaces were exact, shape (particle,).
         log_expected: log E[L] at the particles, shape (particle,).
         log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
-        log_evidence_tempered: log ∫ L^γ p dx of the predicted interfaces; NaN if it is not known.
+        log_evidence_tempered: log ∫ L^γ p dx of the likelihood that was sampled; NaN if it is not known.
+        log_sampled: log L at the particles of the likelihood that was sampled, (particle,); None: `log_plug_in`.
     """
 
     knowledge: Knowledge
@@ -144,6 +166,12 @@ class State:
     log_expected: Float[np.ndarray, " particle"]
     log_plug_in: Float[np.ndarray, " particle"]
     log_evidence_tempered: float = math.nan
+    log_sampled: Float[np.ndarray, " particle"] | None = None
+
+    @property
+    def sampled(self) -> Float[np.ndarray, " particle"]:
+        """log L at the particles of the likelihood that was sampled, shape (particle,)."""
+        return self.log_plug_in if self.log_sampled is None else self.log_sampled
 
     @property
     def mean(self) -> Float[np.ndarray, " dim"]:
