@@ -99,9 +99,9 @@ def test_a_check_that_fails_goes_on_until_the_runs_are_used_up() -> None:
     one = design(Active(100), log_likelihood=wrong)
     batches = kinds(played(one))
     assert not one.converged
-    assert sum(number for _, number in batches) <= 100
+    assert sum(number for _, number in batches) == 100
     assert [kind for kind, _ in batches][:6] == ["initial", "posterior", "posterior", "check", "posterior", "posterior"]
-    assert one.reasons[0] == "1 of the 100 runs that were allowed are left, too few to go on to a check"
+    assert one.reasons[0] == "all 100 runs that were allowed are made"
     assert any("draws are effective" in reason for reason in one.reasons)
     assert any("changes a standard deviation" in reason for reason in one.reasons)
 
@@ -118,7 +118,7 @@ def test_the_batch_that_moved_the_posterior_is_told() -> None:
 def test_a_posterior_that_never_rests_says_so() -> None:
     one = design(Active(60), FakeLearner([0.2, -0.2] * 40))
     batches = kinds(played(one))
-    assert 60 - PROBES < sum(number for _, number in batches) <= 60
+    assert sum(number for _, number in batches) == 60
     assert not one.converged
     assert "one of the last two batches still moved the posterior (by 2." in one.reasons[1]
 
@@ -137,8 +137,8 @@ def test_the_last_runs_are_kept_for_a_check() -> None:
     assert kinds(played(one))[:3] == [("initial", 12), ("posterior", 2), ("check", PROBES)]
 
 
-def test_without_room_for_a_check_none_is_made() -> None:
-    """First runs that were added for want of successes have used up what was left."""
+def test_runs_too_few_for_a_check_are_used_all_the_same() -> None:
+    """First runs that were added for want of successes have left five."""
     one = design(Active(37))
     one.start(FIRST)
     for _ in range(5):
@@ -147,13 +147,25 @@ def test_without_room_for_a_check_none_is_made() -> None:
         assert batch.kind == "initial"
     x = np.concatenate([batch.points for batch in one.batches])
     np.testing.assert_array_equal(x, SPACE.to_physical(sobol(32, 2)))
+    for number in (4, 1):
+        batch = one.next(x, [record(row) for row in x])
+        assert batch is not None
+        assert (batch.kind, len(batch.points)) == ("posterior", number)
+        x = np.concatenate([x, batch.points])
     assert one.next(x, [record(row) for row in x]) is None
     assert one.reasons == (
-        "5 of the 37 runs that were allowed are left, too few to go on to a check",
+        "all 37 runs that were allowed are made",
         "the posterior has not stood still for two batches yet",
         "no check on the true model was made",
     )
-    assert len(one.more_of_the_first().points) == 4  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("runs", range(41, 49))
+def test_no_run_is_left_over(runs: int) -> None:
+    one = design(Active(runs), log_likelihood=wrong)
+    assert sum(number for _, number in kinds(played(one))) == runs
+    assert not one.converged
+    assert any("effective" in reason for reason in one.reasons)
 
 
 def test_no_more_than_allowed_of_the_first() -> None:

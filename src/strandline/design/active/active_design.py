@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.checking import (
-    FEWEST_DRAWS,
     POOL,
     BatchCheck,
     LeftOut,
@@ -26,6 +25,7 @@ from strandline.design.active.checking import (
 )
 from strandline.design.active.choice import choose
 from strandline.design.active.elsewhere import Surprise, left_out_surprise, points_around, points_elsewhere, surprises
+from strandline.design.active.failing import Losses
 from strandline.design.active.left_out import NEAR, left_out_ratios
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Moved, Remembered, State
@@ -193,31 +193,50 @@ class ActiveDesign:
         if kind == "given":
             check = None
         if left <= 0:
-            self.reasons = self._why_not(check)
+            self.reasons = self._why_not()
             return None
         if self._odd:
             odd, number = np.array([one.x for one in self._odd]), max(self.batch, 2 * self.space.dim)
             self._looked_around |= {one.x.tobytes() for one in self._odd}
             around = points_around(odd, x, self.space, self.active.unseen, min(number, left))
+            around = self._losses().bearable(around)
             if len(around):
                 return self._noted(around, "elsewhere")
         room = left - self.active.check
-        if (stable and check is None and room >= 0) or room < 1:
-            if left < FEWEST_DRAWS:
-                self.reasons = self._why_not(check)
-                return None
-            if self._confirmed() or room < 1:
-                return self._noted(self._to_check(x, records, left), "check")
-        points = choose(
-            self.state,
-            self.space,
-            min(self.batch, max(room, 1)),
-            explore=self.active.explore,
-            first=len(x),
-            criterion=self.active.criterion,
-            seed=self.seed + 7919 * len(x),
-        )
-        return self._noted(points, "posterior")
+        ready = (stable and check is None and room >= 0) or room < 1
+        if ready and self._can_be_checked(records, left) and (self._confirmed() or room < 1):
+            return self._noted(self._to_check(x, records, left), "check")
+        return self._noted(self._chosen(min(self.batch, room if room > 0 else left), len(x)), "posterior")
+
+    def _can_be_checked(self, records: Sequence[RunRecord], left: int) -> bool:
+        """Return whether the runs left are enough for a check that could pass, and would not be lost to failures."""
+        assert self.state is not None
+        needed = number_of_probes(self.space.dim, len(self._near(self.state, records).x))
+        return left >= needed and self._losses().bears_check(self.state, needed)
+
+    def _chosen(self, number: int, made: int) -> Float[np.ndarray, "run dim"]:
+        """Return the inputs of the next batch, safe ones if too many runs were lost where they are known to fail."""
+        assert self.state is not None
+        losses = self._losses()
+        for kept in (None, losses):
+            points = choose(
+                self.state,
+                self.space,
+                number,
+                explore=self.active.explore,
+                first=made,
+                criterion=self.active.criterion,
+                seed=self.seed + 7919 * made,
+                losses=kept,
+            )
+            if losses.bears(points):
+                break
+        return points
+
+    def _losses(self) -> Losses:
+        assert self.state is not None
+        first = (row for batch in self.batches if batch.kind in ("initial", "given") for row in batch.points)
+        return Losses(self.state.knowledge, self.active.runs, frozenset(row.tobytes() for row in first))
 
     @property
     def _left(self) -> int:
@@ -252,6 +271,8 @@ class ActiveDesign:
         chosen = np.concatenate([first, np.random.default_rng(self.seed).permutation(others)])
         room = left - len(chosen)
         elsewhere = points_elsewhere(x, self.space, self.active.unseen, room) if room > 0 else x[:0]
+        if not (losses := self._losses()).bears(elsewhere):
+            elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
         ends = looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
         self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier)
@@ -380,13 +401,9 @@ class ActiveDesign:
     def _quiet(self, moved: Moved) -> bool:
         return max(moved.shift, moved.width) < self.active.change and moved.effective >= self.active.effective
 
-    def _why_not(self, check: BatchCheck | None) -> tuple[str, ...]:
-        left = self._left
-        reasons = [
-            f"all {self.active.runs} runs that were allowed are made"
-            if left <= 0
-            else f"{left} of the {self.active.runs} runs that were allowed are left, too few to go on to a check"
-        ]
+    def _why_not(self) -> tuple[str, ...]:
+        assert self.state is not None
+        reasons = [f"all {self.active.runs} runs that were allowed are made", *self._losses().words(self.state)]
         last = self.steps[-1]
         both = [step.moved for step in self.steps if step is last or step.runs == last.since]
         unrest = [moved for moved in both if moved is not None and not self._quiet(moved)]
@@ -398,7 +415,8 @@ class ActiveDesign:
             )
         elif len(both) < 2 or None in both:
             reasons.append("the posterior has not stood still for two batches yet")
-        return (*reasons, *(("no check on the true model was made",) if check is None else check.reasons))
+        checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]
+        return (*reasons, *(checks[-1].reasons if checks else ("no check on the true model was made",)))
 
 
 def _noise(state: State) -> float:

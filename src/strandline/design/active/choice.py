@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from strandline.design.active.failing import Losses, safe_candidates
 from strandline.design.active.state import State
 from strandline.design.space_filling import sobol
 from strandline.errors import InvalidInput
@@ -22,7 +23,15 @@ _LEADING = 6  # modes whose variances count
 
 
 def choose(
-    state: State, space: ParameterSpace, number: int, *, explore: float, first: int, criterion: str, seed: int
+    state: State,
+    space: ParameterSpace,
+    number: int,
+    *,
+    explore: float,
+    first: int,
+    criterion: str,
+    seed: int,
+    losses: Losses | None = None,
 ) -> Float[np.ndarray, "run dim"]:
     """Return the inputs of the next runs, each chosen as if the ones before it had been made.
 
@@ -34,10 +43,14 @@ def choose(
         first: Number of runs made so far; the share is kept over all batches.
         criterion: Name in `CRITERIA`, or ``module:name``.
         seed: Seed of the draws.
+        losses: Runs lost where they fail, if only safe ones may be chosen.
     """
     candidates = state.positions[subset(np.exp(state.log_weights_tempered), CANDIDATES, seed)]
     candidates = np.unique(candidates, axis=0)
     unknown = space.to_physical(sobol(first + EXPLORATION, space.dim, scramble=None)[first:])
+    if losses is not None:
+        candidates = safe_candidates(losses, state, candidates, space, seed)
+        unknown = losses.safest(unknown, number)
     half = [subset(np.exp(w), TARGETS // 2, seed + 1) for w in (state.log_weights, state.log_weights_tempered)]
     targets = np.unique(state.positions[np.concatenate(half)], axis=0)
     pools = {False: _new(candidates, state), True: _new(unknown, state)}

@@ -6,11 +6,11 @@ holds one with 95 % probability. A region is a ball in the prior's quantiles, wi
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
@@ -57,20 +57,37 @@ def least_found(x: Float[np.ndarray, "run dim"], space: ParameterSpace) -> float
 
 
 def points_elsewhere(
-    x: Float[np.ndarray, "run dim"], space: ParameterSpace, share: float, most: int
+    x: Float[np.ndarray, "run dim"],
+    space: ParameterSpace,
+    share: float,
+    most: int,
+    likely: Callable[[Float[np.ndarray, "point dim"]], Bool[np.ndarray, " point"]] | None = None,
 ) -> Float[np.ndarray, "new dim"]:
     """Return the inputs to run so that regions of this share of the prior's mass are found, at most `most`.
 
     Each is the point that is farthest from all runs, in the prior's quantiles.
+
+    Args:
+        x: Inputs of all runs.
+        space: The inputs with their priors.
+        share: Share of the prior's mass.
+        most: Largest number of points.
+        likely: Function that tells where runs may succeed; None: everywhere. No point lies elsewhere, and regions
+            whose middle does need not be found.
     """
     if share >= 1:
         return np.empty((0, space.dim))
     middles, radii = _balls(space.dim)
     radius = np.array([np.interp(share, SHARES, row) for row in radii.T]) if share < SHARES[-1] else radii[-1]
     pool, known = sobol(POOL, space.dim, scramble=0), space.prior_shares(x)
+    if likely is not None:
+        here = likely(space.prior_quantiles(middles))
+        pool, middles, radius = pool[likely(space.prior_quantiles(pool))], middles[here], radius[here]
+        if not len(pool) or not len(middles):
+            return np.empty((0, space.dim))
     to_pool, nearest = cdist(pool, known).min(axis=1), cdist(middles, known).min(axis=1)
     chosen: list[int] = []
-    while len(chosen) < most and (nearest <= radius).mean() < SURE:
+    while len(chosen) < most and (nearest <= radius).mean() < SURE and to_pool.max() > 0:
         farthest = int(np.argmax(to_pool))
         chosen.append(farthest)
         to_pool = np.minimum(to_pool, cdist(pool, pool[farthest : farthest + 1])[:, 0])
