@@ -413,6 +413,26 @@ def test_batches_of_fewer_runs_than_inputs_count_together() -> None:
     assert checked[1] > len(drifting)
 
 
+def test_runs_with_derivatives_count_twice() -> None:
+    """In two dimensions, a batch of one such run is compared with the one before."""
+    learner = FakeLearner()
+
+    def learn(x: np.ndarray, records: Sequence[RunRecord]) -> State:
+        state = learner(x, records)
+        likelihood = state.knowledge.likelihood
+        likelihood = replace(likelihood, surrogate=replace(likelihood.surrogate, gradients=True))
+        return replace(state, knowledge=replace(state.knowledge, likelihood=likelihood))
+
+    with_derivatives, without = (
+        ActiveDesign(Active(100), SPACE, batch=1, learn=one, log_likelihood=honest, seed=1) for one in (learn, learner)
+    )
+    found = kinds(played(with_derivatives))
+    assert [kind for kind, _ in found[:4]] == ["initial", "posterior", "posterior", "check"]
+    assert [step.since for step in with_derivatives.steps[:3]] == [None, 12, 13]
+    played(without)
+    assert [step.since for step in without.steps[:4]] == [None, None, 12, 13]
+
+
 def test_weights_between_posteriors_count() -> None:
     """Widths that change by 8 % in both inputs leave means alone, and not all draws effective."""
     state = state_of(known(FIRST))

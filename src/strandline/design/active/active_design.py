@@ -65,8 +65,8 @@ class Step:
         mean: Posterior mean, shape (dim,).
         sd: Posterior standard deviation, shape (dim,).
         error: Error of the predicted interface, mm: root mean square along it, median over the posterior.
-        moved: Distance from the last step that had fewer runs by at least the number of inputs; None if there is none
-            since the last check.
+        moved: Distance from the last step that had fewer runs by at least the number of inputs, or half of it if runs
+            yield derivatives; None if there is none since the last check.
         since: Number of runs at that step.
         check: Result of the batch if it was a check; it concerns the posterior before the batch.
     """
@@ -358,7 +358,7 @@ class ActiveDesign:
         order = np.argsort(errors)
         half = int(np.searchsorted(np.cumsum(weights[order]), 0.5))
         kind, runs = self.batches[-1].kind, len(state.knowledge.x)
-        before = [one for one in self._remembered if one.runs <= runs - self.space.dim]
+        before = [one for one in self._remembered if one.runs <= runs - self._apart(state)]
         self._remembered = [*([] if kind == "check" else self._remembered), Remembered.of(state)]
         return Step(
             runs=runs,
@@ -371,6 +371,13 @@ class ActiveDesign:
             since=before[-1].runs if before else None,
             check=check,
         )
+
+    def _apart(self, state: State) -> int:
+        """Return by how many runs two posteriors must differ to be compared: half the inputs if runs yield derivatives.
+
+        Each of these shows the effect of all inputs at once.
+        """
+        return (self.space.dim + 1) // 2 if state.knowledge.surrogate.gradients else self.space.dim
 
     def _stable(self, records: Sequence[RunRecord]) -> bool:
         """Return whether the posterior has moved little up to this step, and up to the step it is compared with.

@@ -32,7 +32,8 @@ class Active:
             region of this share holds a run with 95 % probability. Half the share costs about twice the runs; 1 looks
             nowhere.
         change: Largest change over each of the last two batches: of a mean in standard deviations, of a standard
-            deviation in natural logarithms; batches with fewer runs than inputs count together.
+            deviation in natural logarithms; batches with fewer runs than inputs count together, with sensitivities
+            those with fewer than half as many.
         shift: Largest shift of a mean by the check's importance weights, in standard deviations beyond its standard
             error.
         width: Largest change of a standard deviation by these weights, in natural logarithms.
