@@ -418,7 +418,7 @@ def test_runs_with_derivatives_count_twice() -> None:
     learner = FakeLearner()
 
     def learn(x: np.ndarray, records: Sequence[RunRecord]) -> State:
-        state = learner(x, records)
+        state: State = learner(x, records)
         likelihood = state.knowledge.likelihood
         likelihood = replace(likelihood, surrogate=replace(likelihood.surrogate, gradients=True))
         return replace(state, knowledge=replace(state.knowledge, likelihood=likelihood))

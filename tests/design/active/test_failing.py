@@ -30,7 +30,7 @@ class Wary(Assumed):
     """A normal likelihood, times the probability that a run succeeds."""
 
     def plug_in(self, x: np.ndarray) -> np.ndarray:
-        return super().plug_in(x) + self.log_feasibility(x)
+        return np.asarray(super().plug_in(x) + self.log_feasibility(x))
 
 
 def learn(x: np.ndarray, records: Sequence[RunRecord]) -> State:
