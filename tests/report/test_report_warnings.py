@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from strandline.calibration import Calibration
+from strandline.calibration.sampler_check import SamplerCheck, Split
 from strandline.discrepancy import Currents
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import LogNormal
@@ -72,6 +73,23 @@ def indefinite(calibration: Calibration) -> Calibration:
     return replace(calibration, laplace=laplace(np.diag([-1.0, 1.0]), calibration.posterior.map_estimate))
 
 
+def with_halves(calibration: Calibration, difference: float) -> Calibration:
+    """The halves of the sampler have means that differ by so many standard deviations, all else is alike."""
+    zero = np.zeros(2)
+    check = SamplerCheck(
+        names=calibration.problem.space.names,
+        effective=(1000.0, 900.0),
+        mean_difference=np.array([difference, 0.0]),
+        mean_error=np.full(2, 0.09),
+        log_sd_ratio=zero,
+        log_sd_error=np.full(2, 0.06),
+        log_evidence=(-3.0, -3.0),
+        log_evidence_error=0.2,
+        splits=(Split("E", 400.0, (0.5, 0.5)),),
+    )
+    return replace(calibration, sampler_check=check)
+
+
 CASES: dict[str, tuple[Callable[[Calibration], Calibration], str]] = {
     "failures": (lambda c: with_failures(c, 20), "20 of 64 forward runs failed"),
     "prior": (with_cut_prior, "prior of E was truncated to the design box [300, 560] Pa: 11"),
@@ -87,6 +105,10 @@ CASES: dict[str, tuple[Callable[[Calibration], Calibration], str]] = {
         "means by up to 0.060 standard deviations",
     ),
     "deviations": (lambda c: with_quadrature(c, sd=c.posterior.sd * 1.07), "standard deviations by up to 6.5%"),
+    "halves": (
+        lambda c: with_halves(c, -0.4),
+        "differ by more than 1000 and 900 effective samples explain (p = 5e-05): means by up to 0.40",
+    ),
     "lower": (lambda c: moved(c, 0, 0.05, 0.01), "posterior of E reaches the lower end of its box, 300 Pa: "),
     "upper": (lambda c: moved(c, 1, 0.05, 0.99), "posterior of tilt reaches the upper end of its box, 0.04: "),
     "three ends": (
@@ -116,11 +138,22 @@ def test_exactly_the_one_that_is_deserved(good: Calibration, case: str) -> None:
         lambda c: replace(c, sampling=replace(c.sampling, ess=41.0)),
         lambda c: with_quadrature(c, mean=c.posterior.mean + 0.04 * c.posterior.sd),
         lambda c: with_quadrature(c, sd=c.posterior.sd * 1.04),
+        lambda c: with_halves(c, 0.25),
         lambda c: moved(c, 0, 0.005, 0.01),
         lambda c: moved(c, 0, 0.5, 0.03),
         lambda c: replace(c, quadrature=None),
     ],
-    ids=["failures", "surrogate", "samples", "means", "deviations", "little at the bound", "near it", "no quadrature"],
+    ids=[
+        "failures",
+        "surrogate",
+        "samples",
+        "means",
+        "deviations",
+        "halves",
+        "little at the bound",
+        "near it",
+        "no quadrature",
+    ],
 )
 def test_none_just_below_a_limit(good: Calibration, change: Callable[[Calibration], Calibration]) -> None:
     assert list(find_warnings(change(good))) == []

@@ -8,16 +8,19 @@ chosen on the posterior so far) → discrepancy of the predicted interface → t
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
-from strandline.calibration.cut_posterior import under_uncertainty
+from strandline.calibration.cut_posterior import LARGEST_DIM, under_uncertainty
 from strandline.calibration.learning import Given, Learning
 from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
+from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import Target
 from strandline.likelihood.inferred_noise import require_inferable
 from strandline.models.protocol import require_conditions
@@ -25,7 +28,7 @@ from strandline.numerics.precision import use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger
-from strandline.smc import SMCResult, carried_over, sample
+from strandline.smc import RandomKey, SMCResult, carried_over, in_halves, sample
 
 __all__ = ["calibrate"]
 
@@ -101,6 +104,7 @@ def calibrate(
         seconds=watch.seconds,
         turned=learning.judge.turned,
         misfit=misfit,
+        sampler_check=compare_halves(sampling, posterior),
     )
 
 
@@ -115,9 +119,23 @@ def _opened(path: Path | str | None, problem: Problem) -> Iterator[Ledger]:
 
 
 def _sample(target: Target, space: ParameterSpace, settings: Settings, tell: Observer) -> SMCResult:
+    """Return the particles: of one run up to three inputs, which a quadrature can check, else of two halves."""
     start, chain = jax.random.split(jax.random.key(settings.seed))
     uniform = jax.random.uniform(start, (settings.particles, space.dim), dtype=float)
     initial = space.prior_quantiles(np.asarray(uniform))
+    run = partial(_sample_from, target=target, space=space, settings=settings, tell=tell)
+    return run(chain, initial) if space.dim <= LARGEST_DIM else in_halves(run, chain, initial)
+
+
+def _sample_from(
+    chain: RandomKey,
+    initial: Float[np.ndarray, "particle dim"],
+    *,
+    target: Target,
+    space: ParameterSpace,
+    settings: Settings,
+    tell: Observer,
+) -> SMCResult:
     options: dict[str, Any] = {"scouts": initial, "extents": space.high - space.low, "settings": settings.smc}
     found = None
     for stage, one in enumerate((*target.leading, target.compiled)):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.misfit import Misfit
+from strandline.calibration.sampler_check import SamplerCheck
 from strandline.design.active import Active, BatchReport, FieldOutcome
 from strandline.design.refinement import Refinement, Round
 from strandline.discrepancy import Discrepancy
@@ -141,8 +142,9 @@ class Calibration:
     is the reason why there is no field although it was requested. `set_aside` are runs that ended ok but were not used;
     unless only one measure cannot use them, they are invalid in `records`. `turned` are the conditions whose
     observation ran against the runs; in `problem` it is turned round. `misfit` tells whether the model explains the
-    observations within the noise; None if this was not judged. `made` are all runs as they were made, if `records` hold
-    corrected ones of a cheaper model; else it is empty.
+    observations within the noise; None if this was not judged. `sampler_check` compares two independent halves of the
+    particles; None up to three inputs. `made` are all runs as they were made, if `records` hold corrected ones of a
+    cheaper model; else it is empty.
     """
 
     problem: Problem
@@ -166,6 +168,7 @@ class Calibration:
     set_aside: tuple[SetAside, ...] = ()
     turned: tuple[str, ...] = ()
     misfit: Misfit | None = None
+    sampler_check: SamplerCheck | None = None
     made: tuple[RunRecord, ...] = ()
 
     @property

@@ -43,6 +43,9 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
             f"sampler against quadrature: means differ by {check['max_mean_error_sd']:.3f} sd, "
             f"standard deviations by {check['max_sd_ratio_error']:.1%}"
         )
+    halves = summary["sampler_check"]
+    if halves is not None and halves["agree"]:
+        click.echo(halves["verdict"])
     if summary["certificate"] is not None and summary["certificate"]["converged"]:
         click.echo(_certified(summary["certificate"]))
         click.echo(summary["certificate"]["statement"])

@@ -252,14 +252,15 @@ def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
 
 
 def _sampler(calibration: Calibration) -> Iterator[Captioned]:
-    steps = calibration.sampling.steps
+    steps, halves = calibration.sampling.steps, calibration.sampling.halves
     figure = plots.plot_tempering(
         [s.temperature for s in steps],
         [s.ess for s in steps],
         [s.acceptance for s in steps],
-        particles=calibration.settings.particles,
+        particles=calibration.settings.particles if halves is None else len(halves[0].positions),
     )
-    caption = "The sampler's steps: exponent γ of the likelihood, effective sample size, share of accepted moves."
+    whose = "The sampler's steps" if halves is None else "The steps of the first half of the particles"
+    caption = f"{whose}: exponent γ of the likelihood, effective sample size, share of accepted moves."
     yield Captioned("tempering", "sampler", caption, whole(figure))
 
 

@@ -190,6 +190,9 @@ def _sampler(calibration: Calibration) -> Iterator[str]:
     particles = calibration.settings.particles
     if calibration.sampling.ess < ESS_SHARE * particles:
         yield f"Only {calibration.sampling.ess:.0f} effective samples among {particles} particles."
+    halves = calibration.sampler_check
+    if halves is not None and not halves.agree:
+        yield halves.verdict
     exact, posterior = calibration.quadrature, calibration.posterior
     if exact is None:
         return

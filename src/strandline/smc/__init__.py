@@ -2,7 +2,8 @@
 
 from strandline.smc.carried import carried_over
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each
-from strandline.smc.moves import BatchedLogDensity, Moved, metropolis
+from strandline.smc.halves import in_halves
+from strandline.smc.moves import BatchedLogDensity, Moved, RandomKey, metropolis
 from strandline.smc.on_host import is_on_host
 from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo
 from strandline.smc.resampling import systematic
@@ -16,11 +17,13 @@ __all__ = [
     "ConditionalLogDensity",
     "Moved",
     "Particles",
+    "RandomKey",
     "SMCResult",
     "SMCSettings",
     "StepInfo",
     "carried_over",
     "effective_sample_size",
+    "in_halves",
     "is_on_host",
     "metropolis",
     "next_temperature",

@@ -84,6 +84,7 @@ class SMCResult:
         ess: effective sample size.
         steps: what each tempering step did.
         likelihood_evaluations: number of evaluated points, including proposals outside the support.
+        halves: the two independent runs that this is the union of, in the order of the particles; None for one run.
     """
 
     positions: Float[np.ndarray, "particle dim"]
@@ -94,3 +95,4 @@ class SMCResult:
     ess: float
     steps: tuple[StepInfo, ...]
     likelihood_evaluations: int
+    halves: "tuple[SMCResult, SMCResult] | None" = None

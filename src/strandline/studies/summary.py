@@ -93,6 +93,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
         "laplace": _laplace(calibration),
         "quadrature_check": quadrature_check(calibration),
+        "sampler_check": sampler_check(calibration),
         "under_uncertainty": _under_uncertainty(calibration),
         "sensitivity": _sensitivity(calibration),
         "missing": {},
@@ -105,6 +106,24 @@ def quadrature_check(calibration: Calibration) -> dict[str, Any] | None:
     """Compare the sampler with the direct integration of the same surrogate; None above three inputs."""
     exact, posterior = calibration.quadrature, calibration.posterior
     return None if exact is None else _compared(posterior.space.names, posterior, exact)
+
+
+def sampler_check(calibration: Calibration) -> dict[str, Any] | None:
+    """Return how two independent halves of the particles compare; None up to three inputs."""
+    check = calibration.sampler_check
+    if check is None:
+        return None
+    split = check.split
+    return {
+        "agree": check.agree,
+        "verdict": check.verdict,
+        "p": check.p,
+        "effective": list(check.effective),
+        "mean_difference_sd": dict(zip(check.names, check.mean_difference.tolist(), strict=True)),
+        "sd_ratio": dict(zip(check.names, np.exp(check.log_sd_ratio).tolist(), strict=True)),
+        "split": {"of": split.of, "at": split.at, "shares": list(split.shares)},
+        "log_evidence": list(check.log_evidence),
+    }
 
 
 def _compared(names: Sequence[str], sampled: Posterior | Reading, exact: QuadratureResult) -> dict[str, Any]:
