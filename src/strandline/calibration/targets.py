@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
 from strandline.calibration.cut_posterior import LARGEST_DIM, cut_by_quadrature
-from strandline.design.active import Certificate, FieldOutcome, Knowledge, VarianceEffect
+from strandline.design.active import Certificate, FieldOutcome, Knowledge, VarianceEffect, scatter_of
 from strandline.design.refinement import SAMPLING
 from strandline.likelihood import OnHost, evaluated, predicted
 from strandline.likelihood.mixture import Mixture
@@ -37,6 +37,8 @@ NORMALISED = 1e-7
 """Largest logarithm of the weights' sum: rounding exceeds it if log-likelihoods are of the order of -1e9."""
 COMPARED = 2000
 """Particles of the posterior that is reported for comparison."""
+SCATTERED = 64
+"""Draws of the posterior that show what the simulator's own scatter does there."""
 _STEP = 0.1  # step of finite differences, in the given scales
 
 
@@ -202,7 +204,9 @@ class FieldTarget:
         without = None
         if inferred is not None and inferred.without is not None:
             without = _moments_by(partial(self._by, inferred.without), self.space, seed)
-        return Checks(field=FieldOutcome(self.knowledge, effect, feasible, self.certificate, compared, without))
+        scatter = scatter_of(self.knowledge, posterior.equally_weighted(seed, SCATTERED))
+        found = FieldOutcome(self.knowledge, effect, feasible, self.certificate, compared, without, scatter)
+        return Checks(field=found)
 
     def _by(self, likelihood: Mixture, x: Points) -> Values:
         """Return log L of the predicted interface by another likelihood."""

@@ -23,7 +23,8 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     """Yield one sentence per doubt."""
     certificate, surrogate = found.certificate, found.knowledge.surrogate
     if certificate is not None and not certificate.converged:
-        yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}. Allow more runs: design.active.runs."
+        advice = "" if certificate.scattered else " Allow more runs: design.active.runs."
+        yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{advice}"
     shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
     if max(shift, ratio) > EFFECT:
         yield (

@@ -34,6 +34,11 @@ def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, 
         "remainder_um": TO_MICROMETRES * surrogate.modes.remainder,
         "left_out_error_um": _quantiles(surrogate.left_out_error(), None),
         "predicted_error_um": _quantiles(at_draws, calibration.posterior.weights),
+        "scatter": {
+            "rms_um": TO_MICROMETRES * found.scatter.rms,
+            "share_of_noise": found.scatter.share,
+            "log_likelihood_sd": found.scatter.sd,
+        },
         "variance_effect": {
             "shift": dict(zip(names, found.effect.shift.tolist(), strict=True)),
             "sd_ratio": dict(zip(names, found.effect.sd_ratio.tolist(), strict=True)),
@@ -107,6 +112,7 @@ def certificate(calibration: Calibration) -> dict[str, Any] | None:
     return {
         "converged": given.converged,
         "verdict": "converged" if given.converged else "not converged: " + "; ".join(given.reasons),
+        "scattered": given.scattered,
         "runs": len(calibration.all_runs),
         "batches": [{"kind": batch.kind, "runs": len(batch.points)} for batch in given.batches],
         "check": None if checked is None else _check(checked, given.checked, names),

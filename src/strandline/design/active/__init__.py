@@ -8,6 +8,7 @@ from strandline.design.active.cost import SLOW_BATCH, seconds_of_a_batch
 from strandline.design.active.outcome import Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.reported import BatchReport
 from strandline.design.active.sampling import posterior_state
+from strandline.design.active.scatter import Scatter, scatter_of
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, learn
 
@@ -24,10 +25,12 @@ __all__ = [
     "Criterion",
     "FieldOutcome",
     "Knowledge",
+    "Scatter",
     "State",
     "Step",
     "VarianceEffect",
     "learn",
     "posterior_state",
+    "scatter_of",
     "seconds_of_a_batch",
 ]

@@ -7,7 +7,7 @@ and the design goes on.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +27,7 @@ from strandline.design.active.choice import choose
 from strandline.design.active.elsewhere import Surprise, left_out_surprise, points_around, points_elsewhere, surprises
 from strandline.design.active.failing import Losses
 from strandline.design.active.left_out import NEAR, left_out_ratios
+from strandline.design.active.scatter import NONE, Scatter, scatter_of, typical_variance
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
@@ -151,6 +152,9 @@ class ActiveDesign:
         self._checked: Checked | None = None
         self._odd: tuple[Surprise, ...] = ()
         self._looked_around: set[bytes] = set()
+        self.scatter: Scatter = NONE
+        self.scattered = False
+        self._observed: tuple[int, float | None] = (active.check, None)
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
         """Record the first runs; `given` runs come from an earlier analysis and do not count towards the budget."""
@@ -298,7 +302,10 @@ class ActiveDesign:
         state, tolerances = checked.state, self.active.tolerances
         posterior = state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)]
         draws, times, earlier = checked.draws[here], checked.looks, checked.left_out
-        found = verdict(draws, ratios, posterior, tolerances, probing=probing, looks=times, last=last, left_out=earlier)
+        self.scatter = scatter_of(state.knowledge, draws)
+        self._observed = len(ratios), typical_variance(ratios)
+        given: dict[str, Any] = {"left_out": earlier, "scatter": self.scatter.variance}
+        found = verdict(draws, ratios, posterior, tolerances, probing=probing, looks=times, last=last, **given)
         if not isinstance(found, BatchCheck) or not found.passed:
             return found
         self._odd = self._surprises(checked.elsewhere, x, records, checked.state)
@@ -423,7 +430,14 @@ class ActiveDesign:
         elif len(both) < 2 or None in both:
             reasons.append("the posterior has not stood still for two batches yet")
         checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]
-        return (*reasons, *(checks[-1].reasons if checks else ("no check on the true model was made",)))
+        reasons += checks[-1].reasons if checks else ("no check on the true model was made",)
+        if self._observed[1] is None:
+            posterior = self.state.positions[subset(np.exp(self.state.log_weights), SHOWING, self.seed + 2)]
+            self.scatter = scatter_of(self.state.knowledge, posterior)
+        draws, observed = self._observed
+        limits = {"shift": self.active.tolerances.shift, "effective": self.active.effective}
+        self.scattered = self.scatter.prevents(draws=draws, observed=observed, **limits)
+        return (*reasons, self.scatter.reason) if self.scattered else tuple(reasons)
 
 
 def _noise(state: State) -> float:

@@ -182,4 +182,5 @@ class ActiveRuns:
             checked=checks[-1] if checks else None,
             found=least_found(self.asked, self.space),
             fidelities=None if self.fidelities is None else self.fidelities.report(self._hidden(design.state)),
+            scattered=design.scattered,
         )

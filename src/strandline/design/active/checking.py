@@ -146,6 +146,7 @@ def verdict(
     looks: int,
     last: bool,
     left_out: LeftOut | None = None,
+    scatter: float = 0.0,
 ) -> BatchCheck | Literal["open"]:
     """Return the verdict of the draws so far, or that more are needed.
 
@@ -159,6 +160,8 @@ def verdict(
         last: Whether no more draws will come.
         left_out: Earlier runs near the posterior. They can confirm it, but not object: they are predicted with fewer
             runs than the posterior has.
+        scatter: Variance of the log ratios by the simulator's own scatter, which the bounds allow for. The importance
+            weights of all draws do not: they are certain of shifts only if they are nearly equal.
     """
     left_out = None if left_out is None or not len(left_out.x) else left_out
     good = ~np.isnan(log_ratios)
@@ -176,14 +179,16 @@ def verdict(
     if left_out is not None and not excluded and len(kept) > 2 * draws.shape[1]:
         x = np.concatenate([left_out.x, kept])
         all_ratios = np.concatenate([left_out.log_ratios, ratios])
-        if len(x) >= fewest(x.shape[1]) and _within(smooth_effect(x, all_ratios, posterior, level), tolerances):
+        if len(x) >= fewest(x.shape[1]) and _within(
+            smooth_effect(x, all_ratios, posterior, level, scatter=scatter), tolerances
+        ):
             weights, earlier = reweight(x, all_ratios), len(left_out.x)
             return BatchCheck(number, failed, weights, passed=True, reasons=(), early=not last, left_out=earlier)
     if found is None or len(kept) < fewest(draws.shape[1]):
         return ended((f"only {len(kept)} of {number} runs of the check succeeded",)) if last else "open"
     if excluded:
         return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
-    effect = smooth_effect(kept, ratios, posterior, level)
+    effect = smooth_effect(kept, ratios, posterior, level, scatter=scatter)
     if _within(effect, tolerances):
         return ended(())
     if surely := _beyond(effect, tolerances):

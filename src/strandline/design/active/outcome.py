@@ -9,6 +9,7 @@ from jaxtyping import Float
 from strandline.design.active.active_design import Batch, Step
 from strandline.design.active.elsewhere import SURE
 from strandline.design.active.fidelities import FidelityReport
+from strandline.design.active.scatter import NONE, Scatter
 from strandline.design.active.state import Knowledge
 from strandline.posterior.shown import html_table
 
@@ -43,6 +44,7 @@ class Certificate:
         found: smallest share of the prior's mass such that a region of it that fits would have been found with 95 %
             probability, wherever it lies.
         fidelities: What a cheaper model was used for; None if there was none.
+        scattered: whether the simulator's own scatter keeps it from converging.
     """
 
     converged: bool
@@ -52,6 +54,7 @@ class Certificate:
     checked: Step | None
     found: float = 1.0
     fidelities: FidelityReport | None = None
+    scattered: bool = False
 
     @property
     def statement(self) -> str:
@@ -86,6 +89,7 @@ class FieldOutcome:
         certificate: Certificate of an active design; None for a fixed design.
         compared: Means and standard deviations of the posterior from the log-likelihood surrogate of the same runs.
         without_error: The same of the posterior of a model that does not err, if an error was allowed for.
+        scatter: The simulator's own scatter, and what it does to the log-likelihood.
     """
 
     knowledge: Knowledge
@@ -94,3 +98,4 @@ class FieldOutcome:
     certificate: Certificate | None = None
     compared: Mapping[str, Float[np.ndarray, " dim"]] | None = None
     without_error: Mapping[str, Float[np.ndarray, " dim"]] | None = None
+    scatter: Scatter = NONE

@@ -53,6 +53,8 @@ def smooth_effect(
     log_ratios: Float[np.ndarray, " draw"],
     posterior: Float[np.ndarray, "particle dim"],
     level: float,
+    *,
+    scatter: float = 0.0,
 ) -> Effect:
     """Return the effect of a smooth error.
 
@@ -61,6 +63,8 @@ def smooth_effect(
         log_ratios: Values of δ at the draws, all finite.
         posterior: Many draws of equal weight.
         level: Probability that each bound is exceeded.
+        scatter: Variance of δ by the simulator's own scatter, which is no error of the posterior. It widens the bounds
+            of shifts and widths, as all scatter does, but is taken out of those of the effective share.
     """
     mean, sd = posterior.mean(axis=0), posterior.std(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(((posterior - mean) / sd).T)))
@@ -83,6 +87,7 @@ def smooth_effect(
     shift, width, size = _moved(posterior, (mean, sd), drawn @ B.T)
     sure, least = (float(np.quantile(size[1:], p)) for p in (1 - level, level))
     most, few = rest / float(chi2.ppf(level, freedom)), rest / float(chi2.ppf(1 - level, freedom))
+    most, few = max(most - scatter, 0.0), max(few - scatter, 0.0)
     return Effect(
         float(shift[0]),
         (float(np.quantile(shift[1:], level)), float(np.quantile(shift[1:], 1 - level))),

@@ -130,6 +130,16 @@ class FieldSurrogate:
         errors = np.stack([process.left_out().errors for process in self.processes], axis=1)
         return np.asarray(np.sqrt(np.sum(errors**2, axis=1) / len(self.layouts) + self.modes.remainder**2))
 
+    @property
+    def scatter_variances(self) -> Float[np.ndarray, " mode"]:
+        """Variances of the coefficients about any smooth function of the inputs, by the nuggets, mm²."""
+        return np.array([process.nugget * process.scale for process in self.processes])
+
+    @property
+    def scatter(self) -> float:
+        """The simulator's own scatter, root mean square along the interface, mm."""
+        return float(np.sqrt(self.scatter_variances.sum() / len(self.layouts)))
+
     def predicted_error(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the standard deviation of the field, root mean square along the interface, at points; mm."""
         variance = self.predict(x).variance.sum(axis=1) / len(self.layouts)
