@@ -120,6 +120,13 @@ def test_each_difference_is_found(change: Mapping[str, Any], words: str) -> None
     assert words in check.verdict
 
 
+def test_what_a_thousand_related_particles_explain_is_no_difference() -> None:
+    check = compared(normal(1), normal(2, mean=0.2, sd=1.15))
+    assert np.abs(check.mean_difference).max() > 0.1
+    assert check.agree
+    assert check.p > LEVEL
+
+
 def test_a_mode_in_one_half_alone_is_found_by_its_share() -> None:
     """Planted: most of one half lies in two clumps, with the same mean and nearly the same width."""
     other = normal(2)

@@ -70,7 +70,7 @@ class SamplerCheck:
         log_sd_error: Standard deviation of this by chance (dim,).
         log_evidence: Log-evidence of either half.
         log_evidence_error: Standard deviation of their difference by chance.
-        splits: For each input and the log-likelihood, the split at which the shares of the mass differ most.
+        splits: Splits at which the shares of the mass differ most, of each input and of the log-likelihood.
     """
 
     names: tuple[str, ...]
