@@ -188,6 +188,15 @@ def test_an_active_design_says_that_the_scatter_stops_it() -> None:
     right_or_explained(calibrated(0.03, 1, runs=44), 1)
 
 
+def test_a_smooth_simulator_that_does_not_converge_is_not_said_to_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a dozen runs, curvature looks like scatter: only what all runs show counts."""
+    monkeypatch.setattr(f"{__name__}.NOISE", 0.0005)
+    certificate = getattr(calibrated(0.0, 0, runs=30).field, "certificate", None)
+    assert certificate is not None
+    assert not certificate.converged
+    assert not certificate.scattered
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("share", [0.01, 0.03])
 @pytest.mark.parametrize("seed", range(5))

@@ -431,9 +431,9 @@ class ActiveDesign:
             reasons.append("the posterior has not stood still for two batches yet")
         checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]
         reasons += checks[-1].reasons if checks else ("no check on the true model was made",)
-        if self._observed[1] is None:
-            posterior = self.state.positions[subset(np.exp(self.state.log_weights), SHOWING, self.seed + 2)]
-            self.scatter = scatter_of(self.state.knowledge, posterior)
+        particles = self.state.positions[subset(np.exp(self.state.log_weights), SHOWING, self.seed + 2)]
+        at = particles if self._checked is None else self._checked.draws
+        self.scatter = scatter_of(self.state.knowledge, at)  # by all runs: few may mistake curvature for scatter
         draws, observed = self._observed
         limits = {"shift": self.active.tolerances.shift, "effective": self.active.effective}
         self.scattered = self.scatter.prevents(draws=draws, observed=observed, **limits)
