@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -11,14 +10,7 @@ from scipy.optimize import minimize
 
 from strandline.errors import NumericsError
 from strandline.surrogate.field.derivative_kernel import covariance, trend
-from strandline.surrogate.field.length_scales import mixed_variance, student
-from strandline.surrogate.field.restricted_evidence import (
-    Conditioned,
-    Observed,
-    condition_mode,
-    evidence_of,
-    restricted_evidence,
-)
+from strandline.surrogate.field.restricted_evidence import Conditioned, Observed, condition_mode, restricted_evidence
 
 __all__ = ["LeftOut", "ModeProcess", "fit_mode"]
 
@@ -53,8 +45,7 @@ class ModeProcess:
         lengths: Length scales, in standard deviations of the inputs.
         nugget: Noise variance relative to that of the process.
         factors: Factors of its covariance.
-        widening: Factor of all variances, at least 1: by which the errors of left-out runs exceed what they should be,
-            or by which uncertain length scales add to them, whichever is larger.
+        widening: Factor of all variances, at least 1, by which the errors of left-out runs exceed what they should be.
     """
 
     observed: Observed
@@ -155,29 +146,7 @@ def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
     process = ModeProcess(observed, lengths, nugget, condition_mode(observed, lengths, nugget))
     left_out = process.left_out()
     surprise = float(np.sum(left_out.errors**2 / np.maximum(left_out.variances, 1e-300)))
-    surprising = max(1.0, (surprise + _PRIOR_RUNS) / (len(observed.z) + _PRIOR_RUNS))
-    return replace(process, widening=surprising if quick else max(surprising, _unsure(process, best.x)))
-
-
-def _unsure(process: ModeProcess, at: Float[np.ndarray, " coordinate"]) -> float:
-    """Return the variance of the coefficient with uncertain length scales and s² over that of the process."""
-    observed, dim = process.observed, len(at) - 1
-    low, high = (np.log(np.array([LENGTHS[k]] * dim + [NUGGETS[k]])) for k in (0, 1))
-
-    def predicted(
-        hyper: Float[np.ndarray, " coordinate"], z: Float[np.ndarray, "point dim"]
-    ) -> tuple[float, Float[np.ndarray, " point"], Float[np.ndarray, " point"]] | None:
-        lengths = np.exp(hyper[:dim])
-        try:
-            factors = condition_mode(observed, lengths, process.nugget)
-            value = _prior(hyper[:dim])[0] - evidence_of(observed, factors, hyper[:dim])
-        except NumericsError:
-            return None
-        one = ModeProcess(observed, lengths, process.nugget, factors)
-        return value, one.mean(z), one.variance(z)
-
-    mixed = mixed_variance(partial(_objective, observed=observed), predicted, at, low, high, least=LENGTH_SPREAD**-2)
-    return mixed * student(*process.factors.trend.shape)
+    return replace(process, widening=max(1.0, (surprise + _PRIOR_RUNS) / (len(observed.z) + _PRIOR_RUNS)))
 
 
 _WALL = 1e25
@@ -192,11 +161,6 @@ def _objective(
         value, slope = restricted_evidence(observed, at[:dim], float(at[dim]))
     except NumericsError:
         return 2 * _WALL, np.zeros(len(at))
-    prior, rise = _prior(at[:dim])
-    return prior - value, np.append(rise, 0.0) - slope
-
-
-def _prior(log_lengths: Float[np.ndarray, " dim"]) -> tuple[float, Float[np.ndarray, " dim"]]:
-    """Return minus the log prior of the length scales, and its derivatives."""
-    off = (log_lengths - math.log(TYPICAL_LENGTH)) / LENGTH_SPREAD
-    return 0.5 * float(off @ off), off / LENGTH_SPREAD
+    off = (at[:dim] - math.log(TYPICAL_LENGTH)) / LENGTH_SPREAD
+    prior = np.append(off / LENGTH_SPREAD, 0.0)
+    return -value + 0.5 * float(off @ off), prior - slope

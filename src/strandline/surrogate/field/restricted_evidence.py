@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, lapack, solve_triangular
 from strandline.errors import NumericsError
 from strandline.surrogate.field.derivative_kernel import covariance, trend
 
-__all__ = ["Conditioned", "Observed", "condition_mode", "evidence_of", "restricted_evidence"]
+__all__ = ["Conditioned", "Observed", "condition_mode", "restricted_evidence"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,28 +106,21 @@ def restricted_evidence(
     """
     lengths, nugget = np.exp(log_lengths), float(np.exp(log_nugget))
     c = condition_mode(observed, lengths, nugget)
-    value, (n, dim) = evidence_of(observed, c, log_lengths), observed.z.shape
+    if not c.variance > 0:
+        raise NumericsError("a mode without variation beyond its mean has no evidence")
+    n, dim = observed.z.shape
+    rows, terms = c.trend.shape
+    freedom = rows - terms
+    sign = np.linalg.slogdet(c.normal)[1]
+    value = -0.5 * freedom * np.log(c.variance) - np.log(np.diagonal(c.cholesky)).sum() - 0.5 * sign
     W = c.precision - np.outer(c.alpha, c.alpha) / c.variance
     slope = -0.5 * _by_kernel(observed, W, lengths, nugget)
     for j in range(dim if observed.gradients is not None else 0):
         mine = slice((j + 1) * n, (j + 2) * n)
         of_mean = np.trace(np.linalg.solve(c.normal, c.trend[mine].T @ c.solved_trend[mine]))
         slope[j] += n - float(c.alpha[mine] @ c.residual[mine]) / c.variance - float(of_mean)
-    return value, slope
-
-
-def evidence_of(observed: Observed, c: Conditioned, log_lengths: Float[np.ndarray, " dim"]) -> float:
-    """Return the log evidence of the length scales with these factors, up to a constant.
-
-    Raises:
-        NumericsError: the data leave no residual.
-    """
-    if not c.variance > 0:
-        raise NumericsError("a mode without variation beyond its mean has no evidence")
-    rows, terms = c.trend.shape
-    size = np.log(np.diagonal(c.cholesky)).sum() + 0.5 * np.linalg.slogdet(c.normal)[1]
-    scaled = 0.0 if observed.gradients is None else len(observed.z) * float(log_lengths.sum())
-    return float(-0.5 * (rows - terms) * np.log(c.variance) - size + scaled)
+        value += n * float(log_lengths[j])
+    return float(value), slope
 
 
 def _by_kernel(
