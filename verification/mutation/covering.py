@@ -1,21 +1,25 @@
 """Which tests execute which lines, so that a mutant need not run all others.
 
 Every file of tests runs on its own, with coverage.py. JAX traces a function once in a process, so that coverage.py does
-not see a second test execute it. So the tests seen to execute a line come first, then the others in quick files.
+not see a second test execute it. So the tests seen to execute a line come first, then the others in their files. Those
+of the changed file itself come before others, and only as many as run in a given time: a mutant that they do not notice
+counts as one that survived.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import coverage
+import pytest
 from verification.mutation.trial import Outcome, forked, run_tests
 
-__all__ = ["QUICK", "Covering", "measured"]
+__all__ = ["Covering", "measured"]
 
-QUICK = 30.0
-"""Seconds of a quick file of tests."""
+LINES = 6
+"""Most lines of an expression: Python may count the later ones to the first."""
 
 
 @dataclass(frozen=True)
@@ -25,20 +29,39 @@ class Covering:
     Args:
         tests: Names by file of the package and line of it: those of the tests in each file of tests that execute
             it; none if only its fixtures do.
-        seconds: Seconds that each file of tests takes, with coverage.
+        seconds: Seconds of each test in each file of tests, with coverage.
     """
 
     tests: Mapping[str, Mapping[int, Mapping[str, Sequence[str]]]]
-    seconds: Mapping[str, float]
+    seconds: Mapping[str, Mapping[str, float]]
 
-    def stages(self, file: str, line: int) -> list[list[str]]:
-        """Return tests for a change of a line, in the order in which to try them: first those that execute it."""
-        found = self.tests.get(file, {}).get(line, {})
-        order = sorted(found, key=lambda one: self.seconds[one])
-        named = [f"{one}::{name}" for one in order for name in found[one]]
-        quick = [one for one in order if self.seconds[one] < QUICK]
-        whole = [[one, *(f"--deselect={one}::{name}" for name in found[one])] for one in quick]
-        return [*([named] if named else []), *whole]
+    def stages(self, file: str, line: int, most: float) -> list[list[str]]:
+        """Return tests for a change of a line, in the order in which to try them: first those that execute it.
+
+        Args:
+            file: Changed file, from the package's folder.
+            line: Changed line.
+            most: Most seconds that they may take together, without their start; one test may take more.
+        """
+        lines = self.tests.get(file, {})
+        found = next((lines[one] for one in range(line, line - LINES, -1) if one in lines), {})
+        order = sorted(found, key=lambda one: (not _own(file, one), sum(self.seconds[one].values())))
+        seen = [(one, name) for one in order for name in found[one]]
+        unseen = [(one, name) for one in order for name in self.seconds[one] if name not in found[one]]
+        stages: list[list[str]] = [[], []]
+        left, any_yet = most, False
+        for stage, some in zip(stages, (seen, unseen), strict=True):
+            for one, name in some:
+                needed = self.seconds[one].get(name, 0.0)
+                if needed < left or not any_yet:
+                    stage.append(f"{one}::{name}")
+                    left, any_yet = left - needed, True
+        return [stage for stage in stages if stage]
+
+
+def _own(file: str, tests: str) -> bool:
+    """Return whether a file of tests is named after a file of the package."""
+    return Path(file).stem in Path(tests).stem
 
 
 def measured(package: Path, files: Sequence[Path], kept: Path) -> Covering:
@@ -63,17 +86,30 @@ def measured(package: Path, files: Sequence[Path], kept: Path) -> Covering:
     return Covering(tests, seconds)
 
 
+class _Clock:
+    """Plugin of pytest that adds up the seconds of each test."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> Iterator[None]:
+        self.seconds[report.location[2].partition("[")[0]] += report.duration
+        return (yield)
+
+
 def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
-    data = kept / "coverage"
+    data, times = kept / "coverage", kept / "seconds.json"
     data.unlink(missing_ok=True)
 
     def run() -> int:
-        watched = coverage.Coverage(data_file=data, source=[str(package)], config_file=False)
+        watched, clock = coverage.Coverage(data_file=data, source=[str(package)], config_file=False), _Clock()
         watched.set_option("run:dynamic_context", "test_function")
         watched.start()
-        code = run_tests([str(file)])
+        code = run_tests([str(file)], [clock])
         watched.stop()
         watched.save()
+        times.write_text(json.dumps(clock.seconds), "utf-8")
         return code
 
     outcome: Outcome = forked(run, kept / "output.txt", 3600.0)
@@ -89,4 +125,4 @@ def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
             for line, names in by_line.items()
             if names
         }
-    return {"seconds": outcome.seconds, "lines": lines}
+    return {"seconds": json.loads(times.read_text("utf-8")), "lines": lines}

@@ -71,6 +71,10 @@ class Mutant:
         data = source.encode()
         return (data[: self.start] + self.after.encode() + data[self.end :]).decode()
 
+    def texts(self) -> dict[str, str]:
+        """Return what a table shows of it."""
+        return {"line": str(self.line), "start": str(self.start), "before": self.before, "after": self.after}
+
 
 def mutants(source: str) -> list[list[Mutant]]:
     """Return the mutants of a file, one list for each place, in the order of the file."""

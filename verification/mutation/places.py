@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from verification.mutation.operators import Mutant, mutants
 
-__all__ = ["PARTS", "TESTS", "drawn"]
+__all__ = ["FAR", "NEAR", "PARTS", "drawn", "part_of"]
 
 PARTS = {
     "sampler": ("smc",),
@@ -16,8 +16,22 @@ PARTS = {
     "field surrogate": ("surrogate/field",),
 }
 """What a posterior is trusted for: names of parts, and folders of the package."""
-TESTS = ("smc", "posterior", "likelihood", "discrepancy", "design/active", "surrogate", "interface", "calibration")
-"""Folders of tests that should notice."""
+NEAR = {
+    "sampler": ("smc",),
+    "posterior": ("posterior",),
+    "likelihood": ("likelihood",),
+    "discrepancy": ("discrepancy",),
+    "active design": ("design/active",),
+    "field surrogate": ("surrogate/field",),
+}
+"""Folders of tests of each part."""
+FAR = ("smc", "posterior", "likelihood", "discrepancy", "design/active", "surrogate", "interface", "calibration")
+"""Folders of tests that may notice too."""
+
+
+def part_of(file: Path) -> str:
+    """Return the part of a file, from the package's folder."""
+    return next(part for part, folders in PARTS.items() if str(file.parent) in folders)
 
 
 def drawn(package: Path, number: int, seed: int) -> list[tuple[Path, Mutant]]:

@@ -66,11 +66,11 @@ def tried(package: Path, tests: Sequence[str], output: Path, limit: float) -> Ou
     return forked(run, output, limit)
 
 
-def run_tests(tests: Sequence[str]) -> int:
+def run_tests(tests: Sequence[str], plugins: Sequence[object] = ()) -> int:
     """Return pytest's exit code, 0 if there is no test."""
     import pytest
 
-    code = pytest.main([*OPTIONS, *tests])
+    code = pytest.main([*OPTIONS, *tests], plugins=list(plugins))
     return 0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else int(code)
 
 

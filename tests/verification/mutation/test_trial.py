@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from verification.mutation.covering import QUICK, Covering
+from verification.mutation.covering import Covering
 from verification.mutation.places import PARTS, drawn
 
 ROOT = Path(__file__).parents[3]
@@ -61,14 +61,24 @@ def test_every_file_is_drawn_and_the_seed_decides_the_rest() -> None:
     assert len(files) > 80
 
 
-def test_tests_that_execute_a_line_come_first_the_quick_file_before_the_slow_one() -> None:
-    tests = {"smc/moves.py": {3: {"slow.py": ["test_a", "test_b"], "quick.py": []}, 4: {"slow.py": ["test_a"]}}}
-    covering = Covering(tests, {"slow.py": 9.0, "quick.py": 1.0})
-    assert covering.stages("smc/moves.py", 3) == [
+TESTS = {"smc/moves.py": {3: {"slow.py": ["test_a", "test_b"], "test_moves.py": []}, 40: {"slow.py": ["test_a"]}}}
+SECONDS = {"slow.py": {"test_a": 9.0, "test_b": 9.0, "test_c": 2.0}, "test_moves.py": {"test_d": 90.0, "test_e": 1.0}}
+COVERING = Covering(TESTS, SECONDS)
+
+
+def test_tests_that_execute_a_line_come_first_and_of_others_those_named_like_the_file() -> None:
+    assert COVERING.stages("smc/moves.py", 3, 1000.0) == [
         ["slow.py::test_a", "slow.py::test_b"],
-        ["quick.py"],
-        ["slow.py", "--deselect=slow.py::test_a", "--deselect=slow.py::test_b"],
+        ["test_moves.py::test_d", "test_moves.py::test_e", "slow.py::test_c"],
     ]
-    assert Covering(tests, {"slow.py": QUICK, "quick.py": 1.0}).stages("smc/moves.py", 4) == [["slow.py::test_a"]]
-    assert covering.stages("smc/moves.py", 4) == [["slow.py::test_a"], ["slow.py", "--deselect=slow.py::test_a"]]
-    assert covering.stages("smc/moves.py", 5) == covering.stages("other.py", 3) == []
+    assert COVERING.stages("smc/moves.py", 40, 1000.0) == [["slow.py::test_a"], ["slow.py::test_b", "slow.py::test_c"]]
+
+
+def test_only_tests_run_that_take_no_longer_than_asked() -> None:
+    assert COVERING.stages("smc/moves.py", 3, 12.0) == [["slow.py::test_a"], ["test_moves.py::test_e"]]
+    assert COVERING.stages("smc/moves.py", 40, 1.0) == [["slow.py::test_a"]]
+
+
+def test_later_lines_of_an_expression_count_to_its_first() -> None:
+    assert COVERING.stages("smc/moves.py", 42, 1.0) == [["slow.py::test_a"]]
+    assert COVERING.stages("smc/moves.py", 30, 1.0) == COVERING.stages("other.py", 3, 1.0) == []

@@ -1,0 +1,69 @@
+"""What became of mutants: kept while they are tried, recorded in the repository, forgotten when their file changes."""
+
+import csv
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from verification.mutation.explained import EXPLAINED
+from verification.mutation.places import PARTS
+from verification.validation.tables import Table
+
+__all__ = ["Result", "fingerprint", "known_results", "name_of", "record", "table"]
+
+COLUMNS = "file", "text", "line", "start", "before", "after", "end", "test"
+Result = Mapping[str, str]
+"""Values of the columns, as texts."""
+
+
+def fingerprint(file: Path) -> str:
+    """Return a short hash of a file's text."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+
+
+def name_of(result: Result) -> tuple[str, ...]:
+    """Return what tells mutants apart."""
+    return tuple(result[one] for one in ("file", "start", "before", "after"))
+
+
+def known_results(package: Path, recorded: Path, kept: Path) -> dict[tuple[str, ...], Result]:
+    """Return the results for the files of a package as they are now; later ones replace earlier ones.
+
+    Args:
+        package: Folder of the package.
+        recorded: Table in the repository.
+        kept: Results of this machine, one a line.
+    """
+    rows: list[Result] = []
+    if recorded.exists():
+        with recorded.open(encoding="utf-8", newline="") as file:
+            rows += csv.DictReader(file)
+    if kept.exists():
+        rows += [json.loads(line) for line in kept.read_text("utf-8").splitlines()]
+    texts = {one: fingerprint(package / one) for one in {row["file"] for row in rows} if (package / one).exists()}
+    return {name_of(row): row for row in rows if texts.get(row["file"]) == row["text"]}
+
+
+def record(results: Iterable[Result], recorded: Path) -> None:
+    """Write results into the table of the repository."""
+    rows = sorted(results, key=lambda one: (one["file"], int(one["start"]), one["before"], one["after"]))
+    with recorded.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def table(rows: Sequence[Result]) -> Table:
+    """Return how many mutants of each part were noticed."""
+
+    def row(name: str, some: Sequence[Result]) -> tuple[str, int, int, int, int]:
+        survived = [one for one in some if one["end"] == "passed"]
+        explained = sum((one["file"], one["before"], one["after"]) in EXPLAINED for one in survived)
+        return name, len(some), len(some) - len(survived), explained, len(survived) - explained
+
+    lines = [
+        row(name, [one for one in rows if str(Path(one["file"]).parent) in folders]) for name, folders in PARTS.items()
+    ]
+    heads = "part", "mutants", "noticed", "explained", "neither"
+    return Table("mutants", "Mutants", heads, ("s", "d", "d", "d", "d"), (*lines, row("all", rows)))
