@@ -1,10 +1,10 @@
 """How many small mistakes in the code that a posterior is trusted for would the tests notice?
 
 Each mutant is the package with one change, see `operators`. The tests that execute its line run, see `covering`, until
-one fails: those of its own folder, and with ``--far`` also those of the folders that use it. Mutants that survive must
-be explained in `explained`, or a test is missing. Results are kept and not repeated for the same mutant, until the text
-of its file changes; ``--again`` repeats those that survived, with tests as they are now, and ``--record`` writes all
-results into `recorded.csv`.
+one fails: those of its own folder, without the checks of types and shapes at run time; with ``--far`` also those of the
+folders that use it, with these checks. Mutants that survive must be explained in `explained`, or a test is missing.
+Results are kept and not repeated for the same mutant, until the text of its file changes; ``--again`` repeats those
+that survived, with tests as they are now, and ``--record`` writes all results into `recorded.csv`.
 
     python -m verification.mutation [--number 220] [--seed 1] [--share 1/2] [--seconds 60] [--again] [--far] [FILE ...]
     python -m verification.mutation --record
@@ -16,6 +16,7 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from verification.mutation.covering import Covering, measured
 from verification.mutation.operators import Mutant
 from verification.mutation.places import FAR, NEAR, drawn, part_of
 from verification.mutation.results import fingerprint, known_results, name_of, record, table
-from verification.mutation.trial import Outcome, prepare, tried
+from verification.mutation.trial import UNCHECKED, Outcome, prepare, tried
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "strandline"
@@ -40,22 +41,22 @@ def covering_of(part: str, far: bool) -> Covering:
     return measured(PACKAGE, files, OUTPUT / "covering")
 
 
-def judged(file: Path, mutant: Mutant, covering: Covering, scratch: Path, most: float) -> Outcome:
+def judged(file: Path, mutant: Mutant, stages: Sequence[Sequence[str]], scratch: Path, limit: float) -> Outcome:
     """Return what the tests make of a mutant.
 
     Args:
         file: Its file, from the package's folder.
         mutant: The change.
-        covering: Which tests execute which lines.
+        stages: Tests, and options of pytest, for one call after the other.
         scratch: Folder with a copy of the package.
-        most: Seconds of tests to try; they are stopped, as hanging, after a minute more than twice that.
+        limit: Most seconds of a call.
     """
     place = scratch / "strandline" / file
     place.write_text(mutant.applied(place.read_text("utf-8")), "utf-8")
     try:
         total = 0.0
-        for tests in covering.stages(str(file), mutant.line, most):
-            found = tried(scratch, tests, scratch / "output.txt", 2 * most + 60.0)
+        for tests in stages:
+            found = tried(scratch, tests, scratch / "output.txt", limit)
             total += found.seconds
             if found.end != "passed":
                 return Outcome(found.end, found.test, total)
@@ -99,7 +100,10 @@ def main() -> None:
             name = name_of(row)
             if name not in known or (asked.again and known[name]["end"] == "passed"):
                 covering = covering_of(part_of(path), asked.far)
-                found = judged(path, mutant, covering, scratch, asked.seconds)
+                stages = covering.stages(str(path), mutant.line, asked.seconds)
+                if not asked.far:
+                    stages = [[UNCHECKED, *stage] for stage in stages]
+                found = judged(path, mutant, stages, scratch, 2 * asked.seconds + 60.0)
                 known[name] = {**row, "end": found.end, "test": found.test, "seconds": f"{found.seconds:.0f}"}
                 file.write(json.dumps(known[name], ensure_ascii=False) + "\n")
                 file.flush()

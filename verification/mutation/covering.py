@@ -14,7 +14,7 @@ from pathlib import Path
 
 import coverage
 import pytest
-from verification.mutation.trial import Outcome, forked, run_tests
+from verification.mutation.trial import UNCHECKED, Outcome, forked, run_tests
 
 __all__ = ["Covering", "measured"]
 
@@ -106,7 +106,7 @@ def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
         watched, clock = coverage.Coverage(data_file=data, source=[str(package)], config_file=False), _Clock()
         watched.set_option("run:dynamic_context", "test_function")
         watched.start()
-        code = run_tests([str(file)], [clock])
+        code = run_tests([UNCHECKED, str(file)], [clock])
         watched.stop()
         watched.save()
         times.write_text(json.dumps(clock.seconds), "utf-8")
