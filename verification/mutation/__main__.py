@@ -41,22 +41,25 @@ def covering_of(part: str, far: bool) -> Covering:
     return measured(PACKAGE, files, OUTPUT / "covering")
 
 
-def judged(file: Path, mutant: Mutant, stages: Sequence[Sequence[str]], scratch: Path, limit: float) -> Outcome:
+def judged(
+    file: Path, mutant: Mutant, covering: Covering, scratch: Path, most: float, options: Sequence[str]
+) -> Outcome:
     """Return what the tests make of a mutant.
 
     Args:
         file: Its file, from the package's folder.
         mutant: The change.
-        stages: Tests, and options of pytest, for one call after the other.
+        covering: Which tests execute which lines.
         scratch: Folder with a copy of the package.
-        limit: Most seconds of a call.
+        most: Most seconds of tests to try.
+        options: Options of pytest.
     """
     place = scratch / "strandline" / file
     place.write_text(mutant.applied(place.read_text("utf-8")), "utf-8")
     try:
         total = 0.0
-        for tests in stages:
-            found = tried(scratch, tests, scratch / "output.txt", limit)
+        for tests in covering.stages(str(file), mutant.line, most):
+            found = tried(scratch, [*options, *tests], scratch / "output.txt", covering.limit(tests))
             total += found.seconds
             if found.end != "passed":
                 return Outcome(found.end, found.test, total)
@@ -100,10 +103,8 @@ def main() -> None:
             name = name_of(row)
             if name not in known or (asked.again and known[name]["end"] == "passed"):
                 covering = covering_of(part_of(path), asked.far)
-                stages = covering.stages(str(path), mutant.line, asked.seconds)
-                if not asked.far:
-                    stages = [[UNCHECKED, *stage] for stage in stages]
-                found = judged(path, mutant, stages, scratch, 2 * asked.seconds + 60.0)
+                options = () if asked.far else (UNCHECKED,)
+                found = judged(path, mutant, covering, scratch, asked.seconds, options)
                 known[name] = {**row, "end": found.end, "test": found.test, "seconds": f"{found.seconds:.0f}"}
                 file.write(json.dumps(known[name], ensure_ascii=False) + "\n")
                 file.flush()

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import coverage
 import pytest
+from verification.mutation.results import fingerprint
 from verification.mutation.trial import UNCHECKED, Outcome, forked, run_tests
 
 __all__ = ["Covering", "measured"]
@@ -58,6 +59,11 @@ class Covering:
                     left, any_yet = left - needed, True
         return [stage for stage in stages if stage]
 
+    def limit(self, stage: Sequence[str]) -> float:
+        """Return the seconds after which tests of a stage hang."""
+        parts = [one.partition("::") for one in stage]
+        return 40.0 + 4.0 * sum(self.seconds[one].get(name, 0.0) for one, _, name in parts)
+
 
 def _own(file: str, tests: str) -> bool:
     """Return whether a file of tests is named after a file of the package."""
@@ -65,7 +71,10 @@ def _own(file: str, tests: str) -> bool:
 
 
 def measured(package: Path, files: Sequence[Path], kept: Path) -> Covering:
-    """Return which tests in these files execute which lines of a package; what is kept is not measured again.
+    """Return which tests in these files execute which lines of a package.
+
+    What is kept is not measured again until the text of the file of tests changes. After changes of the package, remove
+    it.
 
     Args:
         package: Folder of the package.
@@ -73,12 +82,13 @@ def measured(package: Path, files: Sequence[Path], kept: Path) -> Covering:
         kept: Folder for what is measured: one file for each file of tests.
     """
     tests: dict[str, dict[int, dict[str, Sequence[str]]]] = {}
-    seconds = {}
+    seconds: dict[str, Mapping[str, float]] = {}
     for file in files:
-        place = kept / (str(file).replace("/", "-") + ".json")
-        if not place.exists():
-            place.write_text(json.dumps(_measure(package, file, kept)), "utf-8")
-        found = json.loads(place.read_text("utf-8"))
+        place, text = kept / (str(file).replace("/", "-") + ".json"), fingerprint(file)
+        found = json.loads(place.read_text("utf-8")) if place.exists() else {}
+        if found.get("text") != text:
+            found = {"text": text, **_measure(package, file, kept)}
+            place.write_text(json.dumps(found), "utf-8")
         seconds[str(file)] = found["seconds"]
         for name, lines in found["lines"].items():
             for line, functions in lines.items():

@@ -13,7 +13,8 @@ from tests.design.active.fakes import SPACE, FakeLearner, interface, known, reco
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch
 from strandline.design.active import campaign as campaign_module
-from strandline.design.active.checking import LeftOut, Tolerances, number_of_probes, objections
+from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, objections
+from strandline.design.active.outcome import Certificate
 from strandline.design.active.state import Remembered, State
 from strandline.discrepancy import TrackedPoints
 from strandline.errors import InvalidInput, TooFewRuns
@@ -93,6 +94,36 @@ def test_a_posterior_that_moves_is_not_checked_yet() -> None:
     assert [kind for kind, _ in kinds(played(one))] == ["initial", *["posterior"] * 5, "check"]
     assert one.steps[1].moved is not None
     assert one.steps[1].moved.shift == pytest.approx(0.5, rel=0.15)
+
+
+def test_a_posterior_that_is_another_one_from_the_prior_is_not_checked_yet() -> None:
+    """The first time that it is sampled afresh its mean is two standard deviations away; the batch is chosen there."""
+    found: list[State] = []
+
+    def afresh(state: State) -> State:
+        found.append(state if found else state_of(state.knowledge, mean=(0.6, 0.1)))
+        return found[-1]
+
+    one = design(Active(100))
+    one.afresh = afresh
+    batches = played(one)
+    assert kinds(batches) == [("initial", 12), *[("posterior", 4)] * 3, ("check", PROBES + 1)]
+    assert len(found) == 2
+    assert batches[3].points[:, 0].mean() > batches[1].points[:, 0].mean() + 0.2
+
+
+def test_a_check_knows_which_of_its_draws_are_probes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its last look leaves them out; here only that one settles anything."""
+    seen = []
+
+    def last_only(draws: np.ndarray, *given: Any, probing: int, last: bool, **options: Any) -> Any:
+        seen.append((len(draws), probing))
+        return BatchCheck(len(draws), 0, None, True, ()) if last else "open"
+
+    monkeypatch.setattr("strandline.design.active.active_design.verdict", last_only)
+    played(design(Active(100)))
+    assert [number for number, _ in seen] == [*range(PROBES, PROBES + 25, 4), PROBES + 25]
+    assert {probing for _, probing in seen} == {PROBES}
 
 
 def test_a_check_that_fails_goes_on_until_the_runs_are_used_up() -> None:
@@ -214,6 +245,13 @@ def test_each_tolerance_counts(tolerances: dict[str, float], reason: str) -> Non
     assert objections(found, Tolerances(**loose)) == ()
     (objection,) = objections(found, Tolerances(**{**loose, **tolerances}))
     assert reason in objection
+
+
+def test_an_objection_tells_how_far_a_mean_moves_whatever_its_direction() -> None:
+    x = np.random.default_rng(1).standard_normal((200, 1))
+    strict = Tolerances(effective=0.01, shift=1e-9, k_hat=100.0, width=100.0)
+    up, down = (objections(reweight(one, 0.5 * x[:, 0]), strict) for one in (x, -x))
+    assert up == down != ()
 
 
 def test_a_region_elsewhere_that_fits_is_not_passed_over() -> None:
@@ -374,6 +412,13 @@ def test_a_check_takes_the_noise_that_was_inferred(monkeypatch: pytest.MonkeyPat
     assert runs._true(one) == pytest.approx(stated)
 
 
+def test_a_certificate_says_what_may_have_been_missed() -> None:
+    few, many = (Certificate(False, ("no runs are left",), (), (), None, found) for found in (1.0, 0.07))
+    assert few.statement == "The runs are too few to say whether another region fits."
+    assert many.statement.startswith("Wherever it lies, a region with 7% or more of the prior's mass that fits would")
+    assert repr(few) == "<Certificate after 0 runs: not converged: no runs are left>"
+
+
 @pytest.mark.parametrize(
     "wrong_options",
     [
@@ -392,6 +437,14 @@ def test_settings_out_of_range_are_refused(wrong_options: dict[str, Any]) -> Non
     (name,) = wrong_options
     with pytest.raises(InvalidInput, match=f"^{name}"):
         Active(**{"runs": 100, **wrong_options})
+
+
+def test_a_batch_may_take_all_runs_after_the_first() -> None:
+    """Which are at least three."""
+    assert Active(30, batch=27).batch == 27
+    with pytest.raises(InvalidInput, match="at most 27, the runs that are left of 30 after the first 3"):
+        Active(30, batch=28)
+    assert Active(30, initial=5, batch=25).batch == 25
 
 
 def played_by(means: Sequence[float], batch: int, active: Active | None = None) -> ActiveDesign:

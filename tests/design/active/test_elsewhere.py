@@ -59,6 +59,7 @@ def test_points_are_added_until_the_region_is_found() -> None:
     assert len(points_elsewhere(x, SPACE, 0.05, 50)) > 1.5 * len(more)
     assert len(points_elsewhere(x, SPACE, 0.1, 3)) == 3
     assert len(points_elsewhere(x, SPACE, 1.0, 50)) == 0
+    assert len(points_elsewhere(np.array([[-1.0, -1.0]]), SPACE, 1.0, 50)) == 0
 
 
 def test_priors_count_by_their_mass() -> None:

@@ -82,3 +82,9 @@ def test_only_tests_run_that_take_no_longer_than_asked() -> None:
 def test_later_lines_of_an_expression_count_to_its_first() -> None:
     assert COVERING.stages("smc/moves.py", 42, 1.0) == [["slow.py::test_a"]]
     assert COVERING.stages("smc/moves.py", 30, 1.0) == COVERING.stages("other.py", 3, 1.0) == []
+
+
+def test_slow_tests_hang_later() -> None:
+    quick, slow = (COVERING.limit([name]) for name in ("test_moves.py::test_e", "test_moves.py::test_d"))
+    assert quick > 30.0
+    assert slow > quick + 90.0
