@@ -49,3 +49,11 @@ def test_other_work_on_the_machine_does_not_count(
     monkeypatch.setattr(cost.time, busy, lambda: 10 * slow())
     seconds = seconds_of_a_batch((Observation(line(9), 1e-4),), taking, {"": line(9)}, 5)
     assert seconds == pytest.approx(1e-3 * EVALUATIONS)
+
+
+def test_the_fastest_trial_counts(taking: Discrepancy, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three, each of 32 interfaces."""
+    seconds = iter([5.0, 3.2, 4.0])
+    monkeypatch.setattr(cost, "_seconds", lambda *given: next(seconds))
+    found = seconds_of_a_batch((Observation(line(9), 1e-4),), taking, {"": line(9)}, 5)
+    assert found == pytest.approx(0.1 * EVALUATIONS)
