@@ -2,8 +2,8 @@
 
 Every file of tests runs on its own, with coverage.py. JAX traces a function once in a process, so that coverage.py does
 not see a second test execute it. So the tests seen to execute a line come first, then the others in their files. Those
-of the changed file itself come before others, and only as many as run in a given time: a mutant that they do not notice
-counts as one that survived.
+of the changed file itself come before others, quick ones before slow ones, and only as many as run in a given time: a
+mutant that they do not notice counts as one that survived.
 """
 
 import json
@@ -47,13 +47,14 @@ class Covering:
         lines = self.tests.get(file, {})
         found = next((lines[one] for one in range(line, line - LINES, -1) if one in lines), {})
         order = sorted(found, key=lambda one: (not _own(file, one), sum(self.seconds[one].values())))
-        seen = [(one, name) for one in order for name in found[one]]
-        unseen = [(one, name) for one in order for name in self.seconds[one] if name not in found[one]]
+        quick = [(one, name) for one in order for name in sorted(self.seconds[one], key=self.seconds[one].__getitem__)]
+        seen = [(one, name) for one, name in quick if name in found[one]]
+        unseen = [(one, name) for one, name in quick if name not in found[one]]
         stages: list[list[str]] = [[], []]
         left, any_yet = most, False
         for stage, some in zip(stages, (seen, unseen), strict=True):
             for one, name in some:
-                needed = self.seconds[one].get(name, 0.0)
+                needed = self.seconds[one][name]
                 if needed < left or not any_yet:
                     stage.append(f"{one}::{name}")
                     left, any_yet = left - needed, True

@@ -140,6 +140,19 @@ def test_bounds_hold_and_estimates_alone_would_not() -> None:
     assert np.mean([one.shift <= 0.1 for one in effects]) > 0.1
 
 
+def test_the_effective_share_under_noise_lies_between_its_bounds() -> None:
+    """Weights exp(0.5 ε) with normal ε leave exp(-0.5²) of the draws effective."""
+    found = []
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        draws, posterior = random.standard_normal((12, 1)), random.standard_normal((500, 1))
+        found.append(smooth_effect(draws, 0.5 * random.standard_normal(12), posterior, 0.05).effective_bounds)
+    low, high = np.array(found).T
+    assert np.mean(low > np.exp(-(0.5**2))) <= 0.09
+    assert np.mean(high < np.exp(-(0.5**2))) <= 0.09
+    assert np.median(high) < 0.95
+
+
 def test_failed_runs_end_a_check() -> None:
     random = np.random.default_rng(1)
     posterior, draws = random.standard_normal((500, 2)), random.standard_normal((20, 2))

@@ -69,9 +69,9 @@ COVERING = Covering(TESTS, SECONDS)
 def test_tests_that_execute_a_line_come_first_and_of_others_those_named_like_the_file() -> None:
     assert COVERING.stages("smc/moves.py", 3, 1000.0) == [
         ["slow.py::test_a", "slow.py::test_b"],
-        ["test_moves.py::test_d", "test_moves.py::test_e", "slow.py::test_c"],
+        ["test_moves.py::test_e", "test_moves.py::test_d", "slow.py::test_c"],
     ]
-    assert COVERING.stages("smc/moves.py", 40, 1000.0) == [["slow.py::test_a"], ["slow.py::test_b", "slow.py::test_c"]]
+    assert COVERING.stages("smc/moves.py", 40, 1000.0) == [["slow.py::test_a"], ["slow.py::test_c", "slow.py::test_b"]]
 
 
 def test_only_tests_run_that_take_no_longer_than_asked() -> None:
