@@ -498,6 +498,12 @@ def test_weights_between_posteriors_count() -> None:
     assert all(step.kind == "posterior" for step in played_by([0.2, 0.22] * 50, 4, strict).steps[1:4])
 
 
+def test_the_input_whose_width_changes_most_counts() -> None:
+    state = state_of(known(FIRST))
+    narrower = replace(state.knowledge, sd=np.array([0.2, 0.2 * 0.8]))
+    assert Remembered.of(state).moved(narrower).width == pytest.approx(-np.log(0.8), rel=0.15)
+
+
 def test_the_noise_of_particles_does_not_move_a_posterior() -> None:
     """Two samples of few particles differ by more than the tolerance; weights of one of them do not."""
     one, other = (state_of(known(FIRST), seed=seed, number=60) for seed in (1, 2))
