@@ -126,3 +126,21 @@ def test_invalid_options(options):
 
 def test_unit():
     assert ClosestPoint().unit == "mm²"
+
+
+@pytest.mark.parametrize("weighting", ["sum", "length"])
+@pytest.mark.parametrize("direction", ["to_observed", "to_simulated", "symmetric"])
+def test_what_offsets_amount_to_is_the_measure_of_the_moved_interface(direction: str, weighting: str) -> None:
+    """The observed points are twice as dense on one half, and fewer than the simulated nodes."""
+    x = np.concatenate([np.linspace(0.0, 1.0, 40, endpoint=False), np.linspace(1.0, 2.0, 81)])
+    observed = Interface.polyline(np.stack([x, 0 * x], axis=1))
+
+    def offset(x: np.ndarray, size: float) -> np.ndarray:
+        return np.asarray(size * (1 + np.sin(2 * x)) * x)
+
+    fine = np.linspace(0.0, 2.0, 501)
+    measure = ClosestPoint(direction=direction, weighting=weighting)
+    sizes = 1e-3, -2e-3
+    moved = [Interface.polyline(np.stack([fine, offset(fine, size)], axis=1)) for size in sizes]
+    found = measure.of_offsets(np.array([offset(x, size) for size in sizes]), observed, len(fine))
+    np.testing.assert_allclose(found, [measure(one, observed) for one in moved], rtol=0.02)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from strandline.discrepancy import Repeats, errors_from_repeats
+from strandline.discrepancy.contours import repeats as module
 from strandline.discrepancy.contours.correlation import Correlated
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface, PointErrors
@@ -94,6 +95,25 @@ def test_the_motion_of_each_contour_is_found(reach: float, angle: float) -> None
     np.testing.assert_allclose(found.parts[:, :2], shifts - shifts.mean(axis=0), atol=0.0015)
     np.testing.assert_allclose(found.parts[:, 2], angles - angles.mean(), atol=0.3)
     assert found.errors.sd == pytest.approx(LOCAL.sd, rel=0.12)
+
+
+def test_what_moved_a_contour_is_taken_back() -> None:
+    outline, middle, shift, turned, size = ellipse(60), np.array([0.2, -0.1]), np.array([0.03, 0.05]), 20.0, 0.1
+    c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+    arms = (outline.points - middle) @ np.array([[c, -s], [s, c]]).T
+    moved = Interface(middle + shift + (1 + size) * arms, outline.cells)
+    back = module._moved_back(moved, np.array([*shift, turned, size, 0.0]), middle)
+    np.testing.assert_allclose(back.points, outline.points, atol=1e-12)
+
+
+@pytest.mark.parametrize("outline", [ellipse(300), hill(300)], ids=["closed", "open"])
+def test_the_point_next_to_each_place_is_the_nearest_one(outline: Interface) -> None:
+    whole, random = outline.lengths.sum(), np.random.default_rng(4)
+    feet, places = whole * random.random(40), whole * random.random(25)
+    apart = np.abs(feet - places[:, None])
+    if outline.closed:
+        apart = np.minimum(apart, whole - apart)
+    np.testing.assert_array_equal(module._nearest(feet, places, outline, np.inf), apart.argmin(axis=1))
 
 
 def test_common_errors_are_those_drawn() -> None:

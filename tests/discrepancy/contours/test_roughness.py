@@ -96,9 +96,10 @@ def test_notes_say_where_the_length_cannot_be_trusted() -> None:
         (ellipse(), 0.0, "window"),
         (ellipse(), float("nan"), "window"),
         (ellipse(), 2.0, "half the contour"),
+        (ellipse(), 0.035, "got 0.035 mm; expected a length from 0.042"),  # six times 2.84 mm / 400
         (Interface.polyline(np.stack([np.linspace(0, 1, 50), np.zeros(50)], axis=1)), None, "roughness"),
     ],
-    ids=["short", "no window", "nan", "long window", "straight"],
+    ids=["short", "no window", "nan", "long window", "short window", "straight"],
 )
 def test_what_shows_no_errors_is_refused(contour: Interface, window: float | None, said: str) -> None:
     with pytest.raises(InvalidInput, match=said):
