@@ -29,6 +29,13 @@ def test_a_flipped_run_near_the_observation_is_outvoted() -> None:
     assert not oriented_like_runs(arch(0.8), runs).flipped
 
 
+def test_runs_far_away_do_not_vote() -> None:
+    """They come first, and are more."""
+    far = [arch(height).reversed() for height in np.linspace(5.0, 6.0, 40)]
+    assert not oriented_like_runs(arch(0.8), [*far, *RUNS]).flipped
+    assert oriented_like_runs(arch(5.5), [*RUNS, *far]).flipped
+
+
 def test_runs_of_another_kind_and_far_beyond_numbers_do_not_count() -> None:
     ring = Interface.polyline(np.column_stack([np.cos(6 * S[:-1]), np.sin(6 * S[:-1])]), closed=True)
     huge = Interface.polyline(1e160 * RUNS[0].points)

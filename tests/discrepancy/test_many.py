@@ -1,6 +1,6 @@
 """Many interfaces at once against one after the other."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -172,7 +172,7 @@ def test_a_finer_tolerance_takes_higher_orders() -> None:
     ids=str,
 )
 def test_surfaces_are_the_same(measure: Discrepancy, kind: str) -> None:
-    points, template, seen = runs(kind, 3)
+    points, template, seen = runs(kind, FEWEST)
     found = squared_discrepancies(measure, points, template, seen)
     np.testing.assert_allclose(found, one_by_one(measure, points, template, seen), rtol=1e-11, atol=1e-14)
 
@@ -214,6 +214,17 @@ def test_interfaces_need_not_have_the_nodes_of_the_observed_one() -> None:
         assert within(measure, found, expected, coarse)
     with pytest.raises(InvalidInterface, match="do not correspond"):
         squared_discrepancies(TrackedPoints(), points, template, coarse)
+
+
+def test_a_measure_is_not_asked_for_no_interfaces() -> None:
+    @dataclass(frozen=True)
+    class Demanding(TrackedPoints):
+        def many(self, points: np.ndarray, template: Interface, observed: Interface) -> np.ndarray:
+            return super().many(points, template, observed) / (points[0] == points[0]).mean()
+
+    points, template, seen = runs("open", 3)
+    assert squared_discrepancies(Demanding(), points[:0], template, seen).shape == (0,)
+    assert squared_discrepancies(Demanding(), points, template, seen).shape == (3,)
 
 
 def test_a_plain_function_will_do() -> None:
