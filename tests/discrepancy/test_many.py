@@ -216,6 +216,14 @@ def test_interfaces_need_not_have_the_nodes_of_the_observed_one() -> None:
         squared_discrepancies(TrackedPoints(), points, template, coarse)
 
 
+def test_segments_many_widths_long_are_divided() -> None:
+    base = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.1], [1.3, 0.0], [2.5, 0.2]]))
+    points = base.points + 0.02 * np.random.default_rng(5).standard_normal((FEWEST, 4, 2))
+    seen, measure = Interface.polyline(base.points + np.array([0.0, 0.01])), Currents(0.05)
+    found = squared_discrepancies(measure, points, base, seen)
+    assert within(measure, found, one_by_one(measure, points, base, seen), seen)
+
+
 def test_a_measure_is_not_asked_for_no_interfaces() -> None:
     @dataclass(frozen=True)
     class Demanding(TrackedPoints):

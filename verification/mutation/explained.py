@@ -2,11 +2,27 @@
 
 __all__ = ["EXPLAINED"]
 
+_OF_SIDES = (
+    "((points - corners) * interface.normals[found.cells]).sum(axis=1)",
+    "(((points - corners) * interface.normals[found.cells]).mean(axis=1))",
+)
 EXPLAINED: dict[tuple[str, str, str], str] = {
     ("design/active/elsewhere.py", "0", "(1)"): "Another scrambling of the Sobol points; either will do.",
     ("design/active/parabola.py", "np.maximum(values, 1e-12)", "(np.minimum(values, 1e-12))"): (
         "Scales the axes of the parabola, whose fit does not depend on it, unless inputs are exactly dependent."
     ),
     ("design/active/parabola.py", "1e-12", "(2e-12)"): "Only a floor that keeps the logarithm of a variance finite.",
+    ("discrepancy/contours/repeats.py", "one.lengths.sum()", "(one.lengths.mean())"): (
+        "Takes another contour for the reference; they are compared only where all of them have points."
+    ),
+    ("discrepancy/normal_offset.py", *_OF_SIDES): "Half or a third of a sum of which only the sign counts.",
+    ("discrepancy/products/kernel_sums.py", "8", "(9)"): "Tiles of another size: the same sum, as fast or slower.",
+    ("discrepancy/products/kernel_sums.py", "x[i] - y[i]", "(y[i] - x[i])"): "It is squared.",
+    ("discrepancy/products/surface_integrals.py", "200", "(201)"): "One more term of a series that has converged.",
+    ("discrepancy/registration.py", "True", "(False)"): "The first estimate from all points, not from some: slower.",
+    ("discrepancy/search/blocks.py", "some.mean(axis=0)", "(some.sum(axis=0))"): (
+        "Other runs share a block: any do, but it takes longer."
+    ),
+    ("discrepancy/search/nearest.py", "0", "(1)"): "A tree of two leaves for few cells: the same cells are nearest.",
 }
 """(file, before, after): the reason."""

@@ -71,6 +71,16 @@ def test_nodes_without_a_partner_in_reach_count_nothing():
     assert kernel_sum(a, far, 0.02, reach=0.2) == 0.0
 
 
+@pytest.mark.usefixtures("way")
+def test_nodes_far_beyond_all_others_count_nothing():
+    """Some of one side lie 1000 widths away, others among those of the other side, which are close together."""
+    a, b = nodes(200, 3), nodes(300, 4)
+    a = Nodes(0.05 * a.points, a.normals)
+    b = Nodes(np.where(np.arange(300)[:, None] % 2, 0.05 * b.points, 20.0 + b.points), b.normals)
+    assert kernel_sum(a, b, 0.02, reach=np.inf) == pytest.approx(all_pairs(a, b, 0.02), rel=1e-11)
+    assert kernel_sum(b, a, 0.02, reach=np.inf) == pytest.approx(all_pairs(a, b, 0.02), rel=1e-11)
+
+
 @pytest.mark.parametrize("shift", [0.0, 1e6])
 @pytest.mark.parametrize("width", [0.5, 0.06, 0.05])
 def test_each_pair_counts_to_1e_13_wherever_the_nodes_lie(monkeypatch, shift, width):
