@@ -24,5 +24,9 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "Other runs share a block: any do, but it takes longer."
     ),
     ("discrepancy/search/nearest.py", "0", "(1)"): "A tree of two leaves for few cells: the same cells are nearest.",
+    ("discrepancy/search/sieve.py", "_cross(p, tangent) - across", "(across - _cross(p, tangent))"): "It is squared.",
+    ("discrepancy/search/signed_sums.py", "points.mean(axis=0)", "(points.sum(axis=0))"): (
+        "Coordinates from another origin: only the rounding differs."
+    ),
 }
 """(file, before, after): the reason."""

@@ -191,6 +191,9 @@ POLYLINES = {
     "far from the origin": Interface.polyline(wave(900, 10).points + np.array([3e5, -2e10])),
     "tiny": Interface.polyline(1e-9 * wave(900, 11).points),
     "too short": Interface.polyline(np.array([[1.0, 0.0], [0.0, 1e-150], [0.0, 2e-150], [-1.0, 0.5]])),
+    "one too short among many": Interface.polyline(
+        np.concatenate([[[-0.5, 1e-150], [-0.5, 2e-150]], wave(100, 12).points])
+    ),
     "one segment": Interface.polyline(np.array([[0.0, 0.0], [1e-3, 2.0]])),
 }
 
