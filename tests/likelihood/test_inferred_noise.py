@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from strandline.discrepancy import ClosestPoint, Discrepancy, NormalOffset, Whit
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
-from strandline.likelihood.inferred_noise import NoisePosterior, _log_evidences, require_inferable
+from strandline.likelihood.inferred_noise import NoisePosterior, _grid, _log_evidences, require_inferable
 from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.model_error import Cause, offset_scales, offset_waves
@@ -194,6 +196,27 @@ def test_a_model_that_errs_is_noticed_and_widens_the_posterior() -> None:
     _, known = grid(Observation(wrong(1, 0.004), PointErrors(0.001)))
     _, erring = grid(Observation(wrong(1, 0.004), ERRING))
     assert (erring > 2 * known).all()
+
+
+def lengths_tried(interfaces: list[Interface], near: NoisePosterior | None = None) -> np.ndarray:
+    residuals: Any = SimpleNamespace(residuals=np.full(50, 0.002))
+    return _grid(residuals, interfaces, UnknownErrors(), near)[1]
+
+
+def test_conditions_alike_are_tried_with_the_lengths_of_one() -> None:
+    one = arch(TRUTH, 100)
+    np.testing.assert_allclose(lengths_tried([one, one]), lengths_tried([one]))
+
+
+def test_lengths_are_tried_again_around_those_found_and_up_to_half_the_outline() -> None:
+    def found(length: float) -> NoisePosterior:
+        lengths = length * np.geomspace(0.98, 1.02, 5)
+        return NoisePosterior(np.geomspace(0.001, 0.003, 3), lengths, (Cause(),), np.full((1, 3, 5), 1 / 15), 0.0)
+
+    one = arch(TRUTH, 100)
+    around = lengths_tried([one], found(0.02))
+    assert 0.002 < around[0] < 0.02 < around[-1] < 0.2
+    assert lengths_tried([one], found(0.9))[-1] == pytest.approx(0.5 * one.lengths.sum())
 
 
 def test_amplitude_and_length_of_the_offset_are_those_of_the_models_that_err() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, TrackedPoints
+from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints
 from strandline.errors import InvalidInput, NumericsError
-from strandline.interface import Interface, Observation
+from strandline.interface import Interface, Observation, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood
 
 
@@ -72,6 +72,12 @@ def test_constant_counts_measurement_lines_and_is_none_where_there_is_no_count()
     for measure in (Currents(0.1), ClosestPoint(), lambda simulated, observed: 0.0):
         assert InterfaceLikelihood(observation, measure).constant is None
         assert InterfaceLikelihood(observation, measure).independent_terms is None
+
+
+def test_noise_that_is_inferred_leaves_out_a_constant_for_each_point():
+    seen = tuple(Observation(level(y), UnknownErrors(), name) for y, name in ((0.0, "slow"), (1.0, "fast")))
+    found = InterfaceLikelihood(seen, NormalOffset()).constant
+    assert found == pytest.approx(6 * stats.norm.logpdf(0.0))
 
 
 def test_a_plain_function_is_a_discrepancy():

@@ -4,7 +4,7 @@ Each mutant is the package with one change, see `operators`. The tests that exec
 one fails: those of its own folder, without the checks of types and shapes at run time; with ``--far`` also those of the
 folders that use it, with these checks. Mutants that survive must be explained in `explained`, or a test is missing.
 Results are kept and not repeated for the same mutant, until the text of its file changes; ``--again`` repeats those
-that survived, with tests as they are now, and ``--record`` writes all results into `recorded.csv`.
+that survived unexplained, with tests as they are now, and ``--record`` writes all results into `recorded.csv`.
 
     python -m verification.mutation [--number 220] [--seed 1] [--share 1/2] [--seconds 60] [--again] [--far] [FILE ...]
     python -m verification.mutation --record
@@ -23,7 +23,7 @@ from pathlib import Path
 from verification.mutation.covering import Covering, measured
 from verification.mutation.operators import Mutant
 from verification.mutation.places import FAR, NEAR, drawn, part_of
-from verification.mutation.results import fingerprint, known_results, name_of, record, table
+from verification.mutation.results import explained, fingerprint, known_results, name_of, record, table
 from verification.mutation.trial import UNCHECKED, Outcome, prepare, tried
 
 ROOT = Path(__file__).parents[2]
@@ -76,7 +76,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--share", default="1/1", help="k/n: only every nth mutant, from the kth on")
     parser.add_argument("--seconds", type=float, default=60.0, help="seconds of tests to try for each mutant")
-    parser.add_argument("--again", action="store_true", help="try again what survived")
+    parser.add_argument("--again", action="store_true", help="try again what survived and is not explained")
     parser.add_argument("--far", action="store_true", help="try tests of folders that use the changed one, too")
     parser.add_argument("--record", action="store_true", help="only write what is known into recorded.csv")
     asked = parser.parse_args()
@@ -101,7 +101,7 @@ def main() -> None:
                 continue
             row = {"file": str(path), "text": fingerprint(PACKAGE / path), **mutant.texts()}
             name = name_of(row)
-            if name not in known or (asked.again and known[name]["end"] == "passed"):
+            if name not in known or (asked.again and known[name]["end"] == "passed" and not explained(row)):
                 covering = covering_of(part_of(path), asked.far)
                 options = () if asked.far else (UNCHECKED,)
                 found = judged(path, mutant, covering, scratch, asked.seconds, options)

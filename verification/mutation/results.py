@@ -10,7 +10,7 @@ from verification.mutation.explained import EXPLAINED
 from verification.mutation.places import PARTS
 from verification.validation.tables import Table
 
-__all__ = ["Result", "fingerprint", "known_results", "name_of", "record", "table"]
+__all__ = ["Result", "explained", "fingerprint", "known_results", "name_of", "record", "table"]
 
 COLUMNS = "file", "text", "line", "start", "before", "after", "end", "test"
 Result = Mapping[str, str]
@@ -45,6 +45,11 @@ def known_results(package: Path, recorded: Path, kept: Path) -> dict[tuple[str, 
     return {name_of(row): row for row in rows if texts.get(row["file"]) == row["text"]}
 
 
+def explained(result: Result) -> bool:
+    """Return whether it is explained why no test has to notice a mutant."""
+    return (result["file"], result["before"], result["after"]) in EXPLAINED
+
+
 def record(results: Iterable[Result], recorded: Path) -> None:
     """Write results into the table of the repository."""
     rows = sorted(results, key=lambda one: (one["file"], int(one["start"]), one["before"], one["after"]))
@@ -59,8 +64,8 @@ def table(rows: Sequence[Result]) -> Table:
 
     def row(name: str, some: Sequence[Result]) -> tuple[str, int, int, int, int]:
         survived = [one for one in some if one["end"] == "passed"]
-        explained = sum((one["file"], one["before"], one["after"]) in EXPLAINED for one in survived)
-        return name, len(some), len(some) - len(survived), explained, len(survived) - explained
+        number = sum(map(explained, survived))
+        return name, len(some), len(some) - len(survived), number, len(survived) - number
 
     lines = [
         row(name, [one for one in rows if str(Path(one["file"]).parent) in folders]) for name, folders in PARTS.items()
