@@ -34,5 +34,8 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("likelihood/joint_errors.py", "True", "(False)"): "Only refuses lists of different lengths, which never come.",
     ("likelihood/nearby.py", "True", "(False)"): "Only refuses lists of different lengths, which never come.",
     ("surrogate/field/modes.py", "True", "(False)"): "The same sum in another order, which takes longer.",
+    ("likelihood/learnt.py", "log_density if is_on_host(log_density) else jax.jit(log_density)", "(log_density)"): (
+        "The same function, not compiled."
+    ),
 }
 """(file, before, after): the reason."""
