@@ -1,0 +1,37 @@
+"""The mixture of noise levels against dense matrices."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from strandline.likelihood.mixture import Mixture
+
+OWN = 3
+RANDOM = np.random.default_rng(2)
+LOCAL, SHARED = RANDOM.uniform(0.5, 2.0, 40), RANDOM.normal(size=(40, 5))
+LEVELS, SCALES = np.array([0.5, 2.0]), RANDOM.uniform(0.2, 3.0, (2, 5))
+LOG_WEIGHTS = np.log([0.3, 0.7])
+RESIDUALS = RANDOM.normal(size=(6, 40))
+JOINT: Any = SimpleNamespace(model=SimpleNamespace(shared=SHARED[:, :OWN]))
+MIXTURE = Mixture(JOINT, LOCAL, SHARED, LEVELS, SCALES, LOG_WEIGHTS)
+
+
+def test_it_is_the_sum_over_the_dense_gaussians() -> None:
+    dense = [level * np.diag(LOCAL) + SHARED * scale**2 @ SHARED.T for level, scale in zip(LEVELS, SCALES, strict=True)]
+    squares = np.array([[r @ np.linalg.solve(C, r) for C in dense] for r in RESIDUALS])
+    expected = np.log((np.exp(LOG_WEIGHTS) * np.exp(-0.5 * squares)).sum(axis=1))
+    found = MIXTURE.of_sums((RESIDUALS**2 / LOCAL).sum(axis=1), (RESIDUALS / LOCAL) @ SHARED)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_what_moves_the_observation_is_the_likeliest_by_least_squares() -> None:
+    """Residuals over their sds and shared errors over theirs are as small as possible, at the heavier level."""
+    found = MIXTURE._global_errors((RESIDUALS / LOCAL) @ SHARED)
+    sds = np.sqrt(LEVELS[1] * LOCAL)
+    design = np.vstack([SHARED * SCALES[1] / sds[:, None], np.eye(5)])
+    for r, one in zip(RESIDUALS, found, strict=True):
+        best = np.linalg.lstsq(design, np.concatenate([r / sds, np.zeros(5)]), rcond=None)[0] * SCALES[1]
+        assert one[:OWN] == pytest.approx(best[:OWN])
+        assert (one[OWN:] == 0).all()
