@@ -14,7 +14,7 @@ from strandline.discrepancy import (
 )
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors
-from strandline.likelihood.noise_rule import fitting_variance, noise_variance
+from strandline.likelihood.noise_rule import _shapes, fitting_variance, noise_variance
 
 NODES = np.linspace(0.0, 1.0, 61)
 AT, STEPS = np.array([0.3, 0.05]), np.array([2e-3, 2e-3])
@@ -131,3 +131,9 @@ def test_closed_forms_agree_with_the_rule_on_a_surface(measure: ClosestPoint | C
     assert closed is not None
     by_draws = noise_variance(lambda a, b: measure(a, b), surface, errors, len(surface.points), draws=30)
     assert closed == pytest.approx(by_draws, rel=0.4)
+
+
+@pytest.mark.parametrize("radius", [0.05, 1.0, 20.0])
+def test_smooth_shapes_move_a_sphere_along_its_radii_whatever_its_size(radius: float) -> None:
+    ball = sphere(radius, 3)
+    np.testing.assert_allclose((_shapes(ball)[0] * ball.points).sum(axis=1), radius, rtol=0.01)

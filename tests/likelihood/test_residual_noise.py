@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
+from tests.discrepancy.surfaces import sheet
 
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, NormalOffset, TrackedPoints
 from strandline.interface import Interface, Observation, PointErrors, arc_lengths
 from strandline.interface.correlated import correlated
 from strandline.likelihood.noise_rule import noise_variance
-from strandline.likelihood.residual_noise import noise_of_residuals, stated_errors
+from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface, stated_errors
 
 
 def line(number: int = 1200, *, uneven: float = 1.0) -> Interface:
@@ -59,7 +61,29 @@ def test_a_constant_is_as_long_as_the_interface() -> None:
 
 
 def test_no_residuals_have_no_noise() -> None:
-    assert noise_of_residuals(np.zeros(41), arch()).sd == 0.0
+    none = noise_of_residuals(np.zeros(41), arch())
+    assert none.sd == 0.0
+    assert none.length == pytest.approx(0.5 * arch().lengths.sum() / 40, rel=1e-3)
+    flat = noise_on_surface(np.zeros(400), sheet(20))
+    assert (flat.sd, flat.length) == (0.0, pytest.approx(0.5 / 20))
+
+
+@pytest.mark.parametrize("length", [0.1, 0.2])
+def test_residuals_on_a_surface_have_the_sd_and_length_drawn(length: float) -> None:
+    """In the mean over surfaces; the sum ends at the first zero, so the length reads a little low."""
+    surface, random = sheet(24), np.random.default_rng(3)
+    covariance = np.exp(-cdist(surface.points, surface.points) / length)
+    drawn = 0.01 * np.linalg.cholesky(covariance + 1e-9 * np.eye(576)) @ random.standard_normal((576, 40))
+    each = [noise_on_surface(row, surface) for row in drawn.T]
+    assert np.mean([one.sd for one in each]) == pytest.approx(0.01, rel=0.1)
+    assert np.mean([one.length for one in each]) == pytest.approx(length, rel=0.3)
+
+
+def test_independent_residuals_on_a_large_surface_have_half_the_spacing_of_those_taken() -> None:
+    """Of 2500 points, every second one is taken."""
+    found = noise_on_surface(0.01 * np.random.default_rng(3).standard_normal(2500), sheet(50))
+    assert found.sd == pytest.approx(0.01, rel=0.1)
+    assert 0.4 < found.length * np.sqrt(1250) < 0.8
 
 
 def test_arc_lengths_follow_the_segments() -> None:

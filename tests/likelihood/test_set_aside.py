@@ -112,6 +112,25 @@ def test_one_closed_interface_among_open_ones_is_an_exception() -> None:
     assert all(one.ok for one in found.usable(records))
 
 
+def test_two_of_forty_are_exceptions() -> None:
+    records = [*regular(38), *(record(90 + i, Interface.polyline(curve(0.9 + i), closed=True)) for i in range(2))]
+    found = judge({"closest_point": ClosestPoint()})
+    found.usable(records)
+    found.without_exceptions(records, ERROR)
+    assert [one.ok for one in found.usable(records)] == [True] * 38 + [False] * 2
+
+
+def test_coordinates_far_beyond_the_observed_extent_are_told() -> None:
+    """The observation is 1 mm long and lies 10 mm from the origin."""
+    away = np.array([10.0, 0.0])
+    seen = Observation(Interface.polyline(curve(0.3) + away), 0.01)
+    records = [record(i, Interface.polyline(curve(0.2 + 0.01 * i) + away)) for i in range(20)]
+    records.append(record(99, Interface.polyline(curve(0.3) + 1e9)))
+    found = Judge((seen,), {"tracked_points": TrackedPoints()}, FailurePolicy())
+    assert [one.ok for one in found.usable(records)] == [True] * 20 + [False]
+    assert "at most 1e+06 times the observed interface's extent of 1 mm" in found.set_aside(records)[0].why
+
+
 @pytest.mark.parametrize(("closed", "height"), [(3, 0.9), (1, 0.3)])
 def test_many_of_them_or_the_best_one_are_no_exceptions(closed: int, height: float) -> None:
     """With three of 20 another topology is common; a closed run nearest to the observation matters."""

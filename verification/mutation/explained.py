@@ -37,5 +37,8 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("likelihood/learnt.py", "log_density if is_on_host(log_density) else jax.jit(log_density)", "(log_density)"): (
         "The same function, not compiled."
     ),
+    ("likelihood/noise_rule.py", "values[:dim] - values[dim:]", "(values[dim:] - values[:dim])"): (
+        "All gradients change their sign; only their covariance counts."
+    ),
 }
 """(file, before, after): the reason."""
