@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate as scipy_integrate
 
 from strandline.errors import InvalidInput, NumericsError
-from strandline.posterior.quadrature import integrate, mixture
+from strandline.posterior.quadrature import _Cells, integrate, mixture
 from strandline.testing import densities
 
 TARGETS = {
@@ -162,6 +162,19 @@ def test_unusable_boxes_are_refused(low, high, words):
 def test_undefined_densities_are_errors(value, words):
     with pytest.raises(NumericsError, match=words):
         integrate(lambda x: np.full(len(x), value), np.zeros(1), np.ones(1))
+
+
+def test_an_undefined_density_is_told_where_it_is():
+    with pytest.raises(NumericsError, match=r"is nan at \[1\.9[0-9]*, 3"):
+        integrate(lambda x: np.where(x[:, 0] > 1.9, np.nan, 0.0), np.array([0.0, 3.0]), np.array([2.0, 4.0]))
+
+
+def test_another_unit_leaves_integrals_and_their_errors_what_they_are():
+    random = np.random.default_rng(1)
+    cells = _Cells(np.zeros((3, 1)), np.ones(3), random.random((3, 3)), random.random((3, 3)), 0.7)
+    found = cells.rescaled(2.0)
+    for one, other in ((cells.integral, found.integral), (cells.difference, found.difference)):
+        np.testing.assert_allclose(one * math.exp(0.7), other * math.exp(2.0))
 
 
 def test_a_mixture_has_the_moments_of_its_parts():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import binomtest, norm
 
 from strandline.posterior.uniformity import coverage_of, uniformity, weighted_ranks
 
@@ -38,6 +38,13 @@ def test_coverage_of_intervals() -> None:
     assert found.low[0] < 0.9 < found.high[0]
     assert found.found[1] == pytest.approx(norm.cdf(0.5 * 1.645) * 2 - 1, abs=0.03)
     assert found.high[1] < 0.9
+
+
+def test_bounds_of_a_coverage_are_wilson_s() -> None:
+    few = np.array([0.5] * 17 + [0.99] * 3)[:, None]  # 17 of 20 lie in the central part
+    found = coverage_of(few, 0.9)
+    wilson = binomtest(17, 20).proportion_ci(0.95, "wilson")
+    assert (found.low[0], found.high[0]) == pytest.approx((wilson.low, wilson.high), rel=1e-6)
 
 
 def test_ranks_are_weighted() -> None:

@@ -40,5 +40,6 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("likelihood/noise_rule.py", "values[:dim] - values[dim:]", "(values[dim:] - values[:dim])"): (
         "All gradients change their sign; only their covariance counts."
     ),
+    ("posterior/under_uncertainty.py", "0.5", "(1.0)"): "Levels of the other inputs, which are left out afterwards.",
 }
 """(file, before, after): the reason."""
