@@ -4,9 +4,11 @@ Each mutant is the package with one change, see `operators`. The tests that exec
 one fails: those of its own folder, without the checks of types and shapes at run time; with ``--far`` also those of the
 folders that use it, with these checks. Mutants that survive must be explained in `explained`, or a test is missing.
 Results are kept and not repeated for the same mutant, until the text of its file changes; ``--again`` repeats those
-that survived unexplained, with tests as they are now, and ``--record`` writes all results into `recorded.csv`.
+that survived unexplained, with tests as they are now; ``--confirm`` tries the tests that noticed mutants without a
+change, so that those that fail then do not count; and ``--record`` writes all results into `recorded.csv`.
 
     python -m verification.mutation [--number 220] [--seed 1] [--share 1/2] [--seconds 60] [--again] [--far] [FILE ...]
+    python -m verification.mutation --confirm
     python -m verification.mutation --record
 """
 
@@ -23,7 +25,16 @@ from pathlib import Path
 from verification.mutation.covering import Covering, measured
 from verification.mutation.operators import Mutant
 from verification.mutation.places import FAR, NEAR, drawn, part_of
-from verification.mutation.results import explained, fingerprint, known_results, name_of, record, table
+from verification.mutation.results import (
+    SURVIVED,
+    Result,
+    explained,
+    fingerprint,
+    known_results,
+    name_of,
+    record,
+    table,
+)
 from verification.mutation.trial import UNCHECKED, Outcome, prepare, tried
 
 ROOT = Path(__file__).parents[2]
@@ -68,6 +79,31 @@ def judged(
         shutil.copy2(PACKAGE / file, place)
 
 
+def unsteady(results: Sequence[Result], scratch: Path) -> set[str]:
+    """Return those tests said to have noticed a mutant that also fail without one when only such tests run."""
+    tests = {one["test"].partition("[")[0] for one in results if one["end"] == "failed"}
+    found: set[str] = set()
+    for file in sorted({one.partition("::")[0] for one in tests}):
+        while left := sorted(one for one in tests - found if one.startswith(f"{file}::")):
+            outcome = tried(scratch, [UNCHECKED, *left], scratch / "output.txt", 900.0)
+            if outcome.end == "passed":
+                break
+            found |= {outcome.test.partition("[")[0]} & set(left) or set(left)
+            print(f"{outcome.end} without a change: {outcome.test or file}", flush=True)
+    return found
+
+
+def confirm(results: Sequence[Result], kept: Path) -> None:
+    """Note which mutants are unsure, because the test that noticed them fails without a change too."""
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copytree(PACKAGE, Path(folder) / "strandline")
+        doubtful = unsteady(results, Path(folder))
+    with kept.open("a", encoding="utf-8") as file:
+        for one in results:
+            if one["end"] == "failed" and one["test"].partition("[")[0] in doubtful:
+                file.write(json.dumps({**one, "end": "unsure"}, ensure_ascii=False) + "\n")
+
+
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description="Mutants that tests notice.")
@@ -78,6 +114,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="seconds of tests to try for each mutant")
     parser.add_argument("--again", action="store_true", help="try again what survived and is not explained")
     parser.add_argument("--far", action="store_true", help="try tests of folders that use the changed one, too")
+    parser.add_argument("--confirm", action="store_true", help="only try tests that noticed mutants without any")
     parser.add_argument("--record", action="store_true", help="only write what is known into recorded.csv")
     asked = parser.parse_args()
     part, parts = map(int, asked.share.split("/"))
@@ -91,6 +128,9 @@ def main() -> None:
     os.environ.setdefault("STRANDLINE_TEST_COMPILED", tempfile.mkdtemp(prefix="strandline-compiled-"))
     os.chdir(ROOT)
     prepare()
+    if asked.confirm:
+        confirm(list(known.values()), kept)
+        return
     rows = []
     with tempfile.TemporaryDirectory() as folder, kept.open("a", encoding="utf-8") as file:
         scratch = Path(folder)
@@ -101,7 +141,7 @@ def main() -> None:
                 continue
             row = {"file": str(path), "text": fingerprint(PACKAGE / path), **mutant.texts()}
             name = name_of(row)
-            if name not in known or (asked.again and known[name]["end"] == "passed" and not explained(row)):
+            if name not in known or (asked.again and known[name]["end"] in SURVIVED and not explained(row)):
                 covering = covering_of(part_of(path), asked.far)
                 options = () if asked.far else (UNCHECKED,)
                 found = judged(path, mutant, covering, scratch, asked.seconds, options)

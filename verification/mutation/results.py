@@ -10,9 +10,11 @@ from verification.mutation.explained import EXPLAINED
 from verification.mutation.places import PARTS
 from verification.validation.tables import Table
 
-__all__ = ["Result", "explained", "fingerprint", "known_results", "name_of", "record", "table"]
+__all__ = ["SURVIVED", "Result", "explained", "fingerprint", "known_results", "name_of", "record", "table"]
 
 COLUMNS = "file", "text", "line", "start", "before", "after", "end", "test"
+SURVIVED = "passed", "unsure"
+"""Ends of mutants that no test noticed, or only tests that fail without a change too."""
 Result = Mapping[str, str]
 """Values of the columns, as texts."""
 
@@ -63,7 +65,7 @@ def table(rows: Sequence[Result]) -> Table:
     """Return how many mutants of each part were noticed."""
 
     def row(name: str, some: Sequence[Result]) -> tuple[str, int, int, int, int]:
-        survived = [one for one in some if one["end"] == "passed"]
+        survived = [one for one in some if one["end"] in SURVIVED]
         number = sum(map(explained, survived))
         return name, len(some), len(some) - len(survived), number, len(survived) - number
 

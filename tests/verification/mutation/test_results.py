@@ -42,7 +42,9 @@ def test_results_of_a_file_are_forgotten_when_its_text_changes(tmp_path: Path) -
 
 def test_a_table_counts_what_was_noticed(tmp_path: Path) -> None:
     place = package(tmp_path)
-    rows = [result(place, "smc/moves.py", k, end) for k, end in enumerate(["failed", "hung", "broke", "passed"])]
+    rows = [
+        result(place, "smc/moves.py", k, end) for k, end in enumerate(["failed", "hung", "broke", "passed", "unsure"])
+    ]
     found = {row[0]: row[1:] for row in table(rows).rows}
-    assert found["sampler"] == found["all"] == (4, 3, 0, 1)
+    assert found["sampler"] == found["all"] == (5, 3, 0, 2)
     assert found["posterior"] == (0, 0, 0, 0)
