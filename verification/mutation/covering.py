@@ -39,6 +39,9 @@ class Covering:
     def stages(self, file: str, line: int, most: float) -> list[list[str]]:
         """Return tests for a change of a line, in the order in which to try them: first those that execute it.
 
+        Tests in the file named after the changed one are among them: what processes that they start execute is not
+        seen.
+
         Args:
             file: Changed file, from the package's folder.
             line: Changed line.
@@ -46,10 +49,11 @@ class Covering:
         """
         lines = self.tests.get(file, {})
         found = next((lines[one] for one in range(line, line - LINES, -1) if one in lines), {})
-        order = sorted(found, key=lambda one: (not _own(file, one), sum(self.seconds[one].values())))
+        own = {one for one in self.seconds if Path(one).stem == f"test_{Path(file).stem}"}
+        order = sorted({*found, *own}, key=lambda one: (not _own(file, one), sum(self.seconds[one].values())))
         quick = [(one, name) for one in order for name in sorted(self.seconds[one], key=self.seconds[one].__getitem__)]
-        seen = [(one, name) for one, name in quick if name in found[one]]
-        unseen = [(one, name) for one, name in quick if name not in found[one]]
+        seen = [(one, name) for one, name in quick if name in found.get(one, ())]
+        unseen = [(one, name) for one, name in quick if name not in found.get(one, ())]
         stages: list[list[str]] = [[], []]
         left, any_yet = most, False
         for stage, some in zip(stages, (seen, unseen), strict=True):

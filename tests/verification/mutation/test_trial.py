@@ -71,7 +71,11 @@ def test_tests_that_execute_a_line_come_first_and_of_others_those_named_like_the
         ["slow.py::test_a", "slow.py::test_b"],
         ["test_moves.py::test_e", "test_moves.py::test_d", "slow.py::test_c"],
     ]
-    assert COVERING.stages("smc/moves.py", 40, 1000.0) == [["slow.py::test_a"], ["slow.py::test_c", "slow.py::test_b"]]
+    assert COVERING.stages("smc/moves.py", 40, 1000.0) == [
+        ["slow.py::test_a"],
+        ["test_moves.py::test_e", "test_moves.py::test_d", "slow.py::test_c", "slow.py::test_b"],
+    ]
+    assert COVERING.stages("smc/moves.py", 30, 9.0) == [["test_moves.py::test_e"]]
 
 
 def test_only_tests_run_that_take_no_longer_than_asked() -> None:
@@ -81,7 +85,7 @@ def test_only_tests_run_that_take_no_longer_than_asked() -> None:
 
 def test_later_lines_of_an_expression_count_to_its_first() -> None:
     assert COVERING.stages("smc/moves.py", 42, 1.0) == [["slow.py::test_a"]]
-    assert COVERING.stages("smc/moves.py", 30, 1.0) == COVERING.stages("other.py", 3, 1.0) == []
+    assert COVERING.stages("other.py", 3, 1.0) == []
 
 
 def test_slow_tests_hang_later() -> None:
