@@ -137,6 +137,13 @@ def test_settings_out_of_range_are_refused(options, words):
         SMCSettings(**options)
 
 
+@pytest.mark.parametrize(
+    "options", [{"rejuvenation_steps": 1}, {"resample_below": 0.0}, {"resample_below": 1.0}, {"maximum_steps": 1}]
+)
+def test_settings_at_the_ends_of_their_ranges_are_taken(options):
+    assert {name: getattr(SMCSettings(**options), name) for name in options} == options
+
+
 def test_one_particle_is_refused():
     with pytest.raises(InvalidInput, match="at least 2"):
         run(number=1)

@@ -41,5 +41,8 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "All gradients change their sign; only their covariance counts."
     ),
     ("posterior/under_uncertainty.py", "0.5", "(1.0)"): "Levels of the other inputs, which are left out afterwards.",
+    ("smc/moves.py", "positions - weights @ positions", "(weights @ positions - positions)"): (
+        "Only products of two of them count."
+    ),
 }
 """(file, before, after): the reason."""
