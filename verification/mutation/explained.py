@@ -6,6 +6,10 @@ _OF_SIDES = (
     "((points - corners) * interface.normals[found.cells]).sum(axis=1)",
     "(((points - corners) * interface.normals[found.cells]).mean(axis=1))",
 )
+_OF_SHARES = (
+    "(jnp.arange(number) + offset) / number * cumulative[-1]",
+    "((jnp.arange(number) + offset) / number / cumulative[-1])",
+)
 EXPLAINED: dict[tuple[str, str, str], str] = {
     ("design/active/elsewhere.py", "0", "(1)"): "Another scrambling of the Sobol points; either will do.",
     ("design/active/parabola.py", "np.maximum(values, 1e-12)", "(np.minimum(values, 1e-12))"): (
@@ -44,5 +48,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("smc/moves.py", "positions - weights @ positions", "(weights @ positions - positions)"): (
         "Only products of two of them count."
     ),
+    ("surrogate/field/derivative_kernel.py", "0", "(1)"): "Fills rows that are not there.",
+    ("smc/resampling.py", *_OF_SHARES): "The last cumulative share is 1 to rounding.",
 }
 """(file, before, after): the reason."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import shapely
 from tests.discrepancy.surfaces import divided, sheet
 
 from strandline.errors import InvalidInterface
@@ -32,6 +33,15 @@ def test_nodes_that_correspond_are_taken_as_they_are() -> None:
     assert layout.weights.sum() == pytest.approx(1.0)
     with pytest.raises(InvalidInterface, match="a different number of points"):
         registered(arc(21), layout)
+
+
+def test_the_error_of_common_points_is_the_root_mean_square_distance_of_the_nodes() -> None:
+    runs = [arc(60, seed=1), arc(90, seed=2)]
+    layout = common_layout(runs)
+    for run in runs:
+        points, error = registered(run, layout)
+        distances = shapely.distance(shapely.points(run.points), shapely.LineString(points))
+        assert error == pytest.approx(np.sqrt(np.mean(distances**2)))
 
 
 def test_weights_are_shares_of_the_length() -> None:
