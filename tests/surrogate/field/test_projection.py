@@ -279,9 +279,11 @@ def test_triangles_that_the_projection_turns_over_are_refused() -> None:
     lying, standing = ellipsoid((2.0, 1.0, 0.3), 800, 1), ellipsoid((0.3, 1.0, 2.0), 800, 2)
     with pytest.raises(InvalidInterface, match=r"triangle\(s\) of one run's surface (turned over|flattened) when"):
         common_layout([lying, standing])
-    found = Reference(ellipsoid((1.0, 1.0, 1.0), 1200, 1)).on(ellipsoid((2.0, 1.0, 0.3), 1200, 6))
-    assert isinstance(found, str)
-    assert "turned over" in found
+    for size in (1.0, 1e-3):
+        ball, flat = ellipsoid((size, size, size), 1200, 1), ellipsoid((2.0 * size, size, 0.3 * size), 1200, 6)
+        found = Reference(ball).on(flat)
+        assert isinstance(found, str)
+        assert "turned over" in found
 
 
 def test_triangles_that_become_flat_are_refused() -> None:
