@@ -156,6 +156,16 @@ def test_a_variance_of_a_hundredth_shows() -> None:
     assert not calibrated([surprise(seed, 100.0) for seed in range(6)])
 
 
+def test_the_predicted_error_is_the_spread_of_drawn_fields() -> None:
+    found, x, random = fit_field(training(8)), TEST_POINTS[:3], np.random.default_rng(5)
+    (layout,), prediction = found.layouts.values(), found.predict(x)
+    assert prediction.variance.shape[1] > 1
+    for mean, variance, one in zip(prediction.mean, prediction.variance, found.predicted_error(x), strict=True):
+        drawn = found.points(mean + np.sqrt(variance) * random.standard_normal((4000, len(mean))))[""]
+        along = np.var(drawn, axis=0).sum(axis=1) @ layout.weights
+        assert one == pytest.approx(np.sqrt(along + found.modes.remainder**2), rel=0.05)
+
+
 @pytest.mark.parametrize("with_gradients", [False, True])
 def test_too_few_runs_are_refused(with_gradients: bool) -> None:
     needed = fewest_runs(2, gradients=with_gradients)
