@@ -100,6 +100,18 @@ def test_undefined_values_are_refused(initial: np.ndarray) -> None:
         sample(jax.random.key(1), Host(later), log_prior, initial, settings=SETTINGS)
 
 
+def test_each_case_on_the_host_has_its_own_posterior(initial: np.ndarray) -> None:
+    """Far inside the unit square the posterior is normal, and the evidence 2πσ²."""
+    given = np.array([[0.3, 0.4], [0.7, 0.5], [0.5, 0.6]])
+    starts = np.stack([initial, initial, np.random.default_rng(2).random((NUMBER, 2))])
+    few = SMCSettings(rejuvenation_steps=8, zeta=0.5)
+    found = sample_each(jax.random.key(5), Host(given_on_host), log_prior, starts, given, settings=few)
+    for one, mean in zip(found, given, strict=True):
+        weights = np.exp(np.asarray(one.log_weights))
+        np.testing.assert_allclose(weights @ one.positions, mean, atol=0.025)
+        assert one.log_evidence == pytest.approx(np.log(2 * np.pi * 0.1**2), abs=0.35)
+
+
 @pytest.mark.long
 def test_each_case_is_as_compiled(initial: np.ndarray) -> None:
     """One of them needs fewer steps than the others, and is asked nothing more."""
