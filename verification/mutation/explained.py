@@ -19,6 +19,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("discrepancy/contours/repeats.py", "one.lengths.sum()", "(one.lengths.mean())"): (
         "Takes another contour for the reference; they are compared only where all of them have points."
     ),
+    ("discrepancy/extents.py", "1", "(2)"): "Tells ratios of at least 10 from those of at most 1/10.",
     ("discrepancy/normal_offset.py", *_OF_SIDES): "Half or a third of a sum of which only the sign counts.",
     ("discrepancy/products/kernel_sums.py", "8", "(9)"): "Tiles of another size: the same sum, as fast or slower.",
     ("discrepancy/products/kernel_sums.py", "x[i] - y[i]", "(y[i] - x[i])"): "It is squared.",
