@@ -52,6 +52,14 @@ def test_plug_in_is_the_measure_on_the_predicted_interface() -> None:
         assert value == pytest.approx(-0.5 * sum(squares) / NOISE**2, rel=1e-9)
 
 
+def test_every_drawn_field_has_its_opposite() -> None:
+    """So that their mean is what is predicted; in the modes and in what they leave."""
+    for numbers in likelihood(tail=0.1)._numbers:
+        half = len(numbers) // 2
+        assert numbers.shape[1] > 0
+        np.testing.assert_array_equal(numbers[half:], -numbers[:half])
+
+
 def test_known_predictions_have_the_same_likelihood() -> None:
     found = likelihood(measure=ClosestPoint())
     np.testing.assert_array_equal(found.at(found.surrogate.mean(AT)), found.plug_in(AT))

@@ -55,6 +55,21 @@ def test_slopes_are_those_of_the_residuals(errors: PointErrors) -> None:
     np.testing.assert_allclose(found.residuals, exact(found.at[None])[0], atol=0.02 * SD)
 
 
+def test_what_the_modes_leave_has_slopes_of_its_own() -> None:
+    """Between the ends: beyond them the outline goes on straight, and turns with what is random from node to node."""
+    found = likelihood(LOCAL).surrogate
+    rows = np.random.default_rng(3).standard_normal((3, found.modes.basis.shape[1]))
+    surrogate = replace(found, modes=replace(found.modes, tail=0.01 * np.linalg.qr(rows.T)[0].T))
+    smooth, at = JointErrors((Observation(arch(TRUTH), LOCAL),), (LOCAL,)), near(LOCAL).at
+    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
+    steps = 1e-2 * np.concatenate([np.eye(3), -np.eye(3)])
+    moved = residuals_of(smooth, surrogate.points(np.tile(at, (6, 1)), steps), templates)
+    slopes = near_field(surrogate, smooth, at).tail.T
+    assert slopes.shape[0] == 3
+    exact = (moved[:3] - moved[3:]) / 2e-2
+    np.testing.assert_allclose(slopes[:, 1:-1], exact[:, 1:-1], atol=1e-3 * np.abs(slopes).max())
+
+
 @pytest.mark.parametrize("errors", ALL)
 def test_sums_are_those_of_the_linear_residuals(errors: PointErrors) -> None:
     found = near(errors)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.discrepancy.surfaces import sphere
+from tests.discrepancy.surfaces import sheet, sphere
 
 from strandline.discrepancy import (
     ClosestPoint,
@@ -137,3 +137,14 @@ def test_closed_forms_agree_with_the_rule_on_a_surface(measure: ClosestPoint | C
 def test_smooth_shapes_move_a_sphere_along_its_radii_whatever_its_size(radius: float) -> None:
     ball = sphere(radius, 3)
     np.testing.assert_allclose((_shapes(ball)[0] * ball.points).sum(axis=1), radius, rtol=0.01)
+
+
+def test_smooth_shapes_move_a_wavy_sheet_along_its_normals() -> None:
+    """z = 0.1 sin(5u) cos(4v) over the unit square; normals at the rim are one-sided."""
+    wavy = sheet(40, bend=0.1)
+    u, v, _ = wavy.points.T
+    slopes = 0.5 * np.cos(5 * u) * np.cos(4 * v), -0.4 * np.sin(5 * u) * np.sin(4 * v)
+    exact = np.stack([-slopes[0], -slopes[1], np.ones(len(u))], axis=1)
+    exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+    assert (_shapes(wavy)[0] * exact).sum(axis=1).min() > 0.99
+    assert exact[:, 2].min() < 0.95

@@ -33,6 +33,9 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("discrepancy/search/signed_sums.py", "points.mean(axis=0)", "(points.sum(axis=0))"): (
         "Coordinates from another origin: only the rounding differs."
     ),
+    ("likelihood/field.py", "measure = measure.tolerating(one.noise.scale, seen.interface)", "pass"): (
+        "Takes a measure more exactly than the likelihood needs: slower."
+    ),
     ("likelihood/inferred_noise.py", "LEVELS - 1e-09", "(LEVELS + 1e-09)"): (
         "Loses at most a last value whose weight is below the rounding of the others."
     ),
