@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -199,8 +197,8 @@ def test_a_model_that_errs_is_noticed_and_widens_the_posterior() -> None:
 
 
 def lengths_tried(interfaces: list[Interface], near: NoisePosterior | None = None) -> np.ndarray:
-    residuals: Any = SimpleNamespace(residuals=np.full(50, 0.002))
-    return _grid(residuals, interfaces, UnknownErrors(), near)[1]
+    lin = linearise(surrogate(), JointErrors((observed(1),), (ERRORS,)))
+    return _grid(lin, interfaces, UnknownErrors(), near)[1]
 
 
 def test_conditions_alike_are_tried_with_the_lengths_of_one() -> None:

@@ -1,20 +1,22 @@
 """The mixture of noise levels against dense matrices."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
+from strandline.interface import Interface, Observation, PointErrors
+from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.mixture import Mixture
 
 OWN = 3
+"""Shifts and the rotation of the observation; further shared errors do not move it."""
 RANDOM = np.random.default_rng(2)
 LOCAL, SHARED = RANDOM.uniform(0.5, 2.0, 40), RANDOM.normal(size=(40, 5))
 LEVELS, SCALES = np.array([0.5, 2.0]), RANDOM.uniform(0.2, 3.0, (2, 5))
 LOG_WEIGHTS = np.log([0.3, 0.7])
 RESIDUALS = RANDOM.normal(size=(6, 40))
-JOINT: Any = SimpleNamespace(model=SimpleNamespace(shared=SHARED[:, :OWN]))
+ERRORS = PointErrors(0.01, shift=0.1, rotation=1.0)
+LINE = Interface.polyline(np.stack([np.linspace(0.0, 1.0, 40), np.zeros(40)], axis=1))
+JOINT = JointErrors((Observation(LINE, ERRORS),), (ERRORS,))
 MIXTURE = Mixture(JOINT, LOCAL, SHARED, LEVELS, SCALES, LOG_WEIGHTS)
 
 

@@ -55,8 +55,9 @@ class Covering:
         seen = [(one, name) for one, name in quick if name in found.get(one, ())]
         unseen = [(one, name) for one, name in quick if name not in found.get(one, ())]
         stages: list[list[str]] = [[], []]
-        left, any_yet = most, False
+        left, any_yet = 0.0, False
         for stage, some in zip(stages, (seen, unseen), strict=True):
+            left += 0.5 * most
             for one, name in some:
                 needed = self.seconds[one][name]
                 if needed < left or not any_yet:

@@ -83,6 +83,13 @@ def test_only_tests_run_that_take_no_longer_than_asked() -> None:
     assert COVERING.stages("smc/moves.py", 40, 1.0) == [["slow.py::test_a"]]
 
 
+def test_half_the_time_is_kept_for_tests_that_were_not_seen_to_execute_it() -> None:
+    assert COVERING.stages("smc/moves.py", 3, 30.0) == [
+        ["slow.py::test_a"],
+        ["test_moves.py::test_e", "slow.py::test_c"],
+    ]
+
+
 def test_later_lines_of_an_expression_count_to_its_first() -> None:
     assert COVERING.stages("smc/moves.py", 42, 1.0) == [["slow.py::test_a"]]
     assert COVERING.stages("other.py", 3, 1.0) == []
