@@ -90,6 +90,7 @@ def unsteady(results: Sequence[Result], scratch: Path) -> set[str]:
                 break
             found |= {outcome.test.partition("[")[0]} & set(left) or set(left)
             print(f"{outcome.end} without a change: {outcome.test or file}", flush=True)
+    print(f"{len(tests) - len(found)} of {len(tests)} tests that noticed mutants pass without a change")
     return found
 
 
