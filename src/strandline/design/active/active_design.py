@@ -41,6 +41,9 @@ __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 Kind = Literal["initial", "given", "posterior", "check", "elsewhere"]
 FEWEST_LEFT_OUT = 20
 """Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
+FEW_INPUTS, HARDLY = 3, 0.3
+"""Number of inputs above which runs are chosen among draws of the posterior itself once it hardly moves: no mean by so
+many standard deviations, no logarithm of a standard deviation by as much."""
 SHOWING = 500
 """Draws that show how far the posterior would move."""
 DIFFERENT = 0.4
@@ -232,10 +235,17 @@ class ActiveDesign:
                 criterion=self.active.criterion,
                 seed=self.seed + 7919 * made,
                 losses=kept,
+                near=self._nearly_settled,
             )
             if losses.bears(points):
                 break
         return points
+
+    @property
+    def _nearly_settled(self) -> bool:
+        """Whether the posterior of many inputs hardly moves: its flanks are then far more than the posterior."""
+        moved = self.steps[-1].moved
+        return self.space.dim > FEW_INPUTS and moved is not None and max(moved.shift, moved.width) < HARDLY
 
     def _losses(self) -> Losses:
         assert self.state is not None

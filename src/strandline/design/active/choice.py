@@ -32,6 +32,7 @@ def choose(
     criterion: str,
     seed: int,
     losses: Losses | None = None,
+    near: bool = False,
 ) -> Float[np.ndarray, "run dim"]:
     """Return the inputs of the next runs, each chosen as if the ones before it had been made.
 
@@ -44,14 +45,16 @@ def choose(
         criterion: Name in `CRITERIA`, or ``module:name``.
         seed: Seed of the draws.
         losses: Runs lost where they fail, if only safe ones may be chosen.
+        near: Whether to choose among draws of the posterior, not of π_γ.
     """
-    candidates = state.positions[subset(np.exp(state.log_weights_tempered), CANDIDATES, seed)]
+    weights = np.exp(state.log_weights if near else state.log_weights_tempered)
+    candidates = state.positions[subset(weights, CANDIDATES, seed)]
     candidates = np.unique(candidates, axis=0)
     unknown = space.to_physical(sobol(first + EXPLORATION, space.dim, scramble=None)[first:])
     if losses is not None:
         candidates = safe_candidates(losses, state, candidates, space, seed)
         unknown = losses.safest(unknown, number)
-    half = [subset(np.exp(w), TARGETS // 2, seed + 1) for w in (state.log_weights, state.log_weights_tempered)]
+    half = [subset(w, TARGETS // 2, seed + 1) for w in (np.exp(state.log_weights), weights)]
     targets = np.unique(state.positions[np.concatenate(half)], axis=0)
     pools = {False: _new(candidates, state), True: _new(unknown, state)}
     picking = criterion_named(criterion)(state, pools[False], pools[True], targets)

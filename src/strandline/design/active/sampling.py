@@ -4,8 +4,7 @@ From one batch to the next the posterior moves little, so its particles are rewe
 the evaluations of sampling from the prior. Particles that start from the last posterior cannot see a mode that has
 appeared elsewhere. So draws of the prior are tried as well, and whatever is checked on the true model is sampled from
 the prior. A likelihood that is quick near the best fit, if there is one, leads near the posterior; from there the
-particles go on to that of the measure in the same way. What is sampled is the likelihood expected over the surrogate's
-uncertainty, in closed form; where that hardly counts, the one of the predicted interface, to be weighted.
+particles go on to that of the measure in the same way.
 """
 
 from collections.abc import Callable
@@ -31,8 +30,6 @@ PARTICLES = {1: 2000, 2: 2000, 3: 2000}
 MANY_INPUTS_PARTICLES = 1200
 TEMPERATURE = 0.5
 """γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
-ENOUGH = 0.9
-"""Effective share of the particles from which weights are enough to account for the surrogate's uncertainty."""
 STREAM = 4
 """Keeps the random numbers of the active design apart from all others of the same seed."""
 
@@ -57,7 +54,7 @@ def posterior_state(
     rng = np.random.default_rng([*seed, STREAM])
     number = PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
     initial = space.prior_quantiles(rng.random((number, space.dim)))
-    host, expecting = OnHost(lambda x: TEMPERATURE * knowledge.nearly_expected(x)), True
+    host = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x))
     key = jax.random.key(int(rng.integers(2**32)))
     earlier = None if before is None or len(before.positions) != number else _sampled(before)
     with one_thread():
@@ -66,22 +63,16 @@ def posterior_state(
             near = None if earlier is None else _gone_on(rough, space, earlier, initial, keys[0])
             if near is None:
                 near = sample(key, rough, space.log_prior, initial, settings=ROUGHLY, on_step=on_step)
-            wider = OnHost(lambda x: TEMPERATURE * np.asarray(knowledge.roughly_expected(x)))
-            if _effective(near, wider(near.positions)) >= ENOUGH:
-                host, expecting, earlier = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x)), False, near
-            else:
-                earlier = _gone_on(wider, space, near, initial, jax.random.fold_in(key, 2))
-                if earlier is None:
-                    earlier = sample(key, wider, space.log_prior, initial, settings=ROUGHLY, on_step=on_step)
+            earlier = near
         found = None if earlier is None else _gone_on(host, space, earlier, initial, jax.random.fold_in(key, 1))
         if found is None:
             found = sample(key, host, space.log_prior, initial, settings=SAMPLING, on_step=on_step)
-        return _state(knowledge, found, expecting)
+        return _state(knowledge, found)
 
 
 def _sampled(state: State) -> SMCResult:
     """Return the particles of π_γ of a posterior that was sampled earlier."""
-    values = TEMPERATURE * state.sampled
+    values = TEMPERATURE * state.log_plug_in
     return SMCResult(
         positions=state.positions,
         log_weights=state.log_weights_tempered,
@@ -102,17 +93,9 @@ def _gone_on(
     return carried_over(key, before, host, space.log_prior, scouts=scouts, extents=extents, settings=SAMPLING)
 
 
-def _effective(found: SMCResult, log_likelihood: Float[np.ndarray, " particle"]) -> float:
-    """Return the share of particles that are effective when weighted to another likelihood."""
-    ratios = log_likelihood - found.log_likelihood
-    return float(np.exp(2 * logsumexp(found.log_weights + ratios) - logsumexp(found.log_weights + 2 * ratios)))
-
-
-def _state(knowledge: Knowledge, found: SMCResult, expecting: bool) -> State:
-    """Return the posterior; `expecting`: whether the expected likelihood was sampled."""
+def _state(knowledge: Knowledge, found: SMCResult) -> State:
     x, log_weights, tempered = found.positions, found.log_weights, found.log_likelihood
-    sampled = tempered / TEMPERATURE
-    exact = knowledge.plug_in(x) if expecting else sampled
+    exact = tempered / TEMPERATURE
     expected = knowledge.expected(x, plug_in=exact)
     rest = log_weights - tempered
     return State(
@@ -124,5 +107,4 @@ def _state(knowledge: Knowledge, found: SMCResult, expecting: bool) -> State:
         log_expected=expected,
         log_plug_in=exact,
         log_evidence_tempered=found.log_evidence,
-        log_sampled=sampled,
     )
