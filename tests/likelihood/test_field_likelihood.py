@@ -53,11 +53,11 @@ def test_plug_in_is_the_measure_on_the_predicted_interface() -> None:
 
 
 def test_every_drawn_field_has_its_opposite() -> None:
-    """So that their mean is what is predicted; in the modes and in what they leave."""
-    for numbers in likelihood(tail=0.1)._numbers:
-        half = len(numbers) // 2
-        assert numbers.shape[1] > 0
-        np.testing.assert_array_equal(numbers[half:], -numbers[:half])
+    """So that their mean is what is predicted; in the modes and in what they leave, in each half of the draws."""
+    for drawn in numbers(16, 3, 5):
+        assert len(np.unique(np.abs(drawn), axis=0)) == 8
+        for half in (drawn[:8], drawn[8:]):
+            np.testing.assert_array_equal(half[4:], -half[:4])
 
 
 def test_known_predictions_have_the_same_likelihood() -> None:

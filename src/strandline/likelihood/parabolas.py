@@ -268,7 +268,7 @@ def mean_of_draws(
     u = np.concatenate([tilted.moved(of_modes[:half]), plain], axis=1)
     normal = np.concatenate([np.repeat(of_modes[None, :half], number, axis=0), tilted.back(of_modes[half:])], axis=1)
     fields = found.mean[:, None] + tilted.roots[:, None] * u
-    values = log_likelihood(fields.reshape(-1, modes), np.tile(of_tail, (number, 1))).reshape(number, -1)
+    values = log_likelihood(fields.reshape(-1, modes), np.tile(of_tail, (number, 1))).reshape(number, len(of_modes))
     own = -0.5 * np.einsum("pdm,pdm->pd", u, u)
     other = -0.5 * np.einsum("pdm,pdm->pd", normal, normal) + tilted.log_root[:, None]
     both = np.logaddexp(own, other)
