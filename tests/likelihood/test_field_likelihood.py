@@ -10,6 +10,7 @@ import pytest
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, TrackedPoints
 from strandline.interface import Interface, Observation
 from strandline.likelihood import FieldLikelihood, OnHost, noise_length
+from strandline.likelihood.parabolas import numbers
 from strandline.smc import SMCSettings, sample
 from strandline.surrogate.field import FieldTraining, fit_field
 from strandline.testing.densities import gaussian
