@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import log_softmax
 from tests.design.active.fakes import SPACE, known, state_of
 
 from strandline.design import sobol
@@ -92,6 +93,20 @@ def test_the_share_that_explores_is_kept_over_all_batches(state: State, criterio
         exploring += sum(row.tobytes() not in particles for row in chosen)
         first += 4
     assert exploring == int(30 * share) - int(10 * share)
+
+
+def test_near_the_posterior_the_flanks_are_left_out(state: State) -> None:
+    """The same number of runs lies closer to the mean, in standard deviations of the posterior."""
+
+    z = (state.positions - state.mean) / state.sd
+    narrow = replace(state, log_weights=np.asarray(log_softmax(-np.sum(z**2, axis=1))))
+
+    def distance(near: bool) -> float:
+        options: Any = {"explore": 0.0, "first": 10, "criterion": "expected_variance", "seed": 3}
+        chosen = choose(narrow, SPACE, 30, near=near, **options)
+        return float(np.mean(np.linalg.norm((chosen - narrow.mean) / narrow.sd, axis=1)))
+
+    assert distance(near=True) < 0.85 * distance(near=False)
 
 
 @pytest.mark.parametrize("criterion", list(CRITERIA))

@@ -360,8 +360,8 @@ class ActiveDesign:
     def _unsure(self) -> tuple[str, ...]:
         """Return a reason if the surrogate's own variance weighs too much: left-out runs only test where runs are."""
         assert self.state is not None
-        weights, plain = np.exp(self.state.log_weights), np.exp(self.state.log_weights_plug_in)
-        share = float(1.0 / np.sum(plain**2 / np.maximum(weights, np.finfo(float).tiny)))
+        ratios = np.exp(self.state.log_weights - self.state.log_weights_plug_in)
+        share = float(1.0 / (np.exp(self.state.log_weights_plug_in) @ ratios**2))
         if share >= self.active.effective:
             return ()
         return (
