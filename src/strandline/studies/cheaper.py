@@ -7,6 +7,7 @@ from typing import Any
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models.fidelities import CHEAPER, WithCheaper
+from strandline.models.offers import UsesNames
 from strandline.models.protocol import ForwardModel
 from strandline.studies.build import build_model
 from strandline.studies.folder import SUMMARY
@@ -61,6 +62,8 @@ def with_cheaper(
         choice = other
     try:
         cheaper = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
+        if isinstance(cheaper, UsesNames):
+            cheaper.require_names(content.inputs, content.fixed)
         return WithCheaper(model, cheaper, float(cost))
     except InvalidInput as error:
         raise InvalidStudy(
