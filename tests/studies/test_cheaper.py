@@ -1,6 +1,7 @@
 """Studies with a cheaper model: results, resume, earlier runs, bad input."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,11 @@ from strandline.calibration import Observer
 from strandline.errors import InvalidStudy
 from strandline.interface import Interface
 from strandline.models.fidelities import CHEAPER, is_cheaper
-from strandline.models.protocol import Simulation
+from strandline.models.protocol import ForwardModel, Simulation
 from strandline.posterior import read
-from strandline.runs import InProcess, Ledger, Progress, RunRecord
+from strandline.runs import InProcess, Ledger, Progress, RunRecord, RunRequest, attempt
 from strandline.studies import Outcome, load_study, run_study
+from strandline.studies.cheaper import cheaper_lines
 from strandline.studies.result import load_result
 from strandline.testing.studies import beam, write_study
 
@@ -115,6 +117,20 @@ def test_runs_without_a_cheaper_model_are_kept_when_one_is_added(tmp_path: Path)
     kept = before.summary["runs"]["new"] - 1  # without the synthetic observation
     assert after.summary["runs"]["reused"] >= kept
     assert after.summary["certificate"]["fidelities"]["model_runs"] >= kept
+
+
+def test_a_check_compares_the_two_models(tmp_path: Path) -> None:
+    study = load_study(write_study(tmp_path / "study", **STUDY))
+    inputs = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
+
+    def make(model: ForwardModel, inputs: Mapping[str, float]) -> RunRecord:
+        return replace(attempt(model, RunRequest("", inputs), tmp_path), seconds=0.5 if is_cheaper(inputs) else 2.0)
+
+    (line,) = cheaper_lines(study.model, make(study.model, inputs), make)
+    off = 1e3 * np.ptp(softer(inputs, tmp_path).interface.points - beam(inputs, tmp_path).interface.points)  # type: ignore[union-attr]
+    assert "ok in 0.5 s, 0.25 of the time (stated cost 0.2)" in line
+    assert float(line.split("at most ")[1].split(" µm")[0]) == pytest.approx(off, rel=0.1)
+    assert list(cheaper_lines(beam, make(beam, inputs), make)) == []
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,8 @@ def command(study: Path, plot: bool, widths: bool) -> None:
 
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
     """Yield what the run shows: shapes, residual, log-likelihoods, displacement, error of the mesh."""
+    from strandline.cli.forward import attempted
+    from strandline.studies.cheaper import cheaper_lines
     from strandline.studies.first_run import batch_lines, displacement_lines, known_range, mesh_lines, shape_lines
     from strandline.studies.measure_doubts import measure_lines
     from strandline.studies.simulated_nodes import node_lines
@@ -84,6 +86,7 @@ def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, fl
         yield known
     yield from displacement_lines(study, record)
     yield from mesh_lines(study, record)
+    yield from cheaper_lines(study.model, record, attempted)
     yield from node_lines(study, record)
     yield from batch_lines(study, record)
 

@@ -1,20 +1,22 @@
 """The cheaper model of a study, from its key `fidelities`."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from strandline.discrepancy.residuals import apart
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.models.fidelities import CHEAPER, WithCheaper
+from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
 from strandline.models.offers import UsesNames
 from strandline.models.protocol import ForwardModel
+from strandline.runs import RunRecord
 from strandline.studies.build import build_model
 from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
 from strandline.studies.undeformed import Undeformed
 
-__all__ = ["cheaper_dropped", "with_cheaper"]
+__all__ = ["cheaper_dropped", "cheaper_lines", "with_cheaper"]
 
 COST = 0.3
 """Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""
@@ -78,3 +80,26 @@ def cheaper_dropped(folder: Path) -> bool:
         return summary["certificate"]["fidelities"]["dropped"] is not None
     except (OSError, ValueError, KeyError, TypeError):
         return False
+
+
+def cheaper_lines(
+    model: ForwardModel, record: RunRecord, make: Callable[[ForwardModel, Mapping[str, float]], RunRecord]
+) -> Iterator[str]:
+    """Yield how a run of the cheaper model compares with one of the model at the same inputs; nothing without one.
+
+    Args:
+        model: The model of the study.
+        record: Its run.
+        make: Function that makes another run.
+    """
+    if not isinstance(model, WithCheaper):
+        return
+    other = make(model, by_cheaper(record.inputs))
+    if not other.ok:
+        yield f"warning: there the run of the cheaper model fails ({other.failure_kind}): it is no help near this point"
+        return
+    apart_mm = max(apart(one, record.interfaces[name])[1] for name, one in other.interfaces.items())
+    share = other.seconds / record.seconds
+    yield (
+        f"the cheaper model: ok in {other.seconds:.2g} s, {share:.2g} of the time (stated cost {model.cost:g}); before the correction its interface is off by at most {1e3 * apart_mm:.2g} µm"
+    )
