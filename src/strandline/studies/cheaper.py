@@ -101,5 +101,6 @@ def cheaper_lines(
     apart_mm = max(apart(one, record.interfaces[name])[1] for name, one in other.interfaces.items())
     share = other.seconds / record.seconds
     yield (
-        f"the cheaper model: ok in {other.seconds:.2g} s, {share:.2g} of the time (stated cost {model.cost:g}); before the correction its interface is off by at most {1e3 * apart_mm:.2g} µm"
+        f"the cheaper model: ok in {other.seconds:.2g} s, {share:.2g} of the time (stated cost {model.cost:g}); "
+        f"before the correction its interface is off by at most {1e3 * apart_mm:.2g} µm"
     )
