@@ -76,17 +76,11 @@ def test_the_expected_posterior_is_sampled(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_active_design_samples_it(kind: str) -> None:
+def test_an_active_design_weights_its_particles_to_it(kind: str) -> None:
+    """It samples the likelihood of the predicted interface, so that its runs stay near what is known."""
     state = posterior_state(unsure(kind), SPACE, (3,))
     mean, sd = grid(kind)
-    assert np.abs((state.mean - mean) / sd).max() < 0.15
-    assert np.abs(np.log(state.sd / sd)).max() < 0.12
-    assert not np.array_equal(state.sampled, state.log_plug_in)
-    assert effective(state.log_weights, state.log_expected - state.sampled) > 0.95
-    assert effective(state.log_weights, state.log_expected - state.log_plug_in) < 0.9
-
-
-def test_where_the_surrogate_is_sure_the_predicted_interface_is_sampled() -> None:
-    """It takes less time, and the weights say the same."""
-    state = posterior_state(knowledge(NormalOffset(), {"": likelihood(LOCAL).observations[0]}), SPACE, (3,))
-    np.testing.assert_array_equal(state.sampled, state.log_plug_in)
+    assert np.abs((state.mean - mean) / sd).max() < 0.2
+    assert np.abs(np.log(state.sd / sd)).max() < 0.15
+    plain = Weighted(state.positions, np.exp(state.log_weights_plug_in))
+    assert np.abs(np.log(plain.sd / sd)).max() > 0.2

@@ -172,7 +172,7 @@ def surprises(
     surrogate = state.knowledge.surrogate
     expected = state.knowledge.expected(x)
     log_evidence = state.log_evidence_tempered + float(
-        logsumexp(state.log_weights_tempered + state.log_expected - 0.5 * state.sampled)
+        logsumexp(state.log_weights_tempered + state.log_expected - 0.5 * state.log_plug_in)
     )
     weight = math.log(share) + log_likelihoods - log_evidence
     fits = (log_likelihoods - expected > UNLIKELY) & ~(weight < math.log(WEIGHTY))

@@ -150,12 +150,11 @@ class State:
         knowledge: Knowledge from the runs, from which the posterior follows.
         positions: Particles, shape (particle, dim).
         log_weights: Normalised log weights of the posterior with the expected likelihood, shape (particle,).
-        log_weights_tempered: Normalised log weights of π_γ ∝ L^γ p, with the likelihood L that was sampled.
+        log_weights_tempered: Normalised log weights of π_γ, shape (particle,).
         log_weights_plug_in: Log weights of the posterior as if the predicted interfaces were exact, shape (particle,).
         log_expected: log E[L] at the particles, shape (particle,).
         log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
-        log_evidence_tempered: log ∫ L^γ p dx of the likelihood that was sampled; NaN if it is not known.
-        log_sampled: log L at the particles of the likelihood that was sampled, (particle,); None: `log_plug_in`.
+        log_evidence_tempered: log ∫ L^γ p dx of the predicted interfaces; NaN if it is not known.
     """
 
     knowledge: Knowledge
@@ -166,12 +165,6 @@ class State:
     log_expected: Float[np.ndarray, " particle"]
     log_plug_in: Float[np.ndarray, " particle"]
     log_evidence_tempered: float = math.nan
-    log_sampled: Float[np.ndarray, " particle"] | None = None
-
-    @property
-    def sampled(self) -> Float[np.ndarray, " particle"]:
-        """log L at the particles of the likelihood that was sampled, shape (particle,)."""
-        return self.log_plug_in if self.log_sampled is None else self.log_sampled
 
     @property
     def mean(self) -> Float[np.ndarray, " dim"]:
