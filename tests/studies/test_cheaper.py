@@ -138,10 +138,10 @@ def test_a_check_compares_the_two_models(tmp_path: Path) -> None:
     [
         ({"fidelities": [{"cost": 0.1}]}, "fidelities: the cheaper model: got the model itself"),
         ({"fidelities": [{**FIDELITIES[0], "cost": 2}]}, "above 0 and below 1"),
-        ({"fidelities": [{**FIDELITIES[0], "cost": "low"}]}, "fidelities.cost: got low"),
+        ({"fidelities": [{**FIDELITIES[0], "cost": "low"}]}, "fidelities.cost: got 'low'"),
         ({"fidelities": [{**FIDELITIES[0], "function": "a:b"}]}, "only `cost` beside it"),
         ({"fidelities": [{"model": 3}]}, "fidelities.model: got 3"),
-        ({"fidelities": ["coarse"]}, "fidelities: model.python: unknown option: got mesh"),
+        ({"fidelities": ["coarse"]}, "only a model with meshes has names for them"),
         ({"fidelities": FIDELITIES * 2}, "exactly one entry"),
         ({"design": {"sobol": {"runs": 30}}}, "a cheaper model without an active design"),
     ],

@@ -70,9 +70,11 @@ def _certified(certificate: Mapping[str, Any]) -> str:
             f"converged: {check['draws']} runs at hand, each predicted from the others, give {check['effective']:.0%} "
             "effective weights by the true model; no new run was needed"
         )
+    both = certificate.get("fidelities")
+    who = "the true model" if not both or both["dropped"] else "the corrected cheaper model"
     besides = f" and {check['left_out']} earlier runs, each predicted from the others," if check["left_out"] else ""
     return (
-        f"converged: at {check['draws']} {check['by']}{besides} the true model gives {check['effective']:.0%} "
+        f"converged: at {check['draws']} {check['by']}{besides} {who} gives {check['effective']:.0%} "
         f"effective draws and moves means by at most {shift:.2f} sd"
     )
 

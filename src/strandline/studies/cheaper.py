@@ -20,6 +20,8 @@ __all__ = ["cheaper_dropped", "cheaper_lines", "with_cheaper"]
 
 COST = 0.3
 """Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""
+TOLERATED = 2.0
+"""Multiple of the stated cost from which a check warns."""
 
 
 def with_cheaper(
@@ -40,10 +42,17 @@ def with_cheaper(
         return model
     (given,) = content.fidelities
     options = dict(given) if isinstance(given, Mapping) else {"mesh": given}
+    if isinstance(given, str) and not hasattr(model, "mesh"):
+        raise InvalidStudy(
+            "fidelities",
+            value=given,
+            expected="the options in which the cheaper model differs: only a model with meshes has names for them",
+            remedy="Write e.g. fidelities: [{templates: {coarse.inp.j2: deck.inp}, cost: 0.1}].",
+        )
     cost = options.pop("cost", COST)
     if isinstance(cost, bool) or not isinstance(cost, int | float):
         raise InvalidStudy(
-            "fidelities.cost", value=cost, expected="a number above 0 and below 1", remedy="Write e.g. cost: 0.3."
+            "fidelities.cost", value=repr(cost), expected="a number above 0 and below 1", remedy="Write e.g. cost: 0.3."
         )
     if CHEAPER in {*content.inputs, *content.fixed}:
         raise InvalidStudy(
@@ -99,7 +108,11 @@ def cheaper_lines(
         yield f"warning: there the run of the cheaper model fails ({other.failure_kind}): it is no help near this point"
         return
     apart_mm = max(apart(one, record.interfaces[name])[1] for name, one in other.interfaces.items())
-    share = other.seconds / record.seconds
+    share = other.seconds / max(record.seconds, 1e-9)
+    if share >= 1.0:
+        yield f"warning: a run of the cheaper model takes {share:.2g} times as long as one of the model"
+    elif share > TOLERATED * model.cost:
+        yield f"warning: a run of the cheaper model takes {share:.2g} of the time, not {model.cost:g}: state its cost"
     yield (
         f"the cheaper model: ok in {other.seconds:.2g} s, {share:.2g} of the time (stated cost {model.cost:g}); "
         f"before the correction its interface is off by at most {1e3 * apart_mm:.2g} µm"

@@ -120,7 +120,7 @@ def test_a_trial_confirms_the_correction_by_runs_that_it_has_not_learnt_from() -
     assert 0 < report.error < 2e-3
     assert (report.cheaper, report.model, report.pairs) == (11, 6, 6)
     assert report.equivalents == pytest.approx(6 + 0.3 * 11)
-    assert "are right to" in report.statement
+    assert "are accurate to" in report.statement
 
 
 def test_a_correction_that_is_wrong_at_the_posterior_is_refuted_and_then_dropped() -> None:

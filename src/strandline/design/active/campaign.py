@@ -139,7 +139,7 @@ class ActiveRuns:
     def _use(self, fidelities: Fidelities) -> None:
         """Drop a cheaper model of which too few runs succeeded."""
         if fidelities.correction is None and fidelities.dropped is None:
-            fidelities.drop("it did not succeed together with the model at enough inputs")
+            fidelities.drop("there are too few inputs at which both models succeed")
 
     def _runs(self, batch: Batch) -> list[dict[str, float]]:
         """Return the runs of a batch: of the model, or of a cheaper one, and of both where they are compared."""

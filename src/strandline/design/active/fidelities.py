@@ -74,7 +74,7 @@ class FidelityReport:
         if self.error is None:
             return f"{cost} The correction of the cheaper model was not confirmed."
         return (
-            f"{cost} Corrected by {self.pairs} pairs of runs, interfaces of the cheaper model are right to "
+            f"{cost} Corrected by {self.pairs} pairs of runs, interfaces of the cheaper model are accurate to "
             f"{1e3 * self.error:.2g} µm where the posterior lies, {self.error / self.hidden:.0%} of the shift that the "
             "noise hides."
         )

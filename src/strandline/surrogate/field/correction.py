@@ -43,6 +43,7 @@ class Correction:
         left_out: Error of the correction at each pair, learnt from the others, root mean square along the interface,
             mm (pair,).
         spread: Root mean square distance of the model's own interfaces at the pairs from their mean, mm.
+        same_nodes: Whether both models have the same nodes in all runs.
     """
 
     layouts: Mapping[str, Layout]
@@ -54,6 +55,7 @@ class Correction:
     weights: Float[np.ndarray, " value"]
     left_out: Float[np.ndarray, " pair"]
     spread: float
+    same_nodes: bool
 
     @property
     def pairs(self) -> int:
@@ -71,7 +73,7 @@ class Correction:
         Raises:
             NoCommonPoints: An interface without common points with the others.
         """
-        points = {name: registered(cheaper[name], layout)[0] for name, layout in self.layouts.items()}
+        points = {name: _brought(cheaper[name], layout) for name, layout in self.layouts.items()}
         field = np.concatenate([one.ravel() for one in points.values()])
         field = field + self.constant + self._slope((field - self.middle)[None])[0]
         return {name: self.layouts[name].with_points(one) for name, one in self._split(field).items()}
@@ -87,7 +89,7 @@ class Correction:
     @property
     def node_by_node(self) -> bool:
         """Whether the points are the nodes of both models."""
-        return all(layout.way == "nodes" for layout in self.layouts.values())
+        return self.same_nodes
 
     def distance(self, one: Interfaces, other: Interfaces) -> float:
         """Return the distance between interfaces with common points, root mean square along the interface, mm.
@@ -125,8 +127,11 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
             expected=f"the model's: {', '.join(names)}",
             remedy="Let both models return the same conditions.",
         )
-    layouts = {name: common_layout([run[name] for run in (*model, *cheaper)]) for name in names}
-    below, above = fields_of(cheaper, layouts)[0], fields_of(model, layouts)[0]
+    layouts = {name: _layout([run[name] for run in model], [run[name] for run in cheaper]) for name in names}
+    above = fields_of(model, layouts)[0]
+    below = np.array(
+        [np.concatenate([_brought(run[name], layouts[name]).ravel() for name in names]) for run in cheaper]
+    )
     shares = [np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()]
     weights = np.sqrt(np.concatenate(shares))
     middle, conditions = below.mean(axis=0), len(layouts)
@@ -138,7 +143,38 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
     best = int(np.argmin([np.sum(one**2) for one in errors]))
     constant, factors, _ = tried[best]
     spread = float(np.sqrt(np.mean(_rms(above - above.mean(axis=0), weights, conditions) ** 2)))
-    return Correction(layouts, middle, scale, runs, constant, factors, weights, errors[best], spread)
+    same = all(common_layout([run[name] for run in (*model, *cheaper)]).way == "nodes" for name in names)
+    return Correction(layouts, middle, scale, runs, constant, factors, weights, errors[best], spread, same)
+
+
+def _layout(model: Sequence[Interface], cheaper: Sequence[Interface]) -> Layout:
+    """Return the layout of the model's nodes if open polylines can be brought to them, else a common one.
+
+    So corrected interfaces have the nodes that a measure may ask for.
+    """
+    own = common_layout(model)
+    lines = all(one.dim == 2 and not one.closed for one in (*model, *cheaper))
+    return own if own.way == "nodes" and lines else common_layout([*model, *cheaper])
+
+
+def _brought(interface: Interface, layout: Layout) -> Float[np.ndarray, "point xyz"]:
+    """Return the points of an interface in the layout; of other nodes, at the template's shares of the arclength."""
+    template = layout.template
+    if layout.way != "nodes" or interface.points.shape == template.points.shape or interface.dim != 2:
+        return registered(interface, layout)[0]
+    turned = interface.reversed() if interface.runs_against(template) else interface
+    shares, places = _shares(template), _shares(turned)
+    chain = turned.points[np.append(turned.cells[:, 0], turned.cells[-1, 1])]
+    own = np.append(template.cells[:, 0], template.cells[-1, 1])
+    out = np.empty_like(template.points)
+    out[own] = np.stack([np.interp(shares, places, column) for column in chain.T], axis=1)
+    return out
+
+
+def _shares(line: Interface) -> Float[np.ndarray, " node"]:
+    """Return the share of the arclength at each node of an open polyline, along it."""
+    length = np.append(0.0, np.cumsum(line.sizes))
+    return np.asarray(length / length[-1])
 
 
 def _conditioned(
