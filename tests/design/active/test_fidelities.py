@@ -155,6 +155,15 @@ def test_a_model_that_fails_where_the_cheaper_one_does_not_refutes_it() -> None:
     assert not used.records[-1].ok
 
 
+def test_cheaper_runs_that_fail_confirm_nothing() -> None:
+    used = both()
+    used.learn(first())
+    tried = used.try_at(POINTS[8:])
+    used.learn([*first(), *(run(at, cheaper=True, ok=False) for at in tried), *(run(at) for at in tried)])
+    assert used.doubts() == ("the correction of the cheaper model has not been confirmed",)
+    assert used.report(0.01).error is None
+
+
 def test_after_the_check_that_it_spoilt_a_dropped_model_raises_no_doubts() -> None:
     used = both()
     used.learn(first())

@@ -113,7 +113,7 @@ class Fidelities:
             self._runs.setdefault(self._at(record), {})[is_cheaper(record.inputs)] = record
         self._counts = {kind: sum(is_cheaper(record.inputs) is kind for record in records) for kind in (True, False)}
         tried = [at for at in self._trial if len(self._runs.get(at, ())) == 2]
-        found = [self._error(self._runs[at]) for at in tried]
+        found = [self._error(self._runs[at]) for at in tried if self.correction and self._runs[at][True].ok]
         self._trial = [at for at in self._trial if at not in tried]
         self._tried += found
         self._learn_correction()
@@ -240,10 +240,9 @@ class Fidelities:
         return {name: record.interfaces[name] for name in self.conditions if name in record.interfaces}
 
     def _error(self, runs: Mapping[bool, RunRecord]) -> float:
-        """Return how far the corrected interface is from the model's; infinite if only one of them succeeded."""
-        model, cheaper = runs[False], runs.get(True)
-        if self.correction is None or cheaper is None or not cheaper.ok:
-            return 0.0
+        """Return how far the corrected interface is from the model's; infinite if the model failed."""
+        model, cheaper = runs[False], runs[True]
+        assert self.correction is not None
         if not model.ok:
             return np.inf
         try:
