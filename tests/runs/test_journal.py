@@ -225,14 +225,18 @@ def test_what_a_killed_driver_had_only_begun_to_write_is_undone_by_a_reader(path
 
 
 CAMPAIGN = """
-import sys
-from strandline.models.protocol import fingerprint
+import os, signal, sys, threading
 from strandline.runs import InProcess, Ledger, run_campaign
 from strandline.testing.models import Cantilever
 model = Cantilever()
 inputs = [{"E": 300.0 + k, "load": 1e-5} for k in range(int(sys.argv[2]))]
+finished = []
+def on_record(record, progress):
+    finished.append(record)
+    if len(finished) == 5:
+        threading.Timer(float(sys.argv[3]), os.kill, (os.getpid(), signal.SIGKILL)).start()
 with Ledger.open(sys.argv[1], model=model) as ledger:
-    run_campaign(model, inputs, ledger=ledger, executor=InProcess())
+    run_campaign(model, inputs, ledger=ledger, executor=InProcess(), on_record=on_record)
 """
 
 
@@ -241,11 +245,8 @@ def test_nothing_is_lost_or_repeated_when_drivers_are_killed(path: Path, tmp_pat
     environment = {**os.environ, VARIABLE: "delete"}
     known: dict[str, bytes] = {}
     for _ in range(3):
-        with subprocess.Popen([sys.executable, "-c", CAMPAIGN, str(path), str(number)], env=environment) as driver:
-            while driver.poll() is None and len(points_of(path)) < len(known) + 5:
-                time.sleep(0.01)
-            time.sleep(rng.uniform(0.0, 0.05))
-            os.kill(driver.pid, signal.SIGKILL)
+        command = [sys.executable, "-c", CAMPAIGN, str(path), str(number), str(rng.uniform(0.0, 0.05))]
+        assert subprocess.run(command, env=environment).returncode == -signal.SIGKILL
         now = points_of(path)
         lost += sum(now.get(key) != value for key, value in known.items())
         known = now
