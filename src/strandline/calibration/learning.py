@@ -15,6 +15,7 @@ from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Tar
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveRuns, Certificate, Knowledge, learn
 from strandline.design.active.fidelities import Fidelities, as_by_model
+from strandline.design.active.settings import LARGEST_BATCH
 from strandline.design.refinement import Learnt, Refinement, Round, refine
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
 from strandline.interface import UnknownErrors
@@ -39,8 +40,6 @@ __all__ = ["Given", "Learning", "Lesson", "known_field"]
 Given = Float[np.ndarray, "run dim"] | Sequence[Mapping[str, float]]
 """The unknown inputs of runs, shape (run, dim), or all inputs of each by name."""
 
-LARGEST_BATCH = 16
-"""Largest default number of runs that an active design chooses together."""
 ROUNDS_INSTEAD = 4
 """Rounds of refinement that make the second half of an active design's runs if there can be no field."""
 

@@ -6,10 +6,12 @@ from strandline.design.active.checking import Tolerances
 from strandline.design.active.choice import criterion_named
 from strandline.errors import InvalidInput
 
-__all__ = ["FEWEST_CHECKED", "Active"]
+__all__ = ["FEWEST_CHECKED", "LARGEST_BATCH", "Active"]
 
 FEWEST_CHECKED = 20
 """Smallest number of draws of a whole check."""
+LARGEST_BATCH = 16
+"""Largest number of runs that are chosen together if none is stated."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,8 @@ class Active:
             ``study.yaml`` or a reused study do not count.
         initial: First runs, from the Sobol sequence, at least 3; default: 4 + 2 × number of inputs; with sensitivities
             half that, but at least 3.
-        batch: Runs chosen together; default: number of workers, within 2 to 16.
+        batch: Runs chosen together; default: number of workers, or 5 % of the runs so far if that is more; within
+            2 to 16.
         explore: Share of runs placed where least is known, whatever the posterior, 0 to 0.5.
         criterion: How to choose the others: ``expected_variance`` most reduces the variance of the predicted interface
             over the posterior; ``repulsion`` takes the farthest from all runs; or ``module:name`` of a criterion of
@@ -37,7 +40,8 @@ class Active:
         shift: Largest shift of a mean by the check's importance weights, in standard deviations beyond its standard
             error.
         width: Largest change of a standard deviation by these weights, in natural logarithms.
-        k_hat: Upper limit for the Pareto shape of these weights, unless 98 % of draws are effective.
+        k_hat: Upper limit for the Pareto shape of these weights, unless 98 % of draws are effective, or 1 % of as many
+            weights without a heavy tail have a larger one.
         effective: Share of draws that must be effective, between 0 and 1.
         patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest
             before it; at least 1.

@@ -5,7 +5,7 @@ noise and observation, and is far smoother in the inputs than a log-likelihood.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -14,17 +14,15 @@ from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.numerics.one_thread import one_thread
 from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of
-from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
-from strandline.surrogate.field.modes import Modes, decompose
-from strandline.surrogate.field.restricted_evidence import Observed
-from strandline.surrogate.field.warping import WARPS, Warping, eligible
+from strandline.surrogate.field.mode_process import ModeProcess
+from strandline.surrogate.field.modes import Modes
+from strandline.surrogate.field.warp_choice import Data, choose_warping, fewest_runs, fit_modes
+from strandline.surrogate.field.warping import Warping
 
 __all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field"]
 
 TOLERANCE = 1e-5
 """Default of the remainder that the modes may leave, root mean square along the interface, mm."""
-_LEADING = 3  # modes whose errors choose the warps
-_CHOOSING_ROWS = 160  # the first observations, with which the warps are chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,16 +144,11 @@ class FieldSurrogate:
         return np.asarray(np.sqrt(variance + self.modes.remainder**2))
 
 
-def fewest_runs(dim: int, *, gradients: bool) -> int:
-    """Return the smallest number of runs from which a field can be learnt."""
-    return 3 if gradients else dim + 3
-
-
 def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> FieldSurrogate:
     """Return the surrogate of the field from these runs; the result depends on nothing else.
 
-    Inputs that are positive over a wide box may enter by their logarithm or reciprocal, first all in the same way, then
-    one by one: the warp with the smallest leave-one-run-out error of the leading modes is taken.
+    Inputs that are positive over a wide box may enter by their logarithm or reciprocal, whichever predicts the runs
+    better.
 
     Args:
         training: The runs.
@@ -188,23 +181,11 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
     corresponding = all(layout.way == "nodes" for layout in layouts.values())
     gradients = _gradients(training, layouts) if corresponding else None
     weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
-    data = _Data(training.x, fields, weights, gradients)
+    data = Data(training.x, fields, weights, gradients)
     with one_thread():
-        warping = _choose(data, Warping(("identity",) * dim, training.low, training.high), tolerance)
-        modes, processes = _fit(data, warping, tolerance)
+        warping = choose_warping(data, Warping(("identity",) * dim, training.low, training.high), tolerance)
+        modes, processes = fit_modes(data, warping, tolerance)
     return FieldSurrogate(layouts, warping, modes, processes, error, gradients is not None)
-
-
-@dataclass(frozen=True, eq=False)
-class _Data:
-    x: Float[np.ndarray, "run dim"]
-    fields: Float[np.ndarray, "run value"]
-    weights: Float[np.ndarray, " value"]
-    gradients: Float[np.ndarray, "run value dim"] | None
-
-    def first(self, number: int) -> "_Data":
-        gradients = None if self.gradients is None else self.gradients[:number]
-        return _Data(self.x[:number], self.fields[:number], self.weights, gradients)
 
 
 def _gradients(training: FieldTraining, layouts: Mapping[str, Layout]) -> Float[np.ndarray, "run value dim"] | None:
@@ -213,48 +194,3 @@ def _gradients(training: FieldTraining, layouts: Mapping[str, Layout]) -> Float[
         return None
     dim = training.x.shape[1]
     return np.array([np.concatenate([run[name].reshape(-1, dim) for name in layouts]) for run in training.gradients])
-
-
-def _fit(
-    data: _Data, warping: Warping, tolerance: float, most: int | None = None
-) -> tuple[Modes, tuple[ModeProcess, ...]]:
-    """Return the modes and their processes; `most` limits their number, for comparisons."""
-    z = warping.standardise(data.x)
-    derivatives = None if data.gradients is None else warping.gradients(data.x, data.gradients)
-    modes = decompose(data.fields, data.weights, derivatives, tolerance=tolerance)
-    values = modes.coefficients(data.fields)
-    slopes = None if derivatives is None else modes.by_input(derivatives)
-    linear = slopes is not None or len(z) >= 2 * (z.shape[1] + 1)
-    number = values.shape[1] if most is None else min(most, values.shape[1])
-    observed = [Observed(z, values[:, m], None if slopes is None else slopes[:, m], linear) for m in range(number)]
-    return modes, tuple(fit_mode(one, quick=most is not None) for one in observed)
-
-
-def _choose(data: _Data, warping: Warping, tolerance: float) -> Warping:
-    """Return the warping with the best warp for each input, the others held fixed; ties change nothing."""
-    rows = 1 if data.gradients is None else 1 + data.x.shape[1]
-    few = data.first(max(_CHOOSING_ROWS // rows, fewest_runs(data.x.shape[1], gradients=rows > 1)))
-    some = eligible(warping.low, warping.high)
-    if not some:
-        return warping
-    together = [replace(warping, names=_changed(warping.names, some, name)) for name in WARPS]
-    errors = [_error(few, tried, tolerance) for tried in together]
-    best, warping = min(errors), together[int(np.argmin(errors))]
-    for j in some if len(some) > 1 else ():
-        for name in WARPS:
-            tried = replace(warping, names=_changed(warping.names, [j], name))
-            error = best if tried.names == warping.names else _error(few, tried, tolerance)
-            if error < best:
-                best, warping = error, tried
-    return warping
-
-
-def _changed(names: tuple[str, ...], inputs: Sequence[int], name: str) -> tuple[str, ...]:
-    return tuple(name if j in inputs else old for j, old in enumerate(names))
-
-
-def _error(data: _Data, warping: Warping, tolerance: float) -> float:
-    """Return the sum of squares of the leading modes' errors at left-out runs, mm²; extremes are clipped."""
-    _, processes = _fit(data, warping, tolerance, most=_LEADING)
-    errors = np.sum([process.left_out().errors ** 2 for process in processes], axis=0)
-    return float(np.sum(np.minimum(errors, 25 * np.median(errors))))
