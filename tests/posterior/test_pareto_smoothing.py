@@ -11,6 +11,7 @@ from strandline.posterior.pareto_smoothing import (
     GeneralisedPareto,
     SmoothedWeights,
     fit_generalised_pareto,
+    largest_usual_k_hat,
     pareto_smoothed,
     reliability_threshold,
     verdict_on,
@@ -139,3 +140,18 @@ def normalised(log_ratios: np.ndarray) -> np.ndarray:
 def test_ratios_that_are_none(wrong: list[float]) -> None:
     with pytest.raises(InvalidInput, match="log ratios of importance sampling"):
         pareto_smoothed(np.array(wrong))
+
+
+@pytest.mark.parametrize("number", [20, 43, 400])
+def test_the_usual_k_hat_is_exceeded_by_one_set_of_normal_log_ratios_in_a_hundred(number: int) -> None:
+    random = np.random.default_rng(5)
+    sets = 0.2 * random.standard_normal((500, number))
+    above = [pareto_smoothed(one).k_hat > largest_usual_k_hat(one) for one in sets]
+    assert 0.0 <= np.mean(above) <= 0.03
+
+
+def test_a_heavy_tail_exceeds_the_usual_k_hat() -> None:
+    """Few draws show a heavy tail less often than many do."""
+    random = np.random.default_rng(6)
+    heavy = [np.log(1.0 + random.pareto(0.8, size=100)) for _ in range(100)]
+    assert np.mean([pareto_smoothed(one).k_hat > max(largest_usual_k_hat(one), 0.5) for one in heavy]) > 0.2

@@ -7,6 +7,7 @@ distribution, Technometrics 51 (3), 2009.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -21,6 +22,7 @@ __all__ = [
     "SmoothedWeights",
     "Verdict",
     "fit_generalised_pareto",
+    "largest_usual_k_hat",
     "pareto_smoothed",
     "reliability_threshold",
     "verdict_on",
@@ -34,6 +36,8 @@ NEARLY_EQUAL = 0.98
 SMALLEST_TAIL = 5
 PRIOR_SHAPE, PRIOR_WEIGHT = 0.5, 10
 """The shape is shrunk towards 1/2 with the weight of ten observations: Appendix C of Vehtari et al."""
+USUAL, USUAL_SETS, INTERQUARTILE_RANGE = 0.99, 400, 1.349
+"""Share of sets of normal log ratios whose k̂ is usual; number of sets tried; range of the standard normal."""
 LOG_NOTHING = -460.0
 """A weight below e^-460 = 1e-200 of the largest counts as zero."""
 LOG_EQUAL = 1e-10
@@ -142,6 +146,21 @@ def verdict_on(weights: SmoothedWeights) -> Verdict:
     if weights.k_hat < min(GOOD_BELOW, threshold) or weights.ess >= NEARLY_EQUAL * number:
         return "good"
     return "usable" if weights.k_hat < threshold else "bad"
+
+
+def largest_usual_k_hat(log_ratios: Float[np.ndarray, " draw"]) -> float:
+    """Return the k̂ that 99 % of sets of as many normal log ratios with the same interquartile range do not exceed.
+
+    Some dozen draws leave k̂ so uncertain that it is often above 1/2 for weights without a heavy tail.
+    """
+    spread = float(np.diff(np.quantile(log_ratios, [0.25, 0.75]))[0]) / INTERQUARTILE_RANGE
+    return _usual_k_hat(len(log_ratios), max(round(spread, 2), 0.01))
+
+
+@lru_cache(maxsize=64)
+def _usual_k_hat(number: int, spread: float) -> float:
+    sets = spread * np.random.default_rng(0).standard_normal((USUAL_SETS, number))
+    return float(np.quantile([pareto_smoothed(one).k_hat for one in sets], USUAL, method="higher"))
 
 
 def _require_ratios(log_ratios: Float[np.ndarray, " draw"]) -> None:

@@ -234,7 +234,6 @@ def test_a_check_whose_runs_fail_is_none() -> None:
         ({"effective": 0.999}, "the effective sample size of the weights"),
         ({"shift": 1e-9}, "importance weights move a mean by"),
         ({"width": 1e-9}, "importance weights multiply a standard deviation by"),
-        ({"k_hat": 1e-9}, "Pareto k̂ is"),
     ],
 )
 def test_each_tolerance_counts(tolerances: dict[str, float], reason: str) -> None:
@@ -245,6 +244,15 @@ def test_each_tolerance_counts(tolerances: dict[str, float], reason: str) -> Non
     assert objections(found, Tolerances(**loose)) == ()
     (objection,) = objections(found, Tolerances(**{**loose, **tolerances}))
     assert reason in objection
+
+
+def test_a_heavy_tail_of_the_weights_counts_and_a_usual_one_does_not() -> None:
+    x = np.random.default_rng(1).standard_normal((200, 1))
+    strict = Tolerances(effective=0.01, shift=100.0, k_hat=0.3, width=100.0)
+    (objection,) = objections(reweight(x, 0.49 * x[:, 0] ** 2), strict)
+    assert objection == f"Pareto k̂ is {reweight(x, 0.49 * x[:, 0] ** 2).smoothed.k_hat:.2f}, not below 0.3"
+    assert reweight(x, 0.5 * x[:, 0]).smoothed.k_hat > strict.k_hat / 10
+    assert objections(reweight(x, 0.5 * x[:, 0]), replace(strict, k_hat=1e-9)) == ()
 
 
 def test_an_objection_tells_how_far_a_mean_moves_whatever_its_direction() -> None:

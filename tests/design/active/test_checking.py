@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from strandline.design.active import parabola
 from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, looks, number_of_probes, probes, verdict
 from strandline.design.active.parabola import fewest, smooth_effect
 
@@ -138,6 +139,46 @@ def test_bounds_hold_and_estimates_alone_would_not() -> None:
         effects.append(smooth_effect(draws, ratios, posterior, 0.05))
     assert np.mean([one.shift_bounds[1] <= 0.1 for one in effects]) <= 0.05
     assert np.mean([one.shift <= 0.1 for one in effects]) > 0.1
+
+
+def test_noise_in_many_inputs_is_not_taken_for_a_shift() -> None:
+    """The largest of seven shifts is never near zero by chance, so a quantile of it is no lower bound: the planted bug.
+
+    Without a shift, 18 noisy draws put that quantile above the tolerance in a third of the sets.
+    """
+    lowest, planted = [], []
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        draws, posterior = random.standard_normal((18, 7)), random.standard_normal((500, 7))
+        ratios = 0.3 * random.standard_normal(18)
+        found = smooth_effect(draws, ratios, posterior, 0.01)
+        lowest.append(found.shift_bounds[0])
+        assert found.effective_bounds[1] > np.exp(-(0.3**2)) - 0.1
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(parabola, "_bounds", lambda drawn, level: (np.quantile(np.abs(drawn).max(1), level), np.inf))
+            planted.append(smooth_effect(draws, ratios, posterior, 0.01).shift_bounds[0])
+    assert np.mean(np.array(lowest) > 0.1) <= 0.05
+    assert np.mean(np.array(planted) > 0.1) >= 0.2
+
+
+def test_a_large_shift_is_noticed_at_once() -> None:
+    random = np.random.default_rng(1)
+    draws, posterior = random.standard_normal((24, 7)), random.standard_normal((500, 7))
+    ratios = 0.6 * draws[:, 2] + 0.1 * random.standard_normal(24)
+    assert smooth_effect(draws, ratios, posterior, 0.01).shift_bounds[0] > 0.2
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.2])
+def test_right_surrogates_of_many_inputs_pass(noise: float) -> None:
+    assert share_passed(right, dim=7, noise=noise) >= 0.95
+
+
+def test_a_limit_of_k_hat_that_few_draws_exceed_by_chance_refuses_right_surrogates(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The planted bug: k̂ of some 25 draws is taken at its word."""
+    monkeypatch.setattr("strandline.design.active.checking.largest_usual_k_hat", lambda log_ratios: 0.5)
+    assert share_passed(right, dim=7, noise=0.2) < 0.9
 
 
 def test_the_effective_share_under_noise_lies_between_its_bounds() -> None:

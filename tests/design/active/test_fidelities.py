@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.design.active.fidelities import REFUTED, TRIED, Fidelities, as_by_model
+from strandline.design.active.fidelities import AGAIN, REFUTED, TRIED, Fidelities, as_by_model
 from strandline.interface import Interface
 from strandline.models.fidelities import CHEAPER
 from strandline.runs import RunRecord
@@ -121,6 +121,20 @@ def test_a_trial_confirms_the_correction_by_runs_that_it_has_not_learnt_from() -
     assert (report.cheaper, report.model, report.pairs) == (11, 6, 6)
     assert report.equivalents == pytest.approx(6 + 0.3 * 11)
     assert "are accurate to" in report.statement
+
+
+def test_once_confirmed_a_correction_is_tried_at_one_draw_of_a_later_posterior() -> None:
+    used, runs = both(9e-3), first()
+    used.learn(runs)
+    runs += [one for at in used.try_at(POINTS[5:]) for one in (run(at, cheaper=True), run(at))]
+    used.learn(runs)
+    before = used.report(0.02)
+    tried = used.try_at(POINTS[8:])
+    assert len(tried) == AGAIN < TRIED
+    used.learn([*runs, *(run(at, cheaper=True) for at in tried), *(run(at, lacks=0.2) for at in tried)])
+    assert "wrong at a draw" in used.doubts()[0]
+    assert len(used.try_at(POINTS[8:])) == TRIED
+    assert before.pairs == 6
 
 
 def test_a_correction_that_is_wrong_at_the_posterior_is_refuted_and_then_dropped() -> None:

@@ -120,7 +120,7 @@ def test_known_scatter_is_taken_out_of_the_effective_share_alone() -> None:
     ratios = 0.5 * random.standard_normal(60)
     plain, known = (smooth_effect(draws, ratios, posterior, 0.05, scatter=s) for s in (0.0, 0.25))
     assert (known.shift_bounds, known.width_bounds) == (plain.shift_bounds, plain.width_bounds)
-    assert plain.effective_bounds[0] < 0.7
+    assert plain.effective_bounds[0] < 0.75
     assert known.effective_bounds[0] == pytest.approx(plain.effective_bounds[0] * np.exp(0.25), rel=1e-6)
     assert smooth_effect(draws, ratios, posterior, 0.05, scatter=9.0).effective_bounds[1] <= 1.0
 

@@ -24,11 +24,19 @@ from strandline.design.active.checking import (
     verdict,
 )
 from strandline.design.active.choice import choose
-from strandline.design.active.elsewhere import Surprise, left_out_surprise, points_around, points_elsewhere, surprises
+from strandline.design.active.elsewhere import (
+    LEFT_OUT_NOISE,
+    LEFT_OUT_SDS,
+    Surprise,
+    left_out_surprise,
+    points_around,
+    points_elsewhere,
+    surprises,
+)
 from strandline.design.active.failing import Losses
 from strandline.design.active.left_out import NEAR, left_out_ratios
 from strandline.design.active.scatter import NONE, Scatter, scatter_of, typical_variance
-from strandline.design.active.settings import Active
+from strandline.design.active.settings import LARGEST_BATCH, Active
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
 from strandline.likelihood import noise_length
@@ -44,6 +52,10 @@ FEWEST_LEFT_OUT = 20
 FEW_INPUTS, HARDLY = 3, 0.3
 """Number of inputs above which runs are chosen among draws of the posterior itself once it hardly moves: no mean by so
 many standard deviations, no logarithm of a standard deviation by as much."""
+BATCH_SHARE = 0.05
+"""Runs of a batch as a share of the runs so far, if no number is stated and this is more than that of workers."""
+STILL = 0.5
+"""Share of `Active.change` by which a posterior may move and still be the one that a check has passed."""
 SHOWING = 500
 """Draws that show how far the posterior would move."""
 DIFFERENT = 0.4
@@ -155,6 +167,7 @@ class ActiveDesign:
         self._checked: Checked | None = None
         self._odd: tuple[Surprise, ...] = ()
         self._looked_around: set[bytes] = set()
+        self._passed: tuple[Remembered, BatchCheck] | None = None
         self.scatter: Scatter = NONE
         self.scattered = False
         self._observed: tuple[int, float | None] = (active.check, None)
@@ -177,16 +190,22 @@ class ActiveDesign:
         kind = self.batches[-1].kind
         check: BatchCheck | None = None
         if kind == "elsewhere":
-            self._odd = self._surprises(self.batches[-1].points, x, records, self.state)
+            here, before = self.batches[-1].points, self.state
+            self._odd = self._surprises(here, x, records, before)
+            if self._surprises(here, x, records, before, limits=(LEFT_OUT_SDS, LEFT_OUT_NOISE)):
+                self._passed = None
         if kind == "check":
             found = self._judged(x, records)
             if not isinstance(found, BatchCheck):
                 return self._noted(self._more_draws(), "check")
             check = found
         self.state = self.learn(x, records)
+        if kind == "elsewhere" and not self._odd:
+            check = self._still_passed()
         if check is not None and check.passed:
             self._odd = self._left_out(self.state)
             if self._odd:
+                self._passed = Remembered.of(self.state), check
                 check = replace(check, passed=False, reasons=(self._odd[0].words(self.space),))
         if kind == "given":
             check = self._judged_without_runs(records)
@@ -194,7 +213,7 @@ class ActiveDesign:
             check = replace(check, passed=False, reasons=why)
         self.steps.append(self._step(check))
         stable, left = self._stable(records), self._left
-        if check is not None and check.passed and (stable or kind == "given"):
+        if check is not None and check.passed and (stable or kind in ("given", "elsewhere")):
             self.converged, self.reasons = True, ()
             return None
         if kind == "given":
@@ -213,7 +232,7 @@ class ActiveDesign:
         ready = (stable and check is None and room >= 0) or room < 1
         if ready and self._can_be_checked(records, left) and (self._confirmed() or room < 1):
             return self._noted(self._to_check(x, records, left), "check")
-        return self._noted(self._chosen(min(self.batch, room if room > 0 else left), len(x)), "posterior")
+        return self._noted(self._chosen(min(self._together, room if room > 0 else left), len(x)), "posterior")
 
     def _can_be_checked(self, records: Sequence[RunRecord], left: int) -> bool:
         """Return whether the runs left are enough for a check that could pass, and would not be lost to failures."""
@@ -240,6 +259,14 @@ class ActiveDesign:
             if losses.bears(points):
                 break
         return points
+
+    @property
+    def _together(self) -> int:
+        """Number of runs of the next batch: it grows with the runs so far, so that choosing takes not too long."""
+        if self.active.batch is not None:
+            return self.batch
+        asked = sum(len(batch.points) for batch in self.batches)
+        return max(self.batch, min(int(BATCH_SHARE * asked), LARGEST_BATCH))
 
     @property
     def _nearly_settled(self) -> bool:
@@ -330,21 +357,34 @@ class ActiveDesign:
         found = left_out_surprise(state, _noise(state), self._looked_around, known)
         return () if found is None else (found,)
 
+    def _still_passed(self) -> BatchCheck | None:
+        """Return the check that the posterior had passed before an odd run far from it made the design look around.
+
+        It still holds if runs around the odd one contradict nothing and leave the posterior where it was.
+        """
+        assert self.state is not None
+        (passed, self._passed) = (self._passed, None)
+        if passed is None:
+            return None
+        moved = passed[0].moved(self.state.knowledge)
+        return passed[1] if max(moved.shift, moved.width) < STILL * self.active.change and self._quiet(moved) else None
+
     def _surprises(
         self,
         points: Float[np.ndarray, "new dim"],
         x: Float[np.ndarray, "run dim"],
         records: Sequence[RunRecord],
         state: State | None,
+        **limits: tuple[float, float],
     ) -> tuple[Surprise, ...]:
-        """Return which runs at these points `state` did not expect."""
+        """Return which runs at these points `state` did not expect, see `elsewhere.surprises`."""
         wanted = {row.tobytes() for row in points}
         good = [k for k, row in enumerate(x) if row.tobytes() in wanted and records[k].ok]
         if not good or state is None:
             return ()
         made = [records[k] for k in good]
         true = np.array([self.log_likelihood(record) for record in made])
-        return surprises(state, x[good], made, true, self.active.unseen, _noise(state))
+        return surprises(state, x[good], made, true, self.active.unseen, _noise(state), **limits)
 
     def _judged_without_runs(self, records: Sequence[RunRecord]) -> BatchCheck:
         """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 
 from strandline.design.active.parabola import Effect, fewest, smooth_effect
-from strandline.posterior import NEARLY_EQUAL, Reweighting, reweight
+from strandline.posterior import NEARLY_EQUAL, Reweighting, largest_usual_k_hat, reweight
 
 __all__ = [
     "FEWEST_DRAWS",
@@ -40,6 +40,8 @@ POOL = 200
 """Draws from which the probes are picked."""
 ERROR_PROBABILITY = 0.05
 """Probability that an early verdict is wrong, over all looks together."""
+LIKELY = 0.05
+"""Probability that each objection of the parabola to all draws is wrong: it has seen tails that the others may miss."""
 GROWTH = 0.25
 """Share by which the draws of a check grow from one look to the next."""
 FEWEST_WHOLE = 18
@@ -55,7 +57,8 @@ class Tolerances:
     Args:
         shift: Shift of a mean, in standard deviations.
         width: Change of the logarithm of a standard deviation.
-        k_hat: Pareto shape of the weights, unless nearly all draws are effective.
+        k_hat: Pareto shape of the weights, unless nearly all draws are effective or as few normal weights often have a
+            larger one.
         effective: Share of draws that must be effective.
     """
 
@@ -199,7 +202,8 @@ def verdict(
     if equal.sum() < FEWEST_WHOLE:
         return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))
     whole = reweight(draws[equal], log_ratios[equal])
-    return ended(objections(whole, tolerances) or _likely_beyond(effect, tolerances), whole)
+    likely = smooth_effect(kept, ratios, posterior, LIKELY, scatter=scatter)
+    return ended(objections(whole, tolerances) or _beyond(likely, tolerances), whole)
 
 
 def agree(left_out: LeftOut, posterior: Float[np.ndarray, "particle dim"], tolerances: Tolerances) -> bool:
@@ -237,19 +241,13 @@ def _beyond(effect: Effect, tolerances: Tolerances) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _likely_beyond(effect: Effect, tolerances: Tolerances) -> tuple[str, ...]:
-    """Return a width that is likely beyond the tolerance, where no draw may have gone, in words."""
-    if effect.width < tolerances.width or effect.width_bounds[0] < 0.5 * tolerances.width:
-        return ()
-    return (f"the true model is likely to change a standard deviation by {math.expm1(effect.width):.0%}",)
-
-
 def objections(found: Reweighting, tolerances: Tolerances) -> tuple[str, ...]:
     """Return what the weights of all draws object to, in words."""
     number = len(found.smoothed.log_weights)
     share, beyond = found.smoothed.ess / number, np.abs(found.shift) - found.shift_error
     width, out = np.abs(np.log(np.maximum(found.sd_ratio, 1e-300))), []
-    if found.smoothed.k_hat >= tolerances.k_hat and share < NEARLY_EQUAL:
+    heavy = found.smoothed.k_hat >= tolerances.k_hat and share < NEARLY_EQUAL
+    if heavy and found.smoothed.k_hat > largest_usual_k_hat(found.smoothed.log_weights):
         out.append(f"Pareto k̂ is {found.smoothed.k_hat:.2f}, not below {tolerances.k_hat:g}")
     if beyond.max() >= tolerances.shift:
         worst = float(np.abs(found.shift[beyond.argmax()]))

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
+from scipy.stats import norm
 
 from strandline.design.active.state import State
 from strandline.design.space_filling import sobol
@@ -21,7 +22,17 @@ from strandline.interface import Interface
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 
-__all__ = ["SURE", "Surprise", "least_found", "left_out_surprise", "points_around", "points_elsewhere", "surprises"]
+__all__ = [
+    "LEFT_OUT_NOISE",
+    "LEFT_OUT_SDS",
+    "SURE",
+    "Surprise",
+    "least_found",
+    "left_out_surprise",
+    "points_around",
+    "points_elsewhere",
+    "surprises",
+]
 
 SURE = 0.95
 """Probability with which a region is found."""
@@ -30,7 +41,7 @@ MIDDLES, POOL = 512, 2048
 SHARES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
 """Shares of the prior's mass that the certificate distinguishes."""
 LEFT_OUT_SDS, LEFT_OUT_NOISE = 2.0, 1.0
-"""The same for a run that is predicted from the others, which have learnt to expect errors like its own."""
+"""The same, at least, for a run that is predicted from the others, which have learnt to expect errors like its own."""
 FEW = 4
 """Largest number of inputs for which balls, not cubes, are filled."""
 WEIGHTY = 0.01
@@ -156,6 +167,8 @@ def surprises(
     log_likelihoods: Float[np.ndarray, " run"],
     share: float,
     noise: float,
+    *,
+    limits: tuple[float, float] = (STANDARD_DEVIATIONS, NOISE_LENGTHS),
 ) -> tuple[Surprise, ...]:
     """Return which runs the surrogate did not expect.
 
@@ -166,6 +179,7 @@ def surprises(
         log_likelihoods: Their log-likelihoods by the true model.
         share: Share of the prior's mass that each may stand for.
         noise: Shift of the interface that the noise hides, mm.
+        limits: Errors beyond which an interface is not expected, in predicted standard deviations and in `noise`.
     """
     if not len(x):
         return ()
@@ -178,7 +192,7 @@ def surprises(
     fits = (log_likelihoods - expected > UNLIKELY) & ~(weight < math.log(WEIGHTY))
     errors = np.array([_distance(surrogate.interfaces(x[i]), record.interfaces) for i, record in enumerate(records)])
     beyond = errors / np.maximum(surrogate.predicted_error(x), np.finfo(float).tiny)
-    odd = fits | ((beyond > STANDARD_DEVIATIONS) & (errors > NOISE_LENGTHS * noise))
+    odd = fits | ((beyond > limits[0]) & (errors > limits[1] * noise))
     return tuple(Surprise(x[i], bool(fits[i]), float(beyond[i])) for i in np.flatnonzero(odd))
 
 
@@ -201,7 +215,8 @@ def left_out_surprise(
     beyond[errors / math.sqrt(len(surrogate.layouts)) < LEFT_OUT_NOISE * noise] = 0.0
     beyond[[row.tobytes() in before or row.tobytes() in known for row in x]] = 0.0
     worst = int(np.argmax(beyond))
-    return Surprise(x[worst], False, float(beyond[worst])) if beyond[worst] > LEFT_OUT_SDS else None
+    usual = float(norm.isf(1.0 / len(x)))  # two of so many normal errors exceed it on average, one on each side
+    return Surprise(x[worst], False, float(beyond[worst])) if beyond[worst] > max(LEFT_OUT_SDS, usual) else None
 
 
 def _distance(predicted: Mapping[str, Interface], found: Mapping[str, Interface]) -> float:

@@ -20,8 +20,8 @@ from strandline.surrogate.field.correction import FEWEST_PAIRS, Correction, fit_
 
 __all__ = ["TRIED", "Fidelities", "FidelityReport", "as_by_model"]
 
-TRIED = 3
-"""Draws of a posterior at which the correction is confirmed."""
+TRIED, AGAIN = 3, 1
+"""Draws of a posterior at which the correction is confirmed, and of one that follows such a posterior."""
 MISLEADING = 0.5
 """A cheaper model is dropped if its corrected interfaces err by more than this share of the interfaces' spread."""
 REFUTED = 2
@@ -196,8 +196,10 @@ class Fidelities:
 
     def try_at(self, points: Float[np.ndarray, "draw dim"]) -> Float[np.ndarray, "tried dim"]:
         """Begin a trial at the first draws of a posterior; return those at which both models are to be run."""
-        tried = points[:TRIED]
-        self._trial, self._tried = [row.tobytes() for row in tried], []
+        held = bool(self._tried) and max(self._tried) <= self.tolerated
+        self._tried = self._tried if held else []
+        tried = points[: AGAIN if held else TRIED]
+        self._trial = [row.tobytes() for row in tried]
         return tried
 
     def pays(self, error: float) -> bool:

@@ -65,6 +65,10 @@ def smooth_effect(
         level: Probability that each bound is exceeded.
         scatter: Variance of δ by the simulator's own scatter, which is no error of the posterior. It widens the bounds
             of shifts and widths, as all scatter does, but is taken out of those of the effective share.
+
+    The effective share is about exp(-Var δ). Its lower bound takes the variance of δ as a whole, or that of the
+    parabola and of the errors about it, whichever is smaller; its upper bound takes the part of the parabola's spread
+    that is more than chance gives (by the triangle inequality), and these errors.
     """
     mean, sd = posterior.mean(axis=0), posterior.std(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(((posterior - mean) / sd).T)))
@@ -84,25 +88,45 @@ def smooth_effect(
     spread = np.linalg.solve(r, random.standard_normal((A.shape[1], SAMPLES))).T
     variances = rest / random.chisquare(freedom, SAMPLES)
     drawn = np.vstack([best, best + spread * np.sqrt(variances)[:, None]])
-    shift, width, size = _moved(posterior, (mean, sd), drawn @ B.T)
-    sure, least = (float(np.quantile(size[1:], p)) for p in (1 - level, level))
-    most, few = rest / float(chi2.ppf(level, freedom)), rest / float(chi2.ppf(1 - level, freedom))
-    most, few = max(most - scatter, 0.0), max(few - scatter, 0.0)
+    means, widths, size = _moved(posterior, (mean, sd), drawn @ B.T)
+    shift, width = np.abs(means[0]).max(), np.abs(widths[0]).max()
+    by_fit = float(np.quantile(size[1:], 1 - level / 2)) + max(_largest_variance(rest, freedom, level) - scatter, 0.0)
+    total = float(np.sum((log_ratios - log_ratios.mean()) ** 2))
+    by_all = max(_largest_variance(total, len(A) - 1, level) - scatter, 0.0)
+    few = max(rest / float(chi2.ppf(1 - level, freedom)) - scatter, 0.0)
+    *_, by_chance = _moved(posterior, (mean, sd), (drawn[1:] - best) @ B.T)
+    least = max(math.sqrt(size[0]) - math.sqrt(np.quantile(by_chance, 1 - level)), 0.0) ** 2
     return Effect(
-        float(shift[0]),
-        (float(np.quantile(shift[1:], level)), float(np.quantile(shift[1:], 1 - level))),
-        float(width[0]),
-        (float(np.quantile(width[1:], level)), float(np.quantile(width[1:], 1 - level))),
-        (math.exp(-sure - most), math.exp(-least - few)),
+        float(shift),
+        _bounds(means[1:], level),
+        float(width),
+        _bounds(widths[1:], level),
+        (math.exp(-min(by_fit, by_all)), math.exp(-least - few)),
     )
+
+
+def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float, float]:
+    """Return bounds of the largest size of several quantities, from draws of each.
+
+    The largest size of many draws is large by chance alone, so the lower bound is the largest of all quantities' own.
+    """
+    share = level / drawn.shape[1]
+    lowest, highest = np.quantile(drawn, share, axis=0), np.quantile(drawn, 1 - share, axis=0)
+    upper = np.quantile(np.abs(drawn).max(axis=1), 1 - level)
+    return float(np.maximum(np.maximum(lowest, -highest), 0.0).max()), float(upper)
+
+
+def _largest_variance(squares: float, freedom: int, level: float) -> float:
+    """Return the bound of a variance that two of them share a `level` for, given a sum of squares."""
+    return squares / float(chi2.ppf(level / 2, freedom))
 
 
 def _moved(
     posterior: Float[np.ndarray, "particle dim"],
     moments: tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]],
     log_ratios: Float[np.ndarray, "sample particle"],
-) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, " sample"], Float[np.ndarray, " sample"]]:
-    """Return the largest shift, the largest change of a log sd, and minus the log of the effective share."""
+) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
+    """Return the shifts of the means, in sds, the changes of the log sds, and minus the log of the effective share."""
     mean, sd = moments
     weights = np.exp(log_ratios - log_ratios.max(axis=1, keepdims=True))
     weights /= weights.sum(axis=1, keepdims=True)
@@ -110,4 +134,4 @@ def _moved(
     means = weights @ z
     variances = np.maximum(weights @ z**2 - means**2, 1e-12)
     effective = 1.0 / (weights**2).sum(axis=1) / len(z)
-    return np.abs(means).max(axis=1), np.abs(0.5 * np.log(variances)).max(axis=1), -np.log(np.minimum(effective, 1.0))
+    return means, 0.5 * np.log(variances), -np.log(np.minimum(effective, 1.0))
