@@ -14,6 +14,7 @@ from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch
 from strandline.design.active import campaign as campaign_module
 from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, objections
+from strandline.design.active.elsewhere import Surprise
 from strandline.design.active.outcome import Certificate
 from strandline.design.active.state import Remembered, State
 from strandline.discrepancy import TrackedPoints
@@ -87,6 +88,46 @@ def test_a_posterior_that_stays_is_checked_and_that_is_all() -> None:
     assert [step.kind for step in one.steps] == ["initial", "posterior", "posterior", "check"]
     assert [step.since for step in one.steps] == [None, 12, 16, 20]
     assert one.steps[0].moved is None
+
+
+@pytest.mark.parametrize(("batch", "sizes"), [(None, {4, 5, 6, 16}), (4, {4})])
+def test_batches_grow_with_the_runs_unless_their_size_is_stated(batch: int | None, sizes: set[int]) -> None:
+    found = set()
+    for first in (12, 100, 130, 1000):
+        one = design(Active(2000, batch=batch))
+        one.start(SPACE.to_physical(sobol(first, 2)))
+        found.add(one._together)
+    assert found == sizes
+
+
+def passed_and_odd(monkeypatch: pytest.MonkeyPatch, *, drift: float = 0.0, worse: bool = False) -> ActiveDesign:
+    """Play a design whose posterior passes its check, whereupon an odd run is found once, and looked around."""
+    odd = [Surprise(np.array([0.9, 0.9]), False, 3.0)]
+    monkeypatch.setattr(ActiveDesign, "_left_out", lambda self, state: (odd.pop(),) if odd else ())
+    one = design(Active(100), FakeLearner([0.2] * 4 + [0.2 + drift]))
+
+    def surprises(self: ActiveDesign, *_: Any, limits: Any = None) -> tuple[Surprise, ...]:
+        return (Surprise(np.array([0.9, 0.9]), False, 3.0),) if worse and limits is not None else ()
+
+    monkeypatch.setattr(ActiveDesign, "_surprises", surprises)
+    played(one)
+    return one
+
+
+def test_a_passed_check_is_kept_if_an_odd_run_far_away_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = passed_and_odd(monkeypatch)
+    assert [batch.kind for batch in one.batches] == ["initial", "posterior", "posterior", "check", "elsewhere"]
+    assert one.converged
+    assert one.steps[-1].check is not None
+    assert one.steps[-2].check is not None
+    assert not one.steps[-2].check.passed
+
+
+@pytest.mark.parametrize("options", [{"drift": 0.015}, {"worse": True}], ids=["it moved", "runs around it are off too"])
+def test_it_is_not_kept_otherwise(monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]) -> None:
+    one = passed_and_odd(monkeypatch, **options)
+    assert [batch.kind for batch in one.batches].count("check") == 2
+    assert one.converged
 
 
 def test_a_posterior_that_moves_is_not_checked_yet() -> None:

@@ -147,6 +147,16 @@ def test_a_run_that_the_others_contradict_is_found_once() -> None:
     assert left_out_surprise(state, 100 * NOISE, set(), set()) is None  # hidden by the noise
 
 
+def test_the_worst_of_many_runs_may_be_farther_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [module._largest_usual(number) for number in (1, 20, 43)] == [2.0] * 3
+    assert module._largest_usual(1000) == pytest.approx(3.09, abs=0.01)
+    errors = np.random.default_rng(1).standard_normal((400, 1000))
+    farther = (np.abs(errors) > module._largest_usual(1000)).sum(axis=1)
+    assert farther.mean() == pytest.approx(2.0, abs=0.3)
+    monkeypatch.setattr(module, "LEFT_OUT_SDS", 10.0)
+    assert left_out_surprise(spoiled(5, 0.05), 0.2 * NOISE, set(), set()) is None
+
+
 def test_runs_of_a_smooth_model_do_not_contradict_each_other(state: State) -> None:
     assert left_out_surprise(state, 0.2 * NOISE, set(), set()) is None
 
