@@ -16,6 +16,7 @@ from strandline.design.active import campaign as campaign_module
 from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, objections
 from strandline.design.active.elsewhere import Surprise
 from strandline.design.active.outcome import Certificate
+from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Remembered, State
 from strandline.discrepancy import TrackedPoints
 from strandline.errors import InvalidInput, TooFewRuns
@@ -33,9 +34,9 @@ PROBES = number_of_probes(2)
 @pytest.fixture(autouse=True)
 def nothing_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """`FakeLearner` has a surrogate of its first runs only, which cannot be left out one by one."""
-    monkeypatch.setattr(ActiveDesign, "_left_out", lambda self, state: ())
+    monkeypatch.setattr(PosteriorCheck, "left_out", lambda self, *_: ())
     none = LeftOut(np.empty((0, 2)), np.empty(0))
-    monkeypatch.setattr(ActiveDesign, "_near", lambda self, state, records: none)
+    monkeypatch.setattr(PosteriorCheck, "near", lambda self, state, records: none)
 
 
 def honest(one: RunRecord) -> float:
@@ -103,13 +104,13 @@ def test_batches_grow_with_the_runs_unless_their_size_is_stated(batch: int | Non
 def passed_and_odd(monkeypatch: pytest.MonkeyPatch, *, drift: float = 0.0, worse: bool = False) -> ActiveDesign:
     """Play a design whose posterior passes its check, whereupon an odd run is found once, and looked around."""
     odd = [Surprise(np.array([0.9, 0.9]), False, 3.0)]
-    monkeypatch.setattr(ActiveDesign, "_left_out", lambda self, state: (odd.pop(),) if odd else ())
+    monkeypatch.setattr(PosteriorCheck, "left_out", lambda self, *_: (odd.pop(),) if odd else ())
     one = design(Active(100), FakeLearner([0.2] * 4 + [0.2 + drift]))
 
-    def surprises(self: ActiveDesign, *_: Any, limits: Any = None) -> tuple[Surprise, ...]:
-        return (Surprise(np.array([0.9, 0.9]), False, 3.0),) if worse and limits is not None else ()
+    def surprises(self: PosteriorCheck, *_: Any, strictly: bool = False) -> tuple[Surprise, ...]:
+        return (Surprise(np.array([0.9, 0.9]), False, 3.0),) if worse and strictly else ()
 
-    monkeypatch.setattr(ActiveDesign, "_surprises", surprises)
+    monkeypatch.setattr(PosteriorCheck, "surprises", surprises)
     played(one)
     return one
 
@@ -161,7 +162,7 @@ def test_a_check_knows_which_of_its_draws_are_probes(monkeypatch: pytest.MonkeyP
         seen.append((len(draws), probing))
         return BatchCheck(len(draws), 0, None, True, ()) if last else "open"
 
-    monkeypatch.setattr("strandline.design.active.active_design.verdict", last_only)
+    monkeypatch.setattr("strandline.design.active.posterior_check.verdict", last_only)
     played(design(Active(100)))
     assert [number for number, _ in seen] == [9, 13, 17, 25, 33, 34]  # a quarter more each time, in whole batches
     assert {probing for _, probing in seen} == {PROBES}
@@ -433,7 +434,7 @@ def campaign(monkeypatch: pytest.MonkeyPatch, learner: FakeLearner) -> ActiveRun
     seen, measure = (Observation(interface(MEAN), 0.01),), TrackedPoints()
     judge = Judge(seen, {"tracked_points": measure}, FailurePolicy())
     runs = ActiveRuns(Active(60), SPACE, measure, 4, 1, None, judge, aside=nullcontext, inputs=named)
-    monkeypatch.setattr(runs.design, "log_likelihood", honest)
+    monkeypatch.setattr(runs.design.check, "log_likelihood", honest)
     runs.design.afresh = lambda state: state
     return runs
 

@@ -8,9 +8,9 @@ import pytest
 from tests.design.active.fakes import NOISE, SPACE, interface, known, record
 
 from strandline.design import sobol
-from strandline.design.active import Active, ActiveDesign, Batch
-from strandline.design.active import active_design as design_module
+from strandline.design.active import Active
 from strandline.design.active import elsewhere as module
+from strandline.design.active import posterior_check as check_module
 from strandline.design.active.elsewhere import (
     least_found,
     left_out_surprise,
@@ -161,13 +161,12 @@ def test_runs_of_a_smooth_model_do_not_contradict_each_other(state: State) -> No
     assert left_out_surprise(state, 0.2 * NOISE, set(), set()) is None
 
 
-@pytest.mark.parametrize(("kind", "unseen", "found"), [("initial", 0.1, 1), ("posterior", 0.1, 0), ("initial", 1.0, 0)])
-def test_draws_of_the_posterior_are_checked_otherwise(kind: Any, unseen: float, found: int) -> None:
-    one = ActiveDesign(
-        Active(60, unseen=unseen), SPACE, batch=4, learn=lambda *given: None, log_likelihood=float, seed=1
-    )
-    one.batches.append(Batch(X, kind))
-    assert [odd.x.tolist() for odd in one._left_out(spoiled(5, 0.05))] == [X[5].tolist()] * found
+@pytest.mark.parametrize(("chosen", "unseen", "found"), [(False, 0.1, 1), (True, 0.1, 0), (False, 1.0, 0)])
+def test_draws_of_the_posterior_are_checked_otherwise(chosen: bool, unseen: float, found: int) -> None:
+    given: dict[str, Any] = {"batch": 4, "log_likelihood": float, "seed": 1}
+    check = check_module.PosteriorCheck(Active(60, unseen=unseen), SPACE, **given)
+    on_posterior = {row.tobytes() for row in X} if chosen else set()
+    assert [odd.x.tolist() for odd in check.left_out(spoiled(5, 0.05), set(), on_posterior)] == [X[5].tolist()] * found
 
 
 def test_the_condition_with_the_least_noise_decides_what_is_hidden() -> None:
@@ -179,7 +178,7 @@ def test_the_condition_with_the_least_noise_decides_what_is_hidden() -> None:
     )
     state = spoiled(5, 0.05)
     hidden = [
-        design_module._noise(replace(state, knowledge=replace(state.knowledge, likelihood=one)))
+        check_module._hidden(replace(state, knowledge=replace(state.knowledge, likelihood=one)))
         for one in (both, finest)
     ]
     assert hidden[0] == pytest.approx(hidden[1])

@@ -7,48 +7,25 @@ and the design goes on.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.checking import (
-    POOL,
-    BatchCheck,
-    LeftOut,
-    agree,
-    looks,
-    number_of_probes,
-    objections,
-    probes,
-    verdict,
-)
+from strandline.design.active.checking import BatchCheck, number_of_probes
 from strandline.design.active.choice import choose
-from strandline.design.active.elsewhere import (
-    LEFT_OUT_NOISE,
-    LEFT_OUT_SDS,
-    Surprise,
-    left_out_surprise,
-    points_around,
-    points_elsewhere,
-    surprises,
-)
+from strandline.design.active.elsewhere import Surprise, points_around
 from strandline.design.active.failing import Losses
-from strandline.design.active.left_out import NEAR, left_out_ratios
-from strandline.design.active.scatter import NONE, Scatter, scatter_of, typical_variance
+from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.settings import LARGEST_BATCH, Active
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
-from strandline.likelihood import noise_length
 from strandline.parameters import ParameterSpace
-from strandline.posterior import reweight, subset
 from strandline.runs import RunRecord
 
 __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 
 Kind = Literal["initial", "given", "posterior", "check", "elsewhere"]
-FEWEST_LEFT_OUT = 20
-"""Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
 FEW_INPUTS, HARDLY = 3, 0.3
 """Number of inputs above which runs are chosen among draws of the posterior itself once it hardly moves: no mean by so
 many standard deviations, no logarithm of a standard deviation by as much."""
@@ -56,8 +33,6 @@ BATCH_SHARE = 0.05
 """Runs of a batch as a share of the runs so far, if no number is stated and this is more than that of workers."""
 STILL = 0.5
 """Share of `Active.change` by which a posterior may move and still be the one that a check has passed."""
-SHOWING = 500
-"""Draws that show how far the posterior would move."""
 DIFFERENT = 0.4
 """Change of a mean, in sds, or of the logarithm of an sd, that two samples of one posterior do not show."""
 
@@ -98,35 +73,6 @@ class Step:
     check: BatchCheck | None
 
 
-@dataclass(frozen=True, eq=False)
-class Checked:
-    """What a check runs.
-
-    Args:
-        state: The posterior that is checked.
-        draws: Its draws, in the order in which they are run; the first ones are probes.
-        log_expected: Their expected log-likelihood.
-        probing: Number of probes.
-        ends: Numbers of draws at which the verdict is sought, from the next one on.
-        elsewhere: Inputs of runs where nobody has looked yet.
-        left_out: Earlier runs near the posterior, each predicted from all others.
-        looks: Number of times that the verdict is sought; by default as many as `ends`.
-    """
-
-    state: State
-    draws: Float[np.ndarray, "draw dim"]
-    log_expected: Float[np.ndarray, " draw"]
-    probing: int
-    ends: tuple[int, ...]
-    elsewhere: Float[np.ndarray, "new dim"]
-    left_out: LeftOut | None = None
-    looks: int = 0
-
-    def __post_init__(self) -> None:
-        if not self.looks:
-            object.__setattr__(self, "looks", len(self.ends))
-
-
 class ActiveDesign:
     """Decides what to run next, given the runs so far.
 
@@ -156,7 +102,8 @@ class ActiveDesign:
         doubts: Callable[[State], tuple[str, ...]] = lambda state: (),
     ) -> None:
         self.active, self.space, self.batch, self.seed, self.scramble = active, space, batch, seed, scramble
-        self.learn, self.log_likelihood, self.afresh, self.doubts = learn, log_likelihood, afresh, doubts
+        self.learn, self.afresh, self.doubts = learn, afresh, doubts
+        self.check = PosteriorCheck(active, space, batch=batch, log_likelihood=log_likelihood, seed=seed)
         self.batches: list[Batch] = []
         self.steps: list[Step] = []
         self.state: State | None = None
@@ -164,13 +111,10 @@ class ActiveDesign:
         self.reasons: tuple[str, ...] = ()
         self.besides = 0
         self._remembered: list[Remembered] = []
-        self._checked: Checked | None = None
         self._odd: tuple[Surprise, ...] = ()
         self._looked_around: set[bytes] = set()
         self._passed: tuple[Remembered, BatchCheck] | None = None
-        self.scatter: Scatter = NONE
         self.scattered = False
-        self._observed: tuple[int, float | None] = (active.check, None)
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
         """Record the first runs; `given` runs come from an earlier analysis and do not count towards the budget."""
@@ -191,24 +135,25 @@ class ActiveDesign:
         check: BatchCheck | None = None
         if kind == "elsewhere":
             here, before = self.batches[-1].points, self.state
-            self._odd = self._surprises(here, x, records, before)
-            if self._surprises(here, x, records, before, limits=(LEFT_OUT_SDS, LEFT_OUT_NOISE)):
+            self._odd = self.check.surprises(here, x, records, before)
+            if self.check.surprises(here, x, records, before, strictly=True):
                 self._passed = None
         if kind == "check":
-            found = self._judged(x, records)
+            found, self._odd = self.check.verdict(x, records)
             if not isinstance(found, BatchCheck):
-                return self._noted(self._more_draws(), "check")
+                return self._noted(self.check.more(), "check")
             check = found
         self.state = self.learn(x, records)
         if kind == "elsewhere" and not self._odd:
             check = self._still_passed()
         if check is not None and check.passed:
-            self._odd = self._left_out(self.state)
+            chosen = {row.tobytes() for batch in self.batches if batch.kind == "posterior" for row in batch.points}
+            self._odd = self.check.left_out(self.state, self._looked_around, chosen)
             if self._odd:
                 self._passed = Remembered.of(self.state), check
                 check = replace(check, passed=False, reasons=(self._odd[0].words(self.space),))
         if kind == "given":
-            check = self._judged_without_runs(records)
+            check = self.check.without_runs(self.state, records)
         if check is not None and check.passed and (why := self.doubts(self.state)):
             check = replace(check, passed=False, reasons=why)
         self.steps.append(self._step(check))
@@ -231,13 +176,13 @@ class ActiveDesign:
         room = left - self.active.check
         ready = (stable and check is None and room >= 0) or room < 1
         if ready and self._can_be_checked(records, left) and (self._confirmed() or room < 1):
-            return self._noted(self._to_check(x, records, left), "check")
+            return self._noted(self.check.begin(self.state, x, records, left, self._losses()), "check")
         return self._noted(self._chosen(min(self._together, room if room > 0 else left), len(x)), "posterior")
 
     def _can_be_checked(self, records: Sequence[RunRecord], left: int) -> bool:
         """Return whether the runs left are enough for a check that could pass, and would not be lost to failures."""
         assert self.state is not None
-        needed = number_of_probes(self.space.dim, len(self._near(self.state, records).x))
+        needed = number_of_probes(self.space.dim, len(self.check.near(self.state, records).x))
         return left >= needed and self._losses().bears_check(self.state, needed)
 
     def _chosen(self, number: int, made: int) -> Float[np.ndarray, "run dim"]:
@@ -297,66 +242,6 @@ class ActiveDesign:
         self.batches.append(Batch(points, kind))
         return self.batches[-1]
 
-    def _to_check(
-        self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], left: int
-    ) -> Float[np.ndarray, "new dim"]:
-        """Return the first draws of a check, and where nobody has looked yet."""
-        state = self.state
-        assert state is not None
-        earlier = self._near(state, records)
-        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier.x)), left)
-        pool = np.unique(subset(weights, POOL, self.seed + 1))
-        first = pool[probes(state.positions[pool], probing)]
-        others = subset(weights, self.active.check, self.seed)
-        others = others[~np.isin(others, first)][: left - probing]
-        chosen = np.concatenate([first, np.random.default_rng(self.seed).permutation(others)])
-        room = left - len(chosen)
-        elsewhere = points_elsewhere(x, self.space, self.active.unseen, room) if room > 0 else x[:0]
-        if not (losses := self._losses()).bears(elsewhere):
-            elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
-        ends = looks(probing, len(chosen), self.batch)
-        draws, log_expected = state.positions[chosen], state.log_expected[chosen]
-        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier)
-        return np.concatenate([draws[: ends[0]], elsewhere])
-
-    def _more_draws(self) -> Float[np.ndarray, "run dim"]:
-        assert self._checked is not None
-        done = self._checked.ends[0]
-        self._checked = replace(self._checked, ends=self._checked.ends[1:])
-        return self._checked.draws[done : self._checked.ends[0]]
-
-    def _judged(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> BatchCheck | Literal["open"]:
-        """Return the verdict of a check's runs on the posterior that they were drawn from."""
-        checked = self._checked
-        assert checked is not None
-        by_input = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
-        rows = range(checked.ends[0])
-        settled = {i: by_input[checked.draws[i].tobytes()] for i in rows if checked.draws[i].tobytes() in by_input}
-        true = np.array([self.log_likelihood(record) if record.ok else np.nan for record in settled.values()], float)
-        here, last = list(settled), len(checked.ends) == 1
-        probing = sum(i < checked.probing for i in here)
-        ratios = true - checked.log_expected[here]
-        state, tolerances = checked.state, self.active.tolerances
-        posterior = state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)]
-        draws, times, earlier = checked.draws[here], checked.looks, checked.left_out
-        self.scatter = scatter_of(state.knowledge, draws)
-        self._observed = len(ratios), typical_variance(ratios)
-        given: dict[str, Any] = {"left_out": earlier, "scatter": self.scatter.variance}
-        found = verdict(draws, ratios, posterior, tolerances, probing=probing, looks=times, last=last, **given)
-        if not isinstance(found, BatchCheck) or not found.passed:
-            return found
-        self._odd = self._surprises(checked.elsewhere, x, records, checked.state)
-        odd = tuple(one.words(self.space) for one in self._odd[:1])
-        return replace(found, passed=not odd, reasons=odd)
-
-    def _left_out(self, state: State) -> tuple[Surprise, ...]:
-        """Return the run that the others predict much worse than they should, once for each run."""
-        if self.active.unseen >= 1:
-            return ()
-        known = {row.tobytes() for batch in self.batches if batch.kind == "posterior" for row in batch.points}
-        found = left_out_surprise(state, _noise(state), self._looked_around, known)
-        return () if found is None else (found,)
-
     def _still_passed(self) -> BatchCheck | None:
         """Return the check that the posterior had passed before an odd run far from it made the design look around.
 
@@ -368,45 +253,6 @@ class ActiveDesign:
             return None
         moved = passed[0].moved(self.state.knowledge)
         return passed[1] if max(moved.shift, moved.width) < STILL * self.active.change and self._quiet(moved) else None
-
-    def _surprises(
-        self,
-        points: Float[np.ndarray, "new dim"],
-        x: Float[np.ndarray, "run dim"],
-        records: Sequence[RunRecord],
-        state: State | None,
-        **limits: tuple[float, float],
-    ) -> tuple[Surprise, ...]:
-        """Return which runs at these points `state` did not expect, see `elsewhere.surprises`."""
-        wanted = {row.tobytes() for row in points}
-        good = [k for k, row in enumerate(x) if row.tobytes() in wanted and records[k].ok]
-        if not good or state is None:
-            return ()
-        made = [records[k] for k in good]
-        true = np.array([self.log_likelihood(record) for record in made])
-        return surprises(state, x[good], made, true, self.active.unseen, _noise(state), **limits)
-
-    def _judged_without_runs(self, records: Sequence[RunRecord]) -> BatchCheck:
-        """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
-        assert self.state is not None
-        x, ratios = left_out_ratios(self.state, records, self.log_likelihood, self.space.log_prior)
-        if len(x) < FEWEST_LEFT_OUT:
-            reason = f"only {len(x)} of the available runs lie inside the posterior"
-            return BatchCheck(len(x), 0, None, False, (reason,))
-        found = reweight(x, ratios)
-        reasons = (*objections(found, self.active.tolerances), *self._unsure())
-        return BatchCheck(len(x), 0, found, not reasons, reasons)
-
-    def _unsure(self) -> tuple[str, ...]:
-        """Return a reason if the surrogate's own variance weighs too much: left-out runs only test where runs are."""
-        assert self.state is not None
-        ratios = np.exp(self.state.log_weights - self.state.log_weights_plug_in)
-        share = float(1.0 / (np.exp(self.state.log_weights_plug_in) @ ratios**2))
-        if share >= self.active.effective:
-            return ()
-        return (
-            f"the surrogate's own uncertainty leaves only {share:.0%} effective draws, not {self.active.effective:.0%}",
-        )
 
     def _step(self, check: BatchCheck | None) -> Step:
         state = self.state
@@ -445,19 +291,10 @@ class ActiveDesign:
         last = self.steps[-1]
         if not self._calm(last):
             return False
-        if all(step.check is None for step in self.steps) and self._agree(records):
+        assert self.state is not None
+        if all(step.check is None for step in self.steps) and self.check.agrees(self.state, records):
             return True
         return any(self._calm(step) for step in self.steps if step.runs == last.since and step.kind != "check")
-
-    def _agree(self, records: Sequence[RunRecord]) -> bool:
-        state = self.state
-        assert state is not None
-        posterior = state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)]
-        return agree(self._near(state, records), posterior, self.active.tolerances)
-
-    def _near(self, state: State, records: Sequence[RunRecord]) -> LeftOut:
-        """Return the runs near the posterior: a parabola reaches a little farther than the draws."""
-        return LeftOut(*left_out_ratios(state, records, self.log_likelihood, self.space.log_prior, mass=NEAR))
 
     def _calm(self, step: Step) -> bool:
         return step.moved is not None and self._quiet(step.moved)
@@ -481,16 +318,5 @@ class ActiveDesign:
             reasons.append("the posterior has not stood still for two batches yet")
         checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]
         reasons += checks[-1].reasons if checks else ("no check on the true model was made",)
-        particles = self.state.positions[subset(np.exp(self.state.log_weights), SHOWING, self.seed + 2)]
-        at = particles if self._checked is None else self._checked.draws
-        self.scatter = scatter_of(self.state.knowledge, at)  # by all runs: few may mistake curvature for scatter
-        draws, observed = self._observed
-        limits = {"shift": self.active.tolerances.shift, "effective": self.active.effective}
-        self.scattered = self.scatter.prevents(draws=draws, observed=observed, **limits)
-        return (*reasons, self.scatter.reason) if self.scattered else tuple(reasons)
-
-
-def _noise(state: State) -> float:
-    """Return the shift of an observed interface that the noise hides, mm: the smallest of all conditions."""
-    likelihood = state.knowledge.likelihood
-    return min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
+        self.scattered = self.check.scatter_prevents(self.state)
+        return (*reasons, self.check.scatter.reason) if self.scattered else tuple(reasons)

@@ -1,0 +1,244 @@
+"""The check of a posterior in an active design: which runs it asks for, and what they and earlier runs say."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.design.active.checking import (
+    POOL,
+    BatchCheck,
+    LeftOut,
+    agree,
+    looks,
+    number_of_probes,
+    objections,
+    probes,
+    verdict,
+)
+from strandline.design.active.elsewhere import (
+    LEFT_OUT_NOISE,
+    LEFT_OUT_SDS,
+    Surprise,
+    left_out_surprise,
+    points_elsewhere,
+    surprises,
+)
+from strandline.design.active.failing import Losses
+from strandline.design.active.left_out import NEAR, left_out_ratios
+from strandline.design.active.scatter import NONE, Scatter, scatter_of, typical_variance
+from strandline.design.active.settings import Active
+from strandline.design.active.state import State
+from strandline.likelihood import noise_length
+from strandline.parameters import ParameterSpace
+from strandline.posterior import reweight, subset
+from strandline.runs import RunRecord
+
+__all__ = ["PosteriorCheck"]
+
+FEWEST_LEFT_OUT = 20
+"""Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
+SHOWING = 500
+"""Draws that show how far the posterior would move."""
+
+Points = Float[np.ndarray, "run dim"]
+New = Float[np.ndarray, "new dim"]
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What a check runs.
+
+    Args:
+        state: The posterior that is checked.
+        draws: Its draws, in the order in which they are run; the first ones are probes.
+        log_expected: Their expected log-likelihood.
+        probing: Number of probes.
+        ends: Numbers of draws at which the verdict is sought, from the next one on.
+        elsewhere: Inputs of runs where nobody has looked yet.
+        left_out: Earlier runs near the posterior, each predicted from all others.
+        looks: Number of times that the verdict is sought; by default as many as `ends`.
+    """
+
+    state: State
+    draws: Float[np.ndarray, "draw dim"]
+    log_expected: Float[np.ndarray, " draw"]
+    probing: int
+    ends: tuple[int, ...]
+    elsewhere: Float[np.ndarray, "new dim"]
+    left_out: LeftOut | None = None
+    looks: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.looks:
+            object.__setattr__(self, "looks", len(self.ends))
+
+
+class PosteriorCheck:
+    """Asks for runs that check a posterior, and judges it by them.
+
+    Args:
+        active: Settings of the design.
+        space: The inputs.
+        batch: Number of runs made at a time.
+        log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
+        seed: Seed of all random numbers.
+    """
+
+    def __init__(
+        self,
+        active: Active,
+        space: ParameterSpace,
+        *,
+        batch: int,
+        log_likelihood: Callable[[RunRecord], float],
+        seed: int,
+    ) -> None:
+        self.active, self.space, self.batch, self.seed = active, space, batch, seed
+        self.log_likelihood = log_likelihood
+        self.scatter: Scatter = NONE
+        self._checked: Checked | None = None
+        self._observed: tuple[int, float | None] = (active.check, None)
+
+    def begin(self, state: State, x: Points, records: Sequence[RunRecord], left: int, losses: Losses) -> New:
+        """Return the first draws of a check, and where nobody has looked yet.
+
+        Args:
+            state: The posterior.
+            x: Inputs of all runs.
+            records: Their records.
+            left: Number of runs that are left.
+            losses: Runs lost where they were known to fail.
+        """
+        earlier = self.near(state, records)
+        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier.x)), left)
+        pool = np.unique(subset(weights, POOL, self.seed + 1))
+        first = pool[probes(state.positions[pool], probing)]
+        others = subset(weights, self.active.check, self.seed)
+        others = others[~np.isin(others, first)][: left - probing]
+        chosen = np.concatenate([first, np.random.default_rng(self.seed).permutation(others)])
+        room = left - len(chosen)
+        elsewhere = points_elsewhere(x, self.space, self.active.unseen, room) if room > 0 else x[:0]
+        if not losses.bears(elsewhere):
+            elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
+        ends = looks(probing, len(chosen), self.batch)
+        draws, log_expected = state.positions[chosen], state.log_expected[chosen]
+        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier)
+        return np.concatenate([draws[: ends[0]], elsewhere])
+
+    def more(self) -> New:
+        """Return the next draws of a check that is still open."""
+        assert self._checked is not None
+        done = self._checked.ends[0]
+        self._checked = replace(self._checked, ends=self._checked.ends[1:])
+        return self._checked.draws[done : self._checked.ends[0]]
+
+    def verdict(
+        self, x: Points, records: Sequence[RunRecord]
+    ) -> tuple[BatchCheck | Literal["open"], tuple[Surprise, ...]]:
+        """Return the verdict of a check's runs on the posterior that they were drawn from, and what it did not expect.
+
+        Args:
+            x: Inputs of all runs.
+            records: Their records.
+        """
+        checked = self._checked
+        assert checked is not None
+        by_input = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
+        rows = range(checked.ends[0])
+        settled = {i: by_input[checked.draws[i].tobytes()] for i in rows if checked.draws[i].tobytes() in by_input}
+        true = np.array([self.log_likelihood(record) if record.ok else np.nan for record in settled.values()], float)
+        here, last = list(settled), len(checked.ends) == 1
+        probing = sum(i < checked.probing for i in here)
+        ratios = true - checked.log_expected[here]
+        draws, posterior = checked.draws[here], self._shown(checked.state)
+        self.scatter = scatter_of(checked.state.knowledge, draws)
+        self._observed = len(ratios), typical_variance(ratios)
+        given: dict[str, Any] = {"left_out": checked.left_out, "scatter": self.scatter.variance}
+        counts: dict[str, Any] = {"probing": probing, "looks": checked.looks, "last": last}
+        found = verdict(draws, ratios, posterior, self.active.tolerances, **counts, **given)
+        if not isinstance(found, BatchCheck) or not found.passed:
+            return found, ()
+        odd = self.surprises(checked.elsewhere, x, records, checked.state)
+        return replace(found, passed=not odd, reasons=tuple(one.words(self.space) for one in odd[:1])), odd
+
+    def surprises(
+        self, points: New, x: Points, records: Sequence[RunRecord], state: State | None, *, strictly: bool = False
+    ) -> tuple[Surprise, ...]:
+        """Return which runs at these points `state` did not expect, see `elsewhere.surprises`.
+
+        Args:
+            points: Inputs of the runs.
+            x: Inputs of all runs.
+            records: Their records.
+            state: The posterior before the runs; None: it expects everything.
+            strictly: Whether errors count that would be odd for a run that the others predict.
+        """
+        wanted = {row.tobytes() for row in points}
+        good = [k for k, row in enumerate(x) if row.tobytes() in wanted and records[k].ok]
+        if not good or state is None:
+            return ()
+        made = [records[k] for k in good]
+        true = np.array([self.log_likelihood(record) for record in made])
+        limits = {"limits": (LEFT_OUT_SDS, LEFT_OUT_NOISE)} if strictly else {}
+        return surprises(state, x[good], made, true, self.active.unseen, _hidden(state), **limits)
+
+    def left_out(self, state: State, looked_around: set[bytes], chosen: set[bytes]) -> tuple[Surprise, ...]:
+        """Return the run that the others predict much worse than they should, once for each run.
+
+        Args:
+            state: The posterior.
+            looked_around: Inputs of runs around which others were made already, as bytes.
+            chosen: Inputs of runs that were chosen on a posterior, as bytes.
+        """
+        if self.active.unseen >= 1:
+            return ()
+        found = left_out_surprise(state, _hidden(state), looked_around, chosen)
+        return () if found is None else (found,)
+
+    def without_runs(self, state: State, records: Sequence[RunRecord]) -> BatchCheck:
+        """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
+        x, ratios = left_out_ratios(state, records, self.log_likelihood, self.space.log_prior)
+        if len(x) < FEWEST_LEFT_OUT:
+            reason = f"only {len(x)} of the available runs lie inside the posterior"
+            return BatchCheck(len(x), 0, None, False, (reason,))
+        found = reweight(x, ratios)
+        reasons = (*objections(found, self.active.tolerances), *self._unsure(state))
+        return BatchCheck(len(x), 0, found, not reasons, reasons)
+
+    def _unsure(self, state: State) -> tuple[str, ...]:
+        """Return a reason if the surrogate's own variance weighs too much: left-out runs only test where runs are."""
+        ratios = np.exp(state.log_weights - state.log_weights_plug_in)
+        share = float(1.0 / (np.exp(state.log_weights_plug_in) @ ratios**2))
+        if share >= self.active.effective:
+            return ()
+        return (
+            f"the surrogate's own uncertainty leaves only {share:.0%} effective draws, not {self.active.effective:.0%}",
+        )
+
+    def agrees(self, state: State, records: Sequence[RunRecord]) -> bool:
+        """Return whether runs near the posterior, each predicted from all others, show that it is right."""
+        return agree(self.near(state, records), self._shown(state), self.active.tolerances)
+
+    def near(self, state: State, records: Sequence[RunRecord]) -> LeftOut:
+        """Return the runs near the posterior: a parabola reaches a little farther than the draws."""
+        return LeftOut(*left_out_ratios(state, records, self.log_likelihood, self.space.log_prior, mass=NEAR))
+
+    def scatter_prevents(self, state: State) -> bool:
+        """Return whether the simulator's own scatter keeps a posterior from passing; `scatter` then says how."""
+        at = self._shown(state) if self._checked is None else self._checked.draws
+        self.scatter = scatter_of(state.knowledge, at)  # by all runs: few may mistake curvature for scatter
+        draws, observed = self._observed
+        limits = {"shift": self.active.tolerances.shift, "effective": self.active.effective}
+        return self.scatter.prevents(draws=draws, observed=observed, **limits)
+
+    def _shown(self, state: State) -> Float[np.ndarray, "draw dim"]:
+        return np.asarray(state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)])
+
+
+def _hidden(state: State) -> float:
+    """Return the shift of an observed interface that the noise hides, mm: the smallest of all conditions."""
+    likelihood = state.knowledge.likelihood
+    return min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
