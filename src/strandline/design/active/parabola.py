@@ -1,7 +1,8 @@
 """What a smooth error of the log-likelihood does to a posterior: a parabola through log ratios at some of its draws.
 
 The logarithm δ of true over expected likelihood is taken as a + Σ (b_k y_k + c_k y_k²) along the principal axes y of
-the posterior, plus independent errors; in up to three dimensions as a whole quadratic function. The coefficients have
+the posterior, or along the inputs if that fits better, plus independent errors; in up to three dimensions as a whole
+quadratic function. The coefficients have
 Student's t distribution around their least-squares estimate. Weights exp(δ) of many draws then show how far each mean
 and each standard deviation would move.
 """
@@ -72,18 +73,15 @@ def smooth_effect(
     """
     mean, sd = posterior.mean(axis=0), posterior.std(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(((posterior - mean) / sd).T)))
-    axes = vectors / np.sqrt(np.maximum(values, 1e-12))
-
-    def terms(x: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, "some term"]:
-        y = (x - mean) / sd @ axes
-        products = [y[:, i] * y[:, j] for i in range(y.shape[1]) for j in range(i)] if y.shape[1] <= WHOLE else []
-        return np.column_stack([np.ones(len(x)), y, y**2, *products])
-
-    A, B = terms(draws), terms(posterior)
-    q, r = np.linalg.qr(A)
-    best = np.linalg.solve(r, q.T @ log_ratios)
+    principal = vectors / np.sqrt(np.maximum(values, 1e-12))
+    z, many = (draws - mean) / sd, (posterior - mean) / sd
+    tried = [principal] if len(mean) <= WHOLE else [principal, np.eye(len(mean))]
+    fits = [(_terms(z @ axes), _terms(many @ axes)) for axes in tried]
+    A, B = min(fits, key=lambda fit: _squares(fit[0], log_ratios))
+    r = np.linalg.qr(A, mode="r")
+    best = np.linalg.lstsq(A, log_ratios, rcond=None)[0]
     freedom = len(A) - A.shape[1]
-    rest = float(np.sum((log_ratios - A @ best) ** 2))
+    rest = _squares(A, log_ratios)
     random = np.random.default_rng(_SEED)
     spread = np.linalg.solve(r, random.standard_normal((A.shape[1], SAMPLES))).T
     variances = rest / random.chisquare(freedom, SAMPLES)
@@ -103,6 +101,16 @@ def smooth_effect(
         _bounds(widths[1:], level),
         (math.exp(-min(by_fit, by_all)), math.exp(-least - few)),
     )
+
+
+def _terms(y: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, "some term"]:
+    products = [y[:, i] * y[:, j] for i in range(y.shape[1]) for j in range(i)] if y.shape[1] <= WHOLE else []
+    return np.column_stack([np.ones(len(y)), y, y**2, *products])
+
+
+def _squares(A: Float[np.ndarray, "draw term"], log_ratios: Float[np.ndarray, " draw"]) -> float:
+    """Return the sum of squares that the terms leave."""
+    return float(np.sum((log_ratios - A @ np.linalg.lstsq(A, log_ratios, rcond=None)[0]) ** 2))
 
 
 def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float, float]:
