@@ -202,11 +202,15 @@ def test_a_fixed_design_has_no_certificate(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_given_runs_take_the_place_of_a_design(found: Calibration, folder: Path) -> None:
-    """Another noise of the same runs: no new ones."""
+    """Another noise of the same runs, enough of which lie inside the posterior: no new ones."""
     runs: list[Any] = []
-    given = np.array([[record.inputs[name] for name in SPACE.names] for record in found.records])
+    own = np.array([[record.inputs[name] for name in SPACE.names] for record in found.records])
+    more = own.mean(axis=0) + 0.5 * (own[:40] - own.mean(axis=0))
+    given, observer = np.concatenate([own, more]), Observer(run=lambda record, progress: runs.append(record))
+    answer(folder / "ledger.sqlite", problem(), given=given, observer=observer)
+    assert len(runs) >= len(more)
+    runs.clear()
     asked = problem(noise=2 * NOISE)
-    observer = Observer(run=lambda record, progress: runs.append(record))
     other = answer(folder / "ledger.sqlite", asked, given=given, observer=observer)
     assert off(other)[0] < 0.1
     assert other.field is not None
