@@ -132,10 +132,20 @@ def test_a_check_compares_the_two_models(tmp_path: Path) -> None:
     assert float(line.split("at most ")[1].split(" µm")[0]) == pytest.approx(off, rel=0.1)
     assert list(cheaper_lines(beam, make(beam, inputs), make)) == []
 
+    def in_micrometres(model: ForwardModel, inputs: Mapping[str, float]) -> RunRecord:
+        """The planted mistake: the cheaper model's result has another unit."""
+        made = make(model, inputs)
+        return replace(made, interfaces={"": Interface.polyline(1e3 * made.interface.points)})  # type: ignore[union-attr]
+
+    warning, _ = cheaper_lines(study.model, make(study.model, inputs), in_micrometres)
+    assert warning.startswith("warning: the interface of the cheaper model is off by")
+    assert "another unit" in warning
+
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"fidelities": "coarse"}, "fidelities: got coarse; expected a list with one cheaper model"),
         ({"fidelities": [{"cost": 0.1}]}, "fidelities: the cheaper model: got the model itself"),
         ({"fidelities": [{**FIDELITIES[0], "cost": 2}]}, "above 0 and below 1"),
         ({"fidelities": [{**FIDELITIES[0], "cost": "low"}]}, "fidelities.cost: got 'low'"),

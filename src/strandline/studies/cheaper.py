@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from strandline.discrepancy.residuals import apart
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
@@ -22,6 +24,8 @@ COST = 0.3
 """Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""
 TOLERATED = 2.0
 """Multiple of the stated cost from which a check warns."""
+FAR = 0.5
+"""Share of the interface's extent from which a check warns that the cheaper model's is off by too much."""
 
 
 def with_cheaper(
@@ -108,6 +112,12 @@ def cheaper_lines(
         yield f"warning: there the run of the cheaper model fails ({other.failure_kind}): it is no help near this point"
         return
     apart_mm = max(apart(one, record.interfaces[name])[1] for name, one in other.interfaces.items())
+    extent = max(float(np.ptp(one.points, axis=0).max()) for one in record.interfaces.values())
+    if apart_mm > FAR * extent:
+        yield (
+            f"warning: the interface of the cheaper model is off by {apart_mm:.3g} mm, but that of the model is only "
+            f"{extent:.3g} mm long: does its result have another unit, or is it another interface?"
+        )
     share = other.seconds / max(record.seconds, 1e-9)
     if share >= 1.0:
         yield f"warning: a run of the cheaper model takes {share:.2g} times as long as one of the model"

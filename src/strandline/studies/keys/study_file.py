@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from strandline.errors import InvalidStudy
 from strandline.studies.keys.design import Design, Sampler, Surrogate
@@ -79,6 +79,18 @@ class StudyFile(Section):
     """other studies' folders, relative to this one, to reuse fitting runs"""
     seed: Seed = 1
     """for every random number after the design"""
+
+    @field_validator("fidelities", mode="before")
+    @classmethod
+    def _one_in_a_list(cls, given: Any) -> Any:
+        if isinstance(given, list):
+            return given
+        raise InvalidStudy(
+            "fidelities",
+            value=given,
+            expected="a list with one cheaper model",
+            remedy="Write e.g. fidelities: [coarse], or fidelities: [{mesh: coarse, cost: 0.3}].",
+        )
 
     @model_validator(mode="after")
     def _fitting_surrogate(self) -> "StudyFile":
