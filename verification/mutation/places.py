@@ -1,6 +1,7 @@
 """Which files are changed, and where tests are that should notice."""
 
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 from verification.mutation.operators import Mutant, mutants
@@ -37,19 +38,24 @@ def part_of(file: Path) -> str:
 def drawn(package: Path, number: int, seed: int) -> list[tuple[Path, Mutant]]:
     """Return mutants drawn at random: one of each file, the others in proportion to the places for changes.
 
+    What is drawn of a file depends on this file alone, but for how many: after a change of one file, the results of the
+    others still count.
+
     Args:
         package: Folder of the package.
         number: Number of mutants.
         seed: Seed of the draw.
     """
-    random, first, others = np.random.default_rng(seed), [], []
+    first: list[tuple[Path, Mutant]] = []
+    others: list[tuple[float, Path, Mutant]] = []
     for folder in (folder for part in PARTS.values() for folder in part):
         for file in sorted((package / folder).glob("*.py")):
-            places = mutants(file.read_text("utf-8"))
-            order = [places[i] for i in random.permutation(len(places))]
-            picked = [(file.relative_to(package), place[random.integers(len(place))]) for place in order]
+            path, places = file.relative_to(package), mutants(file.read_text("utf-8"))
+            random = np.random.default_rng([seed, crc32(str(path).encode())])
+            ranks = random.random(len(places))
+            picked = [(path, places[i][random.integers(len(places[i]))]) for i in np.argsort(ranks)]
             first += picked[:1]
-            others += picked[1:]
-    rest = random.permutation(len(others))[: max(number - len(first), 0)]
-    chosen = first[:number] + [others[i] for i in sorted(rest)]
+            others += [(float(rank), *one) for rank, one in zip(np.sort(ranks)[1:], picked[1:], strict=True)]
+    rest = sorted(others, key=lambda one: one[0])[: max(number - len(first), 0)]
+    chosen = first[:number] + [(path, mutant) for _, path, mutant in rest]
     return sorted(chosen, key=lambda one: (str(one[0]), one[1].start))

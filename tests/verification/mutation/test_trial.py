@@ -61,6 +61,19 @@ def test_every_file_is_drawn_and_the_seed_decides_the_rest() -> None:
     assert len(files) > 80
 
 
+def test_what_is_drawn_of_a_file_does_not_depend_on_the_others(tmp_path: Path) -> None:
+    package = ROOT / "src" / "strandline"
+    for folder in (folder for part in PARTS.values() for folder in part):
+        (tmp_path / folder).mkdir(parents=True)
+        for file in (package / folder).glob("*.py"):
+            (tmp_path / folder / file.name).write_text(file.read_text("utf-8"), "utf-8")
+    changed = tmp_path / "smc" / "moves.py"
+    changed.write_text("def half(x: float) -> float:\n    return x / 2 + 1 - 1\n", "utf-8")
+    before, after = (set(drawn(folder, 200, 1)) for folder in (package, tmp_path))
+    kept = {one for one in before if one[0] != Path("smc/moves.py")}
+    assert len(kept - after) <= 3  # a few more or fewer of each, for the same number in all
+
+
 TESTS = {"smc/moves.py": {3: {"slow.py": ["test_a", "test_b"], "test_moves.py": []}, 40: {"slow.py": ["test_a"]}}}
 SECONDS = {"slow.py": {"test_a": 9.0, "test_b": 9.0, "test_c": 2.0}, "test_moves.py": {"test_d": 90.0, "test_e": 1.0}}
 COVERING = Covering(TESTS, SECONDS)
