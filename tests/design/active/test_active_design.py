@@ -131,6 +131,25 @@ def test_it_is_not_kept_otherwise(monkeypatch: pytest.MonkeyPatch, options: dict
     assert one.converged
 
 
+@pytest.mark.parametrize(
+    ("doubts", "possible", "kinds_after"),
+    [
+        ([("why",)], True, ["check", "trial"]),
+        ([("why",), ("why",)], True, ["check", "trial", "trial"]),
+        ([("why",)], False, ["check", "posterior", "posterior", "check"]),
+    ],
+)
+def test_what_is_doubted_is_tried_again_without_another_check(
+    doubts: list[tuple[str, ...]], possible: bool, kinds_after: list[str]
+) -> None:
+    one, left = design(Active(100)), list(doubts)
+    one.doubts = lambda state: left.pop() if left else ()
+    one.another_trial = lambda: possible
+    assert [batch.kind for batch in played(one)][3:] == kinds_after
+    assert one.converged
+    assert {len(batch.points) for batch in one.batches if batch.kind == "trial"} <= {3}
+
+
 def test_a_posterior_that_moves_is_not_checked_yet() -> None:
     one = design(Active(200), FakeLearner([0.2, 0.3, 0.4, 0.2]))
     assert [kind for kind, _ in kinds(played(one))] == ["initial", *["posterior"] * 5, "check"]

@@ -141,7 +141,7 @@ def test_a_correction_that_is_wrong_at_the_posterior_is_refuted_and_then_dropped
     used, runs = both(9e-3), first() + [run(at) for at in POINTS[3:8]]
     for k in range(REFUTED):
         used.learn(runs)
-        tried, lacks = used.try_at(POINTS[8 + k : 9 + k]), (0.2, 0.0)[k]  # elsewhere it is .1
+        tried, lacks = used.try_at(POINTS[8 + k : 9 + k]), (0.2, 0.0, 0.3)[k]  # elsewhere it is .1
         runs += [run(at, cheaper=True) for at in tried] + [run(at, lacks=lacks) for at in tried]
         used.learn(runs)
         (reason,) = used.doubts()

@@ -21,16 +21,19 @@ from strandline.design.active.settings import LARGEST_BATCH, Active
 from strandline.design.active.state import Moved, Remembered, State
 from strandline.design.space_filling import sobol
 from strandline.parameters import ParameterSpace
+from strandline.posterior import subset
 from strandline.runs import RunRecord
 
 __all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
 
-Kind = Literal["initial", "given", "posterior", "check", "elsewhere"]
+Kind = Literal["initial", "given", "posterior", "check", "trial", "elsewhere"]
 FEW_INPUTS, HARDLY = 3, 0.3
 """Number of inputs above which runs are chosen among draws of the posterior itself once it hardly moves: no mean by so
 many standard deviations, no logarithm of a standard deviation by as much."""
 BATCH_SHARE = 0.05
 """Runs of a batch as a share of the runs so far, if no number is stated and this is more than that of workers."""
+TRIAL = 3
+"""Further draws of a posterior at which what is doubted of it is tried."""
 STILL = 0.5
 """Share of `Active.change` by which a posterior may move and still be the one that a check has passed."""
 DIFFERENT = 0.4
@@ -86,6 +89,7 @@ class ActiveDesign:
         seed: Seed of all random numbers.
         scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
         doubts: Function that returns what else speaks against a posterior that its check has passed, in words.
+        another_trial: Function that tells whether runs at further draws of this posterior could remove these doubts.
     """
 
     def __init__(
@@ -100,9 +104,10 @@ class ActiveDesign:
         seed: int,
         scramble: int | None = None,
         doubts: Callable[[State], tuple[str, ...]] = lambda state: (),
+        another_trial: Callable[[], bool] = lambda: False,
     ) -> None:
         self.active, self.space, self.batch, self.seed, self.scramble = active, space, batch, seed, scramble
-        self.learn, self.afresh, self.doubts = learn, afresh, doubts
+        self.learn, self.afresh, self.doubts, self.another_trial = learn, afresh, doubts, another_trial
         self.check = PosteriorCheck(active, space, batch=batch, log_likelihood=log_likelihood, seed=seed)
         self.batches: list[Batch] = []
         self.steps: list[Step] = []
@@ -133,6 +138,7 @@ class ActiveDesign:
         """Return the next batch, given all runs that have ended; None to stop."""
         kind = self.batches[-1].kind
         check: BatchCheck | None = None
+        doubted = False
         if kind == "elsewhere":
             here, before = self.batches[-1].points, self.state
             self._odd = self.check.surprises(here, x, records, before)
@@ -144,7 +150,7 @@ class ActiveDesign:
                 return self._noted(self.check.more(), "check")
             check = found
         self.state = self.learn(x, records)
-        if kind == "elsewhere" and not self._odd:
+        if kind == "trial" or (kind == "elsewhere" and not self._odd):
             check = self._still_passed()
         if check is not None and check.passed:
             chosen = {row.tobytes() for batch in self.batches if batch.kind == "posterior" for row in batch.points}
@@ -155,10 +161,12 @@ class ActiveDesign:
         if kind == "given":
             check = self.check.without_runs(self.state, records)
         if check is not None and check.passed and (why := self.doubts(self.state)):
+            doubted, self._passed = True, (Remembered.of(self.state), check)
             check = replace(check, passed=False, reasons=why)
         self.steps.append(self._step(check))
         stable, left = self._stable(records), self._left
-        if check is not None and check.passed and (stable or kind in ("given", "elsewhere")):
+        settled = stable or kind in ("given", "elsewhere", "trial")
+        if check is not None and check.passed and settled:
             self.converged, self.reasons = True, ()
             return None
         if kind == "given":
@@ -166,6 +174,9 @@ class ActiveDesign:
         if left <= 0:
             self.reasons = self._why_not()
             return None
+        if doubted and settled and kind != "given" and left >= TRIAL and self.another_trial():
+            draws = subset(np.exp(self.state.log_weights), TRIAL, self.seed + 7919 * len(x))
+            return self._noted(self.state.positions[draws], "trial")
         if self._odd:
             odd, number = np.array([one.x for one in self._odd]), max(self.batch, 2 * self.space.dim)
             self._looked_around |= {one.x.tobytes() for one in self._odd}
@@ -243,9 +254,9 @@ class ActiveDesign:
         return self.batches[-1]
 
     def _still_passed(self) -> BatchCheck | None:
-        """Return the check that the posterior had passed before an odd run far from it made the design look around.
+        """Return the check that the posterior had passed before the last runs; None if they have moved it.
 
-        It still holds if runs around the odd one contradict nothing and leave the posterior where it was.
+        These were made around an odd run far from it, or because of doubts.
         """
         assert self.state is not None
         (passed, self._passed) = (self._passed, None)

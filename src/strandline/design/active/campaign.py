@@ -87,6 +87,7 @@ class ActiveRuns:
             seed=self.seed,
             scramble=self.scramble,
             doubts=self._doubts,
+            another_trial=lambda: self.fidelities is not None and self.fidelities.correction is not None,
         )
 
     def _doubts(self, state: State) -> tuple[str, ...]:
@@ -144,14 +145,14 @@ class ActiveRuns:
     def _runs(self, batch: Batch) -> list[dict[str, float]]:
         """Return the runs of a batch: of the model, or of a cheaper one, and of both where they are compared."""
         both, inputs = self.fidelities, self.inputs(batch.points)
-        if both is not None and batch.kind != "check":
+        if both is not None and batch.kind not in ("check", "trial"):
             both.no_check()
         if both is None or both.dropped is not None:
             return inputs
         pairs = 0
         if batch.kind == "posterior":
             pairs = int(both.pays(self.design.steps[-1].error))
-        elif batch.kind == "check" and self.design.batches[-2].kind != "check":
+        elif batch.kind == "trial" or (batch.kind == "check" and self.design.batches[-2].kind != "check"):
             pairs = len(both.try_at(batch.points))
         return [by_cheaper(entry) for entry in inputs] + inputs[:pairs]
 

@@ -2,7 +2,7 @@
 
 Each run is made by the cheaper model. At a few inputs both models are run; these pairs teach the correction, see
 `strandline.surrogate.field.correction`. It is trusted once runs of both models at draws of the posterior, which it has
-not learnt from, confirm it. If it explains too little, or is refuted twice, the cheaper model is dropped.
+not learnt from, confirm it. If it explains too little, or is refuted three times, the cheaper model is dropped.
 """
 
 import hashlib
@@ -24,8 +24,8 @@ TRIED, AGAIN = 3, 1
 """Draws of a posterior at which the correction is confirmed, and of one that follows such a posterior."""
 MISLEADING = 0.5
 """A cheaper model is dropped if its corrected interfaces err by more than this share of the interfaces' spread."""
-REFUTED = 2
-"""Number of posteriors at which the correction may prove wrong before the cheaper model is dropped."""
+REFUTED = 3
+"""Number of trials in which the correction may prove wrong before the cheaper model is dropped."""
 HOPELESS = 3.0
 """A refuted correction gets no second chance if left-out pairs err by so many times what is tolerated."""
 FIRM, ENOUGH = 5, 6
