@@ -12,6 +12,7 @@ import shutil
 import signal
 import tempfile
 import threading
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
 from functools import cache
@@ -66,10 +67,12 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_configure(config: pytest.Config) -> None:
     """Draw the same examples each time in `make test`, others each time in `make test-all`.
 
-    ArviZ notes the day of its first import in a file: processes that do so together get in each other's way.
+    ArviZ warns at its first import of a day, which it notes in a file: processes that do so together get in each
+    other's way, and the warning would be an error.
     """
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
-        import arviz  # noqa: F401
+        with warnings.catch_warnings(action="ignore"):
+            import arviz  # noqa: F401
     hypothesis.settings.register_profile("same", derandomize=True)
     if config.getoption("markexpr") == "not long":
         hypothesis.settings.load_profile("same")
