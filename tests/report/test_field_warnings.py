@@ -75,6 +75,13 @@ def test_what_has_not_converged_is_told_first(calibration: Calibration, found: F
     assert not list(offsets_of_runs(calibration)), "a surrogate of the field has a figure of its own draws"
 
 
+def test_a_region_that_may_have_been_overlooked_is_told(calibration: Calibration, found: FieldOutcome) -> None:
+    certificate = Certificate(True, (), (), (), None, 0.3, overlooks=True)
+    (line,) = told(calibration, replace(found, certificate=certificate))
+    assert "(design.active.unseen)" in line
+    assert "a compact region with 30% or more" in line.lower()
+
+
 @pytest.mark.parametrize(
     ("shift", "ratio", "words"),
     [(-0.3, 1.0, "by up to 0.30 standard deviations"), (0.0, 1.5, "changes standard deviations by up to 50%")],

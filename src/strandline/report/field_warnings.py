@@ -25,6 +25,11 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     if certificate is not None and not certificate.converged:
         advice = "" if certificate.scattered else " Allow more runs: design.active.runs."
         yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{advice}"
+    if certificate is not None and certificate.overlooks:
+        yield (
+            "The runs were too few to look for other regions that fit as thoroughly as asked (design.active.unseen). "
+            f"{certificate.statement} Allow more runs: design.active.runs."
+        )
     shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
     if max(shift, ratio) > EFFECT:
         yield (

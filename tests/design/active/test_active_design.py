@@ -15,6 +15,7 @@ from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch
 from strandline.design.active import campaign as campaign_module
 from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, objections
 from strandline.design.active.elsewhere import Surprise
+from strandline.design.active.fidelities import Fidelities
 from strandline.design.active.outcome import Certificate
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Remembered, State
@@ -23,6 +24,7 @@ from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.likelihood.set_aside import Judge
+from strandline.models.fidelities import by_cheaper
 from strandline.posterior import reweight
 from strandline.runs import FailurePolicy, RunRecord
 
@@ -481,10 +483,41 @@ def test_a_check_takes_the_noise_that_was_inferred(monkeypatch: pytest.MonkeyPat
     assert runs._true(one) == pytest.approx(stated)
 
 
+@pytest.mark.parametrize(("unseen", "elsewhere", "overlooks"), [(0.05, 12, False), (0.02, 17, True)])
+def test_runs_that_a_check_has_left_look_where_none_has_been(unseen: float, elsewhere: int, overlooks: bool) -> None:
+    """All runs that are left are set aside for draws of the check, which needs a few of them."""
+    one = design(Active(46, unseen=unseen))
+    assert kinds(played(one))[3:] == [("check", PROBES), ("elsewhere", elsewhere)]
+    assert one.converged
+    assert one.overlooks(np.concatenate([batch.points for batch in one.batches])) == overlooks
+
+
+@pytest.mark.parametrize("unseen", [0.1, 0.5])
+def test_a_design_knows_whether_its_runs_overlook_a_region(unseen: float) -> None:
+    one = design(Active(100, unseen=unseen))
+    corner = FIRST[(FIRST < 0).all(axis=1)]
+    assert one.overlooks(corner)
+    assert not one.overlooks(SPACE.to_physical(sobol(64, 2)))
+
+
+def test_runs_of_a_dropped_cheaper_model_have_not_looked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The planted bug counts all runs that were asked for."""
+    runs = campaign(monkeypatch, FakeLearner())
+    runs.fidelities = Fidelities(SPACE.names, [""], 0.1)
+    both = [record(row) for row in SPACE.to_physical(sobol(64, 2))]
+    cheaper = [replace(one, inputs=by_cheaper(one.inputs)) for one in both[4:]]
+    runs.design.start(SPACE.to_physical(sobol(64, 2)))
+    runs.fidelities.drop("for a test")
+    runs.fidelities.learn([*both[:4], *cheaper])
+    assert runs.certificate.found > 0.2
+    monkeypatch.setattr(ActiveRuns, "_looked", ActiveRuns.asked)
+    assert runs.certificate.found < 0.1
+
+
 def test_a_certificate_says_what_may_have_been_missed() -> None:
     few, many = (Certificate(False, ("no runs are left",), (), (), None, found) for found in (1.0, 0.07))
     assert few.statement == "The runs are too few to say whether another region fits."
-    assert many.statement.startswith("Wherever it lies, a region with 7% or more of the prior's mass that fits would")
+    assert many.statement.startswith("A compact region with 7% or more of the prior's mass that fits would have been")
     assert repr(few) == "<Certificate after 0 runs: not converged: no runs are left>"
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from strandline.design.active.checking import BatchCheck, number_of_probes
 from strandline.design.active.choice import choose
-from strandline.design.active.elsewhere import Surprise, points_around
+from strandline.design.active.elsewhere import Surprise, points_around, points_elsewhere
 from strandline.design.active.failing import Losses
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.settings import LARGEST_BATCH, Active
@@ -33,7 +33,7 @@ many standard deviations, no logarithm of a standard deviation by as much."""
 BATCH_SHARE = 0.05
 """Runs of a batch as a share of the runs so far, if no number is stated and this is more than that of workers."""
 TRIAL = 3
-"""Further draws of a posterior at which what is doubted of it is tried."""
+"""Further draws of a posterior at which the model runs if there are doubts about it."""
 STILL = 0.5
 """Share of `Active.change` by which a posterior may move and still be the one that a check has passed."""
 DIFFERENT = 0.4
@@ -119,6 +119,7 @@ class ActiveDesign:
         self._odd: tuple[Surprise, ...] = ()
         self._looked_around: set[bytes] = set()
         self._passed: tuple[Remembered, BatchCheck] | None = None
+        self._around_odd = False
         self.scattered = False
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
@@ -142,7 +143,7 @@ class ActiveDesign:
         if kind == "elsewhere":
             here, before = self.batches[-1].points, self.state
             self._odd = self.check.surprises(here, x, records, before)
-            if self.check.surprises(here, x, records, before, strictly=True):
+            if self._around_odd and self.check.surprises(here, x, records, before, strictly=True):
                 self._passed = None
         if kind == "check":
             found, self._odd = self.check.verdict(x, records)
@@ -167,6 +168,10 @@ class ActiveDesign:
         stable, left = self._stable(records), self._left
         settled = stable or kind in ("given", "elsewhere", "trial")
         if check is not None and check.passed and settled:
+            unseen = self._not_looked_at(x, left) if left > 0 and kind != "given" else x[:0]
+            if len(unseen):
+                self._passed, self._around_odd = (Remembered.of(self.state), check), False
+                return self._noted(unseen, "elsewhere")
             self.converged, self.reasons = True, ()
             return None
         if kind == "given":
@@ -182,6 +187,7 @@ class ActiveDesign:
             self._looked_around |= {one.x.tobytes() for one in self._odd}
             around = points_around(odd, x, self.space, self.active.unseen, min(number, left))
             around = self._losses().bearable(around)
+            self._around_odd = True
             if len(around):
                 return self._noted(around, "elsewhere")
         room = left - self.active.check
@@ -189,6 +195,18 @@ class ActiveDesign:
         if ready and self._can_be_checked(records, left) and (self._confirmed() or room < 1):
             return self._noted(self.check.begin(self.state, x, records, left, self._losses()), "check")
         return self._noted(self._chosen(min(self._together, room if room > 0 else left), len(x)), "posterior")
+
+    def overlooks(self, x: Float[np.ndarray, "run dim"]) -> bool:
+        """Return whether these runs are too few to find a region as small as asked, other than where runs fail.
+
+        Args:
+            x: Inputs of the runs, whether they succeeded or failed.
+        """
+        return len(self._not_looked_at(x, 1)) > 0
+
+    def _not_looked_at(self, x: Float[np.ndarray, "run dim"], most: int) -> Float[np.ndarray, "new dim"]:
+        likely = None if self.state is None else self._losses().likely
+        return points_elsewhere(x, self.space, self.active.unseen, most, likely)
 
     def _can_be_checked(self, records: Sequence[RunRecord], left: int) -> bool:
         """Return whether the runs left are enough for a check that could pass, and would not be lost to failures."""
@@ -218,7 +236,7 @@ class ActiveDesign:
 
     @property
     def _together(self) -> int:
-        """Number of runs of the next batch: it grows with the runs so far, so that choosing takes not too long."""
+        """Number of runs of the next batch: it grows with the runs so far, so that choosing does not take too long."""
         if self.active.batch is not None:
             return self.batch
         asked = sum(len(batch.points) for batch in self.batches)
@@ -329,5 +347,6 @@ class ActiveDesign:
             reasons.append("the posterior has not stood still for two batches yet")
         checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]
         reasons += checks[-1].reasons if checks else ("no check on the true model was made",)
+        reasons += [words for one in self._odd[:1] if (words := one.words(self.space)) not in reasons]
         self.scattered = self.check.scatter_prevents(self.state)
         return (*reasons, self.check.scatter.reason) if self.scattered else tuple(reasons)

@@ -1,7 +1,7 @@
 """The batches of an active design, chosen as a campaign asks for them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -65,6 +65,7 @@ class ActiveRuns:
     told: Callable[[BatchReport], None] = lambda report: None
     design: ActiveDesign = field(init=False)
     _given: int = field(init=False, default=0)
+    _told_dropped: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
         def state(x: Points, records: Sequence[RunRecord]) -> State:
@@ -130,12 +131,20 @@ class ActiveRuns:
                 before = len(self.design.steps)
                 batch = self._next(records)
                 if len(self.design.steps) > before:
-                    self.told(report_batch(self.design, self.space))
+                    self.told(self._report())
             except TooFewRuns:
                 batch = self.design.more_of_the_first()
                 if batch is None:
                     raise
         return [] if batch is None else self._runs(batch)
+
+    def _report(self) -> BatchReport:
+        """Return the report on the last batch; it tells once that a cheaper model is dropped."""
+        report = report_batch(self.design, self.space)
+        if self.fidelities is None or self.fidelities.dropped is None or self._told_dropped:
+            return report
+        self._told_dropped = True
+        return replace(report, dropped=self.fidelities.dropped)
 
     def _use(self, fidelities: Fidelities) -> None:
         """Drop a cheaper model of which too few runs succeeded."""
@@ -166,6 +175,11 @@ class ActiveRuns:
                 self.judge.without_exceptions(records, error)
 
     @property
+    def _looked(self) -> Points:
+        """Inputs of the runs that count: those of a cheaper model do not once it is dropped."""
+        return self.asked if self.fidelities is None else self.fidelities.points
+
+    @property
     def asked(self) -> Points:
         """Inputs of all batches so far, in their order."""
         return np.concatenate([batch.points for batch in self.design.batches])
@@ -181,7 +195,8 @@ class ActiveRuns:
             steps=tuple(design.steps),
             batches=tuple(design.batches),
             checked=checks[-1] if checks else None,
-            found=least_found(self.asked, self.space),
+            found=least_found(self._looked, self.space),
+            overlooks=design.converged and design.overlooks(self._looked),
             fidelities=None if self.fidelities is None else self.fidelities.report(self._hidden(design.state)),
             scattered=design.scattered,
         )

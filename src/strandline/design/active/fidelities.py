@@ -177,7 +177,8 @@ class Fidelities:
     @property
     def points(self) -> Float[np.ndarray, "run dim"]:
         """Inputs of `records`, in the order in which they were first asked for."""
-        return np.array([[record.inputs[name] for name in self.names] for record in self.records], float)
+        rows = [[record.inputs[name] for name in self.names] for record in self.records]
+        return np.array(rows, float).reshape(-1, len(self.names))
 
     @property
     def records(self) -> tuple[RunRecord, ...]:

@@ -41,10 +41,10 @@ class Certificate:
         steps: the posterior after each batch; the result is computed from the last one.
         batches: inputs of each batch.
         checked: the step with the last check, or None.
-        found: smallest share of the prior's mass such that a region of it that fits would have been found with 95 %
-            probability, wherever it lies.
+        found: smallest share of the prior's mass such that 95 % of all compact regions with this share hold a run.
         fidelities: What a cheaper model was used for; None if there was none.
         scattered: whether the simulator's own scatter keeps it from converging.
+        overlooks: whether the runs were too few to find a region as small as `Active.unseen`.
     """
 
     converged: bool
@@ -55,6 +55,7 @@ class Certificate:
     found: float = 1.0
     fidelities: FidelityReport | None = None
     scattered: bool = False
+    overlooks: bool = False
 
     @property
     def statement(self) -> str:
@@ -62,8 +63,9 @@ class Certificate:
         if self.found >= 1:
             return "The runs are too few to say whether another region fits."
         return (
-            f"Wherever it lies, a region with {self.found:.0%} or more of the prior's mass that fits would have been "
-            f"found with {SURE:.0%} probability. A smaller one may have been missed."
+            f"A compact region with {self.found:.0%} or more of the prior's mass that fits would have been found with "
+            f"{SURE:.0%} probability: so many of these regions hold a run. A smaller or a narrow one may have been "
+            "missed."
         )
 
     def __repr__(self) -> str:
