@@ -150,6 +150,12 @@ def test_the_usual_k_hat_is_exceeded_by_one_set_of_normal_log_ratios_in_a_hundre
     assert 0.0 <= np.mean(above) <= 0.03
 
 
+def test_draws_without_weight_do_not_widen_the_usual_k_hat() -> None:
+    ratios = 0.2 * np.random.default_rng(7).standard_normal(30)
+    with_nothing = np.where(np.arange(30) < 10, -np.inf, ratios)
+    assert largest_usual_k_hat(with_nothing) == pytest.approx(largest_usual_k_hat(ratios), abs=0.2)
+
+
 def test_a_heavy_tail_exceeds_the_usual_k_hat() -> None:
     """Few draws show a heavy tail less often than many do."""
     random = np.random.default_rng(6)

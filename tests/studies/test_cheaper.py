@@ -152,6 +152,7 @@ def test_a_check_compares_the_two_models(tmp_path: Path) -> None:
         ({"fidelities": [{**FIDELITIES[0], "function": "a:b"}]}, "only `cost` beside it"),
         ({"fidelities": [{"model": 3}]}, "fidelities.model: got 3"),
         ({"fidelities": ["coarse"]}, "only a model with meshes has names for them"),
+        ({"fidelities": ["coarse"]}, "function: .own_model:cheaper"),
         ({"fidelities": FIDELITIES * 2}, "exactly one entry"),
         ({"design": {"sobol": {"runs": 30}}}, "a cheaper model without an active design"),
     ],

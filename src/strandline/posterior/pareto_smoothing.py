@@ -151,9 +151,13 @@ def verdict_on(weights: SmoothedWeights) -> Verdict:
 def largest_usual_k_hat(log_ratios: Float[np.ndarray, " draw"]) -> float:
     """Return the k̂ that 99 % of sets of as many normal log ratios with the same interquartile range do not exceed.
 
-    Some dozen draws leave k̂ so uncertain that it is often above 1/2 for weights without a heavy tail.
+    A few dozen draws leave k̂ so uncertain that it is often above 1/2 for weights without a heavy tail.
+
+    Args:
+        log_ratios: Logarithms of the weights, up to a constant; -inf marks a draw without weight.
     """
-    spread = float(np.diff(np.quantile(log_ratios, [0.25, 0.75]))[0]) / INTERQUARTILE_RANGE
+    finite = log_ratios[np.isfinite(log_ratios)]
+    spread = float(np.diff(np.quantile(finite, [0.25, 0.75]))[0]) / INTERQUARTILE_RANGE
     return _usual_k_hat(len(log_ratios), max(round(spread, 2), 0.01))
 
 

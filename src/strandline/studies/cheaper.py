@@ -24,6 +24,9 @@ COST = 0.3
 """Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""
 TOLERATED = 2.0
 """Multiple of the stated cost from which a check warns."""
+EXAMPLES = {"command": "{templates: {coarse.inp.j2: deck.inp}, cost: 0.1}"}
+EXAMPLE = "{model: {python: {function: 'own_model:cheaper'}}, cost: 0.1}"
+"""Cheaper models by the kind of the model, and for any other kind."""
 FAR = 0.5
 """Share of the interface's extent from which a check warns that the cheaper model's is off by too much."""
 
@@ -51,7 +54,7 @@ def with_cheaper(
             "fidelities",
             value=given,
             expected="the options in which the cheaper model differs: only a model with meshes has names for them",
-            remedy="Write e.g. fidelities: [{templates: {coarse.inp.j2: deck.inp}, cost: 0.1}].",
+            remedy=f"Write e.g. fidelities: [{EXAMPLES.get(next(iter(content.model)), EXAMPLE)}].",
         )
     cost = options.pop("cost", COST)
     if isinstance(cost, bool) or not isinstance(cost, int | float):

@@ -1,7 +1,7 @@
 """Models that a surrogate of the field cannot follow, or whose posterior is easily missed.
 
-All have unknown inputs in the unit box and an interface of 21 heights. In `TRUTH` they are smooth and equal to
-`smooth`, so the observation is the same for all of those with two inputs.
+All have two or three unknown inputs in the unit box, and an interface of 21 heights. Those with two inputs are changes
+of one smooth model; the observation is their own interface at `Model.truth`, with noise.
 """
 
 import hashlib

@@ -76,21 +76,18 @@ def smooth_effect(
     principal = vectors / np.sqrt(np.maximum(values, 1e-12))
     z, many = (draws - mean) / sd, (posterior - mean) / sd
     tried = [principal] if len(mean) <= WHOLE else [principal, np.eye(len(mean))]
-    fits = [(_terms(z @ axes), _terms(many @ axes)) for axes in tried]
-    A, B = min(fits, key=lambda fit: _squares(fit[0], log_ratios))
-    r = np.linalg.qr(A, mode="r")
-    best = np.linalg.lstsq(A, log_ratios, rcond=None)[0]
-    freedom = len(A) - A.shape[1]
-    rest = _squares(A, log_ratios)
+    level /= len(tried)  # either may be the one that fits better
+    best, rest, r, axes = min((_fitted(_terms(z @ axes), log_ratios, axes) for axes in tried), key=lambda fit: fit[1])
+    B, freedom = _terms(many @ axes), len(draws) - len(best)
     random = np.random.default_rng(_SEED)
-    spread = np.linalg.solve(r, random.standard_normal((A.shape[1], SAMPLES))).T
+    spread = np.linalg.solve(r, random.standard_normal((len(best), SAMPLES))).T
     variances = rest / random.chisquare(freedom, SAMPLES)
     drawn = np.vstack([best, best + spread * np.sqrt(variances)[:, None]])
     means, widths, size = _moved(posterior, (mean, sd), drawn @ B.T)
     shift, width = np.abs(means[0]).max(), np.abs(widths[0]).max()
     by_fit = float(np.quantile(size[1:], 1 - level / 2)) + max(_largest_variance(rest, freedom, level) - scatter, 0.0)
     total = float(np.sum((log_ratios - log_ratios.mean()) ** 2))
-    by_all = max(_largest_variance(total, len(A) - 1, level) - scatter, 0.0)
+    by_all = max(_largest_variance(total, len(draws) - 1, level) - scatter, 0.0)
     few = max(rest / float(chi2.ppf(1 - level, freedom)) - scatter, 0.0)
     *_, by_chance = _moved(posterior, (mean, sd), (drawn[1:] - best) @ B.T)
     least = max(math.sqrt(size[0]) - math.sqrt(np.quantile(by_chance, 1 - level)), 0.0) ** 2
@@ -108,9 +105,13 @@ def _terms(y: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, "some term"]:
     return np.column_stack([np.ones(len(y)), y, y**2, *products])
 
 
-def _squares(A: Float[np.ndarray, "draw term"], log_ratios: Float[np.ndarray, " draw"]) -> float:
-    """Return the sum of squares that the terms leave."""
-    return float(np.sum((log_ratios - A @ np.linalg.lstsq(A, log_ratios, rcond=None)[0]) ** 2))
+def _fitted(
+    A: Float[np.ndarray, "draw term"], log_ratios: Float[np.ndarray, " draw"], axes: Float[np.ndarray, "dim dim"]
+) -> tuple[Float[np.ndarray, " term"], float, Float[np.ndarray, "term term"], Float[np.ndarray, "dim dim"]]:
+    """Return the coefficients of least squares, the sum of squares they leave, the factor R of A = QR, and `axes`."""
+    q, r = np.linalg.qr(A)
+    best = np.linalg.solve(r, q.T @ log_ratios)
+    return best, float(np.sum((log_ratios - A @ best) ** 2)), r, axes
 
 
 def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float, float]:

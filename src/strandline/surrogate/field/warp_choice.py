@@ -25,6 +25,7 @@ LEADING = 3
 ROWS, GROWTH = 160, 1.25
 """Observations that choose the warps, at most; factor by which their runs grow from one choice to the next."""
 KEPT = 8
+"""Choices that are remembered."""
 _kept: OrderedDict[Hashable, tuple[str, ...]] = OrderedDict()  # the last choices, by all that they depend on
 
 
@@ -38,10 +39,11 @@ class Data:
     """What the modes are fitted to.
 
     Args:
-        x: Physical inputs.
-        fields: Values of the field, mm.
-        weights: Weights of the values in the mean square.
-        gradients: Derivatives of the fields with respect to the physical inputs, or None.
+        x: Physical inputs, shape (run, dim).
+        fields: Values of the field (run, value), mm.
+        weights: Weights of the values in the mean square, shape (value,).
+        gradients: Derivatives of the fields with respect to the physical inputs (run, value, dim), mm per unit of the
+            input; None if there are none.
     """
 
     x: Float[np.ndarray, "run dim"]
