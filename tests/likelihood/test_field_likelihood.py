@@ -125,9 +125,22 @@ def test_left_out_is_predicted_from_the_others() -> None:
         true.append(
             -0.5 * sum(found.discrepancy(interfaces[o.condition], o.interface) for o in found.observations) / 0.01
         )
-    at_runs, left_out = found.expected(x), found.left_out(np.arange(6))
+    at_runs, left_out = found.expected(x), found.left_out(np.arange(6)).log_expected
     assert np.abs(at_runs - true).max() < 0.02 * np.abs(left_out - true).max()
-    np.testing.assert_array_equal(found.left_out(np.array([4, 1])), left_out[[4, 1]])
+    np.testing.assert_array_equal(found.left_out(np.array([4, 1])).log_expected, left_out[[4, 1]])
+
+
+def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields() -> None:
+    """It is that of 4000 fields drawn at each point, and larger at a run that is left out."""
+    found = likelihood(runs=6)
+    x = np.array([[335.0], [402.0]])
+    predicted, random = found.surrogate.predict(x), np.random.default_rng(1)
+    z = random.standard_normal((4000, 2, predicted.mean.shape[1]))
+    fields = predicted.mean + np.sqrt(predicted.variance) * z
+    drawn = np.stack([found.at(fields[:, k]).var() for k in range(2)])
+    np.testing.assert_allclose(found.variances(x), drawn, rtol=0.15)
+    at_runs, left_out = found.variances(np.linspace(320.0, 540.0, 6)[:, None]), found.left_out(np.arange(6)).variances
+    assert (at_runs < 0.1 * left_out).all()
 
 
 EXACT = gaussian(np.array([0.3, -0.2]), np.array([[1.0, 0.5], [0.5, 0.8]]))

@@ -20,7 +20,7 @@ from strandline.likelihood.parabolas import Around, FittedParabola, log_gain, me
 from strandline.likelihood.shared_errors import SharedErrors, shared_errors
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
-__all__ = ["FieldLikelihood", "OnHost", "noise_length", "sd_of_distances"]
+__all__ = ["FieldLikelihood", "LeftOutLikelihood", "OnHost", "noise_length", "sd_of_distances"]
 
 DRAWS, NEAR_DRAWS = 16, 32
 """Fields drawn at each point for the expected likelihood, and for the one nearby; in pairs of opposite sign."""
@@ -133,12 +133,25 @@ class FieldLikelihood:
         exact = self._drawn(FieldPrediction(found.mean[some], found.variance[some]))
         return bool(np.abs(exact - values[some]).max() <= TOLERATED)
 
-    def left_out(self, runs: Int[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
-        """Return log E[L] at the training runs with these indices, each predicted from all others."""
+    def variances(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the variance of log L over the fields that the surrogate considers possible at each point.
+
+        It is that of a parabola of log L: slopesᵀ V slopes + ½ tr (information V)².
+        """
+        return self._varied(self.surrogate.predict(x))
+
+    def _varied(self, found: FieldPrediction) -> Values:
+        around, V = self.parabola.parabolas(found.mean), found.variance
+        squares = np.einsum("pmn,pm,pn->p", around.information**2, V, V)
+        return np.asarray((around.slopes**2 * V).sum(axis=1) + 0.5 * squares)
+
+    def left_out(self, runs: Int[np.ndarray, " run"]) -> "LeftOutLikelihood":
+        """Return the likelihood of the training runs with these indices, each predicted from all others."""
         left_out = [process.left_out() for process in self.surrogate.processes]
         values = np.stack([p.observed.values for p in self.surrogate.processes], axis=1)
         mean = values - np.stack([one.errors for one in left_out], axis=1)
-        return self._drawn(FieldPrediction(mean[runs], np.stack([one.variances for one in left_out], axis=1)[runs]))
+        found = FieldPrediction(mean[runs], np.stack([one.variances for one in left_out], axis=1)[runs])
+        return LeftOutLikelihood(self._drawn(found), self._varied(found))
 
     def _drawn(self, found: FieldPrediction) -> Float[np.ndarray, " point"]:
         parabolas = self.parabola.parabolas(found.mean)
@@ -192,6 +205,19 @@ class FieldLikelihood:
     def _sizes(self) -> tuple[int, int]:
         """How many modes there are, and how many fields outside them."""
         return len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOutLikelihood:
+    """The likelihood of runs, each predicted from all others.
+
+    Args:
+        log_expected: log E[L] of each, shape (run,).
+        variances: Variance of log L over the fields possible there, shape (run,).
+    """
+
+    log_expected: Float[np.ndarray, " run"]
+    variances: Float[np.ndarray, " run"]
 
 
 @dataclass(frozen=True)

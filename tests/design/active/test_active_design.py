@@ -37,7 +37,7 @@ PROBES = number_of_probes(2)
 def nothing_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """`FakeLearner` has a surrogate of its first runs only, which cannot be left out one by one."""
     monkeypatch.setattr(PosteriorCheck, "left_out", lambda self, *_: ())
-    none = LeftOut(np.empty((0, 2)), np.empty(0))
+    none = LeftOut(np.empty((0, 2)), np.empty(0), np.empty(0))
     monkeypatch.setattr(PosteriorCheck, "near", lambda self, state, records: none)
 
 
@@ -481,6 +481,24 @@ def test_a_check_takes_the_noise_that_was_inferred(monkeypatch: pytest.MonkeyPat
         assert runs._true(one) == pytest.approx(expected)
     runs.design.state = None
     assert runs._true(one) == pytest.approx(stated)
+
+
+def noisy(one: RunRecord) -> float:
+    """A right likelihood with errors of 0.4, which no parabola explains."""
+    error = np.random.default_rng(list(one.key.encode())).standard_normal()
+    return honest(one) + 0.4 * float(error)
+
+
+def test_a_check_that_could_not_settle_it_is_given_up_twice_at_most() -> None:
+    """The posterior is learnt better instead, while there are runs enough for another check."""
+    one = design(Active(200), log_likelihood=noisy)
+    played(one)
+    checks = [step.check for step in one.steps if step.check is not None]
+    assert [check.given_up for check in checks[:3]] == [True, True, False]
+    assert max(check.draws for check in checks[:2]) < 20 < checks[2].draws
+    few = design(Active(70), log_likelihood=noisy)
+    played(few)
+    assert not any(step.check.given_up for step in few.steps if step.check is not None)
 
 
 @pytest.mark.parametrize(("unseen", "elsewhere", "overlooks"), [(0.05, 12, False), (0.02, 17, True)])

@@ -1,39 +1,84 @@
 """How often checks pass right and wrong surrogates, and after how many draws."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from strandline.design.active import parabola
-from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, looks, number_of_probes, probes, verdict
-from strandline.design.active.parabola import fewest, smooth_effect
+from strandline.design.active import checking, parabola
+from strandline.design.active.checking import (
+    ERROR_PROBABILITY,
+    BatchCheck,
+    LeftOut,
+    Tolerances,
+    error_probability,
+    looks,
+    number_of_probes,
+    probes,
+    verdict,
+)
+from strandline.design.active.parabola import Effect, Expected, fewest, smooth_effect
 
 TOLERANCES = Tolerances(shift=0.1, width=0.15, k_hat=0.5, effective=0.8)
 Error = Callable[[np.ndarray], np.ndarray]
 REPLICATES = 60
 
 
+def even(z: np.ndarray) -> np.ndarray:
+    return np.ones(len(z))
+
+
+def uneven(z: np.ndarray) -> np.ndarray:
+    """Return how much larger errors are in the tails of two inputs."""
+    return np.asarray(0.2 + 0.5 * (z[:, :2] ** 2).sum(axis=1))
+
+
+def falsely(z: np.ndarray) -> np.ndarray:
+    """Return sizes of errors that are ten times too large at half of the places, and right at none."""
+    return np.asarray(uneven(z) * np.where(np.sin(40 * z[:, 0]) > 0, 10.0, 0.5))
+
+
 def checked(
-    error: Error, seed: int, *, dim: int = 2, noise: float = 0.02, most: int = 25, earlier: int = 0, blind: bool = False
+    error: Error,
+    seed: int,
+    *,
+    dim: int = 2,
+    noise: float = 0.02,
+    most: int = 25,
+    earlier: int = 0,
+    blind: bool = False,
+    sizes: Error = even,
+    expected: Error = even,
 ) -> BatchCheck:
     """Check a normal surrogate whose log-likelihood is off by `error` and by noise; draws come two by two.
 
-    Earlier runs have twice the noise, and are `blind` if they do not notice the error.
+    The noise has these relative sizes, and the surrogate expects others. Earlier runs have twice the noise, and are
+    `blind` if they do not notice the error.
     """
     random = np.random.default_rng(seed)
     posterior, pool, equal = (random.standard_normal((number, dim)) for number in (500, 200, most))
     number = number_of_probes(dim, earlier)
     before = np.random.default_rng([seed, 1]).standard_normal((earlier, dim))
-    seen = (0.0 if blind else error(before)) + 2 * noise * np.random.default_rng([seed, 2]).standard_normal(earlier)
+    unlike = 2 * noise * sizes(before) * np.random.default_rng([seed, 2]).standard_normal(earlier)
+    left_out = LeftOut(before, (0.0 if blind else error(before)) + unlike, (2 * noise * expected(before)) ** 2)
     draws = np.concatenate([pool[probes(pool, number)], equal])
-    ratios = error(draws) + noise * random.standard_normal(len(draws))
+    ratios = error(draws) + noise * sizes(draws) * random.standard_normal(len(draws))
+    variances, typical = (noise * expected(draws)) ** 2, (noise * expected(posterior)) ** 2
     ends = looks(number, len(draws), 2)
     for end in ends:
         last = end == ends[-1]
         given = draws[:end], ratios[:end], posterior, TOLERANCES
-        found = verdict(*given, probing=number, looks=len(ends), last=last, left_out=LeftOut(before, seen))
+        level = error_probability(ends.index(end), len(ends))
+        found = verdict(
+            *given,
+            probing=number,
+            level=level,
+            last=last,
+            left_out=left_out,
+            expected=Expected(variances[:end], typical),
+        )
         if isinstance(found, BatchCheck):
             assert found.draws == end
             assert found.early == (not last)
@@ -96,6 +141,83 @@ def test_wrong_surrogates_do_not_pass_with_earlier_runs_either(error: Error, bli
     assert share_passed(error, earlier=8, blind=blind) <= 0.05
 
 
+@pytest.mark.parametrize("name", ["mean off by 0.2 sd", "sd 0.7 times", "missed tail"])
+def test_wrong_surrogates_do_not_pass_whatever_errors_they_expect(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{__name__}.REPLICATES", 40)
+    assert share_passed(WRONG[name], noise=0.03, earlier=8, sizes=uneven, expected=falsely) <= 0.05
+
+
+def test_a_tail_is_missed_if_expected_errors_count_for_objections_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The planted bug: errors are expected in the tail, so what draws say there hardly counts."""
+    options: dict[str, Any] = {"noise": 0.1, "earlier": 8, "sizes": uneven, "expected": uneven}
+    monkeypatch.setattr(f"{__name__}.REPLICATES", 30)
+    assert share_passed(WRONG["missed tail"], **options) <= 0.05
+    effect = checking.smooth_effect
+
+    def always(*given: Any, **options: Any) -> Effect:
+        sizes = Expected(*((0.1 * uneven(z)) ** 2 for z in (given[0], given[2])))
+        return effect(*given, **{"expected": sizes} | options)
+
+    monkeypatch.setattr(checking, "smooth_effect", always)
+    assert share_passed(WRONG["missed tail"], **options) > 0.1
+
+
+def test_draws_count_by_the_errors_that_are_expected_there() -> None:
+    """In the tails errors are ten times as large as near the mean: where that is expected, fewer draws are enough."""
+    options: dict[str, Any] = {"dim": 4, "noise": 0.08, "sizes": uneven, "earlier": 60, "most": 40}
+    draws = {one: [checked(right, seed, expected=one, **options).draws for seed in range(10)] for one in (even, uneven)}
+    assert np.mean(draws[uneven]) < 0.7 * np.mean(draws[even])
+
+
+def test_bounds_hold_if_half_of_the_expected_errors_are_far_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The planted bug: the scale of the errors is that of all draws, most of which say that it is small."""
+
+    def wrong() -> float:
+        found = []
+        for seed in range(200):
+            random = np.random.default_rng(seed)
+            draws, posterior = random.standard_normal((16, 1)), random.standard_normal((500, 1))
+            half = np.arange(16) % 2 == 0
+            ratios = 0.5 * random.standard_normal(16)
+            expected = Expected(np.where(half, 0.25, 100.0), np.ones(500))
+            found.append(smooth_effect(draws, ratios, posterior, 0.05, expected=expected).shift_bounds[0] > 0)
+        return float(np.mean(found))
+
+    assert wrong() <= 0.17  # 5 % on each side if the expected errors were right
+    fitted = parabola._fitted
+
+    def of_all(A: np.ndarray, ratios: np.ndarray, roots: np.ndarray) -> Any:
+        fit = fitted(A, ratios, roots)
+        squares = float(np.sum((roots * (ratios - A @ fit.best)) ** 2))
+        return replace(fit, squares=squares, freedom=float(len(A) - len(fit.best)))
+
+    monkeypatch.setattr(parabola, "_fitted", of_all)
+    assert wrong() > 0.25
+
+
+def test_a_check_is_given_up_if_all_its_draws_would_hardly_settle_it() -> None:
+    random = np.random.default_rng(1)
+    posterior, draws = random.standard_normal((500, 2)), random.standard_normal((14, 2))
+    normal = random.standard_normal(14)
+
+    def found(noise: float, most: int | None) -> Any:
+        given = draws, noise * normal, posterior, TOLERANCES
+        return verdict(*given, probing=9, level=0.01, last=False, most=most)
+
+    assert [found(0.4, most) for most in (None, 10_000)] == ["open", "open"]
+    given_up = found(0.4, 34)
+    assert (given_up.passed, given_up.given_up) == (False, True)
+    assert given_up.reasons == ("14 draws leave it so open that 34 would hardly settle it",)
+    assert found(0.01, 34).passed
+
+
+def test_the_first_look_takes_half_of_the_error_probability() -> None:
+    shares = [error_probability(look, 5) for look in range(5)]
+    assert sum(shares) == pytest.approx(ERROR_PROBABILITY)
+    assert shares[0] == pytest.approx(ERROR_PROBABILITY / 2)
+    assert error_probability(0, 1) == ERROR_PROBABILITY
+
+
 def test_earlier_runs_save_draws() -> None:
     found = [checked(right, seed, earlier=8) for seed in range(REPLICATES)]
     assert all(one.passed and one.left_out == 8 for one in found)
@@ -108,9 +230,9 @@ def test_earlier_runs_that_are_far_off_do_not_object() -> None:
     assert all(one.passed for one in found)
     random = np.random.default_rng(3)
     posterior, draws, before = (random.standard_normal((number, 2)) for number in (500, 14, 8))
-    far = LeftOut(before, 3.0 * random.standard_normal(8))
+    far = LeftOut(before, 3.0 * random.standard_normal(8), np.full(8, 9.0))
     ratios = 0.01 * random.standard_normal(14)
-    one = verdict(draws, ratios, posterior, TOLERANCES, probing=6, looks=9, last=False, left_out=far)
+    one = verdict(draws, ratios, posterior, TOLERANCES, probing=6, level=0.005, last=False, left_out=far)
     assert isinstance(one, BatchCheck)
     assert (one.passed, one.left_out) == (True, 0)
 
@@ -198,7 +320,7 @@ def test_failed_runs_end_a_check() -> None:
     random = np.random.default_rng(1)
     posterior, draws = random.standard_normal((500, 2)), random.standard_normal((20, 2))
     ratios = np.where(np.arange(20) < 4, np.nan, 0.0)
-    options = {"probing": 9, "looks": 5, "last": False}
+    options = {"probing": 9, "level": 0.01, "last": False}
     found = verdict(draws, ratios, posterior, TOLERANCES, **options)  # type: ignore[arg-type]
     assert isinstance(found, BatchCheck)
     assert (found.passed, found.failed) == (False, 4)
@@ -212,7 +334,7 @@ def test_draws_that_the_true_model_excludes_end_a_check() -> None:
     random = np.random.default_rng(1)
     posterior, draws = random.standard_normal((500, 2)), random.standard_normal((20, 2))
     ratios = np.where(np.arange(20) < 1, -np.inf, 0.0)
-    found = verdict(draws, ratios, posterior, TOLERANCES, probing=9, looks=5, last=False)
+    found = verdict(draws, ratios, posterior, TOLERANCES, probing=9, level=0.01, last=False)
     assert isinstance(found, BatchCheck)
     assert not found.passed
 

@@ -12,7 +12,7 @@ from tests.design.active.test_checking import TOLERANCES
 from strandline.calibration import Calibration, Problem, Settings, calibrate
 from strandline.design import sobol
 from strandline.design.active import Active, Knowledge, learn, scatter_of
-from strandline.design.active.checking import BatchCheck, looks, number_of_probes, probes, verdict
+from strandline.design.active.checking import BatchCheck, error_probability, looks, number_of_probes, probes, verdict
 from strandline.design.active.parabola import smooth_effect
 from strandline.design.active.scatter import Scatter, typical_variance
 from strandline.discrepancy import TrackedPoints
@@ -119,7 +119,8 @@ def test_known_scatter_is_taken_out_of_the_effective_share_alone() -> None:
     posterior, draws = random.standard_normal((500, 2)), random.standard_normal((60, 2))
     ratios = 0.5 * random.standard_normal(60)
     plain, known = (smooth_effect(draws, ratios, posterior, 0.05, scatter=s) for s in (0.0, 0.25))
-    assert (known.shift_bounds, known.width_bounds) == (plain.shift_bounds, plain.width_bounds)
+    assert known.shift_bounds == pytest.approx(plain.shift_bounds)
+    assert known.width_bounds == pytest.approx(plain.width_bounds)
     assert plain.effective_bounds[0] < 0.75
     assert known.effective_bounds[0] == pytest.approx(plain.effective_bounds[0] * np.exp(0.25), rel=1e-6)
     assert smooth_effect(draws, ratios, posterior, 0.05, scatter=9.0).effective_bounds[1] <= 1.0
@@ -136,7 +137,12 @@ def share_passed(off: float, scatter: float) -> float:
         ratios = off * draws[:, 0] + np.sqrt(scatter) * random.standard_normal(len(draws))
         ends = looks(number, len(draws), 2)
         for end in ends:
-            options = {"probing": number, "looks": len(ends), "last": end == ends[-1], "scatter": scatter}
+            options = {
+                "probing": number,
+                "level": error_probability(ends.index(end), len(ends)),
+                "last": end == ends[-1],
+                "scatter": scatter,
+            }
             found = verdict(draws[:end], ratios[:end], posterior, TOLERANCES, **options)
             if isinstance(found, BatchCheck):
                 passed += found.passed

@@ -314,14 +314,16 @@ class ActiveDesign:
     def _stable(self, records: Sequence[RunRecord]) -> bool:
         """Return whether the posterior has moved little up to this step, and up to the step it is compared with.
 
-        A check that has failed does not count as that step: two batches must follow it before the next check. Before
-        the first check, one batch is enough if the runs near the posterior agree with predictions from the others.
+        A check that has failed does not count as that step: two batches must follow it before the next check. Unless
+        one has, one batch is enough if the runs near the posterior agree with predictions from the others.
         """
         last = self.steps[-1]
         if not self._calm(last):
             return False
         assert self.state is not None
-        if all(step.check is None for step in self.steps) and self.check.agrees(self.state, records):
+        if all(step.check is None or step.check.given_up for step in self.steps) and self.check.agrees(
+            self.state, records
+        ):
             return True
         return any(self._calm(step) for step in self.steps if step.runs == last.since and step.kind != "check")
 

@@ -8,14 +8,16 @@ never settle it, the importance weights of all draws but the probes do.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
+from scipy.stats import t
 
-from strandline.design.active.parabola import Effect, fewest, smooth_effect
+from strandline.design.active.parabola import FREEDOM, Effect, Expected, fewest, smooth_effect
 from strandline.posterior import NEARLY_EQUAL, Reweighting, largest_usual_k_hat, reweight
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "LeftOut",
     "Tolerances",
     "agree",
+    "error_probability",
     "looks",
     "number_of_probes",
     "objections",
@@ -38,10 +41,12 @@ FEWEST_BESIDES = 2
 """Fewest probes besides two for each input, whatever the number of earlier runs."""
 POOL = 200
 """Draws from which the probes are picked."""
-ERROR_PROBABILITY = 0.05
-"""Probability that an early verdict is wrong, over all looks together."""
+ERROR_PROBABILITY, FIRST = 0.05, 0.5
+"""Probability that an early verdict is wrong, over all looks together; share of it that the first look has."""
 LIKELY = 0.05
 """Probability that each objection of the parabola to all draws is wrong: it has seen tails that the others may miss."""
+LEVEL = 0.995
+"""Typical probability with which a bound holds: it tells how bounds shrink with more draws."""
 GROWTH = 0.25
 """Share by which the draws of a check grow from one look to the next."""
 FEWEST_WHOLE = 18
@@ -75,10 +80,12 @@ class LeftOut:
     Args:
         x: Their inputs, shape (run, dim).
         log_ratios: Logarithm of true over predicted likelihood at each, up to the constant of the draws, shape (run,).
+        variances: Their variances as the surrogate expects them, shape (run,).
     """
 
     x: Float[np.ndarray, "run dim"]
     log_ratios: Float[np.ndarray, " run"]
+    variances: Float[np.ndarray, " run"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +100,7 @@ class BatchCheck:
         reasons: Figures outside the tolerances, in words.
         early: Whether the first draws settled it.
         left_out: Number of earlier runs that helped to settle it, each predicted from all others.
+        given_up: Whether it ended because more draws would hardly settle it.
     """
 
     draws: int
@@ -102,6 +110,7 @@ class BatchCheck:
     reasons: tuple[str, ...]
     early: bool = False
     left_out: int = 0
+    given_up: bool = False
 
 
 def number_of_probes(dim: int, left_out: int = 0) -> int:
@@ -139,6 +148,18 @@ def looks(fewest: int, most: int, batch: int) -> tuple[int, ...]:
     return tuple(ends)
 
 
+def error_probability(look: int, looks: int) -> float:
+    """Return the probability that a verdict is wrong which this look may take up: the first one takes half of all.
+
+    Args:
+        look: Number of the look, from 0.
+        looks: Number of times that the verdict is sought.
+    """
+    if looks == 1:
+        return ERROR_PROBABILITY
+    return ERROR_PROBABILITY * (FIRST if look == 0 else (1 - FIRST) / (looks - 1))
+
+
 def verdict(
     draws: Float[np.ndarray, "draw dim"],
     log_ratios: Float[np.ndarray, " draw"],
@@ -146,10 +167,12 @@ def verdict(
     tolerances: Tolerances,
     *,
     probing: int,
-    looks: int,
+    level: float,
     last: bool,
     left_out: LeftOut | None = None,
+    expected: Expected | None = None,
     scatter: float = 0.0,
+    most: int | None = None,
 ) -> BatchCheck | Literal["open"]:
     """Return the verdict of the draws so far, or that more are needed.
 
@@ -159,16 +182,23 @@ def verdict(
         posterior: Many draws of equal weight.
         tolerances: What is tolerated.
         probing: Number of probes.
-        looks: Number of times that the verdict is sought.
+        level: Probability that this verdict is wrong if it is not the last one, see `error_probability`.
         last: Whether no more draws will come.
         left_out: Earlier runs near the posterior. They can confirm it, but not object: they are predicted with fewer
             runs than the posterior has.
+        expected: Variances of the log ratios that the surrogate expects; None: all are the same. Draws count by them
+            for the bounds that confirm a posterior, but equally for those that object: it may expect errors in a tail
+            that it has missed.
         scatter: Variance of the log ratios by the simulator's own scatter, which the bounds allow for. The importance
             weights of all draws do not: they are certain of shifts only if they are nearly equal.
+        most: Number of draws after which the check would end: it is given up if so many would hardly settle it; None:
+            it never is.
     """
     left_out = None if left_out is None or not len(left_out.x) else left_out
     good = ~np.isnan(log_ratios)
     number, kept, ratios = len(draws), draws[good], log_ratios[good]
+    expected = Expected.equal(number, len(posterior)) if expected is None else expected
+    here = Expected(expected.draws[good], expected.posterior)
     failed = number - len(kept)
     found = reweight(kept, ratios) if len(kept) >= FEWEST_DRAWS else None
 
@@ -178,26 +208,35 @@ def verdict(
     if failed > max(1.0, MOST_FAILED * number) and (last or failed > MOST_EARLY):
         return ended((f"{failed} of the check's {number} runs failed, more than {MOST_FAILED:.0%}",))
     excluded = not np.isfinite(ratios).all()
-    level = ERROR_PROBABILITY / looks / (1 if left_out is None else 2)
+    level /= 1 if left_out is None else 2
+    so_far: list[tuple[Effect, int]] = []
     if left_out is not None and not excluded and len(kept) > 2 * draws.shape[1]:
         x = np.concatenate([left_out.x, kept])
         all_ratios = np.concatenate([left_out.log_ratios, ratios])
-        if len(x) >= fewest(x.shape[1]) and _within(
-            smooth_effect(x, all_ratios, posterior, level, scatter=scatter), tolerances
-        ):
-            weights, earlier = reweight(x, all_ratios), len(left_out.x)
-            return BatchCheck(number, failed, weights, passed=True, reasons=(), early=not last, left_out=earlier)
+        both = Expected(np.concatenate([left_out.variances, here.draws]), expected.posterior)
+        if len(x) >= fewest(x.shape[1]):
+            effect = smooth_effect(x, all_ratios, posterior, level, scatter=scatter, expected=both)
+            if _within(effect, tolerances):
+                weights, earlier = reweight(x, all_ratios), len(left_out.x)
+                return BatchCheck(number, failed, weights, passed=True, reasons=(), early=not last, left_out=earlier)
+            so_far.append((effect, len(x)))
     if found is None or len(kept) < fewest(draws.shape[1]):
-        return ended((f"only {len(kept)} of {number} runs of the check succeeded",)) if last else "open"
-    if excluded:
+        if last:
+            return ended((f"only {len(kept)} of {number} runs of the check succeeded",))
+    elif excluded:
         return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
-    effect = smooth_effect(kept, ratios, posterior, level, scatter=scatter)
-    if _within(effect, tolerances):
-        return ended(())
-    if surely := _beyond(effect, tolerances):
-        return ended(surely)
+    else:
+        effect = smooth_effect(kept, ratios, posterior, level, scatter=scatter, expected=here)
+        if _within(effect, tolerances):
+            return ended(())
+        if surely := _beyond(smooth_effect(kept, ratios, posterior, level, scatter=scatter), tolerances):
+            return ended(surely)
+        so_far.append((effect, len(kept)))
     if not last:
-        return "open"
+        if most is None or _may_settle(so_far, most - number, draws.shape[1], tolerances):
+            return "open"
+        return replace(ended((f"{number} draws leave it so open that {most} would hardly settle it",)), given_up=True)
+    assert found is not None
     equal = good & (np.arange(number) >= probing)
     if equal.sum() < FEWEST_WHOLE:
         return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))
@@ -206,14 +245,27 @@ def verdict(
     return ended(objections(whole, tolerances) or _beyond(likely, tolerances), whole)
 
 
-def agree(left_out: LeftOut, posterior: Float[np.ndarray, "particle dim"], tolerances: Tolerances) -> bool:
+def agree(
+    left_out: LeftOut,
+    posterior: Float[np.ndarray, "particle dim"],
+    variances: Float[np.ndarray, " particle"],
+    tolerances: Tolerances,
+) -> bool:
     """Return whether earlier runs alone, if there are enough of them, show that a posterior is within the tolerances.
 
     They say nothing where no run has been: draws of the posterior must confirm it.
+
+    Args:
+        left_out: The runs.
+        posterior: Many draws of equal weight.
+        variances: Variances of the log ratios that the surrogate expects there.
+        tolerances: What is tolerated.
     """
     if len(left_out.x) < fewest(posterior.shape[1]):
         return False
-    return _within(smooth_effect(left_out.x, left_out.log_ratios, posterior, ERROR_PROBABILITY), tolerances)
+    expected = Expected(left_out.variances, variances)
+    effect = smooth_effect(left_out.x, left_out.log_ratios, posterior, ERROR_PROBABILITY, expected=expected)
+    return _within(effect, tolerances)
 
 
 def _within(effect: Effect, tolerances: Tolerances) -> bool:
@@ -223,6 +275,21 @@ def _within(effect: Effect, tolerances: Tolerances) -> bool:
         and effect.width_bounds[1] <= tolerances.width
         and effect.effective_bounds[0] >= tolerances.effective
     )
+
+
+def _may_settle(so_far: Sequence[tuple[Effect, int]], more: int, dim: int, tolerances: Tolerances) -> bool:
+    """Return whether one of some effects, each of so many draws, may be within the tolerances after more draws.
+
+    Bounds shrink with the root of the degrees of freedom, and as quantiles of Student's t distribution do.
+    """
+    for effect, number in so_far:
+        free = number - (fewest(dim) - FREEDOM)
+        before, after = t.ppf(LEVEL, [free, free + more])
+        shrinks = math.sqrt(free / (free + more)) * after / before
+        bounds = shrinks * effect.shift_bounds[1], shrinks * effect.width_bounds[1]
+        if bounds[0] <= tolerances.shift and bounds[1] <= tolerances.width:
+            return True
+    return not so_far
 
 
 def _beyond(effect: Effect, tolerances: Tolerances) -> tuple[str, ...]:

@@ -21,8 +21,10 @@ def left_out_ratios(
     log_prior: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]],
     *,
     mass: float = MASS,
-) -> tuple[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]]:
-    """Return the inputs of the runs inside the posterior, and log(true/predicted likelihood) of each.
+) -> tuple[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"], Float[np.ndarray, " run"]]:
+    """Return the inputs of the runs inside the posterior, log(true/predicted likelihood) of each, and its variance.
+
+    The variance is the one that the surrogate without the run expects.
 
     The prediction is that of the surrogate without the run, so the ratios are those of a worse surrogate than the
     one in use. They show how much the weights of a check would differ, not where the posterior would move.
@@ -43,5 +45,6 @@ def left_out_ratios(
     inside = knowledge.expected(x) + np.asarray(log_prior(x)) >= lowest
     good = [record for record in records if record.ok]
     true = np.array([log_likelihood(good[i]) for i in np.flatnonzero(inside)])
-    predicted = likelihood.left_out(np.flatnonzero(inside)) + knowledge.log_feasibility(x[inside])
-    return x[inside], true - predicted
+    predicted = likelihood.left_out(np.flatnonzero(inside))
+    log_expected = predicted.log_expected + knowledge.log_feasibility(x[inside])
+    return x[inside], true - log_expected, predicted.variances

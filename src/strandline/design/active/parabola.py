@@ -2,9 +2,9 @@
 
 The logarithm δ of true over expected likelihood is taken as a + Σ (b_k y_k + c_k y_k²) along the principal axes y of
 the posterior, or along the inputs if that fits better, plus independent errors; in up to three dimensions as a whole
-quadratic function. The coefficients have
-Student's t distribution around their least-squares estimate. Weights exp(δ) of many draws then show how far each mean
-and each standard deviation would move.
+quadratic function. Draws at which the surrogate is less sure may count less. The coefficients have Student's t
+distribution around their least-squares estimate. Weights exp(δ) of many draws then show how far each mean and each
+standard deviation would move.
 """
 
 import math
@@ -22,7 +22,27 @@ FREEDOM = 3
 """Degrees of freedom that must be left."""
 WHOLE = 3
 """Largest dimension with products of the axes."""
+ROUGH = 0.1
+"""Standard deviation of δ for which no expectation accounts: it bounds how much more one draw counts than another."""
 _SEED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Variances of δ that the surrogate expects, of which only the ratios matter.
+
+    Args:
+        draws: Those at the draws, shape (draw,).
+        posterior: Those at the many draws of the posterior, shape (particle,).
+    """
+
+    draws: Float[np.ndarray, " draw"]
+    posterior: Float[np.ndarray, " particle"]
+
+    @classmethod
+    def equal(cls, draws: int, posterior: int) -> "Expected":
+        """Return variances that are all the same."""
+        return cls(np.zeros(draws), np.zeros(posterior))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +76,7 @@ def smooth_effect(
     level: float,
     *,
     scatter: float = 0.0,
+    expected: Expected | None = None,
 ) -> Effect:
     """Return the effect of a smooth error.
 
@@ -66,6 +87,10 @@ def smooth_effect(
         level: Probability that each bound is exceeded.
         scatter: Variance of δ by the simulator's own scatter, which is no error of the posterior. It widens the bounds
             of shifts and widths, as all scatter does, but is taken out of those of the effective share.
+        expected: Variances of δ that the surrogate expects; None: all are the same.
+
+    Errors about the parabola have the expected variances times a scale. This is that of all draws, or of those that
+    count most if it is larger: many of the expected variances may be far too large.
 
     The effective share is about exp(-Var δ). Its lower bound takes the variance of δ as a whole, or that of the
     parabola and of the errors about it, whichever is smaller; its upper bound takes the part of the parabola's spread
@@ -77,18 +102,25 @@ def smooth_effect(
     z, many = (draws - mean) / sd, (posterior - mean) / sd
     tried = [principal] if len(mean) <= WHOLE else [principal, np.eye(len(mean))]
     level /= len(tried)  # either may be the one that fits better
-    best, rest, r, axes = min((_fitted(_terms(z @ axes), log_ratios, axes) for axes in tried), key=lambda fit: fit[1])
-    B, freedom = _terms(many @ axes), len(draws) - len(best)
+    expected = Expected.equal(len(draws), len(posterior)) if expected is None else expected
+    others = scatter + ROUGH**2
+    roots, typical = 1 / np.sqrt(expected.draws + others), float(expected.posterior.mean()) + others
+    fits = [(_fitted(_terms(z @ axes), log_ratios, roots), axes) for axes in tried]
+    fit, axes = min(fits, key=lambda one: one[0].squares / one[0].freedom)
+    B, best = _terms(many @ axes), fit.best
     random = np.random.default_rng(_SEED)
-    spread = np.linalg.solve(r, random.standard_normal((len(best), SAMPLES))).T
-    variances = rest / random.chisquare(freedom, SAMPLES)
-    drawn = np.vstack([best, best + spread * np.sqrt(variances)[:, None]])
+    spread = np.linalg.solve(fit.factor, random.standard_normal((len(best), SAMPLES))).T
+    scales = np.sqrt(fit.squares / random.chisquare(fit.freedom, SAMPLES))
+    drawn = np.vstack([best, best + spread * scales[:, None]])
     means, widths, size = _moved(posterior, (mean, sd), drawn @ B.T)
     shift, width = np.abs(means[0]).max(), np.abs(widths[0]).max()
-    by_fit = float(np.quantile(size[1:], 1 - level / 2)) + max(_largest_variance(rest, freedom, level) - scatter, 0.0)
+    about = typical * fit.squares
+    by_fit = float(np.quantile(size[1:], 1 - level / 2)) + max(
+        _largest_variance(about, fit.freedom, level) - scatter, 0.0
+    )
     total = float(np.sum((log_ratios - log_ratios.mean()) ** 2))
     by_all = max(_largest_variance(total, len(draws) - 1, level) - scatter, 0.0)
-    few = max(rest / float(chi2.ppf(1 - level, freedom)) - scatter, 0.0)
+    few = max(about / float(chi2.ppf(1 - level, fit.freedom)) - scatter, 0.0)
     *_, by_chance = _moved(posterior, (mean, sd), (drawn[1:] - best) @ B.T)
     least = max(math.sqrt(size[0]) - math.sqrt(np.quantile(by_chance, 1 - level)), 0.0) ** 2
     return Effect(
@@ -105,13 +137,42 @@ def _terms(y: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, "some term"]:
     return np.column_stack([np.ones(len(y)), y, y**2, *products])
 
 
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Weighted least squares.
+
+    Args:
+        best: The coefficients.
+        factor: R of the weighted A = QR.
+        squares: Weighted sum of squares of the errors.
+        freedom: Its degrees of freedom.
+    """
+
+    best: Float[np.ndarray, " term"]
+    factor: Float[np.ndarray, "term term"]
+    squares: float
+    freedom: float
+
+
 def _fitted(
-    A: Float[np.ndarray, "draw term"], log_ratios: Float[np.ndarray, " draw"], axes: Float[np.ndarray, "dim dim"]
-) -> tuple[Float[np.ndarray, " term"], float, Float[np.ndarray, "term term"], Float[np.ndarray, "dim dim"]]:
-    """Return the coefficients of least squares, the sum of squares they leave, the factor R of A = QR, and `axes`."""
-    q, r = np.linalg.qr(A)
-    best = np.linalg.solve(r, q.T @ log_ratios)
-    return best, float(np.sum((log_ratios - A @ best) ** 2)), r, axes
+    A: Float[np.ndarray, "draw term"], log_ratios: Float[np.ndarray, " draw"], roots: Float[np.ndarray, " draw"]
+) -> _Fit:
+    """Return the fit; its errors are those of the draws that count most, with half of the freedom, if they are larger.
+
+    Args:
+        A: Terms of the parabola.
+        log_ratios: What it is fitted to.
+        roots: Square roots of the draws' weights.
+    """
+    q, r = np.linalg.qr(roots[:, None] * A)
+    best = np.linalg.solve(r, q.T @ (roots * log_ratios))
+    order = np.argsort(-roots, kind="stable")
+    squares = np.cumsum(((roots * (log_ratios - A @ best)) ** 2)[order])
+    freedom = np.cumsum(1 - (q**2).sum(axis=1)[order])
+    part = max(int(np.searchsorted(freedom, freedom[-1] / 2)) - 1, int(np.searchsorted(freedom, 1.0)))
+    if roots.max() == roots.min() or squares[part] / freedom[part] <= squares[-1] / freedom[-1]:
+        part = len(A) - 1
+    return _Fit(best, r, float(squares[part]), float(freedom[part]))
 
 
 def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float, float]:
@@ -125,7 +186,7 @@ def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float
     return float(np.maximum(np.maximum(lowest, -highest), 0.0).max()), float(upper)
 
 
-def _largest_variance(squares: float, freedom: int, level: float) -> float:
+def _largest_variance(squares: float, freedom: float | int, level: float) -> float:
     """Return the bound of a variance that two of them share a `level` for, given a sum of squares."""
     return squares / float(chi2.ppf(level / 2, freedom))
 

@@ -12,6 +12,7 @@ from strandline.design.active.checking import (
     BatchCheck,
     LeftOut,
     agree,
+    error_probability,
     looks,
     number_of_probes,
     objections,
@@ -28,6 +29,7 @@ from strandline.design.active.elsewhere import (
 )
 from strandline.design.active.failing import Losses
 from strandline.design.active.left_out import NEAR, left_out_ratios
+from strandline.design.active.parabola import Expected
 from strandline.design.active.scatter import NONE, Scatter, scatter_of, typical_variance
 from strandline.design.active.settings import Active
 from strandline.design.active.state import State
@@ -40,6 +42,8 @@ __all__ = ["PosteriorCheck"]
 
 FEWEST_LEFT_OUT = 20
 """Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
+MOST_GIVEN_UP = 2
+"""Number of checks that are given up, at most, because more draws would hardly settle them."""
 SHOWING = 500
 """Draws that show how far the posterior would move."""
 
@@ -60,6 +64,7 @@ class Checked:
         elsewhere: Inputs of runs where nobody has looked yet.
         left_out: Earlier runs near the posterior, each predicted from all others.
         looks: Number of times that the verdict is sought; by default as many as `ends`.
+        patient: Whether all draws are run before the check is given up.
     """
 
     state: State
@@ -70,6 +75,7 @@ class Checked:
     elsewhere: Float[np.ndarray, "new dim"]
     left_out: LeftOut | None = None
     looks: int = 0
+    patient: bool = True
 
     def __post_init__(self) -> None:
         if not self.looks:
@@ -100,6 +106,7 @@ class PosteriorCheck:
         self.log_likelihood = log_likelihood
         self.scatter: Scatter = NONE
         self._checked: Checked | None = None
+        self._given_up = 0
         self._observed: tuple[int, float | None] = (active.check, None)
 
     def begin(self, state: State, x: Points, records: Sequence[RunRecord], left: int, losses: Losses) -> New:
@@ -125,7 +132,8 @@ class PosteriorCheck:
             elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
         ends = looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
-        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier)
+        patient = self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
+        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier, patient=patient)
         return np.concatenate([draws[: ends[0]], elsewhere])
 
     def more(self) -> New:
@@ -155,10 +163,20 @@ class PosteriorCheck:
         ratios = true - checked.log_expected[here]
         draws, posterior = checked.draws[here], self._shown(checked.state)
         self.scatter = scatter_of(checked.state.knowledge, draws)
-        self._observed = len(ratios), typical_variance(ratios)
-        given: dict[str, Any] = {"left_out": checked.left_out, "scatter": self.scatter.variance}
-        counts: dict[str, Any] = {"probing": probing, "looks": checked.looks, "last": last}
+        observed = typical_variance(ratios)
+        self._observed = len(ratios), observed
+        variances = checked.state.knowledge.likelihood.variances
+        given: dict[str, Any] = {
+            "left_out": checked.left_out,
+            "expected": Expected(variances(draws), variances(posterior)),
+            "scatter": self.scatter.variance,
+        }
+        level = error_probability(checked.looks - len(checked.ends), checked.looks)
+        counts: dict[str, Any] = {"probing": probing, "level": level, "last": last}
+        if not checked.patient and not self.scatter.explains(observed):
+            given["most"] = len(checked.draws)
         found = verdict(draws, ratios, posterior, self.active.tolerances, **counts, **given)
+        self._given_up += isinstance(found, BatchCheck) and found.given_up
         if not isinstance(found, BatchCheck) or not found.passed:
             return found, ()
         odd = self.surprises(checked.elsewhere, x, records, checked.state)
@@ -200,7 +218,7 @@ class PosteriorCheck:
 
     def without_runs(self, state: State, records: Sequence[RunRecord]) -> BatchCheck:
         """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
-        x, ratios = left_out_ratios(state, records, self.log_likelihood, self.space.log_prior)
+        x, ratios, _ = left_out_ratios(state, records, self.log_likelihood, self.space.log_prior)
         if len(x) < FEWEST_LEFT_OUT:
             reason = f"only {len(x)} of the available runs lie inside the posterior"
             return BatchCheck(len(x), 0, None, False, (reason,))
@@ -220,7 +238,9 @@ class PosteriorCheck:
 
     def agrees(self, state: State, records: Sequence[RunRecord]) -> bool:
         """Return whether runs near the posterior, each predicted from all others, show that it is right."""
-        return agree(self.near(state, records), self._shown(state), self.active.tolerances)
+        shown = self._shown(state)
+        variances = state.knowledge.likelihood.variances(shown)
+        return agree(self.near(state, records), shown, variances, self.active.tolerances)
 
     def near(self, state: State, records: Sequence[RunRecord]) -> LeftOut:
         """Return the runs near the posterior: a parabola reaches a little farther than the draws."""

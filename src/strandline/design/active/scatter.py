@@ -79,9 +79,13 @@ class Scatter:
             effective: Share of draws that must be effective.
             observed: Typical variance of the log ratios of the check; None: none was made.
         """
-        if observed is not None and self.variance < MOST * observed:
+        if observed is not None and not self.explains(observed):
             return False
         return math.exp(-self.variance) < effective or SURE * math.sqrt(self.variance / max(draws, 1)) > shift
+
+    def explains(self, observed: float) -> bool:
+        """Return whether it is the reason why log ratios vary, given their typical variance."""
+        return self.variance >= MOST * observed
 
 
 NONE = Scatter(0.0, 1.0, 0.0)
