@@ -15,6 +15,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from strandline.errors import NumericsError
+from strandline.numerics.threads import side_by_side
 from strandline.posterior.bound_slope import slope_correction
 from strandline.posterior.gaussian import require_fraction
 from strandline.posterior.posterior import systematic_indices
@@ -151,9 +152,12 @@ class KernelDensity:
         """Return the density of the kernels without mirroring, in blocks of points."""
         white, white_centres = _whiten(points, self.factor), _whiten(self.centres, self.factor)
         norm = np.prod(np.diag(self.factor)) * (2 * np.pi) ** (self.dim / 2)
+
+        def summed(block: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, " some"]:
+            return np.asarray(np.exp(-0.5 * cdist(block, white_centres, "sqeuclidean")) @ self.weights)
+
         blocks = np.array_split(white, max(1, len(white) // 256))
-        sums = [np.exp(-0.5 * cdist(block, white_centres, "sqeuclidean")) @ self.weights for block in blocks]
-        return np.asarray(np.concatenate(sums) / norm)
+        return np.asarray(np.concatenate([*side_by_side(summed, blocks)]) / norm)
 
 
 def _distinct(

@@ -235,7 +235,8 @@ def verdict(
     if not last:
         if most is None or _may_settle(so_far, most - number, draws.shape[1], tolerances):
             return "open"
-        return replace(ended((f"{number} draws leave it so open that {most} would hardly settle it",)), given_up=True)
+        open_yet = ended((f"{number} draws leave it so open that {most} would hardly settle it",))
+        return replace(open_yet, early=False, given_up=True)
     assert found is not None
     equal = good & (np.arange(number) >= probing)
     if equal.sum() < FEWEST_WHOLE:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-__all__ = ["Effect", "fewest", "smooth_effect"]
+__all__ = ["FREEDOM", "Effect", "Expected", "fewest", "smooth_effect"]
 
 SAMPLES = 400
 """Sets of coefficients drawn."""
@@ -29,7 +29,7 @@ _SEED = 5
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Variances of δ that the surrogate expects, of which only the ratios matter.
+    """Variances of δ that the surrogate expects; a common factor hardly matters.
 
     Args:
         draws: Those at the draws, shape (draw,).
