@@ -167,6 +167,7 @@ def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict
         "failed": found.failed,
         "left_out": found.left_out,
         "early": found.early,
+        "given_up": found.given_up,
         "reasons": list(found.reasons),
         "k_hat": None if weights is None or not np.isfinite(weights.smoothed.k_hat) else weights.smoothed.k_hat,
         "effective": None if weights is None else weights.smoothed.ess / len(weights.smoothed.log_weights),

@@ -98,7 +98,7 @@ class BatchCheck:
         reweighting: Reweighting by the draws whose run succeeded, and by the earlier runs if these settled it.
         passed: Whether all figures are within the tolerances.
         reasons: Figures outside the tolerances, in words.
-        early: Whether the first draws settled it.
+        early: Whether it was settled before the last draws.
         left_out: Number of earlier runs that helped to settle it, each predicted from all others.
         given_up: Whether it ended because more draws would hardly settle it.
     """
