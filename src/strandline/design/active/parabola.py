@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-__all__ = ["FREEDOM", "Effect", "Expected", "fewest", "smooth_effect"]
+__all__ = ["FREEDOM", "WHOLE", "Effect", "Expected", "fewest", "smooth_effect"]
 
 SAMPLES = 400
 """Sets of coefficients drawn."""

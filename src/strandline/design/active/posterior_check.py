@@ -29,7 +29,7 @@ from strandline.design.active.elsewhere import (
 )
 from strandline.design.active.failing import Losses
 from strandline.design.active.left_out import NEAR, left_out_ratios
-from strandline.design.active.parabola import Expected
+from strandline.design.active.parabola import WHOLE, Expected
 from strandline.design.active.scatter import NONE, Scatter, scatter_of, typical_variance
 from strandline.design.active.settings import Active
 from strandline.design.active.state import State
@@ -132,7 +132,8 @@ class PosteriorCheck:
             elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
         ends = looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
-        patient = self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
+        few = self.space.dim <= WHOLE  # above, products are lacking: all draws may settle what the parabola does not
+        patient = not few or self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
         self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier, patient=patient)
         return np.concatenate([draws[: ends[0]], elsewhere])
 
