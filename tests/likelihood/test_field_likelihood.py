@@ -131,7 +131,7 @@ def test_left_out_is_predicted_from_the_others() -> None:
 
 
 def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields() -> None:
-    """It is that of 4000 fields drawn at each point, and larger at a run that is left out."""
+    """It is that of 4000 fields drawn at each point, and at least twice as large at a run that is left out."""
     found = likelihood(runs=6)
     x = np.array([[335.0], [402.0]])
     predicted, random = found.surrogate.predict(x), np.random.default_rng(1)
@@ -140,7 +140,7 @@ def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields() -> None
     drawn = np.stack([found.at(fields[:, k]).var() for k in range(2)])
     np.testing.assert_allclose(found.variances(x), drawn, rtol=0.15)
     at_runs, left_out = found.variances(np.linspace(320.0, 540.0, 6)[:, None]), found.left_out(np.arange(6)).variances
-    assert (at_runs < 0.1 * left_out).all()
+    assert (at_runs < 0.5 * left_out).all()
 
 
 EXACT = gaussian(np.array([0.3, -0.2]), np.array([[1.0, 0.5], [0.5, 0.8]]))
