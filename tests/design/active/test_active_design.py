@@ -11,9 +11,9 @@ import pytest
 from tests.design.active.fakes import SPACE, FakeLearner, interface, known, record, state_of
 
 from strandline.design import sobol
-from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch
+from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch, posterior_check
 from strandline.design.active import campaign as campaign_module
-from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, objections
+from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, objections, verdict
 from strandline.design.active.elsewhere import Surprise
 from strandline.design.active.fidelities import Fidelities
 from strandline.design.active.outcome import Certificate
@@ -499,6 +499,29 @@ def test_a_check_that_could_not_settle_it_is_given_up_twice_at_most() -> None:
     few = design(Active(70), log_likelihood=noisy)
     played(few)
     assert not any(step.check.given_up for step in few.steps if step.check is not None)
+
+
+@pytest.mark.parametrize(("whole", "most"), [(2, 34), (1, None)])
+def test_a_check_is_told_what_errors_are_expected(
+    whole: int, most: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A check of more inputs than a whole parabola has is not given up."""
+    told: list[dict[str, Any]] = []
+
+    def spy(*given: Any, **options: Any) -> Any:
+        told.append({"draws": given[0], "posterior": given[2], **options})
+        return verdict(*given, **options)
+
+    monkeypatch.setattr(posterior_check, "verdict", spy)
+    monkeypatch.setattr(posterior_check, "WHOLE", whole)
+    one = design(Active(200), log_likelihood=noisy)
+    played(one)
+    assert one.state is not None
+    variances = one.state.knowledge.likelihood.variances
+    assert told[0].get("most") == most
+    np.testing.assert_allclose(told[0]["expected"].draws, variances(told[0]["draws"]))
+    np.testing.assert_allclose(told[0]["expected"].posterior, variances(told[0]["posterior"]))
+    assert told[0]["expected"].draws.max() > 2 * told[0]["expected"].draws.min() > 0
 
 
 @pytest.mark.parametrize(("unseen", "elsewhere", "overlooks"), [(0.05, 12, False), (0.02, 17, True)])

@@ -207,7 +207,7 @@ def test_a_check_is_given_up_if_all_its_draws_would_hardly_settle_it() -> None:
     assert [found(0.4, most) for most in (None, 10_000)] == ["open", "open"]
     given_up = found(0.4, 34)
     assert (given_up.passed, given_up.given_up) == (False, True)
-    assert given_up.reasons == ("14 draws leave it so open that 34 would hardly settle it",)
+    assert given_up.reasons == ("14 draws leave the check open, and 34 would hardly settle it",)
     assert found(0.01, 34).passed
 
 

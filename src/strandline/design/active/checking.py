@@ -87,6 +87,19 @@ class LeftOut:
     log_ratios: Float[np.ndarray, " run"]
     variances: Float[np.ndarray, " run"]
 
+    def joined(
+        self,
+        draws: Float[np.ndarray, "draw dim"],
+        log_ratios: Float[np.ndarray, " draw"],
+        variances: Float[np.ndarray, " draw"],
+    ) -> tuple[Float[np.ndarray, "all dim"], Float[np.ndarray, " all"], Float[np.ndarray, " all"]]:
+        """Return inputs, log ratios and variances of these runs and of draws, one after the other."""
+        return (
+            np.concatenate([self.x, draws]),
+            np.concatenate([self.log_ratios, log_ratios]),
+            np.concatenate([self.variances, variances]),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class BatchCheck:
@@ -100,7 +113,7 @@ class BatchCheck:
         reasons: Figures outside the tolerances, in words.
         early: Whether it was settled before the last draws.
         left_out: Number of earlier runs that helped to settle it, each predicted from all others.
-        given_up: Whether it ended because more draws would hardly settle it.
+        given_up: Whether it ended early because all its draws would hardly have settled it.
     """
 
     draws: int
@@ -149,7 +162,7 @@ def looks(fewest: int, most: int, batch: int) -> tuple[int, ...]:
 
 
 def error_probability(look: int, looks: int) -> float:
-    """Return the probability that a verdict is wrong which this look may take up: the first one takes half of all.
+    """Return the probability that the verdict of one look may be wrong. The first look has half of the total.
 
     Args:
         look: Number of the look, from 0.
@@ -211,14 +224,12 @@ def verdict(
     level /= 1 if left_out is None else 2
     so_far: list[tuple[Effect, int]] = []
     if left_out is not None and not excluded and len(kept) > 2 * draws.shape[1]:
-        x = np.concatenate([left_out.x, kept])
-        all_ratios = np.concatenate([left_out.log_ratios, ratios])
-        both = Expected(np.concatenate([left_out.variances, here.draws]), expected.posterior)
+        x, both, variances = left_out.joined(kept, ratios, here.draws)
         if len(x) >= fewest(x.shape[1]):
-            effect = smooth_effect(x, all_ratios, posterior, level, scatter=scatter, expected=both)
+            wide = Expected(variances, expected.posterior)
+            effect = smooth_effect(x, both, posterior, level, scatter=scatter, expected=wide)
             if _within(effect, tolerances):
-                weights, earlier = reweight(x, all_ratios), len(left_out.x)
-                return BatchCheck(number, failed, weights, passed=True, reasons=(), early=not last, left_out=earlier)
+                return replace(ended((), reweight(x, both)), left_out=len(left_out.x))
             so_far.append((effect, len(x)))
     if found is None or len(kept) < fewest(draws.shape[1]):
         if last:
@@ -235,9 +246,9 @@ def verdict(
     if not last:
         if most is None or _may_settle(so_far, most - number, draws.shape[1], tolerances):
             return "open"
-        open_yet = ended((f"{number} draws leave it so open that {most} would hardly settle it",))
-        return replace(open_yet, early=False, given_up=True)
-    assert found is not None
+        reason = f"{number} draws leave the check open, and {most} would hardly settle it"
+        return replace(ended((reason,)), early=False, given_up=True)
+    assert found is not None  # fewer draws have ended it
     equal = good & (np.arange(number) >= probing)
     if equal.sum() < FEWEST_WHOLE:
         return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))

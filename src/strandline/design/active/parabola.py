@@ -23,7 +23,7 @@ FREEDOM = 3
 WHOLE = 3
 """Largest dimension with products of the axes."""
 ROUGH = 0.1
-"""Standard deviation of δ for which no expectation accounts: it bounds how much more one draw counts than another."""
+"""Standard deviation added to every expected one, so that no draw counts far more than all others."""
 _SEED = 5
 
 

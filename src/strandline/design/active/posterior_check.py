@@ -64,7 +64,7 @@ class Checked:
         elsewhere: Inputs of runs where nobody has looked yet.
         left_out: Earlier runs near the posterior, each predicted from all others.
         looks: Number of times that the verdict is sought; by default as many as `ends`.
-        patient: Whether all draws are run before the check is given up.
+        patient: Whether more draws are run even if they would hardly settle it.
     """
 
     state: State

@@ -85,7 +85,7 @@ class Scatter:
 
     def explains(self, observed: float) -> bool:
         """Return whether it is the reason why log ratios vary, given their typical variance."""
-        return self.variance >= MOST * observed
+        return self.variance > 0 and self.variance >= MOST * observed
 
 
 NONE = Scatter(0.0, 1.0, 0.0)
