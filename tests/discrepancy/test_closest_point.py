@@ -8,7 +8,7 @@ from tests.discrepancy.surfaces import sheet
 from strandline.discrepancy import ClosestPoint, closest_point
 from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import InvalidInput, InvalidInterface
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors
 
 
 def wavy(nodes: int, seed: int) -> Interface:
@@ -144,3 +144,14 @@ def test_what_offsets_amount_to_is_the_measure_of_the_moved_interface(direction:
     moved = [Interface.polyline(np.stack([fine, offset(fine, size)], axis=1)) for size in sizes]
     found = measure.of_offsets(np.array([offset(x, size) for size in sizes]), observed, len(fine))
     np.testing.assert_allclose(found, [measure(one, observed) for one in moved], rtol=0.02)
+
+
+def test_noise_variance_of_a_mean_is_that_of_its_independent_points() -> None:
+    """A mean of n squared distances moves the inputs as one point with a variance of s²/n would."""
+    angle = np.linspace(0.0, 2 * np.pi, 200, endpoint=False)
+    ring = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+    errors = PointErrors(0.01)
+    mean, total = (ClosestPoint(direction="to_simulated", weighting=one) for one in ("length", "sum"))
+    assert mean.noise_variance(errors, ring) == pytest.approx(0.01**2 / 200, rel=1e-3)
+    assert total.noise_variance(errors, ring) == pytest.approx(0.01**2, rel=1e-3)
+    assert ClosestPoint(weighting="length").noise_variance(errors, ring) is None

@@ -10,7 +10,7 @@ from strandline.discrepancy import Currents
 from strandline.discrepancy.memo import Snapshot
 from strandline.discrepancy.products import kernel_integrals, kernel_sums
 from strandline.errors import InvalidInput, InvalidInterface, NumericsError
-from strandline.interface import Interface, oriented_like
+from strandline.interface import Interface, PointErrors, oriented_like
 
 ARC = np.array([[0.02 * i, 0.3 * math.sin(0.08 * i)] for i in range(40)])
 """An open curve of segments about 0.03 mm long."""
@@ -285,3 +285,14 @@ def test_a_tolerance_is_never_smaller_than_the_stated_one():
     seen = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.1], [2.0, 0.0]]))
     assert Currents(0.1, tolerance=0.01).tolerating(1e-12, seen).tolerance == 0.01
     assert Currents(0.1, quadrature="centre").tolerating(1.0, seen) == Currents(0.1, quadrature="centre")
+
+
+def test_noise_variance_of_independent_points() -> None:
+    """A slow change of the offsets e moves d² = ∬ e e' q by as much as white noise of density s²h does: s²h ∫q."""
+    angle = np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
+    ring = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+    spacing = float(ring.lengths.mean())
+    for width, sd in ((0.1, 0.01), (0.2, 0.03)):
+        expected = sd**2 * spacing * math.sqrt(2 * math.pi) / width
+        assert Currents(width).noise_variance(PointErrors(sd), ring) == pytest.approx(expected, rel=1e-3)
+    assert Currents(0.5 * spacing).noise_variance(PointErrors(0.01), ring) is None

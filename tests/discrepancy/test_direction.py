@@ -58,3 +58,13 @@ def test_closed_outlines_by_the_side_they_face(reverse: bool) -> None:
     angle = 2 * np.pi * S[:-1]
     rings = [Interface.polyline(r * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True) for r in (1.0, 1.1)]
     assert oriented_like_runs(rings[0].reversed() if reverse else rings[0], rings).flipped == reverse
+
+
+def test_closed_outlines_nearest_to_the_observation_vote() -> None:
+    """More rings around the origin run the other way round."""
+    angle = 2 * np.pi * S[:-1]
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    near = [Interface.polyline(r * ring + np.array([5.0, 0.0]), closed=True) for r in np.linspace(0.9, 1.1, 20)]
+    far = [Interface.polyline(ring + np.array([200.0, k]), closed=True).reversed() for k in range(40)]
+    assert not oriented_like_runs(near[3], [*far, *near]).flipped
+    assert oriented_like_runs(far[3].reversed(), [*far, *near]).flipped

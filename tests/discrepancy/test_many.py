@@ -243,3 +243,25 @@ def test_a_plain_function_will_do() -> None:
 
     expected = np.max((points - seen.points) ** 2, axis=(1, 2))
     np.testing.assert_array_equal(squared_discrepancies(largest, points, template, seen), expected)
+
+
+def test_single_precision_is_left_to_the_way_run_by_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = np.linspace(0.0, 1.0, 40)
+    seen = Interface.polyline(np.column_stack([s, 0.3 * np.sin(np.pi * s)]))
+    points = np.stack([np.column_stack([s, h * np.sin(np.pi * s)]) for h in np.linspace(0.2, 0.4, FEWEST)])
+    given = {"width": 0.05, "square": 1.0, "rule": many_currents.Rule(1e-6, 1e-3)}
+    assert many_currents.currents_of_many(points, seen.cells, seen.points, seen.cells, **given) is not None
+    monkeypatch.setattr(many_currents, "double", lambda: False)
+    assert many_currents.currents_of_many(points, seen.cells, seen.points, seen.cells, **given) is None
+
+
+def test_the_reach_is_that_of_the_longest_run() -> None:
+    s = np.linspace(0.0, 1.0, 40)
+    flat = np.column_stack([s, 0 * s])
+    cells = Interface.polyline(flat).cells
+
+    def reach(*heights: float) -> float:
+        runs = np.stack([flat + h * np.column_stack([0 * s, np.sin(20 * s)]) for h in heights], axis=2)
+        return many_currents._Batch.of(runs, cells, flat, cells, many_currents.Rule(1e-8, 1e-3)).reach
+
+    assert reach(0.0, 0.5) == reach(0.5) > reach(0.0)

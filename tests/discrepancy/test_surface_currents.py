@@ -189,3 +189,16 @@ def test_units_and_terms():
     assert unit_of(Currents(0.1)) == unit_of(Currents(0.1), Interface.polyline(np.eye(2))) == "mm²"
     assert unit_of(Currents(0.1), sheet(3)) == "mm⁴"
     assert independent_terms(Currents(0.1), sheet(3)) is None
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_radius_of_an_acute_and_of_an_obtuse_triangle(scale: float) -> None:
+    acute = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, math.sqrt(0.75), 0.0]])
+    obtuse = np.array([[0.0, 0.0, 0.0], [1.9, 0.0, 0.0], [0.95, 0.3, 0.0]])
+    found = surface_integrals._enclosing_radii(scale * np.stack([acute, obtuse]))
+    np.testing.assert_allclose(found, [scale / math.sqrt(3), 0.95 * scale], rtol=1e-12)
+
+
+def test_the_highest_order_is_tried() -> None:
+    ratio = 6.0
+    assert triangle_order(ratio, error_bound(surface_integrals._HIGHEST, ratio)) == surface_integrals._HIGHEST

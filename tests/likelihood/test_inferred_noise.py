@@ -15,7 +15,7 @@ from strandline.likelihood import FieldLikelihood, infer_noise
 from strandline.likelihood.inferred_noise import NoisePosterior, _grid, _log_evidences, require_inferable
 from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.linearised import linearise
-from strandline.likelihood.model_error import Cause, offset_scales, offset_waves
+from strandline.likelihood.model_error import Cause, causes_of, offset_scales, offset_waves
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
 NODES = np.linspace(0.0, 1.0, 61)
@@ -277,3 +277,47 @@ def test_an_input_that_differs_between_conditions_is_noticed(apart: float, found
     assert inferred is not None
     assert (inferred.posterior.probability_of_model_error > 0.95) == found
     assert (inferred.posterior.spread > 0.05) == found
+
+
+def test_waves_of_a_closed_outline_are_alike_everywhere() -> None:
+    """Sines count as much as cosines: the covariance depends on the distance along the outline alone."""
+    angle = np.linspace(0.0, 2 * np.pi, 80, endpoint=False)
+    ring = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+    B = offset_waves(ring) * offset_scales(ring, 0.5, 0.15)
+    found = B @ B.T
+    rolled = np.array([np.roll(found[k], -k) for k in range(80)])
+    np.testing.assert_allclose(rolled, np.tile(rolled[0], (80, 1)), atol=1e-12)
+    near = np.arange(20) / 80
+    np.testing.assert_allclose(rolled[0, :20], 0.25 * np.exp(-near / 0.15), atol=0.05)
+
+
+def test_each_of_three_conditions_has_its_own_deviation_of_an_input() -> None:
+    x = LOW + (HIGH - LOW) * qmc.Sobol(2, seed=np.random.default_rng(1)).random(16)
+    fields = [{name: arch(row) for name in "abc"} for row in x]
+    unknown = UnknownErrors(0.001, 0.0, spread=(0,))
+    seen = [Observation(arch(TRUTH, number), unknown, name) for name, number in (("a", 20), ("b", 30), ("c", 40))]
+    errors = tuple(PointErrors(0.001) for _ in seen)
+    lin = linearise(fit_field(FieldTraining(x, fields, None, LOW, HIGH)), JointErrors(tuple(seen), errors))
+    columns = causes_of(lin, seen, unknown).columns
+    assert columns.shape == (90, 3)
+    expected = np.zeros((90, 3))
+    for k, part in enumerate((slice(0, 20), slice(20, 50), slice(50, 90))):
+        expected[part, k] = lin.scaled[part, 0]
+    np.testing.assert_array_equal(columns, expected)
+
+
+@pytest.mark.parametrize("truth", [[0.4, 0.2], [0.2, -0.1]], ids=["upper corner", "lower corner"])
+def test_no_interface_outside_the_box_is_asked_for(truth: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    known, asked, mean = surrogate(), [], FieldSurrogate.mean
+
+    def noting(self: FieldSurrogate, x: np.ndarray) -> np.ndarray:
+        asked.append(x)
+        return mean(self, x)
+
+    monkeypatch.setattr(FieldSurrogate, "mean", noting)
+    seen = Observation(arch(np.array(truth), 200), ERRORS)
+    lin = linearise(known, JointErrors((seen,), (ERRORS,)))
+    np.testing.assert_allclose(lin.at, truth, atol=1e-3)
+    points = np.concatenate(asked)
+    assert (points >= LOW).all()
+    assert (points <= HIGH).all()

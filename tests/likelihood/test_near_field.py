@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from tests.calibration.arches import SD, SPACE, TRUTH, arch, knowledge, seen
 
-from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset, signed_distances
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
-from strandline.likelihood import FieldLikelihood
+from strandline.likelihood import FieldLikelihood, compared
 from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised import linearise
-from strandline.likelihood.near_field import NearField, near_field
-from strandline.likelihood.nearby import OfStatedErrors
+from strandline.likelihood.near_field import BENT, TRUSTED, NearField, near_field
+from strandline.likelihood.nearby import OfStatedErrors, _ByOffsets
 from strandline.likelihood.residuals import residuals_of
 
 LOCAL = PointErrors(SD)
@@ -215,3 +215,52 @@ def test_the_best_inputs_fit_best() -> None:
     assert joint(GLOBAL).model.square(lin.residuals) <= -2 * likelihood(GLOBAL).plug_in(grid).max() + 0.1
     at = near_field(likelihood(GLOBAL).surrogate, joint(GLOBAL), lin.field.at)
     np.testing.assert_array_equal(at.slopes, lin.field.slopes)
+
+
+def test_bends_count_by_half_where_they_are_as_large_as_is_trusted() -> None:
+    found = near(LOCAL)
+    z = np.random.default_rng(6).standard_normal(len(found.at))
+    one, other = np.triu_indices(min(len(found.at), BENT))
+
+    def ratio(size: float) -> float:
+        ahead, bent = found.slopes @ (size * z), found.bends @ (size**2 * z[one] * z[other])
+        weights = 1 / found.model.local
+        return float(np.sqrt((weights @ bent**2) / (weights @ ahead**2)))
+
+    size = TRUSTED / ratio(1.0)
+    assert ratio(size) == pytest.approx(TRUSTED)
+    _, share = found.bending(np.array([size * z, 1e-3 * size * z]))
+    np.testing.assert_allclose(share, [0.5, 1.0], atol=1e-5)
+
+
+def test_weights_of_offsets_do_not_depend_on_their_side_and_small_ones_take_the_typical_size() -> None:
+    """The norm of currents of width σ grows with each offset r as 1 - exp(-r²/2σ²)."""
+    width, line = 0.05, Interface.polyline(np.stack([np.linspace(0.0, 2.0, 41), np.zeros(41)], axis=1))
+    one = compared(Observation(line, 1e-4), Currents(width), 41)
+    of = _ByOffsets(one, 41)
+    r = np.zeros(41)
+    r[10], r[30] = 0.12, -0.12
+    found, typical = of.weights(r), float(np.sqrt(np.mean(r**2)))
+    np.testing.assert_allclose(found, of.weights(-r))
+    assert found[10] == pytest.approx(found[30])
+
+    def share(size: float) -> float:
+        return (1 - float(np.exp(-(size**2) / (2 * width**2)))) / size**2
+
+    assert found[20] / found[10] == pytest.approx(share(typical) / share(0.12), rel=1e-3)
+
+
+def test_a_shifted_observation_is_followed_even_if_some_points_do_not_feel_the_shift() -> None:
+    """Half of the interface is flat: its signed distances do not change with a shift along it."""
+    s = np.linspace(0.0, 2.0, 401)
+    y = np.where(s > 1, 0.3 * np.sin(np.pi * np.maximum(s - 1, 0.0)) ** 2, 0.0)
+    true = Interface.polyline(np.stack([s, y], axis=1))
+    errors, shift = PointErrors(1e-3, shift=0.05), np.array([0.05, 0.0])
+    inside = true.points[40:-40]
+    seen = Interface.polyline(inside + shift)
+    found = JointErrors((Observation(seen, errors),), (errors,))
+    (r,) = residuals_of(found, {"": true.points[None]}, {"": true})
+    assert not found.model.shared.all()
+    np.testing.assert_allclose(r, found.model.shared @ np.array([1.0, 0.0]), atol=2e-3)
+    plain = signed_distances(seen.points, true)
+    assert np.abs(plain - found.model.shared @ np.array([1.0, 0.0])).max() > 4e-3

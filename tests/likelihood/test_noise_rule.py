@@ -148,3 +148,11 @@ def test_smooth_shapes_move_a_wavy_sheet_along_its_normals() -> None:
     exact /= np.linalg.norm(exact, axis=1, keepdims=True)
     assert (_shapes(wavy)[0] * exact).sum(axis=1).min() > 0.99
     assert exact[:, 2].min() < 0.95
+
+
+def test_shapes_of_a_surface_have_amplitudes_of_one() -> None:
+    shapes = _shapes(sheet(12))
+    assert len(shapes) == 4
+    sizes = np.linalg.norm(shapes, axis=2).max(axis=1)
+    assert (sizes > 0.1).all()
+    assert (sizes < 1.001).all()

@@ -5,7 +5,10 @@ import subprocess
 import sys
 from typing import Any
 
+import jax
 import pytest
+
+from strandline.smc import devices
 
 PROGRAM = """
 import hashlib, json, sys
@@ -50,3 +53,10 @@ def test_two_devices_find_what_one_finds_and_repeat_it_to_the_bit() -> None:
 
 def test_particles_that_two_devices_cannot_share_alike_stay_on_one() -> None:
     assert sampled(2, 401)["devices"] == 1
+
+
+@pytest.mark.parametrize("number", [3, 4])
+def test_particles_on_a_single_device_stay_as_they_are(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices.jax, "devices", lambda: jax.local_devices()[:1])
+    positions = jax.numpy.zeros((number, 2))
+    assert devices.spread(positions) is positions

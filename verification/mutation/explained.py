@@ -1,6 +1,6 @@
 """Mutants that no test notices, and why none has to."""
 
-__all__ = ["EXPLAINED"]
+__all__ = ["EXPLAINED", "EXPLAINED_ON_LINE"]
 
 _OF_SIDES = (
     "((points - corners) * interface.normals[found.cells]).sum(axis=1)",
@@ -10,6 +10,21 @@ _OF_SHARES = (
     "(jnp.arange(number) + offset) / number * cumulative[-1]",
     "((jnp.arange(number) + offset) / number / cumulative[-1])",
 )
+_OF_SPREAD = (
+    "simulated.points + width * np.linspace(-1.0, 1.0, number)[:, None, None]",
+    "(simulated.points - width * np.linspace(-1.0, 1.0, number)[:, None, None])",
+)
+_OF_HALF = (
+    "int(np.searchsorted(freedom, freedom[-1] / 2)) - 1",
+    "(int(np.searchsorted(freedom, freedom[-1] / 2)))",
+)
+_OF_PAIRS = "len(a.cells) * len(b.cells)", "(len(a.cells))"
+_OF_DISTANCE = "beyond ** 2 + off ** 2", "(beyond ** 2 - off ** 2)"
+_OF_CYLINDERS = "above * above + beside * beside", "(above * above - beside * beside)"
+_OF_NODES = "simulated.points - observed.points", "(observed.points - simulated.points)"
+_OF_LAST = "len(cumulative) - 1", "(len(cumulative) + 1)"
+_OF_ROWS = "len(observed.z) * (1 if observed.gradients is None else 1 + dim)", "(len(observed.z))"
+_OF_KEYS = "jax.random.key_data(seed) if is_typed else seed", "(jax.random.key_data(seed))"
 EXPLAINED: dict[tuple[str, str, str], str] = {
     ("design/active/elsewhere.py", "0", "(1)"): "Another scrambling of the Sobol points; either will do.",
     ("design/active/parabola.py", "np.maximum(values, 1e-12)", "(np.minimum(values, 1e-12))"): (
@@ -57,3 +72,68 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("surrogate/field/projection.py", "1e-12", "(2e-12)"): "Only holds parts without a rim, however weakly.",
 }
 """(file, before, after): the reason."""
+
+EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
+    ("design/active/active_design.py", "len(self._not_looked_at(x, 1)) > 0", "1", "(2)"): (
+        "Only whether there are places to look at counts, not how many."
+    ),
+    ("design/active/cost.py", "np.linspace(-1.0, 1.0, number)", *_OF_SPREAD): "The same interfaces in reverse order.",
+    ("design/active/parabola.py", "part = max(int(np.searchsorted(freedom,", *_OF_HALF): (
+        "One more draw among those that count most."
+    ),
+    ("discrepancy/contours/repeats.py", "half = max(len(path) // (2 * PIECES), 2)", "2", "(3)"): (
+        "The reference outline is smoothed over a somewhat different window."
+    ),
+    ("discrepancy/normal_offset.py", "if found is None:", "found is None", "(False)"): (
+        "Then the interfaces are compared one by one: slower."
+    ),
+    ("discrepancy/products/kernel_integrals.py", "reach = math.inf if", *_OF_PAIRS): (
+        "Pairs that together count for less than 1e-12 are left out of more or of fewer sums."
+    ),
+    ("discrepancy/products/kernel_integrals.py", "log_bound = math.log(4)", "4", "(5)"): (
+        "A bound that is a quarter larger: at most one more point of the rule."
+    ),
+    ("discrepancy/products/kernel_integrals.py", "near = beyond**2 + off**2", *_OF_DISTANCE): (
+        "Pairs are kept that are too far apart to count: slower."
+    ),
+    ("discrepancy/search/nearest.py", "size = max(1, BLOCK // len(target.cells))", "1", "(2)"): (
+        "Blocks of another size: the same result."
+    ),
+    ("discrepancy/search/nearest.py", "above * above + beside * beside", *_OF_CYLINDERS): (
+        "A lower bound of the distance, which is lower still: more boxes are tried."
+    ),
+    (
+        "discrepancy/search/sieve.py",
+        "_SLACK * (1 + size)",
+        "1",
+        "(2)",
+    ): "More room for rounding: more segments are tried.",
+    ("discrepancy/search/sieve.py", "np.where(lengths > 0, lengths, 1.0)", "1.0", "(2.0)"): (
+        "Divides a vector of zeros."
+    ),
+    ("discrepancy/tracked_points.py", "(simulated.points - observed.points) ** 2", *_OF_NODES): "It is squared.",
+    ("likelihood/inferred_noise.py", "log_density[1:] -= np.log(max(len(log_density) - 1, 1))", "1", "(2)"): (
+        "There is no error of the model to compare, or there are many."
+    ),
+    ("posterior/kde.py", "np.searchsorted(cumulative, cube[:, 0] * cumulative[-1])", *_OF_LAST): (
+        "No number of the cube is 1, so the last draw is never passed."
+    ),
+    ("posterior/kde.py", "normal_rule = (_size(mass) *", "unit.shape[0] + 2", "(unit.shape[0])"): (
+        "The bandwidth is searched below three times this rule: it is smaller in any case."
+    ),
+    ("posterior/netcdf.py", "np.clip(uniform, 1e-12, 1 - 1e-12)", "1 - 1e-12", "(1)"): (
+        "Keeps out a number of exactly 1, which does not come."
+    ),
+    ("posterior/posterior.py", "words = jax.random.key_data(seed)", *_OF_KEYS): (
+        "The data of a key that is an array are this array."
+    ),
+    ("posterior/quadrature.py", "wanted = int(np.searchsorted(-remainder, -_LEFT_ALONE)) + 1", "1", "(2)"): (
+        "One more cell is refined."
+    ),
+    ("surrogate/field/correction.py", "best = int(np.argmin([np.sum(one**2) for one in errors]))", "2", "(3)"): (
+        "Left-out errors are compared by their cubes: the order changes in close cases only."
+    ),
+    ("surrogate/field/mode_process.py", "rows = len(observed.z) *", *_OF_ROWS): "More starts are tried: slower.",
+    ("posterior/uniformity.py", "np.random.default_rng(0)", "0", "(1)"): "Other random numbers; any will do.",
+}
+"""(file, part of the line, before, after): the reason, of changes that would need another one elsewhere in the file."""

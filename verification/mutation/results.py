@@ -6,12 +6,13 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from verification.mutation.explained import EXPLAINED
+from verification.mutation.explained import EXPLAINED, EXPLAINED_ON_LINE
 from verification.mutation.places import PARTS
 from verification.validation.tables import Table
 
 __all__ = ["SURVIVED", "Result", "explained", "fingerprint", "known_results", "name_of", "record", "table"]
 
+PACKAGE = Path(__file__).parents[2] / "src" / "strandline"
 COLUMNS = "file", "text", "line", "start", "before", "after", "end", "test"
 SURVIVED = "passed", "unsure"
 """Ends of mutants that no test noticed, or only tests that fail without a change too."""
@@ -49,7 +50,11 @@ def known_results(package: Path, recorded: Path, kept: Path) -> dict[tuple[str, 
 
 def explained(result: Result) -> bool:
     """Return whether it is explained why no test has to notice a mutant."""
-    return (result["file"], result["before"], result["after"]) in EXPLAINED
+    file, change = result["file"], (result["before"], result["after"])
+    if (file, *change) in EXPLAINED:
+        return True
+    line = (PACKAGE / file).read_text("utf-8").splitlines()[int(result["line"]) - 1]
+    return any(key[0] == file and key[2:] == change and key[1] in line for key in EXPLAINED_ON_LINE)
 
 
 def record(results: Iterable[Result], recorded: Path) -> None:

@@ -656,3 +656,64 @@ def test_the_noise_of_particles_does_not_move_a_posterior() -> None:
     shifted = Remembered.of(one).moved(state_of(known(FIRST), mean=(0.3, 0.1)).knowledge)
     assert shifted.shift > 0.3
     assert shifted.effective < 0.9
+
+
+def test_runs_besides_the_batches_leave_fewer_of_the_first() -> None:
+    one = design(Active(40))
+    one.start(SPACE.to_physical(sobol(35, 2)))
+    one.besides = 3
+    more = one.more_of_the_first()
+    assert more is not None
+    assert len(more.points) == 2
+
+
+def test_runs_at_draws_of_the_posterior_are_known_to_be_checked_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[set[bytes]] = []
+    monkeypatch.setattr(PosteriorCheck, "left_out", lambda self, state, around, chosen: told.append(chosen) or ())
+    one = design(Active(100))
+    batches = played(one)
+    assert told == [{row.tobytes() for batch in batches if batch.kind == "posterior" for row in batch.points}]
+
+
+def test_a_design_that_ends_tells_which_run_was_not_expected() -> None:
+    one = design(Active(30), FakeLearner([0.0, 0.3] * 99))
+    played(one)
+    one._odd = (Surprise(np.array([0.9, 0.9]), False, 3.0),)
+    assert one._odd[0].words(SPACE) in one._why_not()
+
+
+def test_a_given_up_check_has_not_ended_early() -> None:
+    one = design(Active(200), log_likelihood=noisy)
+    played(one)
+    given_up = [step.check for step in one.steps if step.check is not None and step.check.given_up]
+    assert given_up
+    assert not any(check.early for check in given_up)
+
+
+def test_a_batch_without_a_move_has_an_empty_cell() -> None:
+    one = design(Active(100))
+    played(one)
+    certificate = Certificate(one.converged, one.reasons, tuple(one.steps), tuple(one.batches), None, 0.1)
+    assert "<td>12</td><td>initial</td><td></td>" in certificate._repr_html_()
+
+
+def test_a_cheaper_model_makes_the_runs_until_it_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = campaign(monkeypatch, FakeLearner())
+    batch = Batch(FIRST[:4], "initial")
+    assert runs._runs(batch) == named(FIRST[:4])
+    runs.fidelities = Fidelities(SPACE.names, [""], 0.1)
+    assert runs._runs(batch) == [by_cheaper(entry) for entry in named(FIRST[:4])]
+    runs._use(runs.fidelities)
+    assert runs.fidelities.dropped == "there are too few inputs at which both models succeed"
+    assert runs._runs(batch) == named(FIRST[:4])
+
+
+def test_a_cheaper_model_with_a_correction_is_not_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = campaign(monkeypatch, FakeLearner())
+    runs.fidelities = Fidelities(SPACE.names, [""], 0.1)
+    x = SPACE.to_physical(sobol(8, 2))
+    cheaper = [replace(one, inputs=by_cheaper(one.inputs)) for one in map(record, x)]
+    runs.fidelities.learn([*cheaper, *map(record, x)])
+    assert runs.fidelities.correction is not None
+    runs._use(runs.fidelities)
+    assert runs.fidelities.dropped is None

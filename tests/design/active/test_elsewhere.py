@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from tests.design.active.fakes import NOISE, SPACE, interface, known, record
 
 from strandline.design import sobol
@@ -12,6 +13,8 @@ from strandline.design.active import Active
 from strandline.design.active import elsewhere as module
 from strandline.design.active import posterior_check as check_module
 from strandline.design.active.elsewhere import (
+    UNLIKELY,
+    WEIGHTY,
     least_found,
     left_out_surprise,
     points_around,
@@ -183,3 +186,16 @@ def test_the_condition_with_the_least_noise_decides_what_is_hidden() -> None:
     ]
     assert hidden[0] == pytest.approx(hidden[1])
     assert hidden[0] < 0.005
+
+
+def test_a_region_counts_by_its_share_of_the_evidence(state: State) -> None:
+    """The evidence is integrated on a grid of the box."""
+    g = np.linspace(-1.0, 1.0, 201)
+    grid = np.stack([one.ravel() for one in np.meshgrid(g, g)], axis=1)
+    log_evidence = float(logsumexp(state.knowledge.expected(grid))) - np.log(len(grid))
+    threshold = log_evidence + np.log(WEIGHTY) - np.log(0.1)
+    for off, found in ((-0.3, 0), (0.3, 1)):
+        true = state.knowledge.expected(FAR)
+        true[1] = threshold + off
+        assert true[1] - state.knowledge.expected(FAR)[1] > UNLIKELY
+        assert len(surprises(state, FAR, [record(row) for row in FAR], true, 0.1, NOISE)) == found

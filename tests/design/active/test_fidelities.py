@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from strandline.design.active.fidelities import AGAIN, REFUTED, TRIED, Fidelities, as_by_model
+from strandline.design.active.fidelities import AGAIN, ENOUGH, REFUTED, TRIED, Fidelities, as_by_model
 from strandline.interface import Interface
 from strandline.models.fidelities import CHEAPER
 from strandline.runs import RunRecord
@@ -205,3 +205,14 @@ def test_runs_of_one_model_stay_as_they_are() -> None:
     assert len(as_by_model(first(), ("a", "b"))) == 8
     assert len(as_by_model(first(), ("a", "b"), dropped=True)) == 3
     assert len(as_by_model(first()[:-1], ("a", "b"))) == 2  # too few pairs for a correction
+
+
+def test_many_pairs_confirm_a_correction_without_a_trial() -> None:
+    """Each is predicted from the others; they must be right within what is tolerated."""
+    runs = [run(at, cheaper=True) for at in POINTS] + [run(at) for at in POINTS[:ENOUGH]]
+    used = both(1.0)
+    used.learn(runs)
+    assert used.doubts() == ()
+    strict = both(1e-9)
+    strict.learn(runs)
+    assert strict.doubts() != ()

@@ -184,3 +184,9 @@ def test_surfaces_are_refused() -> None:
     surface = Interface(corners, np.array([[0, 1, 2]]))
     with pytest.raises(InvalidInterface, match="plane"):
         errors_from_repeats([surface, surface])
+
+
+def test_contours_that_do_not_overlap_share_no_points() -> None:
+    apart = Interface.polyline(hill(100).points + np.array([5.0, 0.0]))
+    with pytest.raises(InvalidInput, match="got 0 mm, with 0 points of the coarsest"):
+        errors_from_repeats([hill(100), apart])

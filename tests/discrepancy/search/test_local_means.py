@@ -100,3 +100,10 @@ def test_points_across_a_gap_are_not_averaged() -> None:
     found = local_means(parts, 50)
     assert found is not None
     assert 603 in found.first
+
+
+def test_points_on_a_circle_lie_on_their_course() -> None:
+    angle = np.linspace(0.0, 6.0, 1600)
+    found = local_means(np.stack([np.cos(angle), np.sin(angle)], axis=1), 40)
+    assert found is not None
+    assert np.abs(found.off).max() < 1e-3

@@ -276,3 +276,10 @@ def test_what_is_kept_of_a_target_follows_its_content():
 def test_points_of_another_dimension_are_refused():
     with pytest.raises(InvalidInterface, match="project"):
         squared_distances(np.zeros((4, 2)), sheet(3))
+
+
+def test_the_margin_for_rounding_grows_with_the_coordinates_whatever_their_sign() -> None:
+    line = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0]]) - 1e3)
+    point = np.array([[-1e3, -1e3]])
+    below, above = (nearest._Best(sign * point, Interface.polyline(sign * line.points)) for sign in (1.0, -1.0))
+    assert below.rounding == above.rounding > 0

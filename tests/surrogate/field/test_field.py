@@ -201,3 +201,25 @@ def test_the_modes_may_leave_what_the_tolerance_says() -> None:
     fine: Modes = fit_field(training(20), tolerance=1e-6).modes
     assert fine.remainder <= 1e-6 < one.remainder <= 2e-2
     assert len(one.basis) < len(fine.basis)
+
+
+def test_scatter_is_the_root_mean_square_of_what_equal_runs_differ_by() -> None:
+    """Each run is off by two waves along the interface, whose mean squares are half of their variances."""
+    base, random = training(60), np.random.default_rng(3)
+    waves = np.stack([np.sin(np.pi * S), np.sin(2 * np.pi * S)])
+    off = 2e-3 * random.standard_normal((60, 2)) @ waves
+    rough = [
+        {"": Interface.polyline(run[""].points + np.stack([0 * S, row], axis=1))}
+        for run, row in zip(base.interfaces, off, strict=True)
+    ]
+    assert fit_field(replace(base, interfaces=rough)).scatter == pytest.approx(2e-3, rel=0.25)
+
+
+def test_derivatives_are_used_only_if_the_nodes_of_all_conditions_correspond() -> None:
+    base = training(16, with_gradients=True)
+    assert base.gradients is not None
+    both = [{"a": run[""], "b": run[""].resampled(40 + 3 * i)} for i, run in enumerate(base.interfaces)]
+    slopes = [{"a": row[""], "b": row[""]} for row in base.gradients]
+    found = fit_field(replace(base, interfaces=both, gradients=slopes))
+    assert found.ways == ("arclength", "nodes")
+    assert not found.gradients

@@ -1,6 +1,7 @@
 """One coefficient's process against its own data, against refitting, and against scikit-learn."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,3 +124,14 @@ def test_a_mode_without_variation_is_refused() -> None:
     one = observed(False, False)
     with pytest.raises(NumericsError, match="no length scales"):
         fit_mode(Observed(one.z, np.zeros(len(one.z)), None, False))
+
+
+def test_few_runs_widen_the_variance_by_less_than_their_residuals_ask_for() -> None:
+    """As if four more runs had residuals as large as expected."""
+    one = observed(False, False, runs=20)
+    noisy = Observed(one.z, one.values + np.random.default_rng(7).normal(size=20), None, False)
+    process = fit_mode(noisy)
+    left_out = replace(process, widening=1.0).left_out()
+    surprise = float(np.sum(left_out.errors**2 / left_out.variances))
+    assert surprise > 20
+    assert process.widening == pytest.approx((surprise + 4) / 24)

@@ -5,7 +5,7 @@ import pytest
 
 from strandline.design.space_filling import sobol
 from strandline.surrogate.field import warp_choice
-from strandline.surrogate.field.warp_choice import Data, choose_warping
+from strandline.surrogate.field.warp_choice import Data, choose_warping, fewest_runs
 from strandline.surrogate.field.warping import Warping
 
 LOW, HIGH = np.array([100.0, 0.1]), np.array([800.0, 0.5])
@@ -54,3 +54,13 @@ def test_few_choices_are_kept(chosen: list[int]) -> None:
     for power in np.linspace(-1.0, 1.0, 2 * warp_choice.KEPT):
         choose_warping(data(9, power=float(power)), PLAIN, 1e-5)
     assert len(warp_choice._kept) == warp_choice.KEPT
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("gradients", [False, True])
+def test_the_fewest_runs_that_there_may_be_are_enough_to_choose(dim: int, gradients: bool) -> None:
+    number = fewest_runs(dim, gradients=gradients)
+    x = sobol(number, dim)
+    slopes = np.zeros((number, 15, dim)) if gradients else None
+    few = Data(x, np.outer(x[:, 0], PLACES), np.full(15, 1 / 15), slopes)
+    assert warp_choice._choosing_runs(few) == number

@@ -3,7 +3,10 @@
 import json
 from pathlib import Path
 
+import pytest
 from verification.mutation.results import Result, fingerprint, known_results, name_of, record, table
+
+from verification.mutation import results
 
 
 def result(package: Path, file: str, start: int, end: str) -> dict[str, str]:
@@ -48,3 +51,20 @@ def test_a_table_counts_what_was_noticed(tmp_path: Path) -> None:
     found = {row[0]: row[1:] for row in table(rows).rows}
     assert found["sampler"] == found["all"] == (5, 3, 0, 2)
     assert found["posterior"] == (0, 0, 0, 0)
+
+
+def test_an_explanation_holds_for_the_lines_that_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "PACKAGE", package(tmp_path))
+    monkeypatch.setattr(results, "EXPLAINED", {("smc/moves.py", "1", "(3)"): "everywhere"})
+    monkeypatch.setattr(results, "EXPLAINED_ON_LINE", {("smc/moves.py", "x = 1", "1", "(2)"): "there"})
+    (tmp_path / "smc" / "moves.py").write_text("x = 1\ny = 1\n", "utf-8")
+    found = {
+        (line, after): results.explained({"file": "smc/moves.py", "line": line, "before": "1", "after": after})
+        for line in "12"
+        for after in ("(2)", "(3)", "(4)")
+    }
+    assert [place for place, is_explained in found.items() if is_explained] == [
+        ("1", "(2)"),
+        ("1", "(3)"),
+        ("2", "(3)"),
+    ]

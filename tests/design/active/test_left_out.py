@@ -1,0 +1,43 @@
+"""Which runs lie inside a posterior, and how far the likelihoods predicted from the others are off there."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from tests.design.active.fakes import SPACE, Assumed, known, record, state_of
+
+from strandline.design import sobol
+from strandline.design.active.left_out import left_out_ratios
+from strandline.design.active.state import State
+
+X = np.concatenate([SPACE.to_physical(sobol(24, 2)), [[0.2, 0.1], [0.4, 0.0]]])
+
+
+@dataclass(frozen=True, eq=False)
+class Doubted(Assumed):
+    """Knowledge whose uncertainty adds to the likelihood."""
+
+    def expected(self, x: np.ndarray, *, plug_in: np.ndarray | None = None) -> np.ndarray:
+        return self.plug_in(x) + 1.8
+
+
+def state() -> State:
+    one = state_of(known(X))
+    own = {each.name: getattr(one.knowledge, each.name) for each in fields(one.knowledge)}
+    return replace(one, knowledge=Doubted(**own), log_expected=one.log_expected + 1.8)
+
+
+def test_runs_inside_are_those_of_the_expected_likelihood() -> None:
+    one = state()
+    x, ratios, variances = left_out_ratios(one, [record(row) for row in X], lambda run: 0.0, SPACE.log_prior)
+    within = ((X - np.array([0.2, 0.1])) ** 2).sum(axis=1) < 2 * 0.2**2 * -np.log(0.05)  # 95 % of a normal posterior
+    assert within.sum() >= 2
+    np.testing.assert_array_equal(x, X[within])
+    assert len(ratios) == len(variances) == within.sum()
+
+
+def test_ratios_are_of_the_true_likelihood_over_that_predicted_from_the_other_runs() -> None:
+    one = state()
+    records = [record(row) for row in X]
+    _, zero, _ = left_out_ratios(one, records, lambda run: 0.0, SPACE.log_prior)
+    _, ratios, _ = left_out_ratios(one, records, lambda run: -0.3, SPACE.log_prior)
+    np.testing.assert_allclose(ratios, zero - 0.3)
