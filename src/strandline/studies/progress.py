@@ -3,7 +3,6 @@
 If a driver has noted the study's plan in the ledger, no model is loaded and nothing numerical is imported.
 """
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,6 +15,7 @@ from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
 from strandline.runs.tables import EXCLUDED, INTERRUPTED
 from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY
+from strandline.studies.questions import digest_of
 
 if TYPE_CHECKING:
     from strandline.studies.study import Study
@@ -158,7 +158,7 @@ def recorded_plan(folder: Path) -> Plan | None:
     if not (folder / LEDGER).is_file():
         return None
     with Overview(folder / LEDGER) as ledger:
-        return ledger.plan(hashlib.sha256(text.encode()).hexdigest())
+        return ledger.plan(digest_of(text))
 
 
 def results_of(study: "Study") -> Results:

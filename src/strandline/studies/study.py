@@ -1,6 +1,5 @@
 """A study: a folder with study.yaml, loaded and checked as far as possible without a forward run."""
 
-import hashlib
 import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -29,6 +28,7 @@ from strandline.studies.observations import Found, read_observations
 from strandline.studies.observed import SyntheticNoise
 from strandline.studies.parse import parse_study
 from strandline.studies.pictures import Photographed
+from strandline.studies.questions import digest_of
 from strandline.studies.stacks import Scanned
 from strandline.studies.study_runs import StudyRuns
 from strandline.studies.undeformed import Undeformed, undeformed_in, with_errors_of
@@ -126,8 +126,8 @@ class Study:
 
     @property
     def text_digest(self) -> str:
-        """SHA-256 of study.yaml, to notice results of another version of it."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
+        """SHA-256 of study.yaml without its questions, to notice results of another version of it."""
+        return digest_of(self.text)
 
     @property
     def sensitivities(self) -> bool:
