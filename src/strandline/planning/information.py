@@ -1,0 +1,121 @@
+"""What an experiment can be expected to teach: the mutual information of inputs and observation.
+
+The observation of a candidate is s = z(x) + ε with standard normal ε: `Signals` brings predicted interfaces into this
+form. Its expected information gain (Lindley 1956) is
+
+    E[log p(s | x) - log p(s)],   p(s) = ∫ p(s | x) p(x) dx,
+
+over draws of the present distribution p(x) of the inputs, which is a posterior or the prior. Nested Monte Carlo takes
+the same draws for both expectations (Ryan 2003); Laplace's approximation takes the Fisher information at each draw
+(Long et al. 2013), which is right where the experiment teaches so much that few draws are near each other in s.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from strandline.posterior.weighted import Weighted
+
+__all__ = ["Gain", "expected_gain", "linear_gain", "linear_sd"]
+
+FEWEST = 30.0
+"""Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
+BLOCK = 256
+"""Observations that are weighed at the same time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """What an experiment is expected to teach.
+
+    Args:
+        nats: Expected information gain.
+        error: Its standard error by the number of draws.
+        sd: Expected posterior standard deviation of each input, shape (dim,).
+        left: Median number of draws that a possible observation leaves with weight.
+    """
+
+    nats: float
+    error: float
+    sd: Float[np.ndarray, " dim"]
+    left: float
+
+    @property
+    def reliable(self) -> bool:
+        """Whether enough draws are left for nested Monte Carlo."""
+        return self.left >= FEWEST
+
+
+def expected_gain(now: Weighted, signals: Float[np.ndarray, "draw signal"], random: np.random.Generator) -> Gain:
+    """Return the expected information gain of an experiment, by nested Monte Carlo.
+
+    Each draw in turn is the truth; all others, with their weights, are the distribution of the inputs. What their
+    finite number adds to the gain is removed to first order: half the variance of the estimated log p(s).
+
+    Args:
+        now: Draws of the present distribution of the inputs, all different.
+        signals: What the experiment shows for each of them, in standard deviations of independent errors.
+        random: Generator of the errors; the same state for all candidates makes their differences more certain.
+    """
+    noise = random.standard_normal(signals.shape)
+    parts = [*_weighed(now, signals, noise)]
+    logs, left, sds = (np.concatenate(one) for one in zip(*parts, strict=True))
+    # The squared errors have a known mean, so they serve as the control of their own sampling error.
+    squares = 0.5 * (noise**2).sum(axis=1)
+    gains = -squares - logs - 0.5 * (1.0 / left - float(np.sum(now.weights**2)))
+    control = squares - 0.5 * signals.shape[1]
+    truths = Weighted(np.column_stack([gains, control, sds]), now.weights)
+    covariance = truths.covariance
+    slope = covariance[0, 1] / covariance[1, 1] if covariance[1, 1] > 0 else 0.0
+    variance = max(float(covariance[0, 0] - slope * covariance[0, 1]), 0.0)
+    return Gain(
+        nats=float(truths.mean[0] - slope * truths.mean[1]),
+        error=math.sqrt(variance * float(np.sum(now.weights**2))),
+        sd=truths.mean[2:],
+        left=float(np.median(left)),
+    )
+
+
+def _weighed(
+    now: Weighted, signals: Float[np.ndarray, "draw signal"], noise: Float[np.ndarray, "draw signal"]
+) -> Iterator[tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"], Float[np.ndarray, "_ dim"]]]:
+    """Yield log p(s), the effective number of draws and the posterior's sds for a block of true inputs at a time."""
+    squares, log_weights = 0.5 * (signals**2).sum(axis=1), np.log(now.weights)
+    centred = now.draws - now.mean
+    moments = np.hstack([centred, centred**2])
+    for first in range(0, len(signals), BLOCK):
+        rows = np.arange(first, min(first + BLOCK, len(signals)))
+        seen = signals[rows] + noise[rows]
+        logs = log_weights + seen @ signals.T - squares - 0.5 * (seen**2).sum(axis=1)[:, None]
+        logs[np.arange(len(rows)), rows] = -np.inf  # the truth itself would count as a draw that fits perfectly
+        total = logsumexp(logs, axis=1)
+        weights = np.exp(logs - total[:, None])
+        found = weights @ moments
+        dim = now.draws.shape[1]
+        variances = np.maximum(found[:, dim:] - found[:, :dim] ** 2, 0.0)
+        yield total - np.log1p(-now.weights[rows]), 1.0 / (weights**2).sum(axis=1), np.sqrt(variances)
+
+
+def linear_gain(
+    covariance: Float[np.ndarray, "dim dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
+) -> float:
+    """Return the mean of ½ log |I + Σ F| over Fisher informations F at draws of a distribution of covariance Σ.
+
+    It is exact for a normal distribution of the inputs and an interface that is linear in them.
+    """
+    dim = len(covariance)
+    gains = [0.5 * np.linalg.slogdet(np.eye(dim) + covariance @ one)[1] for one in informations]
+    return float(np.mean(gains))
+
+
+def linear_sd(
+    covariance: Float[np.ndarray, "dim dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
+) -> Float[np.ndarray, " dim"]:
+    """Return the mean posterior standard deviation of each input by the same formula, shape (dim,)."""
+    precision = np.linalg.inv(covariance)
+    sds = [np.sqrt(np.diag(np.linalg.inv(precision + one))) for one in informations]
+    return np.asarray(np.mean(sds, axis=0))
