@@ -14,7 +14,9 @@ def drawn(number: int, dim: int, seed: int = 0) -> Weighted:
     return Weighted(x, np.full(number, 1 / number))
 
 
-@pytest.mark.parametrize(("slope", "gain"), [(0.1, 0.5 * np.log(1.01)), (1.0, 0.5 * np.log(2)), (5.0, 0.5 * np.log(26))])
+@pytest.mark.parametrize(
+    ("slope", "gain"), [(0.1, 0.5 * np.log(1.01)), (1.0, 0.5 * np.log(2)), (5.0, 0.5 * np.log(26))]
+)
 def test_one_linear_signal_of_a_normal_input(slope: float, gain: float) -> None:
     now = drawn(2048, 1)
     found = expected_gain(now, slope * now.draws, np.random.default_rng(1))
