@@ -25,7 +25,7 @@ from strandline.likelihood.residual_noise import stated_errors
 from strandline.likelihood.shared_errors import shared_errors
 from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["CoordinateErrors", "Experiment", "experiment_behind"]
+__all__ = ["CoordinateErrors", "Errors", "Experiment", "errors_behind", "experiment_behind"]
 
 STEP = 1e-3
 """Step of finite differences of the predicted interface, as a share of the box."""
@@ -52,6 +52,7 @@ class CoordinateErrors:
 
 
 Errors = PointErrors | CoordinateErrors
+"""Errors of the points of an observed interface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +147,22 @@ def experiment_behind(likelihood: FieldLikelihood, near: Float[np.ndarray, " mod
         template = surrogate.layouts[seen.condition].template
         footprints[seen.condition] = footprint(seen.interface, Interface(nodes[seen.condition][0], template.cells))
         known = seen if likelihood.inferred is None else likelihood.inferred.at_median([seen])[0]
-        errors[seen.condition] = _errors(known, measure, len(template.points))
+        errors[seen.condition] = errors_behind(known, measure, len(template.points))
         noises[seen.condition] = with_variance(seen, measure, len(template.points))
     return Experiment(surrogate, footprints, errors, noises, measure)
 
 
-def _errors(seen: Observation, measure: Discrepancy, nodes: int) -> Errors:
+def errors_behind(seen: Observation, measure: Discrepancy, nodes: int) -> Errors:
+    """Return errors of the observed points for which the noise of an observation is right.
+
+    Args:
+        seen: The observed interface with its noise; of errors that are unknown, the first guess is taken.
+        measure: The measure d².
+        nodes: Number of nodes of the simulated interfaces.
+
+    Raises:
+        InvalidInput: No independent errors have the stated σ_N².
+    """
     one = compared(seen, measure, nodes)
     if isinstance(measure, TrackedPoints) and errors_of(seen) is None:
         return CoordinateErrors(math.sqrt(one.noise.scale))

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
 from strandline.posterior.weighted import Weighted
@@ -36,12 +36,15 @@ class Gain:
         nats: Expected information gain.
         error: Its standard error by the number of draws.
         sd: Expected posterior standard deviation of each input, shape (dim,).
+        of_interest: Expected gain about the inputs of interest alone, by the determinants of their covariances; exact
+            for normal distributions.
         left: Median number of draws that a possible observation leaves with weight.
     """
 
     nats: float
     error: float
     sd: Float[np.ndarray, " dim"]
+    of_interest: float
     left: float
 
     @property
@@ -50,7 +53,13 @@ class Gain:
         return self.left >= FEWEST
 
 
-def expected_gain(now: Weighted, signals: Float[np.ndarray, "draw signal"], random: np.random.Generator) -> Gain:
+def expected_gain(
+    now: Weighted,
+    signals: Float[np.ndarray, "draw signal"],
+    random: np.random.Generator,
+    *,
+    interest: Sequence[int] | None = None,
+) -> Gain:
     """Return the expected information gain of an experiment, by nested Monte Carlo.
 
     Each draw in turn is the truth; all others, with their weights, are the distribution of the inputs. What their
@@ -60,33 +69,54 @@ def expected_gain(now: Weighted, signals: Float[np.ndarray, "draw signal"], rand
         now: Draws of the present distribution of the inputs, all different.
         signals: What the experiment shows for each of them, in standard deviations of independent errors.
         random: Generator of the errors; the same state for all candidates makes their differences more certain.
+        interest: Columns of the inputs of interest; all by default.
     """
     noise = random.standard_normal(signals.shape)
-    parts = [*_weighed(now, signals, noise)]
-    logs, left, sds = (np.concatenate(one) for one in zip(*parts, strict=True))
+    columns = np.arange(now.draws.shape[1]) if interest is None else np.asarray(interest)
+    parts = [*_weighed(now, signals, noise, columns)]
+    logs, left, sds, log_dets = (np.concatenate(one) for one in zip(*parts, strict=True))
     # The squared errors have a known mean, so they serve as the control of their own sampling error.
     squares = 0.5 * (noise**2).sum(axis=1)
     gains = -squares - logs - 0.5 * (1.0 / left - float(np.sum(now.weights**2)))
-    control = squares - 0.5 * signals.shape[1]
-    truths = Weighted(np.column_stack([gains, control, sds]), now.weights)
-    covariance = truths.covariance
-    slope = covariance[0, 1] / covariance[1, 1] if covariance[1, 1] > 0 else 0.0
-    variance = max(float(covariance[0, 0] - slope * covariance[0, 1]), 0.0)
+    mean, error = _controlled(gains, squares - 0.5 * signals.shape[1], now.weights)
+    before = np.linalg.slogdet(now.covariance[np.ix_(columns, columns)])[1]
     return Gain(
-        nats=float(truths.mean[0] - slope * truths.mean[1]),
-        error=math.sqrt(variance * float(np.sum(now.weights**2))),
-        sd=truths.mean[2:],
+        nats=mean,
+        error=error,
+        sd=np.asarray(now.weights @ sds),
+        of_interest=float(0.5 * (before - now.weights @ log_dets)),
         left=float(np.median(left)),
     )
 
 
+def _controlled(
+    values: Float[np.ndarray, " draw"], control: Float[np.ndarray, " draw"], weights: Float[np.ndarray, " draw"]
+) -> tuple[float, float]:
+    """Return the mean of `values` and its standard error, given a control of known mean 0."""
+    both = Weighted(np.column_stack([values, control]), weights)
+    covariance = both.covariance
+    slope = covariance[0, 1] / covariance[1, 1] if covariance[1, 1] > 0 else 0.0
+    variance = max(float(covariance[0, 0] - slope * covariance[0, 1]), 0.0)
+    return float(both.mean[0] - slope * both.mean[1]), math.sqrt(variance * float(np.sum(weights**2)))
+
+
+_Weighed = tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"], Float[np.ndarray, "_ dim"], Float[np.ndarray, " _"]]
+
+
 def _weighed(
-    now: Weighted, signals: Float[np.ndarray, "draw signal"], noise: Float[np.ndarray, "draw signal"]
-) -> Iterator[tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"], Float[np.ndarray, "_ dim"]]]:
-    """Yield log p(s), the effective number of draws and the posterior's sds for a block of true inputs at a time."""
-    squares, log_weights = 0.5 * (signals**2).sum(axis=1), np.log(now.weights)
-    centred = now.draws - now.mean
-    moments = np.hstack([centred, centred**2])
+    now: Weighted,
+    signals: Float[np.ndarray, "draw signal"],
+    noise: Float[np.ndarray, "draw signal"],
+    columns: Int[np.ndarray, " interest"],
+) -> Iterator[_Weighed]:
+    """Yield what follows from the observation of each draw, a block of them at a time.
+
+    This is log p(s), the effective number of draws, the posterior's sds, and log det of the covariance of `columns`.
+    """
+    squares, log_weights, dim = 0.5 * (signals**2).sum(axis=1), np.log(now.weights), now.draws.shape[1]
+    scaled = (now.draws - now.mean) / np.maximum(now.sd, 1e-300)
+    moments = np.hstack([scaled, (scaled[:, :, None] * scaled[:, None, :]).reshape(len(scaled), -1)])
+    scale = 2 * np.log(np.maximum(now.sd, 1e-300))[columns].sum()
     for first in range(0, len(signals), BLOCK):
         rows = np.arange(first, min(first + BLOCK, len(signals)))
         seen = signals[rows] + noise[rows]
@@ -95,9 +125,11 @@ def _weighed(
         total = logsumexp(logs, axis=1)
         weights = np.exp(logs - total[:, None])
         found = weights @ moments
-        dim = now.draws.shape[1]
-        variances = np.maximum(found[:, dim:] - found[:, :dim] ** 2, 0.0)
-        yield total - np.log1p(-now.weights[rows]), 1.0 / (weights**2).sum(axis=1), np.sqrt(variances)
+        means = found[:, :dim]
+        covariances = found[:, dim:].reshape(-1, dim, dim) - means[:, :, None] * means[:, None, :]
+        sds = now.sd * np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+        log_dets = np.linalg.slogdet(covariances[:, columns[:, None], columns])[1] + scale
+        yield total - np.log1p(-now.weights[rows]), 1.0 / (weights**2).sum(axis=1), sds, log_dets
 
 
 def linear_gain(

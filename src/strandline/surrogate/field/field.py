@@ -106,6 +106,10 @@ class FieldSurrogate:
         fields = self.modes.fields(coefficients)
         if tail is not None:
             fields = fields + (tail @ self.modes.tail) / self.modes.roots
+        return self.by_condition(fields)
+
+    def by_condition(self, fields: Float[np.ndarray, "draw value"]) -> dict[str, Float[np.ndarray, "draw point xyz"]]:
+        """Return fields as the points of the interfaces by condition, mm."""
         out, begin = {}, 0
         for name, layout in self.layouts.items():
             shape = layout.template.points.shape
