@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,10 @@ RESERVED = (
     "conditional_log_evidence",
 )
 """Names of variables and dimensions in the files of a posterior; no input may have one of them."""
+
+
+PRIOR_POINTS = 1000
+"""Quantiles from which the standard deviation of a prior is computed."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +176,12 @@ class ParameterSpace:
     def high(self) -> Float[np.ndarray, " dim"]:
         """Upper corner of the design box, physical."""
         return np.array([p.interval[1] for p in self.parameters], float)
+
+    @cached_property
+    def prior_sd(self) -> Float[np.ndarray, " dim"]:
+        """Standard deviations of the truncated priors, physical, from their quantiles."""
+        p = (np.arange(PRIOR_POINTS) + 0.5) / PRIOR_POINTS
+        return np.asarray(self.prior_quantiles(np.repeat(p[:, None], self.dim, axis=1)).std(axis=0))
 
     def to_physical(self, u: Float[np.ndarray, "*run dim"]) -> Float[np.ndarray, "*run dim"]:
         """Map the unit cube linearly onto the design box."""

@@ -31,6 +31,7 @@ COMMANDS = {
     "report": "Write posterior, figures and report again from finished runs.",
     "coverage": "Test by replicates whether the intervals are right.",
     "posterior": "Check the posterior of a finished study with the true model.",
+    "next": "Rank the candidates for the next experiment.",
     "forward": "Make one forward run at chosen inputs.",
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
 }

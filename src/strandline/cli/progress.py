@@ -26,6 +26,8 @@ STAGES = {
     "cut": "cut reading",
     "check": "checks",
     "replicates": "replicates",
+    "candidates": "runs of candidates",
+    "gains": "information gains",
     "report": "figures and report",
 }
 SECONDS_BETWEEN_LINES = 15.0

@@ -8,63 +8,66 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import minimize
+from scipy.special import expit, log_expit, logit
 
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 from strandline.planning.observing import Nodes
-from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 
 __all__ = ["FailureBySize", "crossing_share", "learn_failure_by_size"]
 
+SLOPE_SD, OFFSET_SD = 20.0, 10.0
+"""Standard deviations of the prior of the logistic function's slope and offset."""
+PRIOR_RUNS, RARE = 2.0, 0.05
+"""Runs that the base rate of failures begins with, and the share of these that fail."""
 MOST_CHECKED = 200
 """Interfaces that are checked for crossing themselves."""
 
 
 @dataclass(frozen=True, eq=False)
 class FailureBySize:
-    """The probability that a run fails as a function of the size of the displacement.
+    """The probability that a run fails, a logistic function of log displacement that does not fall.
 
     Args:
         undeformed: Undeformed field, shape (value,), mm.
-        feasibility: Classifier of success by the standardised logarithm of the size.
-        mean: Mean of the logarithms.
-        sd: Their standard deviation.
-        highest: Largest log probability of success at any run; random failures say nothing about the size.
-        largest: Size of the largest displacement of a run that succeeded, mm.
+        middle: Mean logarithm of the displacement of the runs it was learnt from.
+        slope: Derivative of the logit in the logarithm of the displacement, 0 or above.
+        offset: Logit there.
     """
 
     undeformed: Float[np.ndarray, " value"]
-    feasibility: Feasibility
-    mean: float
-    sd: float
-    highest: float
-    largest: float
+    middle: float
+    slope: float
+    offset: float
 
     def failing(self, fields: Float[np.ndarray, "draw value"]) -> Float[np.ndarray, " draw"]:
         """Return the probability that the run of each field fails."""
-        z = (np.log(_sizes(fields, self.undeformed)) - self.mean) / self.sd
-        return np.asarray(1 - np.exp(np.minimum(self.feasibility.log_probability(z[:, None]) - self.highest, 0.0)))
-
-    def beyond(self, fields: Float[np.ndarray, "draw value"]) -> float:
-        """Return the share of fields with a larger displacement than that of any run that succeeded."""
-        return float((_sizes(fields, self.undeformed) > self.largest).mean())
+        logs = np.log(_sizes(fields, self.undeformed))
+        return np.asarray(expit(self.offset + self.slope * (logs - self.middle)))
 
 
 def learn_failure_by_size(knowledge: Knowledge, undeformed: Float[np.ndarray, " value"]) -> FailureBySize:
     """Return the probability of failure by the size of the displacement, from the runs of the present experiment.
 
+    It maximises the likelihood with a weak normal prior for the slope, so that it exists without failures too.
+
     Args:
         knowledge: What is known after these runs.
         undeformed: The undeformed interface as a field of the surrogate, mm.
     """
-    surrogate = knowledge.surrogate
-    sizes = np.log(_sizes(surrogate.modes.fields(surrogate.mean(knowledge.x)), undeformed))
-    mean, sd = float(sizes.mean()), float(max(sizes.std(), 1e-12))
-    z = ((sizes - mean) / sd)[:, None]
-    feasibility = learn_feasibility(z, knowledge.ok)
-    highest = float(feasibility.log_probability(z).max())
-    return FailureBySize(undeformed, feasibility, mean, sd, highest, float(np.exp(sizes[knowledge.ok].max())))
+    surrogate, ok = knowledge.surrogate, knowledge.ok
+    logs = np.log(_sizes(surrogate.modes.fields(surrogate.mean(knowledge.x)), undeformed))
+    middle, sign = float(logs.mean()), np.where(ok, -1.0, 1.0)
+    base = float(logit((np.sum(~ok) + PRIOR_RUNS * RARE) / (len(ok) + PRIOR_RUNS)))
+
+    def loss(a: Float[np.ndarray, "2"]) -> float:
+        fits = log_expit(sign * (a[0] + a[1] * (logs - middle))).sum()
+        return float(-fits + 0.5 * ((a[0] - base) / OFFSET_SD) ** 2 + 0.5 * (a[1] / SLOPE_SD) ** 2)
+
+    found = minimize(loss, [base, 1.0], bounds=[(-50.0, 50.0), (0.0, 100.0)])
+    return FailureBySize(undeformed, middle, float(found.x[1]), float(found.x[0]))
 
 
 def _sizes(fields: Float[np.ndarray, "draw value"], undeformed: Float[np.ndarray, " value"]) -> np.ndarray:
@@ -79,7 +82,9 @@ def crossing_share(nodes: Nodes, templates: dict[str, Interface]) -> float:
         templates: An interface of each condition, for its cells.
     """
     number = min(MOST_CHECKED, min(len(one) for one in nodes.values()))
-    bad = [any(_crosses(Interface(one[k], templates[name].cells)) for name, one in nodes.items()) for k in range(number)]
+    bad = [
+        any(_crosses(Interface(one[k], templates[name].cells)) for name, one in nodes.items()) for k in range(number)
+    ]
     return float(np.mean(bad))
 
 

@@ -1,20 +1,59 @@
 """Which combinations of the inputs an experiment can tell, from the Fisher information.
 
-In inputs scaled by their prior standard deviations S, an experiment of Fisher information F leaves the covariance
-(I + S F S)⁻¹ for a normal prior and an interface that is linear in the inputs. Its eigenvectors are the directions that
-are learnt independently; the root of an eigenvalue is what is left of the prior's standard deviation there.
+Inputs u are scaled by their prior standard deviations; of positive ones the logarithm counts, since a common factor of
+stiffness and load changes no shape, whatever their size. An experiment of Fisher information F leaves the covariance
+(I + F)⁻¹ of u for a normal prior and an interface that is linear in u. Its eigenvectors are the combinations that are
+learnt independently; the root of an eigenvalue is what is left of the prior's standard deviation there.
+
+Combinations of which hardly anything is learnt are equally unknown, so that any rotation of them describes the same.
+The one of fewest inputs each is chosen (varimax; Kaiser 1958).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-__all__ = ["Direction", "directions_left", "directions_of", "in_words"]
+from strandline.parameters import ParameterSpace
 
+__all__ = ["Direction", "Scale", "directions_left", "directions_of", "in_words", "scale_of"]
+
+HARDLY = 0.85
+"""Share of the prior's standard deviation above which hardly anything was learnt of a combination."""
 NAMED = 0.3
-"""Inputs with a smaller share of a direction than this, relative to the largest, are left out of its description."""
+"""Inputs with a smaller share of a combination than this, relative to the largest, are left out of its description."""
+ROTATIONS = 200
+QUANTILES = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """How inputs are scaled.
+
+    Args:
+        logarithmic: Of which inputs the logarithm counts, shape (dim,).
+        sd: Prior standard deviations of the inputs or their logarithms, shape (dim,).
+    """
+
+    logarithmic: Bool[np.ndarray, " dim"]
+    sd: Float[np.ndarray, " dim"]
+
+    def of(self, x: Float[np.ndarray, "draw dim"]) -> Float[np.ndarray, "draw dim"]:
+        """Return u at physical inputs."""
+        return np.asarray(np.where(self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x) / self.sd)
+
+    def factors(self, x: Float[np.ndarray, " dim"]) -> Float[np.ndarray, " dim"]:
+        """Return dx/du at physical inputs."""
+        return np.asarray(np.where(self.logarithmic, x, 1.0) * self.sd)
+
+
+def scale_of(space: ParameterSpace) -> Scale:
+    """Return the scale of the inputs of a study: of those whose box has no negative values, the logarithm counts."""
+    logarithmic = space.low >= 0
+    p = (np.arange(QUANTILES) + 0.5) / QUANTILES
+    draws = Scale(logarithmic, np.ones(space.dim)).of(space.prior_quantiles(np.repeat(p[:, None], space.dim, axis=1)))
+    return Scale(logarithmic, np.asarray(draws.std(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +61,7 @@ class Direction:
     """A combination of the inputs.
 
     Args:
-        weights: Unit vector in inputs scaled by their prior standard deviations, shape (dim,).
+        weights: Unit vector in scaled inputs, shape (dim,).
         left: Share of the prior's standard deviation that is left in this direction.
     """
 
@@ -31,24 +70,40 @@ class Direction:
 
 
 def directions_left(
-    sd: Float[np.ndarray, " dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
+    scale: Scale,
+    x: Float[np.ndarray, "draw dim"],
+    informations: Sequence[Float[np.ndarray, "dim dim"]],
 ) -> tuple[Direction, ...]:
     """Return the combinations of the inputs, from the least to the best known after the experiment.
 
     Args:
-        sd: Prior standard deviations of the inputs.
-        informations: Fisher informations at draws of the prior; the covariance is averaged over them.
+        scale: How the inputs are scaled.
+        x: Draws of the prior.
+        informations: Fisher informations of the physical inputs there; the covariance is averaged over them.
     """
-    unit = np.eye(len(sd))
-    left = np.mean([np.linalg.inv(unit + np.outer(sd, sd) * one) for one in informations], axis=0)
-    return directions_of(np.asarray(left))
+    factors = [scale.factors(row) for row in x]
+    unit = np.eye(x.shape[1])
+    left = [np.linalg.inv(unit + np.outer(f, f) * one) for f, one in zip(factors, informations, strict=True)]
+    return directions_of(np.asarray(np.mean(left, axis=0)))
 
 
 def directions_of(covariance: Float[np.ndarray, "dim dim"]) -> tuple[Direction, ...]:
-    """Return the principal axes of a covariance of scaled inputs, the widest first."""
+    """Return the principal axes of a covariance of scaled inputs, the widest first; the unknown ones rotated."""
     values, vectors = np.linalg.eigh(covariance)
-    roots = np.sqrt(np.maximum(values, 0.0))
-    return tuple(Direction(_signed(vectors[:, k]), float(roots[k])) for k in np.argsort(-values))
+    unknown = values > HARDLY**2
+    axes = np.hstack([_varimax(vectors[:, unknown]), vectors[:, ~unknown]])
+    left = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", axes, covariance, axes), 0.0))
+    return tuple(Direction(_signed(axes[:, k]), float(left[k])) for k in np.argsort(-left))
+
+
+def _varimax(axes: Float[np.ndarray, "dim axis"]) -> Float[np.ndarray, "dim axis"]:
+    """Return the rotation of orthonormal axes whose squared elements vary most, so that each has few large ones."""
+    turn = np.eye(axes.shape[1])
+    for _ in range(ROTATIONS if axes.shape[1] > 1 else 0):
+        turned = axes @ turn
+        u, _, vt = np.linalg.svd(axes.T @ (turned**3 - turned * (turned**2).mean(axis=0)))
+        turn = u @ vt
+    return np.asarray(axes @ turn)
 
 
 def _signed(vector: Float[np.ndarray, " dim"]) -> Float[np.ndarray, " dim"]:
@@ -65,8 +120,8 @@ def in_words(direction: Direction, names: Sequence[str]) -> str:
     """
     largest = float(np.abs(direction.weights).max())
     order = [k for k in np.argsort(-np.abs(direction.weights)) if abs(direction.weights[k]) >= NAMED * largest]
+    if len(order) == 1:
+        return str(names[order[0]])
     moves = [f"{names[k]} {'up' if direction.weights[k] > 0 else 'down'}" for k in order]
-    if len(moves) == 1:
-        return names[order[0]]
     ratio = " : ".join(f"{abs(direction.weights[k]) / largest:.2g}" for k in order)
     return f"{', '.join(moves[:-1])} and {moves[-1]} ({ratio})"

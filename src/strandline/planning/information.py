@@ -133,21 +133,38 @@ def _weighed(
 
 
 def linear_gain(
-    covariance: Float[np.ndarray, "dim dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
+    covariance: Float[np.ndarray, "dim dim"],
+    informations: Sequence[Float[np.ndarray, "dim dim"]],
+    *,
+    interest: Sequence[int] | None = None,
 ) -> float:
-    """Return the mean of ½ log |I + Σ F| over Fisher informations F at draws of a distribution of covariance Σ.
+    """Return the mean of ½ log |Σ| / |(Σ⁻¹ + F)⁻¹|.
 
     It is exact for a normal distribution of the inputs and an interface that is linear in them.
+
+    Args:
+        covariance: Covariance Σ of the inputs.
+        informations: Fisher informations F at draws of the inputs.
+        interest: Columns of the inputs whose part of the two matrices counts; all by default.
     """
-    dim = len(covariance)
-    gains = [0.5 * np.linalg.slogdet(np.eye(dim) + covariance @ one)[1] for one in informations]
-    return float(np.mean(gains))
+    columns = np.arange(len(covariance)) if interest is None else np.asarray(interest)
+    part = np.ix_(columns, columns)
+    before = np.linalg.slogdet(covariance[part])[1]
+    after = [np.linalg.slogdet(_left(covariance, one)[part])[1] for one in informations]
+    return float(0.5 * np.mean(before - np.array(after)))
 
 
 def linear_sd(
     covariance: Float[np.ndarray, "dim dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
 ) -> Float[np.ndarray, " dim"]:
     """Return the mean posterior standard deviation of each input by the same formula, shape (dim,)."""
-    precision = np.linalg.inv(covariance)
-    sds = [np.sqrt(np.diag(np.linalg.inv(precision + one))) for one in informations]
-    return np.asarray(np.mean(sds, axis=0))
+    return np.asarray(np.mean([np.sqrt(np.diag(_left(covariance, one))) for one in informations], axis=0))
+
+
+def _left(
+    covariance: Float[np.ndarray, "dim dim"], information: Float[np.ndarray, "dim dim"]
+) -> Float[np.ndarray, "dim dim"]:
+    """Return (Σ⁻¹ + F)⁻¹, in inputs scaled by their standard deviations."""
+    sd = np.sqrt(np.diag(covariance))
+    before = np.linalg.inv(covariance / np.outer(sd, sd))
+    return np.asarray(np.linalg.inv(before + information * np.outer(sd, sd)) * np.outer(sd, sd))

@@ -17,17 +17,19 @@ from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
 from strandline.report.coverage import draw_coverage
 from strandline.report.figures import figure_groups
+from strandline.report.next import draw_next
 from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.warnings import reason_to_doubt, small_share
 from strandline.typeset import RAISED, html_text, unit_text
 
-__all__ = ["FIGURES", "PAGE_PIXELS_PER_INCH", "add_check", "template", "write_coverage", "write_report"]
+__all__ = ["FIGURES", "PAGE_PIXELS_PER_INCH", "add_check", "template", "write_coverage", "write_next", "write_report"]
 
 FILE_NAME = "report.html"
-COVERAGE = "coverage.html"
 FIGURES = "figures"
 PAGE_PIXELS_PER_INCH = 138
 """Pixels on the page per inch of a figure: two columns of a journal fill the page."""
+ANSWERS = ("coverage", "next")
+"""First words of the names of figures that other commands draw; a new report leaves them in place."""
 OF_POSTERIOR = ("posterior", "uncertainty")
 """Sections whose figures show a posterior."""
 MARKS = ("<!-- check of the posterior -->\n", "<!-- end of the check -->\n")
@@ -132,10 +134,25 @@ def write_coverage(content: Mapping[str, Any], folder: Path) -> Path:
         content: Content of coverage.json.
         folder: Folder of the study.
     """
+    return _write_answer("coverage", content, draw_coverage(content), folder)
+
+
+def write_next(content: Mapping[str, Any], folder: Path) -> Path:
+    """Write the figures of candidates for the next experiment, and a page about them; return the page's path.
+
+    Args:
+        content: Content of next.json.
+        folder: Folder of the study.
+    """
+    return _write_answer("next", content, draw_next(content), folder)
+
+
+def _write_answer(name: str, content: Mapping[str, Any], drawn: Iterable[Captioned], folder: Path) -> Path:
+    """Write figures into `folder`/figures, and a self-contained page with them; return the page's path."""
     figures = folder / FIGURES
     figures.mkdir(exist_ok=True)
-    pictures = [_saved(captioned, figures) for captioned in draw_coverage(content)]
-    return _replaced(folder, template("coverage.html.j2").render(c=content, figures=pictures), COVERAGE)
+    pictures = [_saved(captioned, figures) for captioned in drawn]
+    return _replaced(folder, template(f"{name}.html.j2").render(c=content, figures=pictures), f"{name}.html")
 
 
 def _replaced(folder: Path, page: str, name: str = FILE_NAME) -> Path:
@@ -153,8 +170,9 @@ def _whole_folder(target: Path) -> Iterator[Path]:
     partial.mkdir()
     try:
         yield partial
-        for other in target.glob("coverage_*"):  # figures of another command
-            shutil.copy2(other, partial)
+        for name in ANSWERS:
+            for other in target.glob(f"{name}_*"):
+                shutil.copy2(other, partial)
         shutil.rmtree(target, ignore_errors=True)
         partial.rename(target)
     finally:

@@ -43,7 +43,7 @@ from strandline.studies.study import Study
 from strandline.studies.study_runs import settled
 from strandline.version import __version__
 
-__all__ = ["StudyCoverage", "coverage", "runs_to_learn_from"]
+__all__ = ["StudyCoverage", "coverage", "field_knowledge", "runs_to_learn_from"]
 
 FEWEST_REPLICATES = 20
 MOST_ROWS, FEWEST_RUNS = 400, 50
@@ -122,7 +122,7 @@ def coverage(
 
 def _origin(study: Study, measure: str, source: str, posterior: Posterior | None) -> tuple[Source, FieldQuality]:
     """Return where the true inputs come from, and how good the surrogate of the interface is there."""
-    knowledge = _knowledge(study, measure)
+    knowledge = field_knowledge(study, measure)
     origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
     quality = field_quality(origin)
     _require_good(quality, source)
@@ -212,8 +212,18 @@ def _require_arguments(replicates: int, source: str, seed: int) -> None:
         raise InvalidInput("seed of the coverage", value=seed, expected="0 or above", remedy="Choose another one.")
 
 
-def _knowledge(study: Study, measure: str) -> Knowledge:
-    """Learn the interface from the study's runs."""
+def field_knowledge(study: Study, measure: str, *, purpose: str = "coverage") -> Knowledge:
+    """Learn the interface from the runs of a finished study, and what the observation tells through it.
+
+    Args:
+        study: The study.
+        measure: Name of one of its measures.
+        purpose: What needs the interface, a noun for the message.
+
+    Raises:
+        InvalidStudy: The runs have no common points, or the synthetic observation is missing.
+        TooFewRuns: Too few runs succeeded.
+    """
     observed = observations_of(study)
     if not observed:
         raise InvalidStudy(
@@ -229,7 +239,7 @@ def _knowledge(study: Study, measure: str) -> Knowledge:
         return known_field(points, records, judge, study.space)[0]
     except NoCommonPoints as error:
         raise InvalidStudy(
-            "coverage needs a surrogate of the interface",
+            f"{purpose} needs a surrogate of the interface",
             value=str(error.value),
             expected="runs whose interfaces can be brought to common points",
             remedy="Let the simulator return interfaces of the same kind, best with the same nodes in all runs.",

@@ -16,6 +16,8 @@ __all__ = [
     "CHECK_LEDGER",
     "COVERAGE",
     "LEDGER",
+    "NEXT",
+    "NEXT_LEDGER",
     "POSTERIOR",
     "REFINEMENT",
     "REPLICATES",
@@ -39,6 +41,8 @@ CHECK = "check.json"
 CHECK_LEDGER = "check.sqlite"
 COVERAGE = "coverage.json"
 REPLICATES = "coverage.jsonl"
+NEXT = "next.json"
+NEXT_LEDGER = "next.sqlite"
 
 
 def require_writable(folder: Path) -> None:

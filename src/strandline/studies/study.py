@@ -12,10 +12,12 @@ from strandline.errors import InvalidStudy
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
+from strandline.planning.candidate import Candidate
 from strandline.posterior.shown import html_table
 from strandline.runs import Executor
 from strandline.smc import SMCSettings
 from strandline.studies import build
+from strandline.studies.candidates import read_candidates
 from strandline.studies.cheaper import with_cheaper
 from strandline.studies.chosen import refused_at
 from strandline.studies.executors import build_executor
@@ -64,6 +66,7 @@ class Study:
         settings: How the posterior is computed.
         executor: Where forward runs are made.
         reuse: Ledgers of other studies whose runs are taken over if they fit.
+        candidates: Candidates for the next experiment.
         as_loaded: The study as loaded, to notice fields replaced since; None for a study made in another way.
     """
 
@@ -86,6 +89,7 @@ class Study:
     settings: Settings
     executor: Executor
     reuse: tuple[Path, ...]
+    candidates: tuple[Candidate, ...] = ()
     as_loaded: "Study | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -176,6 +180,7 @@ def load_study(folder: Path | str) -> Study:
         settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
         reuse=reuse,
+        candidates=read_candidates(content.next, model, space, fixed),
     )
     for condition, seen in observed.items():
         require_fits(study.noise_of(condition), seen)

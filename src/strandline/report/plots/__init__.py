@@ -1,5 +1,6 @@
 """Figures: each function takes data and an optional Axes (or Figure, for several panels) and returns it."""
 
+from strandline.report.plots.candidates import plot_candidates, plot_directions
 from strandline.report.plots.check import OffsetBand, plot_check, plot_offsets
 from strandline.report.plots.convergence import plot_convergence
 from strandline.report.plots.coverage import IntervalCoverage, plot_intervals, plot_rank_band, plot_rank_bands
@@ -31,9 +32,11 @@ __all__ = [
     "ResidualsAlong",
     "RunHistory",
     "mark_doubt",
+    "plot_candidates",
     "plot_check",
     "plot_conditions",
     "plot_convergence",
+    "plot_directions",
     "plot_failed_runs",
     "plot_field",
     "plot_field_error",

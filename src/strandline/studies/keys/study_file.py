@@ -79,6 +79,9 @@ class StudyFile(Section):
     """other studies' folders, relative to this one, to reuse fitting runs"""
     seed: Seed = 1
     """for every random number after the design"""
+    next: dict[Name, Any] = {}
+    """[candidates for the next experiment](../how-to/next-experiment.md): values of fixed quantities, with what of the
+    interface is observed; no result depends on it"""
 
     @field_validator("fidelities", mode="before")
     @classmethod

@@ -1,0 +1,152 @@
+"""next.json: what each candidate for the next experiment can be expected to teach, as plain numbers."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from strandline.planning.candidate import Candidate
+from strandline.planning.identifiability import Direction, in_words
+from strandline.studies.next_answer import Answer, Answers, ranked
+from strandline.studies.study import Study
+from strandline.studies.summary import versions
+from strandline.version import __version__
+
+__all__ = ["describe_next"]
+
+AGAIN = {"prior": "as planned", "posterior": "the same again"}
+"""Words for an experiment with the study's own settings."""
+NOTHING = 0.1
+"""Gain, nats, below which an experiment is said to teach next to nothing."""
+AS_GOOD = 0.05
+"""Difference, nats, within which two candidates are said to be as good as each other."""
+RISKY = 0.2
+"""Probability of failure from which the advice mentions it."""
+UNKNOWN, PARTLY = 0.85, 0.5
+"""Shares of the prior's standard deviation above which a direction cannot be told, or only roughly."""
+
+
+def describe_next(study: Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:
+    """Return the content of next.json; candidates come in the order of their worth, single experiments first.
+
+    Args:
+        study: The study.
+        found: What the candidates can be expected to teach.
+        seed: Seed of all random numbers.
+        seconds: Wall time of the command.
+    """
+    answers = ranked(found.answers)
+    sd = found.now.sd
+    return {
+        "study": study.name,
+        "study_sha256": study.text_digest,
+        "version": __version__,
+        "versions": versions(),
+        "model": study.runs.identity,
+        "source": found.source,
+        "seed": seed,
+        "draws": len(found.now.draws),
+        "inputs": {
+            one.name: {
+                "label": one.shown,
+                "unit": one.unit,
+                "mean": float(found.now.mean[k]),
+                "sd": float(sd[k]),
+                "calibrated": not one.nuisance,
+            }
+            for k, one in enumerate(study.space)
+        },
+        "advice": _advice(study, found, answers),
+        "candidates": [_described(study, one, AGAIN[found.source], sd) for one in answers],
+        "directions": [_direction(study, one) for one in found.directions],
+        "identifiability": _identifiability(study, found),
+        "runs": {"new": found.new, "reused": found.reused},
+        "seconds": seconds,
+    }
+
+
+def _described(study: Study, one: Answer, again: str, sd: np.ndarray) -> dict[str, Any]:
+    names, outlook, look = study.space.names, one.outlook, one.candidate.look
+    gained: dict[str, Any] = {"gain": None, "error": None, "by": None, "sd": None, "sd_ratio": None}
+    if outlook is not None:
+        gained = {
+            "gain": outlook.gain,
+            "error": outlook.error,
+            "by": outlook.by,
+            "sd": dict(zip(names, outlook.sd.tolist(), strict=True)),
+            "sd_ratio": dict(zip(names, (outlook.sd / sd).tolist(), strict=True)),
+        }
+    return {
+        "label": one.candidate.label(again),
+        "settings": [dict(setting) for setting in one.candidate.settings],
+        "conditions": list(look.conditions),
+        "part": list(look.part),
+        "points": look.points,
+        "sd_of_points_mm": look.sd,
+        **gained,
+        "worth": None if outlook is None else one.worth,
+        "failing": one.failing,
+        "displacement_in_sd": one.displacement,
+        "problem": one.problem,
+    }
+
+
+def _direction(study: Study, one: Direction) -> dict[str, Any]:
+    weights = dict(zip(study.space.names, one.weights.tolist(), strict=True))
+    return {"weights": weights, "left": one.left, "in_words": in_words(one, study.space.names)}
+
+
+def _identifiability(study: Study, found: Answers) -> list[str]:
+    """Return which combinations of the inputs the picture cannot tell, in words."""
+    after = found.source == "posterior"
+    picture, leaves, tells = (
+        ("The picture", "leaves", "tells") if after else ("The planned picture", "would leave", "would tell")
+    )
+    cannot = "cannot tell" if after else "could not tell"
+    lines = []
+    for one in found.directions:
+        what, left = in_words(one, study.space.names), f"it {leaves} {100 * one.left:.0f} % of the prior's width"
+        if one.left > UNKNOWN:
+            lines.append(f"{picture} {cannot} {what}: {left}.")
+        elif one.left > PARTLY:
+            lines.append(f"{picture} {tells} {what} only roughly: {left}.")
+    if not lines:
+        worst = found.directions[0]
+        what, left = in_words(worst, study.space.names), f"it {leaves} {100 * worst.left:.0f} % of the prior's width"
+        lines.append(f"{picture} {tells} all combinations of the inputs, {what} least well: {left}.")
+    return lines
+
+
+def _advice(study: Study, found: Answers, answers: Sequence[Answer]) -> str:
+    """Return what to do next in a few sentences: the best experiment, and the best of several together."""
+    numbers = sorted({len(one.candidate.settings) for one in answers})
+    return " ".join(
+        _best(study, found, [one for one in answers if len(one.candidate.settings) == number], number)
+        for number in numbers
+    )
+
+
+def _best(study: Study, found: Answers, answers: Sequence[Answer], number: int) -> str:
+    """Return the best of candidates with the same number of experiments, in words."""
+    again, best = AGAIN[found.source], answers[0]
+    of = f"Of {number} experiments together: " if number > 1 else ""
+    if best.outlook is None:
+        return f"{of}Every candidate's run failed."
+    label = _words(best.candidate, again)
+    if best.outlook.gain < NOTHING:
+        return f"{of}None of the candidates teaches much; the best is {label} with {best.outlook.gain:.2f} nats."
+    now, names = found.now.sd, study.space.names
+    ratios = {names[k]: best.outlook.sd[k] / now[k] for k in study.space.calibrated}
+    least = min(ratios, key=lambda name: ratios[name])
+    fall = f"the standard deviation of {least} is expected to fall by {100 * (1 - ratios[least]):.0f} %."
+    text = f"{of}{'Choose ' if number == 1 else ''}{label}: {best.outlook.gain:.2f} nats; {fall}"
+    if best.failing is not None and best.failing > RISKY:
+        text += f" But it fails with a probability of {100 * best.failing:.0f} %."
+    close = [_words(one.candidate, again) for one in answers[1:] if one.worth > best.worth - AS_GOOD]
+    if close:
+        text += f" As good within {AS_GOOD} nats: {'; '.join(close[:3])}{', …' if len(close) > 3 else ''}."
+    return text
+
+
+def _words(candidate: Candidate, again: str) -> str:
+    return candidate.label(again if again != "as planned" else "the planned experiment")
