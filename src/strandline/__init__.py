@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
     from strandline.studies.coverage import coverage
+    from strandline.studies.next_experiment import next_experiment
     from strandline.surrogate import fit_log_likelihood
 
 __all__ = [  # noqa: RUF022
@@ -81,6 +82,7 @@ __all__ = [  # noqa: RUF022
     "Result",
     "load_result",
     "coverage",
+    "next_experiment",
     "StrandlineError",
     "InvalidInput",
     "ForwardModelError",
@@ -105,6 +107,7 @@ _NAMES_OF = {
     "calibration": "Problem Settings Observer Calibration calibrate",
     "studies": "Study load_study Outcome run_study Result load_result",
     "studies.coverage": "coverage",
+    "studies.next_experiment": "next_experiment",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

@@ -184,7 +184,7 @@ def test_stated_errors_of_two_conditions(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_study_whose_noise_is_wrong_is_found_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted: three times the errors that the analysis assumes."""
-    monkeypatch.setattr("strandline.calibration.experiment._errors", lambda *given: CoordinateErrors(0.009))
+    monkeypatch.setattr("strandline.calibration.experiment.errors_behind", lambda *given: CoordinateErrors(0.009))
     content = coverage(sl.load_study(folder), replicates=30).content
     assert not content["calibrated"]
     assert content["remarks"][0].startswith("The posterior is too narrow: ")

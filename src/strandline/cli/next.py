@@ -48,7 +48,7 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
     names = list(content["inputs"])
     heads = "".join(f"{f'sd({name})':>12}" for name in names)
     width = max(len(one["label"]) for one in content["candidates"][:SHOWN])
-    click.echo(f"{'candidate':<{max(width, 9)}} {'gain, nats':>14}{heads}{'fails':>7}{'moved':>8}")
+    click.echo(f"{'candidate':<{max(width, 9)}} {'gain, nats':>14}{heads}{'fails':>8}{'moved':>10}")
     now = "".join(f"{item['sd']:>12.3g}" for item in content["inputs"].values())
     click.echo(f"{'(now)':<{max(width, 9)}} {'':>14}{now}")
     for one in content["candidates"][:SHOWN]:
@@ -69,4 +69,4 @@ def _row(one: Mapping[str, Any], names: list[str]) -> str:
     sds = "".join(f"{one['sd'][name]:>12.3g}" for name in names)
     fails = "–" if one["failing"] is None else f"{100 * one['failing']:.0f} %"
     moved = "–" if one["displacement_in_sd"] is None else f"{one['displacement_in_sd']:.3g} sd"
-    return f"{gain:>14}{sds}{fails:>7}{moved:>8}"
+    return f"{gain:>14}{sds}{fails:>8}{moved:>10}"

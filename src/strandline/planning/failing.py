@@ -1,24 +1,24 @@
 """How probably a run fails in an experiment not yet made: runs fail where the interface moves too far.
 
-The runs of the present experiment show up to which displacement runs succeed; those that failed count with the
-displacement that the surrogate predicts where they were tried.
+The runs of the present experiment and of other candidates show up to which displacement runs succeed; those that failed
+count with the displacement that the surrogate predicts where they were tried.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 from scipy.special import expit, log_expit, logit
 
-from strandline.design.active import Knowledge
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 from strandline.planning.observing import Nodes
+from strandline.surrogate.field import FieldSurrogate
 
 __all__ = ["FailureBySize", "crossing_share", "learn_failure_by_size"]
 
-SLOPE_SD, OFFSET_SD = 20.0, 10.0
+SLOPE_SD, OFFSET_SD = 50.0, 50.0
 """Standard deviations of the prior of the logistic function's slope and offset."""
 PRIOR_RUNS, RARE = 2.0, 0.05
 """Runs that the base rate of failures begins with, and the share of these that fail."""
@@ -48,17 +48,27 @@ class FailureBySize:
         return np.asarray(expit(self.offset + self.slope * (logs - self.middle)))
 
 
-def learn_failure_by_size(knowledge: Knowledge, undeformed: Float[np.ndarray, " value"]) -> FailureBySize:
-    """Return the probability of failure by the size of the displacement, from the runs of the present experiment.
+def learn_failure_by_size(
+    surrogate: FieldSurrogate,
+    x: Float[np.ndarray, "run dim"],
+    ok: Bool[np.ndarray, " run"],
+    undeformed: Float[np.ndarray, " value"],
+    others: Float[np.ndarray, "other value"],
+) -> FailureBySize:
+    """Return the probability of failure by the size of the displacement, from the runs at hand.
 
     It maximises the likelihood with a weak normal prior for the slope, so that it exists without failures too.
 
     Args:
-        knowledge: What is known after these runs.
+        surrogate: Surrogate of the interface.
+        x: Inputs of all runs.
+        ok: Whether each run succeeded.
         undeformed: The undeformed interface as a field of the surrogate, mm.
+        others: Fields of further runs that succeeded, in other experiments, mm.
     """
-    surrogate, ok = knowledge.surrogate, knowledge.ok
-    logs = np.log(_sizes(surrogate.modes.fields(surrogate.mean(knowledge.x)), undeformed))
+    fields = np.vstack([surrogate.modes.fields(surrogate.mean(x)), others])
+    ok = np.concatenate([ok, np.ones(len(others), bool)])
+    logs = np.log(_sizes(fields, undeformed))
     middle, sign = float(logs.mean()), np.where(ok, -1.0, 1.0)
     base = float(logit((np.sum(~ok) + PRIOR_RUNS * RARE) / (len(ok) + PRIOR_RUNS)))
 
@@ -66,7 +76,7 @@ def learn_failure_by_size(knowledge: Knowledge, undeformed: Float[np.ndarray, " 
         fits = log_expit(sign * (a[0] + a[1] * (logs - middle))).sum()
         return float(-fits + 0.5 * ((a[0] - base) / OFFSET_SD) ** 2 + 0.5 * (a[1] / SLOPE_SD) ** 2)
 
-    found = minimize(loss, [base, 1.0], bounds=[(-50.0, 50.0), (0.0, 100.0)])
+    found = minimize(loss, [base, 1.0], bounds=[(-300.0, 300.0), (0.0, 300.0)])
     return FailureBySize(undeformed, middle, float(found.x[1]), float(found.x[0]))
 
 

@@ -32,7 +32,7 @@ class Scale:
     """How inputs are scaled.
 
     Args:
-        logarithmic: Of which inputs the logarithm counts, shape (dim,).
+        logarithmic: Whether the logarithm of each input counts, shape (dim,).
         sd: Prior standard deviations of the inputs or their logarithms, shape (dim,).
     """
 
@@ -119,7 +119,8 @@ def in_words(direction: Direction, names: Sequence[str]) -> str:
         names: Names of the inputs.
     """
     largest = float(np.abs(direction.weights).max())
-    order = [k for k in np.argsort(-np.abs(direction.weights)) if abs(direction.weights[k]) >= NAMED * largest]
+    sizes = np.round(np.abs(direction.weights), 6)
+    order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= NAMED * largest]
     if len(order) == 1:
         return str(names[order[0]])
     moves = [f"{names[k]} {'up' if direction.weights[k] > 0 else 'down'}" for k in order]

@@ -139,7 +139,8 @@ def _best(study: Study, found: Answers, answers: Sequence[Answer], number: int) 
     ratios = {names[k]: best.outlook.sd[k] / now[k] for k in study.space.calibrated}
     least = min(ratios, key=lambda name: ratios[name])
     fall = f"the standard deviation of {least} is expected to fall by {100 * (1 - ratios[least]):.0f} %."
-    text = f"{of}{'Choose ' if number == 1 else ''}{label}: {best.outlook.gain:.2f} nats; {fall}"
+    words = f"Choose {label}" if number == 1 and len(answers) > 1 else label
+    text = f"{of}{words[0].upper() if not of else words[0]}{words[1:]}: {best.outlook.gain:.2f} nats; {fall}"
     if best.failing is not None and best.failing > RISKY:
         text += f" But it fails with a probability of {100 * best.failing:.0f} %."
     close = [_words(one.candidate, again) for one in answers[1:] if one.worth > best.worth - AS_GOOD]

@@ -1,7 +1,7 @@
 """What each candidate can be expected to teach after the experiment of a study, from its posterior."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -62,6 +62,7 @@ def answers_from_posterior(
     observer.stage("candidates")
     settings = list({_key(one): one for candidate in candidates for one in candidate.settings}.values())
     runs = _runs(present, settings, executor, observer)
+    present = replace(present, succeeded=_succeeded(present, runs))
     points = iter(runs.points)
     prospects = {_key(one): present.prospect(one, next(points) if present.unknown(one) else None) for one in settings}
     observer.stage("gains")
@@ -101,12 +102,14 @@ class _Present:
         source: Its posterior, with the surrogate of the interface.
         experiment: Places and errors of the observed points.
         now: Draws of the posterior.
+        succeeded: Fields of candidates' runs that succeeded, mm.
     """
 
     study: Study
     source: Source
     experiment: Experiment
     now: Weighted
+    succeeded: Float[np.ndarray, "run value"] | None = None
 
     @property
     def directions(self) -> tuple[Direction, ...]:
@@ -138,7 +141,11 @@ class _Present:
     @cached_property
     def by_size(self) -> FailureBySize | None:
         """Probability of failure by the size of the displacement."""
-        return None if self.undeformed is None else learn_failure_by_size(self.source.knowledge, self.undeformed)
+        known = self.source.knowledge
+        if self.undeformed is None:
+            return None
+        others = self.undeformed[None, :][:0] if self.succeeded is None else self.succeeded
+        return learn_failure_by_size(known.surrogate, known.x, known.ok, self.undeformed, others)
 
     def prospect(self, setting: Setting, runs: PointRuns | None) -> _Prospect:
         """Return the predicted interfaces of an experiment."""
@@ -226,6 +233,13 @@ def _runs(present: _Present, settings: Sequence[Setting], executor: Executor, ob
     if not wanted:
         return Runs((), 0, 0)
     return runs_at(present.study, wanted, STEP * present.now.sd, usable=usable, executor=executor, observer=observer)
+
+
+def _succeeded(present: _Present, runs: Runs) -> Float[np.ndarray, "run value"] | None:
+    """Return the fields of all runs that succeeded; None if there are none."""
+    surrogate = present.source.knowledge.surrogate
+    good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
+    return np.array([field_of(surrogate, record.interfaces) for record in good]) if good else None
 
 
 def _slopes(present: _Present, runs: PointRuns, field: Float[np.ndarray, " value"]) -> Float[np.ndarray, "value dim"]:

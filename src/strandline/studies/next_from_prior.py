@@ -181,7 +181,7 @@ def _require_slopes(informations: Sequence[Float[np.ndarray, "dim dim"]]) -> Non
             "slopes of the interface in the inputs",
             value="runs whose interfaces have different nodes, and no sensitivities",
             expected="interfaces with the same nodes in all runs, or sensitivities",
-            remedy="Let the simulator return the same nodes in all runs, or finish the study and plan from its posterior.",
+            remedy="Let the simulator return the same nodes, or finish the study and plan from its posterior.",
         )
 
 

@@ -1,14 +1,14 @@
 """Keys of study.yaml that ask about finished results: changing them makes no result outdated."""
 
 import hashlib
+import re
 from collections.abc import Iterator
-
-import yaml
 
 __all__ = ["QUESTIONS", "digest_of", "without_questions"]
 
 QUESTIONS = frozenset({"next", "what_if", "specimens"})
 """Keys that no forward run and no posterior depends on."""
+ASKED = re.compile(rf"^['\"]?({'|'.join(sorted(QUESTIONS))})\b", re.MULTILINE)
 
 
 def digest_of(text: str) -> str:
@@ -24,6 +24,10 @@ def without_questions(text: str) -> str:
     Args:
         text: Text of study.yaml; one that is not YAML is returned whole.
     """
+    if not ASKED.search(text):
+        return text
+    import yaml  # loaded only if needed: `strandline status` is quick
+
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except (yaml.YAMLError, ValueError, RecursionError):

@@ -23,6 +23,8 @@ from strandline.typeset import figure_text
 
 __all__ = ["plot_candidates", "plot_directions"]
 
+APART = 0.16
+"""Distance of the marks of one candidate."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 
@@ -56,7 +58,8 @@ def plot_candidates(
         left.set_xlim(left=0.0)
         for k, (name, ratio) in enumerate(ratios.items()):
             style = {"marker": MARKERS[k % len(MARKERS)], "color": CYCLE[k % len(CYCLE)], "linestyle": ""}
-            right.plot(ratio, place, markersize=4, label=figure_text(name), **style)
+            shift = APART * (k - 0.5 * (len(ratios) - 1))
+            right.plot(ratio, place + shift, markersize=4, label=figure_text(name), **style)
         right.axvline(1.0, color=GREY, linewidth=0.8, linestyle=":")
         right.set(xlabel="expected sd / present sd")
         right.set_xlim(0.0, 1.08)
