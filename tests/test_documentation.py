@@ -137,7 +137,7 @@ def test_every_command_is_described_with_its_options() -> None:
 def every_command() -> Iterator[tuple[str, click.Command]]:
     """Yield the commands with their names, those of groups as ``GROUP COMMAND``."""
     for name in COMMANDS:
-        command = importlib.import_module(f"strandline.cli.{name}").command
+        command = importlib.import_module(f"strandline.cli.{name.replace('-', '_')}").command
         if isinstance(command, click.Group):
             yield from ((f"{name} {inner}", item) for inner, item in command.commands.items())
         else:
@@ -365,6 +365,7 @@ def test_the_program_that_checks_a_posterior_runs(finished: Path) -> None:
         "how-to/own-observation.md",
         "how-to/several-experiments.md",
         "how-to/uncertain-experiment.md",
+        "how-to/what-if.md",
     ],
 )
 def test_the_pieces_of_studies_are_valid(page: str) -> None:

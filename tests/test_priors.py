@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, stats
 
 from strandline.errors import InvalidInput
-from strandline.priors import PRIORS, LogNormal, Normal, Prior, ScaledBeta, Truncated, Uniform, truncate
+from strandline.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Truncated, Uniform, truncate
 
 
 def cut(base, low, high):
@@ -28,6 +28,7 @@ def whole(base):
 
 CASES = {
     "uniform": (Uniform(-0.8, 0.5), whole(stats.uniform(-0.8, 1.3))),
+    "loguniform": (LogUniform(100.0, 800.0), whole(stats.loguniform(100.0, 800.0))),
     "normal": (Normal(3.0, 0.7), whole(stats.norm(3.0, 0.7))),
     "lognormal": (LogNormal(5.86, 0.4), whole(stats.lognorm(s=0.4, scale=math.exp(5.86)))),
     "beta": (ScaledBeta(43 / 13, 22 / 13, -0.8, 0.5), whole(stats.beta(43 / 13, 22 / 13, -0.8, 1.3))),
@@ -160,6 +161,8 @@ def test_truncate_leaves_alone_what_needs_no_cut():
         (lambda: Uniform(0.0, math.inf), "bounds of the uniform"),
         (lambda: Normal(0.0, 0.0), "sd of the normal"),
         (lambda: Normal(math.nan, 1.0), "mean of the normal"),
+        (lambda: LogUniform(0.0, 1.0), "low of the loguniform"),
+        (lambda: LogUniform(2.0, 1.0), "bounds of the loguniform"),
         (lambda: LogNormal(0.0, -1.0), "sigma of the lognormal"),
         (lambda: LogNormal(math.inf, 1.0), "mu of the lognormal"),
         (lambda: ScaledBeta(0.0, 1.0, 0.0, 1.0), "a of the beta"),
@@ -174,7 +177,8 @@ def test_invalid_numbers_are_refused_by_name(make, named):
 
 
 def test_registry_names_classes_that_satisfy_the_protocol():
-    numbers = {"uniform": (0.0, 1.0), "normal": (0.0, 1.0), "lognormal": (0.0, 1.0), "beta": (2.0, 2.0, 0.0, 1.0)}
+    numbers = {"uniform": (0.0, 1.0), "loguniform": (1.0, 2.0), "normal": (0.0, 1.0), "lognormal": (0.0, 1.0)}
+    numbers |= {"beta": (2.0, 2.0, 0.0, 1.0)}
     assert set(PRIORS) == set(numbers)
     for name, values in numbers.items():
         assert isinstance(PRIORS[name](*values), Prior)

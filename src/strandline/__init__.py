@@ -28,18 +28,20 @@ if TYPE_CHECKING:
     from strandline.parameters import Parameter, ParameterSpace
     from strandline.posterior import Posterior
     from strandline.posterior.quadrature import integrate
-    from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
+    from strandline.priors import LogNormal, LogUniform, Normal, ScaledBeta, Uniform
     from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, run_campaign
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
     from strandline.studies.coverage import coverage
     from strandline.studies.next_experiment import next_experiment
+    from strandline.studies.what_if import what_if
     from strandline.surrogate import fit_log_likelihood
 
 __all__ = [  # noqa: RUF022
     "Uniform",
     "Normal",
     "LogNormal",
+    "LogUniform",
     "ScaledBeta",
     "Parameter",
     "ParameterSpace",
@@ -83,6 +85,7 @@ __all__ = [  # noqa: RUF022
     "load_result",
     "coverage",
     "next_experiment",
+    "what_if",
     "StrandlineError",
     "InvalidInput",
     "ForwardModelError",
@@ -90,7 +93,7 @@ __all__ = [  # noqa: RUF022
 ]
 
 _NAMES_OF = {
-    "priors": "Uniform Normal LogNormal ScaledBeta",
+    "priors": "Uniform LogUniform Normal LogNormal ScaledBeta",
     "parameters": "Parameter ParameterSpace",
     "interface": "Interface Observation PointErrors UnknownErrors",
     "design": "sobol",
@@ -108,6 +111,7 @@ _NAMES_OF = {
     "studies": "Study load_study Outcome run_study Result load_result",
     "studies.coverage": "coverage",
     "studies.next_experiment": "next_experiment",
+    "studies.what_if": "what_if",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

@@ -13,7 +13,18 @@ from scipy import special, stats
 
 from strandline.errors import InvalidInput
 
-__all__ = ["PRIORS", "LogNormal", "Normal", "Prior", "ScaledBeta", "Truncated", "Uniform", "require_span", "truncate"]
+__all__ = [
+    "PRIORS",
+    "LogNormal",
+    "LogUniform",
+    "Normal",
+    "Prior",
+    "ScaledBeta",
+    "Truncated",
+    "Uniform",
+    "require_span",
+    "truncate",
+]
 
 Array = Any  # a NumPy or a JAX array of any shape, or a float
 
@@ -140,6 +151,41 @@ class LogNormal:
 
 
 @dataclass(frozen=True)
+class LogUniform:
+    """Uniform in the logarithm on [low, high], both above 0: the density is proportional to 1/x."""
+
+    low: float
+    high: float
+    fields: ClassVar[str] = "[low, high]"
+
+    def __post_init__(self) -> None:
+        _require_interval("loguniform", self.low, self.high)
+        _require_positive("loguniform", "low", self.low, least=LEAST)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    @property
+    def _span(self) -> float:
+        return math.log(self.high / self.low)
+
+    def log_density(self, x: Array) -> Array:
+        """Return -log(x log(high/low)) inside, -inf outside."""
+        xp = _namespace(x)
+        inside = (x >= self.low) & (x <= self.high)
+        return xp.where(inside, -xp.log(xp.where(inside, x, self.low)) - math.log(self._span), -xp.inf)
+
+    def cdf(self, x: Array) -> Array:
+        """Return the cumulative distribution."""
+        return np.log(np.clip(x, self.low, self.high) / self.low) / self._span
+
+    def quantile(self, p: Array) -> Array:
+        """Return the quantile function."""
+        return np.clip(self.low * np.exp(self._span * np.asarray(p)), self.low, self.high)
+
+
+@dataclass(frozen=True)
 class ScaledBeta:
     """Beta(a, b) stretched to [low, high]."""
 
@@ -231,7 +277,13 @@ class Truncated:
         return np.clip(self.base.quantile(below + np.asarray(p) * self.mass), self.low, self.high)
 
 
-PRIORS = {"uniform": Uniform, "normal": Normal, "lognormal": LogNormal, "beta": ScaledBeta}
+PRIORS = {
+    "uniform": Uniform,
+    "loguniform": LogUniform,
+    "normal": Normal,
+    "lognormal": LogNormal,
+    "beta": ScaledBeta,
+}
 """Names in study files → classes that take the listed numbers in the order of their fields."""
 
 

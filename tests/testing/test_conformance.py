@@ -47,6 +47,7 @@ from strandline.testing import (
 from strandline.testing.models import Cantilever
 
 NUMBERS = {"beta": (2.6, 1.4, 0.0, 110.0), "lognormal": (5.86, 0.4), "normal": (3.0, 2.0), "uniform": (100.0, 800.0)}
+NUMBERS |= {"loguniform": (100.0, 800.0)}
 OPTIONS = {"currents": {"width": 0.05}}
 
 

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from strandline.calibration.source import Source
-from strandline.likelihood import noise_length
+from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["TOLERATED", "TOLERATED_SHARE", "FieldQuality", "field_quality"]
+__all__ = ["TOLERATED", "TOLERATED_SHARE", "FieldQuality", "field_quality", "quality_at"]
 
 TOLERATED = 0.5
 """Error of the predicted interface that is tolerated, as a share of the shift that the noise hides."""
@@ -42,15 +43,26 @@ class FieldQuality:
 
 
 def field_quality(source: Source) -> FieldQuality:
-    """Return how good the surrogate is at draws of a distribution.
+    """Return how good the surrogate is at draws of a distribution."""
+    return quality_at(source.knowledge.likelihood, source.points, np.exp(source.log_weights))
+
+
+def quality_at(
+    likelihood: FieldLikelihood, points: Float[np.ndarray, "point dim"], weights: Float[np.ndarray, " point"]
+) -> FieldQuality:
+    """Return how good the surrogate is at weighted points, for the noise of a likelihood.
 
     The errors that it expects count more if those at left-out runs are larger than expected.
+
+    Args:
+        likelihood: Likelihood through the surrogate.
+        points: Inputs, shape (point, dim).
+        weights: Their weights, whose sum is 1, shape (point,).
     """
-    surrogate, likelihood = source.knowledge.surrogate, source.knowledge.likelihood
+    surrogate = likelihood.surrogate
     hidden = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
-    weights = np.exp(source.log_weights)
     chosen = np.random.default_rng(0).choice(len(weights), DRAWS, p=weights / weights.sum())
-    errors = max(1.0, _surprise(surrogate)) * surrogate.predicted_error(source.points[chosen])
+    errors = max(1.0, _surprise(surrogate)) * surrogate.predicted_error(points[chosen])
     median, q95 = np.quantile(errors, [0.5, 0.95]).tolist()
     return FieldQuality(
         hidden=hidden,

@@ -30,6 +30,7 @@ COMMANDS = {
     "backup": "Copy a study's ledger, while it may be running.",
     "report": "Write posterior, figures and report again from finished runs.",
     "coverage": "Test by replicates whether the intervals are right.",
+    "what-if": "Ask how the posterior changes with prior, noise and measure.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "next": "Rank the candidates for the next experiment.",
     "forward": "Make one forward run at chosen inputs.",
@@ -60,7 +61,7 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"strandline.cli.{cmd_name}")
+        module = importlib.import_module(f"strandline.cli.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
         return command
 

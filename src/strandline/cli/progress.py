@@ -28,6 +28,7 @@ STAGES = {
     "replicates": "replicates",
     "candidates": "runs of candidates",
     "gains": "information gains",
+    "alternatives": "alternatives",
     "report": "figures and report",
 }
 SECONDS_BETWEEN_LINES = 15.0

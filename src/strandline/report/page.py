@@ -20,16 +20,26 @@ from strandline.report.figures import figure_groups
 from strandline.report.next import draw_next
 from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.warnings import reason_to_doubt, small_share
+from strandline.report.what_if import draw_what_if
 from strandline.typeset import RAISED, html_text, unit_text
 
-__all__ = ["FIGURES", "PAGE_PIXELS_PER_INCH", "add_check", "template", "write_coverage", "write_next", "write_report"]
+__all__ = [
+    "FIGURES",
+    "PAGE_PIXELS_PER_INCH",
+    "add_check",
+    "template",
+    "write_coverage",
+    "write_next",
+    "write_report",
+    "write_what_if",
+]
 
 FILE_NAME = "report.html"
 FIGURES = "figures"
 PAGE_PIXELS_PER_INCH = 138
 """Pixels on the page per inch of a figure: two columns of a journal fill the page."""
-ANSWERS = ("coverage", "next")
-"""First words of the names of figures that other commands draw; a new report leaves them in place."""
+ANSWERS = ("coverage_*", "next_*", "what_if*")
+"""Figures that other commands draw; a new report leaves them in place."""
 OF_POSTERIOR = ("posterior", "uncertainty")
 """Sections whose figures show a posterior."""
 MARKS = ("<!-- check of the posterior -->\n", "<!-- end of the check -->\n")
@@ -147,6 +157,16 @@ def write_next(content: Mapping[str, Any], folder: Path) -> Path:
     return _write_answer("next", content, draw_next(content), folder)
 
 
+def write_what_if(content: Mapping[str, Any], folder: Path) -> Path:
+    """Write the figure of other assumptions, and a self-contained page about them; return the page's path.
+
+    Args:
+        content: Content of what-if.json.
+        folder: Folder of the study.
+    """
+    return _write_answer("what-if", content, [draw_what_if(content)], folder)
+
+
 def _write_answer(name: str, content: Mapping[str, Any], drawn: Iterable[Captioned], folder: Path) -> Path:
     """Write figures into `folder`/figures, and a self-contained page with them; return the page's path."""
     figures = folder / FIGURES
@@ -170,8 +190,8 @@ def _whole_folder(target: Path) -> Iterator[Path]:
     partial.mkdir()
     try:
         yield partial
-        for name in ANSWERS:
-            for other in target.glob(f"{name}_*"):
+        for pattern in ANSWERS:
+            for other in target.glob(pattern):
                 shutil.copy2(other, partial)
         shutil.rmtree(target, ignore_errors=True)
         partial.rename(target)

@@ -41,6 +41,7 @@ __all__ = [
     "build_failures",
     "build_fixed",
     "build_model",
+    "build_prior",
     "build_refinement",
     "build_space",
     "check_complete",
@@ -294,7 +295,7 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
             expected=f"{declared.unit}, the unit the model takes",
             remedy=f"Write `unit: {declared.unit}` at {name} and give its prior in that unit.",
         )
-    prior = _prior(name, item)
+    prior = build_prior(item.prior, f"inputs.{name}.prior")
     with refused_at(f"inputs.{name}"):
         declared_unit = declared.unit if declared else unit or "1"
         parameter = Parameter(name, prior, declared_unit, item.box, item.nuisance, symbol=item.label or "")
@@ -302,18 +303,24 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
     return parameter
 
 
-def _prior(name: str, item: Input) -> Prior:
-    (kind, numbers) = next(iter(item.prior.items()))
-    prior_class: Any = open_entry(PRIORS, kind, f"inputs.{name}.prior", "a prior")
+def build_prior(given: Mapping[str, list[float]], at: str) -> Prior:
+    """Return the prior that the study file names.
+
+    Args:
+        given: Its name with its numbers.
+        at: Place in the study file.
+    """
+    (kind, numbers) = next(iter(given.items()))
+    prior_class: Any = open_entry(PRIORS, kind, at, "a prior")
     wanted = [field.name for field in dataclasses.fields(prior_class)]
     if len(numbers) != len(wanted):
         raise InvalidStudy(
-            f"inputs.{name}.prior.{kind}",
+            f"{at}.{kind}",
             value=numbers,
             expected=f"{len(wanted)} numbers {getattr(prior_class, 'fields', wanted)}",
             remedy="Correct the list.",
         )
-    place = f"inputs.{name}.prior.{kind}"
+    place = f"{at}.{kind}"
     options = dict(zip(wanted, numbers, strict=True))
     prior: Prior = construct(prior_class, options, place)
     if ":" in kind:

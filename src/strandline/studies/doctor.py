@@ -10,7 +10,7 @@ from strandline.errors import StrandlineError
 from strandline.models.python import PythonModel
 from strandline.runs.overview import Overview
 from strandline.runs.soundness import outcome_digest, unsound
-from strandline.studies.folder import CHECK, CHECK_LEDGER, COVERAGE, LEDGER, POSTERIOR, SUMMARY
+from strandline.studies.folder import CHECK, CHECK_LEDGER, COVERAGE, LEDGER, POSTERIOR, SUMMARY, WHAT_IF
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.study import Study, load_study
 from strandline.studies.summary import versions
@@ -148,6 +148,9 @@ def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
     tested = _read(study.folder / COVERAGE)
     if tested and tested.get("study_sha256") != study.text_digest:
         yield Finding(f"{COVERAGE} is of another study.yaml", f"Test again: strandline coverage {study.folder}")
+    asked = _read(study.folder / WHAT_IF)
+    if asked and asked.get("study_sha256") != study.text_digest:
+        yield Finding(f"{WHAT_IF} is of another study.yaml", f"Ask again: strandline what-if {study.folder}")
 
 
 def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:

@@ -24,6 +24,7 @@ __all__ = [
     "REPORT",
     "STUDY",
     "SUMMARY",
+    "WHAT_IF",
     "require_temporary",
     "require_writable",
     "told_if_unwritable",
@@ -43,6 +44,7 @@ COVERAGE = "coverage.json"
 REPLICATES = "coverage.jsonl"
 NEXT = "next.json"
 NEXT_LEDGER = "next.sqlite"
+WHAT_IF = "what-if.json"
 
 
 def require_writable(folder: Path) -> None:

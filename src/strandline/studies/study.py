@@ -36,7 +36,7 @@ from strandline.studies.study_runs import StudyRuns
 from strandline.studies.undeformed import Undeformed, undeformed_in, with_errors_of
 from strandline.typeset import html_text
 
-__all__ = ["Study", "load_study"]
+__all__ = ["Study", "load_study", "study_of"]
 
 FEW_INPUTS = 3
 """Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""
@@ -146,7 +146,20 @@ def load_study(folder: Path | str) -> Study:
         InvalidStudy: The study cannot be parsed, see `parse_study`, or a value in it cannot be used.
     """
     folder = Path(folder)
-    content, text = parse_study(folder)
+    return study_of(folder, *parse_study(folder))
+
+
+def study_of(folder: Path, content: StudyFile, text: str) -> Study:
+    """Return the study that a study file states.
+
+    Args:
+        folder: Folder of the study.
+        content: Content of the study file.
+        text: Its text.
+
+    Raises:
+        InvalidStudy: A value in it cannot be used.
+    """
     undeformed = undeformed_in(content.model, folder)
     model = build.build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)

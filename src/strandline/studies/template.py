@@ -23,7 +23,7 @@ model: {{biofilm: {{mesh: coarse}}}}
 # What is known of the experiment.
 fixed: {{V_in: 100}}                # inflow volume rate per depth, mm^2/s
 
-# What is not: priors. uniform [low, high] | normal [mean, sd] | lognormal [mu, sigma] | beta [a, b, low, high].
+# Unknown: priors. uniform, loguniform [low, high] | normal [mean, sd] | lognormal [mu, sigma] | beta [a, b, low, high].
 # A prior without bounds needs a design box, e.g.  E: {{prior: {{lognormal: [5.86, 0.4]}}, box: [100, 800], unit: Pa}}
 inputs:
   E:  {{prior: {{uniform: [100, 800]}}, unit: Pa}}       # Young's modulus

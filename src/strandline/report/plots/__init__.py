@@ -21,6 +21,7 @@ from strandline.report.plots.run_history import RunHistory, plot_run_history
 from strandline.report.plots.sensitivity import plot_sensitivity
 from strandline.report.plots.style import mark_doubt
 from strandline.report.plots.tempering import plot_tempering
+from strandline.report.plots.what_if import Whisker, plot_alternatives
 
 __all__ = [
     "Curve",
@@ -31,7 +32,9 @@ __all__ = [
     "OffsetBand",
     "ResidualsAlong",
     "RunHistory",
+    "Whisker",
     "mark_doubt",
+    "plot_alternatives",
     "plot_candidates",
     "plot_check",
     "plot_conditions",

@@ -1,0 +1,178 @@
+"""A posterior whose sensitivity is examined, and what else might have been assumed for it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax, logsumexp
+
+from strandline.calibration.field_quality import FieldQuality, quality_at
+from strandline.calibration.importance_sampler import effective_size
+from strandline.design.active import Knowledge
+from strandline.errors import InvalidInput
+from strandline.likelihood import FieldLikelihood
+from strandline.parameters import ParameterSpace
+from strandline.posterior import Posterior
+from strandline.posterior.weighted import Weighted
+
+__all__ = ["Alternative", "Kind", "Present", "present"]
+
+Kind = Literal["prior", "fix", "noise", "measure", "without", "model_error", "several"]
+
+FEWEST = 100.0
+"""Smallest effective number of the posterior's draws under the likelihood through the surrogate of the interface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another assumption.
+
+    Args:
+        name: The assumption in words.
+        kind: What differs from the study.
+        about: What the posterior depends on if it moves, e.g. ``the prior of E``.
+        space: All inputs, with the priors that are assumed.
+        likelihood: Likelihood that is assumed; None for the one of the study.
+        fixed: Values of the inputs that are taken as known.
+        detail: The assumption in numbers; empty if the name has them.
+        by_prior_alone: Whether data, noise and measure are those of the study.
+    """
+
+    name: str
+    kind: Kind
+    about: str
+    space: ParameterSpace
+    likelihood: FieldLikelihood | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    detail: str = ""
+    by_prior_alone: bool = True
+
+    def __post_init__(self) -> None:
+        if all(self.space.names[i] in self.fixed for i in self.space.calibrated):
+            raise InvalidInput(
+                "inputs that are fixed",
+                value=", ".join(self.fixed),
+                expected="at least one calibrated input left",
+                remedy="Fix fewer inputs.",
+            )
+
+    def __repr__(self) -> str:
+        return f"<Alternative {self.name}>"
+
+    @cached_property
+    def free(self) -> tuple[int, ...]:
+        """Columns of the inputs that are not fixed."""
+        return tuple(i for i, name in enumerate(self.space.names) if name not in self.fixed)
+
+    @cached_property
+    def free_space(self) -> ParameterSpace:
+        """The inputs that are not fixed."""
+        return ParameterSpace(tuple(self.space.parameters[i] for i in self.free))
+
+    def whole(self, x: Float[np.ndarray, "point free"]) -> Float[np.ndarray, "point dim"]:
+        """Return points with the fixed inputs among the others."""
+        out = np.empty((len(x), self.space.dim))
+        out[:, list(self.free)] = x
+        for name, value in self.fixed.items():
+            out[:, self.space.names.index(name)] = value
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Present:
+    """A posterior, with the likelihood through the surrogate of the interface by which alternatives differ from it.
+
+    Args:
+        space: All inputs.
+        draws: Draws, shape (draw, dim).
+        log_weights: Their normalised log weights, shape (draw,).
+        log_likelihood: Log-likelihood at the draws, shape (draw,).
+        log_prior: Log prior density at the draws, shape (draw,).
+        log_evidence: Log-evidence.
+        knowledge: Surrogate of the interface and its likelihood; None if only priors can be changed.
+        quality: How good this surrogate is at the draws; None without one.
+        why_not: Why only priors can be changed; empty if there is a surrogate.
+        shift: Largest difference of a mean from the stored posterior, in standard deviations.
+    """
+
+    space: ParameterSpace
+    draws: Float[np.ndarray, "draw dim"]
+    log_weights: Float[np.ndarray, " draw"]
+    log_likelihood: Float[np.ndarray, " draw"]
+    log_prior: Float[np.ndarray, " draw"]
+    log_evidence: float
+    knowledge: Knowledge | None = None
+    quality: FieldQuality | None = None
+    why_not: str = ""
+    shift: float = 0.0
+
+    def __repr__(self) -> str:
+        known = "priors only" if self.knowledge is None else "through the surrogate of the interface"
+        return f"<Present posterior of {', '.join(self.space.names)}: {len(self.draws)} draws, {known}>"
+
+    @cached_property
+    def weighted(self) -> Weighted:
+        """The draws with their weights."""
+        return Weighted(self.draws, np.exp(self.log_weights))
+
+    @cached_property
+    def mean(self) -> Float[np.ndarray, " dim"]:
+        """Posterior mean, shape (dim,)."""
+        return self.weighted.mean
+
+    @cached_property
+    def sd(self) -> Float[np.ndarray, " dim"]:
+        """Posterior standard deviation, shape (dim,)."""
+        return self.weighted.sd
+
+
+def present(posterior: Posterior, knowledge: Knowledge | None, *, why_not: str = "") -> Present:
+    """Return a posterior as alternatives are compared with it.
+
+    With a surrogate of the interface, the draws get the weights of its likelihood: of a study that learns the
+    interface, these are the stored ones; of one that learns the log-likelihood, both sides of each comparison then have
+    the same errors. If too few draws remain effective, or the surrogate is too coarse, only priors can be changed.
+
+    Args:
+        posterior: The stored posterior.
+        knowledge: Surrogate of the interface with the study's likelihood; None if there is none.
+        why_not: Why there is none.
+    """
+    known = np.isfinite(posterior.log_weights) & np.isfinite(posterior.log_likelihood)
+    stored = Present(
+        space=posterior.space,
+        draws=posterior.draws[known],
+        log_weights=np.asarray(log_softmax(posterior.log_weights[known])),
+        log_likelihood=posterior.log_likelihood[known],
+        log_prior=posterior.log_prior[known],
+        log_evidence=posterior.log_evidence,
+        why_not=why_not,
+    )
+    if knowledge is None:
+        return stored
+    values = knowledge.expected(stored.draws, plug_in=knowledge.plug_in(stored.draws))
+    log_ratios = stored.log_weights + values - stored.log_likelihood
+    effective = effective_size(log_ratios)
+    if not effective >= FEWEST:
+        return replace(stored, why_not=f"the surrogate of the interface leaves {effective:.0f} effective draws")
+    log_weights = np.asarray(log_softmax(log_ratios))
+    quality = quality_at(knowledge.likelihood, stored.draws, np.exp(log_weights))
+    if not quality.good:
+        return replace(stored, quality=quality, why_not=_too_coarse(quality))
+    found = replace(
+        stored,
+        log_weights=log_weights,
+        log_likelihood=values,
+        log_evidence=stored.log_evidence + float(logsumexp(log_ratios)),
+        knowledge=knowledge,
+        quality=quality,
+    )
+    return replace(found, shift=float(np.abs((found.mean - stored.mean) / stored.sd).max()))
+
+
+def _too_coarse(quality: FieldQuality) -> str:
+    share = 100 * quality.beyond
+    return f"the surrogate of the interface is too coarse at {share:.0f} % of the posterior's draws for its noise"

@@ -1,0 +1,279 @@
+"""How a posterior changes with what was assumed: by weights of its draws, or by new draws through the surrogate.
+
+The draws of the posterior get the weights p'(x) L'(x) / (p(x) L(x)), with the prior p and the likelihood L of the study
+and those of the alternative. The largest weights are smoothed, and their tail decides whether they can be used (Vehtari
+et al. 2024). If not, or if the alternative allows inputs where there are no draws, its posterior is sampled again,
+through the surrogate of the interface. No forward run is made.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax, logsumexp
+
+from strandline.calibration.alternative import Alternative, Present
+from strandline.calibration.field_quality import FieldQuality, quality_at
+from strandline.calibration.importance_sampler import Pool, effective_size, followed
+from strandline.calibration.source import POINTS, SCRAMBLE
+from strandline.design import sobol
+from strandline.design.active import Knowledge
+from strandline.design.refinement import SAMPLING
+from strandline.likelihood import OnHost
+from strandline.posterior.pareto_smoothing import pareto_smoothed, reliability_threshold
+from strandline.posterior.weighted import Weighted
+from strandline.smc import sample
+
+__all__ = ["LEAST_RATIO", "LEAST_SHIFT", "Answer", "By", "answered"]
+
+LEAST_SHIFT = 0.2
+"""Shift of a mean, in present standard deviations, from which an input moves."""
+LEAST_RATIO = 1.25
+"""Ratio of the standard deviations, or its inverse, from which an input moves."""
+FEWEST = 100.0
+"""Effective draws that reweighting must leave."""
+ENOUGH = 1000.0
+"""Effective draws at which the sampler stops."""
+PARTICLES = 2000
+"""Particles of the tempered sampler, which takes over where importance sampling does not get there."""
+COUNTS = 0.99
+"""Share of the weight, on the draws with the largest ones, that gets the likelihood expected over possible fields."""
+
+By = Literal["reweighting", "importance", "smc"]
+Points = Float[np.ndarray, "point dim"]
+Values = Float[np.ndarray, " point"]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The posterior under an alternative, beside the present one.
+
+    Args:
+        alternative: The alternative.
+        present: The present posterior.
+        by: How the posterior was found; None if that takes new runs.
+        draws: Draws with weights; None if there is no answer.
+        k_hat: Shape k̂ of the tail of the draws' weights, if they were tried.
+        effective: Effective number of draws.
+        log_evidence_change: Change of the log-evidence; None if the data or the measure differ.
+        quality: How good the surrogate is at the draws; None if it was not used.
+        why_not: Why there is no answer; empty if there is one.
+    """
+
+    alternative: Alternative
+    present: Present
+    by: By | None
+    draws: Weighted | None
+    k_hat: float
+    effective: float
+    log_evidence_change: float | None = None
+    quality: FieldQuality | None = None
+    why_not: str = ""
+
+    def __repr__(self) -> str:
+        return f"<Answer to {self.alternative.name}: {self.by or 'needs new runs'}{', moves' if self.moves else ''}>"
+
+    @property
+    def shift(self) -> Float[np.ndarray, " dim"]:
+        """Shift of the means, in present standard deviations, shape (dim,); NaN without an answer or if fixed."""
+        if self.draws is None:
+            return np.full(self.present.space.dim, np.nan)
+        return self._unless_fixed((self.draws.mean - self.present.mean) / self.present.sd)
+
+    @property
+    def sd_ratio(self) -> Float[np.ndarray, " dim"]:
+        """Standard deviations over the present ones, shape (dim,); NaN likewise."""
+        if self.draws is None:
+            return np.full(self.present.space.dim, np.nan)
+        return self._unless_fixed(self.draws.sd / self.present.sd)
+
+    @cached_property
+    def shift_error(self) -> Float[np.ndarray, " dim"]:
+        """Standard error of `shift` from the finite number of draws; draws in common cancel.
+
+        To first order in the influence of each draw.
+        """
+        if self.draws is None:
+            return np.full(self.present.space.dim, np.nan)
+        before, mean, sd = self.present.weighted, self.present.mean, self.present.sd
+        z = (before.draws - mean) / sd
+        shift = (self.draws.mean - mean) / sd
+        old = before.weights[:, None] * (z + 0.5 * shift * (z**2 - 1))
+        new = self.draws.weights[:, None] * ((self.draws.draws - mean) / sd - shift)
+        if self.by == "reweighting":
+            return self._unless_fixed(np.sqrt(np.sum((new - old) ** 2, axis=0)))
+        return self._unless_fixed(np.sqrt(np.sum(new**2, axis=0) + np.sum(old**2, axis=0)))
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Names of the inputs that move."""
+        far = (np.abs(self.shift) > LEAST_SHIFT) | (np.abs(np.log(self.sd_ratio)) > math.log(LEAST_RATIO))
+        return tuple(name for name, one in zip(self.present.space.names, far, strict=True) if one)
+
+    @property
+    def moves(self) -> bool:
+        """Whether any input moves."""
+        return bool(self.moved)
+
+    @property
+    def size(self) -> float:
+        """How much the input that moves most does: 1 at the limit of what counts; 0 without an answer."""
+        if self.draws is None:
+            return 0.0
+        shift, width = np.abs(self.shift) / LEAST_SHIFT, np.abs(np.log(self.sd_ratio)) / math.log(LEAST_RATIO)
+        return float(np.nanmax([shift, width]))
+
+    def _unless_fixed(self, values: Float[np.ndarray, " dim"]) -> Float[np.ndarray, " dim"]:
+        fixed = [name in self.alternative.fixed for name in self.present.space.names]
+        return np.where(fixed, np.nan, values)
+
+
+def answered(now: Present, alternative: Alternative, *, seed: int) -> Answer:
+    """Return the posterior under an alternative.
+
+    Args:
+        now: The present posterior.
+        alternative: The alternative.
+        seed: Seed of all random numbers, if it is sampled again.
+    """
+    k_hat, effective = math.nan, 0.0
+    if now.knowledge is None and not alternative.by_prior_alone:
+        return Answer(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
+    if not alternative.fixed and _covered(now, alternative):
+        found = _reweighted(now, alternative)
+        if found.k_hat < reliability_threshold(len(now.draws)) and found.effective >= FEWEST:
+            return _judged(found)
+        k_hat, effective = found.k_hat, found.effective
+    if now.knowledge is None:
+        return Answer(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
+    return _judged(_sampled(now, now.knowledge, alternative, k_hat, np.random.default_rng(seed)))
+
+
+def _judged(answer: Answer) -> Answer:
+    """Return the answer, or why there is none: the surrogate is too coarse where its draws are."""
+    now, alternative, draws = answer.present, answer.alternative, answer.draws
+    if draws is None or now.knowledge is None or (answer.by == "reweighting" and alternative.likelihood is None):
+        return answer
+    likelihood = alternative.likelihood or now.knowledge.likelihood
+    quality = quality_at(likelihood, draws.draws, draws.weights)
+    if quality.good:
+        return replace(answer, quality=quality)
+    why = f"the surrogate of the interface is too coarse at {100 * quality.beyond:.0f} % of its draws"
+    return replace(answer, by=None, draws=None, log_evidence_change=None, quality=quality, why_not=why)
+
+
+def _covered(now: Present, alternative: Alternative) -> bool:
+    """Return whether the alternative allows inputs only where the present prior does."""
+    for old, new in zip(now.space, alternative.space, strict=True):
+        (low, high), (least, most) = old.truncated_prior.support, new.truncated_prior.support
+        slack = 1e-9 * (high - low)
+        if least < low - slack or most > high + slack:
+            return False
+    return True
+
+
+def _reweighted(now: Present, alternative: Alternative) -> Answer:
+    """Return the present draws with other weights."""
+    log_ratios = np.asarray(alternative.space.log_prior(now.draws)) - now.log_prior
+    if alternative.likelihood is not None and now.knowledge is not None:
+        known = _with(now.knowledge, alternative)
+        log_ratios = log_ratios + known.expected(now.draws, plug_in=known.plug_in(now.draws)) - now.log_likelihood
+    log_weights = now.log_weights + log_ratios
+    if not np.isfinite(log_weights).any():
+        return Answer(alternative, now, None, None, math.inf, 0.0)
+    smoothed = pareto_smoothed(log_weights)
+    return Answer(
+        alternative,
+        now,
+        "reweighting",
+        Weighted(now.draws, smoothed.weights),
+        k_hat=smoothed.k_hat,
+        effective=smoothed.ess,
+        log_evidence_change=float(logsumexp(log_weights)) if alternative.by_prior_alone else None,
+    )
+
+
+def _with(knowledge: Knowledge, alternative: Alternative) -> Knowledge:
+    """Return what is known, with the likelihood of the alternative."""
+    return knowledge if alternative.likelihood is None else replace(knowledge, likelihood=alternative.likelihood)
+
+
+def _sampled(
+    now: Present, knowledge: Knowledge, alternative: Alternative, k_hat: float, random: np.random.Generator
+) -> Answer:
+    """Sample an alternative's posterior by importance, beginning with its prior; by tempering if that fails."""
+    known, space = _with(knowledge, alternative), alternative.free_space
+
+    def plug_in(x: Float[np.ndarray, "point free"]) -> Values:
+        return known.plug_in(alternative.whole(x))
+
+    first = space.prior_quantiles(sobol(POINTS, space.dim, scramble=SCRAMBLE))
+    prior = np.asarray(space.log_prior(first))
+    pool = Pool(first, np.zeros(len(first)), prior, prior + plug_in(first), len(first))
+    by: By = "importance"
+    found = followed(pool, _log_densities(alternative, plug_in), random, enough=ENOUGH)
+    if found is not None:
+        inside = np.isfinite(found.log_first)
+        values = np.where(inside, found.log_target - np.where(inside, found.log_first, 0.0), -np.inf)
+        x, log_weights, log_integral = found.x, found.log_weights, found.log_integral
+    else:
+        by = "smc"
+        x, log_weights, values, log_integral = _by_smc(alternative, plug_in, random)
+    whole = alternative.whole(x)
+    gained = _gained(known, whole, log_weights, values)
+    total = log_weights + gained
+    change = log_integral + float(logsumexp(total)) - now.log_evidence
+    final = np.asarray(log_softmax(total))
+    return Answer(
+        alternative,
+        now,
+        by,
+        Weighted(whole, np.exp(final)),
+        k_hat=k_hat,
+        effective=effective_size(final),
+        log_evidence_change=change if alternative.by_prior_alone else None,
+    )
+
+
+def _log_densities(
+    alternative: Alternative, plug_in: Callable[[Points], Values]
+) -> Callable[[Points], tuple[Values, Values]]:
+    """Return a function for the logarithms of the prior's density and of the posterior's, -∞ outside the prior."""
+    space = alternative.free_space
+
+    def log_densities(x: Points) -> tuple[Values, Values]:
+        first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
+        inside = ((x >= space.low) & (x <= space.high)).all(axis=1)
+        first[inside] = np.asarray(space.log_prior(x[inside]))
+        inside &= np.isfinite(first)
+        if inside.any():
+            target[inside] = first[inside] + plug_in(x[inside])
+        return first, target
+
+    return log_densities
+
+
+def _by_smc(
+    alternative: Alternative, plug_in: Callable[[Points], Values], random: np.random.Generator
+) -> tuple[Points, Values, Values, float]:
+    """Sample by tempering: particles, normalised log weights, log-likelihoods, log-evidence."""
+    space = alternative.free_space
+    initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
+    key = jax.random.key(int(random.integers(2**32)))
+    found = sample(key, OnHost(plug_in), space.log_prior, initial, settings=SAMPLING)
+    values = np.asarray(found.log_likelihood)
+    return np.asarray(found.positions), np.asarray(log_softmax(found.log_weights)), values, float(found.log_evidence)
+
+
+def _gained(known: Knowledge, x: Points, log_weights: Values, plug_in: Values) -> Values:
+    """Return log E[L] - log L at the points that count, 0 elsewhere."""
+    out = np.zeros(len(x))
+    order = np.argsort(-log_weights, kind="stable")
+    some = order[: 1 + int(np.searchsorted(np.cumsum(np.exp(log_weights[order])), COUNTS))]
+    out[some] = known.expected(x[some], plug_in=plug_in[some]) - plug_in[some]
+    return out

@@ -1,0 +1,108 @@
+"""Answers of `strandline what-if` beside full analyses of the changed studies, which make forward runs of their own.
+
+FOLDER holds the finished study studies/biofilm-uniform-active, or a copy of it. Each changed study is run in a folder
+beside it and takes over its runs. With ``--publish`` the table goes into docs/how-to/what-if.md.
+
+    python -m verification.validation.what_if FOLDER [--publish]
+"""
+
+import argparse
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from verification.validation.tables import Cell, Table, put_into_page
+
+import strandline as sl
+from strandline.calibration.what_if import Answer
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "what-if.md"
+E = {"unit": "Pa", "box": [100, 800]}
+POINTS = {"sd": 10, "unit": "um"}
+CHANGES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
+    "E normal, 350 ± 50 Pa": (
+        {"prior": {"E": {"normal": [350, 50]}}},
+        {"inputs": {"E": {"prior": {"normal": [350, 50]}, **E}}},
+    ),
+    "E flat in its logarithm": (
+        {"prior": {"E": {"loguniform": [100, 800]}}},
+        {"inputs": {"E": {"prior": {"loguniform": [100, 800]}, **E}}},
+    ),
+    "noise half as large": ({"noise": {"variance": 0.000125}}, {"noise": {"variance": 0.000125}}),
+    "noise twice as large": ({"noise": {"variance": 0.002}}, {"noise": {"variance": 0.002}}),
+    "normal offset, points 10 µm": (
+        {"measure": "normal_offset", "noise": POINTS},
+        {"discrepancy": {"normal_offset": {}}, "noise": POINTS},
+    ),
+}
+"""What is asked, and the keys of study.yaml that change in the same way; inputs that are not named stay."""
+
+
+def changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
+    """Write the changed study beside the finished one, and return its folder."""
+    content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
+    inputs = {**content["inputs"], **changes.get("inputs", {})}
+    target = folder.with_name(f"{folder.name}-what-if-{number}")
+    target.mkdir(exist_ok=True)
+    whole = {**content, **changes, "inputs": inputs, "reuse": [f"../{folder.name}"]}
+    (target / "study.yaml").write_text(yaml.safe_dump(whole, sort_keys=False, allow_unicode=True), "utf-8")
+    return target
+
+
+def row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple[Cell, ...]:
+    """Return means and standard deviations by both ways, and how far they are apart."""
+    draws = answer.draws
+    assert draws is not None
+    cells: list[Cell] = [name, "weights" if answer.by == "reweighting" else "new draws"]
+    for i in range(len(names)):
+        cells += [f"{draws.mean[i]:.3g} ± {draws.sd[i]:.2g}", f"{full.mean[i]:.3g} ± {full.sd[i]:.2g}"]
+    apart = np.abs(draws.mean - full.mean) / full.sd
+    return (*cells, float(apart.max()), float(np.abs(draws.sd / full.sd - 1).max()), runs)
+
+
+def new_runs(study: sl.Study, calibration: sl.Calibration) -> int:
+    """Return the number of runs of a calibration that the finished study does not have."""
+    keys = [record.key for record in calibration.records]
+    with sl.Ledger.open(study.ledger_path, model=None, read_only=True) as ledger:
+        return len(set(keys) - set(ledger.latest(keys)))
+
+
+def rows(folder: Path) -> Iterator[tuple[Cell, ...]]:
+    """Yield the row of each change."""
+    study = sl.load_study(folder)
+    begun = time.perf_counter()
+    asked = [{**question, "name": name} for name, (question, _) in CHANGES.items()]
+    answers = {one.alternative.name: one for one in sl.what_if(study, asked).answers}
+    print(f"what-if: {time.perf_counter() - begun:.1f} s", flush=True)
+    for number, (name, (_, changes)) in enumerate(CHANGES.items(), start=1):
+        target = changed(folder, number, changes)
+        calibration = sl.run_study(sl.load_study(target)).calibration
+        yield row(name, answers[name], calibration.posterior, new_runs(study, calibration), study.space.names)
+        print(f"{name} done", flush=True)
+
+
+def table(folder: Path) -> Table:
+    """Return the table."""
+    by_input = [f"{name}, {way}" for name in sl.load_study(folder).space.names for way in ("what-if", "full")]
+    columns = ("changed", "by", *by_input, "means apart, sd", "sd apart", "new runs")
+    formats = ("s", "s", *("s" for _ in by_input), ".2f", ".0%", "d")
+    return Table("what_if", "what-if beside full analyses", columns, formats, tuple(rows(folder)))
+
+
+def main() -> None:
+    """Run everything; see the module's docstring."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--publish", action="store_true")
+    given = parser.parse_args()
+    made = table(given.folder.resolve())
+    print(made.markdown())
+    if given.publish:
+        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), [made]), "utf-8")
+
+
+if __name__ == "__main__":
+    main()
