@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, run_campaign
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
+    from strandline.studies.compare import compare
     from strandline.studies.coverage import coverage
     from strandline.studies.next_experiment import next_experiment
     from strandline.studies.what_if import what_if
@@ -86,6 +87,7 @@ __all__ = [  # noqa: RUF022
     "coverage",
     "next_experiment",
     "what_if",
+    "compare",
     "StrandlineError",
     "InvalidInput",
     "ForwardModelError",
@@ -112,6 +114,7 @@ _NAMES_OF = {
     "studies.coverage": "coverage",
     "studies.next_experiment": "next_experiment",
     "studies.what_if": "what_if",
+    "studies.compare": "compare",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

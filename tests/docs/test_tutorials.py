@@ -18,10 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 import yaml
 
 from strandline.cli.main import COMMANDS
+from strandline.models.offers import undeformed_interface
+from strandline.models.protocol import declared_conditions
 from strandline.studies import load_study
 from strandline.studies.template import write_template
 
@@ -214,9 +217,21 @@ def test_the_studies_and_commands_of_a_page_are_valid(
             arguments = parsed(step)
             if step.text.startswith("strandline init"):
                 study = write_template(arguments).parent
+            if step.text.startswith("strandline forward") and "--csv" in step.text:
+                stand_in(arguments, Path(step.text.split("--csv ")[1].split()[0]))
             assert (arguments / "study.yaml").is_file(), f"{step.text}: no such study yet"
         else:
             compile(step.text, page, "exec")
+
+
+def stand_in(study: Path, file: Path) -> None:
+    """Write the undeformed outline in place of the interfaces that `strandline forward --csv` would write."""
+    model = load_study(study).model
+    outline = undeformed_interface(model)
+    assert outline is not None
+    for name in declared_conditions(model):
+        path = file.with_stem(f"{file.stem}-{name}") if name else file
+        np.savetxt(path, outline.points, delimiter=",")
 
 
 def parsed(step: Step) -> Path:
@@ -232,7 +247,8 @@ def parsed(step: Step) -> Path:
         name, *arguments = arguments
         command = command.commands[name]
     parameters = command.make_context(name, arguments).params
-    return Path(parameters.get("study") or parameters["folder"])
+    several = parameters.get("studies") or (parameters.get("study") or parameters["folder"],)
+    return Path(several[0])
 
 
 def test_an_option_that_does_not_exist_is_noticed() -> None:

@@ -104,21 +104,21 @@ class Pool:
     mixtures: tuple[tuple[StudentMixture, int], ...] = ()
 
     @property
-    def log_weights(self) -> Float[np.ndarray, " point"]:
-        """Normalised log weights of the target."""
-        return np.asarray(log_softmax(self._log_ratios))
+    def log_ratios(self) -> Float[np.ndarray, " point"]:
+        """Log weights of the target before they are normalised: the sum of the weights estimates its integral."""
+        drawn = [math.log(n) + mixture.log_density(self.x) for mixture, n in self.mixtures]
+        together = logsumexp(np.stack([math.log(self.number) + self.log_first, *drawn]), axis=0)
+        return np.asarray(self.log_counts + self.log_target - together)
 
     @property
     def log_integral(self) -> float:
         """Logarithm of the integral of the target, with the constant that its log density has."""
-        return float(logsumexp(self._log_ratios))
+        return float(logsumexp(self.log_ratios))
 
     @property
-    def _log_ratios(self) -> Float[np.ndarray, " point"]:
-        """Target over the number of draws per volume: each point's share of the integral."""
-        drawn = [math.log(n) + mixture.log_density(self.x) for mixture, n in self.mixtures]
-        together = logsumexp(np.stack([math.log(self.number) + self.log_first, *drawn]), axis=0)
-        return np.asarray(self.log_counts + self.log_target - together)
+    def log_weights(self) -> Float[np.ndarray, " point"]:
+        """Normalised log weights of the target."""
+        return np.asarray(log_softmax(self.log_ratios))
 
     @property
     def weighted(self) -> Weighted:

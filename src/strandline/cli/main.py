@@ -31,6 +31,7 @@ COMMANDS = {
     "report": "Write posterior, figures and report again from finished runs.",
     "coverage": "Test by replicates whether the intervals are right.",
     "what-if": "Ask how the posterior changes with prior, noise and measure.",
+    "compare": "Say which of several studies' models the data prefer.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "next": "Rank the candidates for the next experiment.",
     "forward": "Make one forward run at chosen inputs.",

@@ -1,5 +1,23 @@
 """A finished study as one self-contained HTML page."""
 
-from strandline.report.page import FIGURES, add_check, template, write_coverage, write_next, write_report, write_what_if
+from strandline.report.page import (
+    FIGURES,
+    add_check,
+    template,
+    write_comparison,
+    write_coverage,
+    write_next,
+    write_report,
+    write_what_if,
+)
 
-__all__ = ["FIGURES", "add_check", "template", "write_coverage", "write_next", "write_report", "write_what_if"]
+__all__ = [
+    "FIGURES",
+    "add_check",
+    "template",
+    "write_comparison",
+    "write_coverage",
+    "write_next",
+    "write_report",
+    "write_what_if",
+]

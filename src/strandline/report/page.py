@@ -15,6 +15,7 @@ from markupsafe import Markup
 from strandline.calibration import Calibration
 from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
+from strandline.report.comparison import draw_comparison
 from strandline.report.coverage import draw_coverage
 from strandline.report.figures import figure_groups
 from strandline.report.next import draw_next
@@ -28,6 +29,7 @@ __all__ = [
     "PAGE_PIXELS_PER_INCH",
     "add_check",
     "template",
+    "write_comparison",
     "write_coverage",
     "write_next",
     "write_report",
@@ -165,6 +167,16 @@ def write_what_if(content: Mapping[str, Any], folder: Path) -> Path:
         folder: Folder of the study.
     """
     return _write_answer("what-if", content, [draw_what_if(content)], folder)
+
+
+def write_comparison(content: Mapping[str, Any], folder: Path) -> Path:
+    """Write the figures of a comparison of models, and a self-contained page about it; return the page's path.
+
+    Args:
+        content: Content of compare.json.
+        folder: Folder of the result.
+    """
+    return _write_answer("compare", content, draw_comparison(content), folder)
 
 
 def _write_answer(name: str, content: Mapping[str, Any], drawn: Iterable[Captioned], folder: Path) -> Path:

@@ -29,7 +29,7 @@ from strandline.studies.study import Study
 from strandline.studies.summary import versions
 from strandline.version import __version__
 
-__all__ = ["Compared", "describe", "posterior_digest", "read_check"]
+__all__ = ["Compared", "describe", "offset_band", "posterior_digest", "read_check"]
 
 SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
 """A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""
@@ -191,7 +191,7 @@ def _interfaces(study: Study, observation: Observation, records: Sequence[RunRec
             "q50": (band.median - reference).tolist(),
             "q95": (band.high - reference).tolist(),
         },
-        "offset": _offset(points, Interface(band.median, interfaces[0].cells), observation.interface),
+        "offset": offset_band(points, Interface(band.median, interfaces[0].cells), observation.interface),
     }
 
 
@@ -205,10 +205,16 @@ def _reference(
     return "median", median
 
 
-def _offset(
+def offset_band(
     points: Float[np.ndarray, "draw point xyz"], centre: Interface, observed: Interface
 ) -> dict[str, Any] | None:
-    """Return the quantiles of the offsets from `centre`, and those of the observation; None for surfaces."""
+    """Return quantiles of the offsets from a polyline, and the offsets of the observation; None for surfaces.
+
+    Args:
+        points: Nodes of the interfaces of some draws, mm.
+        centre: The polyline, with the same nodes, such as the median of the interfaces.
+        observed: The observed interface.
+    """
     if points.shape[2] != 2:
         return None
     nodes, seen = normal_offsets(points, centre), observed_offsets(observed, centre)

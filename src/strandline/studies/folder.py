@@ -14,6 +14,7 @@ from strandline.errors import InvalidStudy
 __all__ = [
     "CHECK",
     "CHECK_LEDGER",
+    "COMPARISON",
     "COVERAGE",
     "LEDGER",
     "NEXT",
@@ -41,6 +42,7 @@ REPORT = "report.html"
 CHECK = "check.json"
 CHECK_LEDGER = "check.sqlite"
 COVERAGE = "coverage.json"
+COMPARISON = "compare.json"
 REPLICATES = "coverage.jsonl"
 NEXT = "next.json"
 NEXT_LEDGER = "next.sqlite"

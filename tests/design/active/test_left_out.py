@@ -3,11 +3,14 @@
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from tests.calibration import arches
 from tests.design.active.fakes import SPACE, Assumed, known, record, state_of
 
 from strandline.design import sobol
 from strandline.design.active.left_out import left_out_ratios
 from strandline.design.active.state import State
+from strandline.discrepancy import NormalOffset
+from strandline.interface import Observation, PointErrors
 
 X = np.concatenate([SPACE.to_physical(sobol(24, 2)), [[0.2, 0.1], [0.4, 0.0]]])
 
@@ -41,3 +44,15 @@ def test_ratios_are_of_the_true_likelihood_over_that_predicted_from_the_other_ru
     _, zero, _ = left_out_ratios(one, records, lambda run: 0.0, SPACE.log_prior)
     _, ratios, _ = left_out_ratios(one, records, lambda run: -0.3, SPACE.log_prior)
     np.testing.assert_allclose(ratios, zero - 0.3)
+
+
+def test_a_posterior_without_any_run_inside_has_no_ratios() -> None:
+    """As in a narrow posterior that the first runs have missed: positions where the likelihood is far above theirs."""
+    likely = arches.knowledge(NormalOffset(), {"": Observation(arches.seen(PointErrors(1e-5)), PointErrors(1e-5))})
+    records = [replace(record(row), interfaces={"": arches.arch(row)}) for row in likely.x]
+    positions = arches.TRUTH + 1e-5 * np.random.default_rng(0).standard_normal((50, 2))
+    even = np.full(50, -np.log(50.0))
+    one = State(likely, positions, even, even, even, np.zeros(50), np.zeros(50))
+    x, ratios, variances = left_out_ratios(one, records, lambda run: 0.0, arches.SPACE.log_prior)
+    assert x.shape == (0, 2)
+    assert len(ratios) == len(variances) == 0

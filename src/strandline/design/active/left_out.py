@@ -43,6 +43,8 @@ def left_out_ratios(
     within = np.cumsum(np.exp(state.log_weights)[order]) <= mass
     lowest = density[order[within]].min() if within.any() else density.max()
     inside = knowledge.expected(x) + np.asarray(log_prior(x)) >= lowest
+    if not inside.any():
+        return x[inside], np.empty(0), np.empty(0)
     good = [record for record in records if record.ok]
     true = np.array([log_likelihood(good[i]) for i in np.flatnonzero(inside)])
     predicted = likelihood.left_out(np.flatnonzero(inside))

@@ -2,6 +2,7 @@
 
 from strandline.report.plots.candidates import plot_candidates, plot_directions
 from strandline.report.plots.check import OffsetBand, plot_check, plot_offsets
+from strandline.report.plots.comparison import ModelMarginals, plot_averaged, plot_model_marginals, plot_predictions
 from strandline.report.plots.convergence import plot_convergence
 from strandline.report.plots.coverage import IntervalCoverage, plot_intervals, plot_rank_band, plot_rank_bands
 from strandline.report.plots.failed_runs import plot_failed_runs
@@ -29,12 +30,14 @@ __all__ = [
     "FieldGrid",
     "FlowFields",
     "IntervalCoverage",
+    "ModelMarginals",
     "OffsetBand",
     "ResidualsAlong",
     "RunHistory",
     "Whisker",
     "mark_doubt",
     "plot_alternatives",
+    "plot_averaged",
     "plot_candidates",
     "plot_check",
     "plot_conditions",
@@ -51,11 +54,13 @@ __all__ = [
     "plot_leave_one_out",
     "plot_marginal",
     "plot_marginals",
+    "plot_model_marginals",
     "plot_offsets",
     "plot_pairs",
     "plot_parallel",
     "plot_particles",
     "plot_parts",
+    "plot_predictions",
     "plot_profile",
     "plot_rank_band",
     "plot_rank_bands",

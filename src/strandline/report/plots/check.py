@@ -98,7 +98,7 @@ def _along(band: OffsetBand) -> tuple[Float[np.ndarray, " point"], Float[np.ndar
     return band.arc_length[order], band.median[order]
 
 
-def plot_offsets(band: OffsetBand | None, *, ax: Axes | None = None) -> Axes:
+def plot_offsets(band: OffsetBand | None, *, legend: bool = True, ax: Axes | None = None) -> Axes:
     """Draw the band of the interfaces and the observation over the arc length; a note if there is no band."""
     with styled():
         ax = axes_or_new(ax, (SINGLE, 3.6))
@@ -119,5 +119,6 @@ def plot_offsets(band: OffsetBand | None, *, ax: Axes | None = None) -> Axes:
         ax.plot(band.arc_length, median, color=BLACK, linewidth=0.8, label="draws, median")
         ax.plot(band.observed_arc_length, observed, color=GREEN, linewidth=2.0, label="observed")
         ax.set(xlabel="arc length [mm]", ylabel="normal offset from the median [µm]", box_aspect=1.0)
-        below(ax, columns=2)
+        if legend:
+            below(ax, columns=2)
     return ax

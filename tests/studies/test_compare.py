@@ -1,0 +1,330 @@
+"""Comparison of studies: Bayes factors against quadrature of the true model, files, the command, and refusals."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.special import logsumexp
+
+import strandline as sl
+from strandline.calibration.evidence import Evidence
+from strandline.cli import main
+from strandline.likelihood import InterfaceLikelihood
+from strandline.runs import Ledger
+from strandline.studies import compare as module
+from strandline.studies.comparable import labels_of
+from strandline.testing.studies import undeclared_beam, write_study
+
+E = {"prior": {"uniform": [300, 560]}, "unit": "Pa"}
+TILT = {"prior": {"uniform": [0.0, 0.08]}}
+SMALL = {
+    "inputs": {"E": E, "tilt": TILT},
+    "sampler": {"smc": {"particles": 2000, "rejuvenation_steps": 4}},
+    "surrogate": {"field": {}},
+    "design": {"sobol": {"runs": 24}},
+    "observation": {"file": "../beam.csv", "unit": "mm"},
+    "discrepancy": {"normal_offset": {}},
+    "noise": {"sd": 3, "unit": "um"},
+}
+TRUTH, SD = {"E": 400.0, "tilt": 0.02, "load": 1e-5}, 0.003
+STUDIES: dict[str, dict[str, Any]] = {
+    "tilted": {"name": "tilted"},
+    "straight": {"name": "straight", "inputs": {"E": E}, "fixed": {"load": 1e-5, "tilt": 0.015}},
+    "erring": {"name": "erring", "noise": {"sd": 3, "unit": "um", "model_error": True}},
+    "stiffer": {"name": "stiffer", "inputs": {"E": {**E, "prior": {"uniform": [300, 600]}}, "tilt": TILT}},
+    "hotter": {"name": "hotter", "noise": {"sd": 4, "unit": "um"}},
+    "traced": {"name": "traced", "discrepancy": {"tracked_points": {}}},
+    "other": {"name": "other", "observation": {"file": "../other.csv", "unit": "mm"}},
+    "loose": {"name": "loose", "noise": {"sd": "unknown", "unit": "um"}},
+    "unfinished": {"name": "unfinished"},
+    "heavier": {"name": "heavier", "inputs": {"E": {**E, "unit": "kPa"}, "tilt": TILT}},
+    "synthetic": {"name": "synthetic", "observation": {"synthetic": TRUTH}},
+}
+ANALYSED = ("tilted", "straight", "erring")
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "compare.md"
+
+
+def observed(seed: int) -> sl.Interface:
+    true = undeclared_beam(TRUTH, Path()).interfaces[""]
+    return sl.PointErrors(SD).draw(true, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Finished studies of the same beam, side by side."""
+    home = tmp_path_factory.mktemp("compare")
+    for name, seed in (("beam", 1), ("other", 2)):
+        np.savetxt(home / f"{name}.csv", observed(seed).points, delimiter=",")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("strandline.studies.run.write_report", lambda *given, folder, **others: folder / "report.html")
+        for name, changes in STUDIES.items():
+            folder = write_study(home / name, **{**SMALL, **changes})
+            if name in ANALYSED:
+                sl.run_study(sl.load_study(folder), executor=sl.InProcess())
+    return home
+
+
+@pytest.fixture
+def drawn(analysed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the studies, which is the current folder."""
+    shutil.copytree(analysed, tmp_path / "home")
+    monkeypatch.chdir(tmp_path / "home")
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def home(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same, where comparisons draw no page."""
+    monkeypatch.setattr(module, "write_comparison", lambda content, folder: folder / "compare.html")
+    return drawn
+
+
+def exact(study: sl.Study) -> float:
+    """Return the log-evidence of the true model by quadrature."""
+    likelihood = InterfaceLikelihood(study.observations(study.observed), next(iter(study.discrepancies.values())))
+    posterior = sl.load_result(study.folder).posterior
+    low = np.maximum(posterior.mean - 7 * posterior.sd, study.space.low)
+    high = np.minimum(posterior.mean + 7 * posterior.sd, study.space.high)
+    nodes, weights = np.polynomial.legendre.leggauss(30)
+    grid = [a + (b - a) * 0.5 * (nodes + 1) for a, b in zip(low, high, strict=True)]
+    share = np.prod((high - low) / (study.space.high - study.space.low)) * 0.5**study.space.dim
+    x = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, study.space.dim)
+    values = [
+        likelihood(undeclared_beam({**study.fixed, **study.space.as_mapping(row)}, Path()).interfaces) for row in x
+    ]
+    mass = np.prod(np.stack(np.meshgrid(*[weights] * study.space.dim, indexing="ij")), axis=0).ravel()
+    return float(logsumexp(np.array(values) + np.log(mass * share)))
+
+
+def bayes_factor(content: dict[str, Any], of: str, over: str) -> tuple[float, float]:
+    (one,) = [one for one in content["bayes_factors"] if {one["of"], one["over"]} == {of, over}]
+    return one["ln"] * (1 if one["of"] == of else -1), one["error"]
+
+
+@pytest.mark.parametrize("planted", [False, True])
+def test_the_bayes_factor_is_that_of_the_true_models(
+    home: Path, planted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Planted: the evidence of a model does not pay for the width of its prior, as the best likelihood does not."""
+    if planted:
+        monkeypatch.setattr(
+            module, "log_evidence", lambda k, s, posterior, r: Evidence(float(k.plug_in(posterior.draws).max()), 0.01)
+        )
+    content = sl.compare(["tilted", "straight"]).content
+    tilted, straight = (exact(sl.load_study(name)) for name in ("tilted", "straight"))
+    found, error = bayes_factor(content, "tilted", "straight")
+    assert (abs(found - (tilted - straight)) < max(3 * error, 0.05)) is not planted
+    if not planted:
+        assert content["models"]["tilted"]["log_evidence"] == pytest.approx(tilted, abs=0.1)
+        assert content["models"]["tilted"]["error"] < 0.1
+
+
+def test_what_it_writes(drawn: Path) -> None:
+    before = runs_in("tilted")
+    found = sl.compare(["tilted", sl.load_study("straight")])
+    folder = drawn / "comparison"
+    content = json.loads((folder / "compare.json").read_text("utf-8"))
+    assert content == json.loads(json.dumps(found.content))
+    assert runs_in("tilted") == before
+    assert found.page.resolve() == folder / "compare.html"
+    assert (found.shared, list(content["averaged"])) == (("E",), ["E"])
+    assert sum(one["probability"] for one in content["models"].values()) == pytest.approx(1.0)
+    assert content["models"]["straight"]["fixed"] == {"load": 1e-5, "tilt": 0.015}
+    item, shares = content["averaged"]["E"], [one["probability"] for one in content["models"].values()]
+    mean = sum(share * one["mean"] for share, one in zip(shares, item["models"].values(), strict=True))
+    assert item["mean"] == pytest.approx(mean)
+    assert found.averaged is not None
+    assert item["sd"] == pytest.approx(float(found.averaged.sd[0]))
+    density = np.array(item["histogram"]["averaged"]) @ np.diff(item["histogram"]["edges"])
+    assert density == pytest.approx(1.0, abs=0.01)
+    (predicted,) = content["predictive"]
+    assert len(predicted["models"]["tilted"]["observed"]) == 17
+    assert max(np.abs(predicted["models"]["tilted"]["q50"])) < 1e-6
+    page = found.page.read_text("utf-8")
+    for words in (content["verdict"], "Kass and Raftery", "compare_marginals", "compare_predictive", "24 runs"):
+        assert words in page
+    assert "<script" not in page
+    assert page.count("<img ") == page.count('src="data:image/png') == 2
+    assert repr(found) == f"<StudyComparison of tilted, straight: {content['verdict']}>"
+
+
+def runs_in(name: str) -> int:
+    with Ledger.open(Path(name) / "ledger.sqlite", model=None, read_only=True) as ledger:
+        return ledger.counts().total
+
+
+def test_the_same_seed_gives_the_same_bits(home: Path) -> None:
+    texts = []
+    for to in ("one", "two"):
+        sl.compare(["tilted", "straight"], to=to)
+        texts.append((home / to / "compare.json").read_bytes())
+    assert texts[0] == texts[1]
+
+
+def test_an_error_that_the_model_does_not_make_costs_at_most_a_half(home: Path) -> None:
+    """Half of its prior is on a model without error, so that ln B is below ln 2, if constants are the same."""
+    content = sl.compare(["tilted", "erring"]).content
+    found, error = bayes_factor(content, "tilted", "erring")
+    assert -0.3 < found < np.log(2) + 2 * error + 0.02
+    assert content["favoured"] is None
+    assert [one["model_error"] for one in content["models"].values()] == [False, True]
+    assert content["models"]["tilted"]["constant"] != content["models"]["erring"]["constant"]
+
+
+def test_remarks_on_inputs_of_one_model_alone(home: Path) -> None:
+    remarks = sl.compare(["tilted", "straight"]).content["remarks"]
+    (one,) = [remark for remark in remarks if "tilt by" in remark]
+    assert one.startswith("Not all models have these inputs of tilted, whose priors the data narrow: tilt by ")
+
+
+def test_a_best_model_that_does_not_fit_is_marked(home: Path) -> None:
+    for name in ("tilted", "straight"):
+        path = home / name / "summary.json"
+        summary = json.loads(path.read_text("utf-8"))
+        summary["misfit"]["flagged"] = True
+        path.write_text(json.dumps(summary))
+    content = sl.compare(["tilted", "straight"]).content
+    assert "does not explain the observation within the noise" in content["remarks"][0]
+
+
+def test_odds_change_probabilities_alone(home: Path) -> None:
+    even = sl.compare(["tilted", "straight"]).content
+    odd = sl.compare(["tilted", "straight"], odds=(1.0, 3.0)).content
+    assert odd["bayes_factors"] == even["bayes_factors"]
+    one, two = (
+        np.log(content["models"]["tilted"]["probability"] / content["models"]["straight"]["probability"])
+        for content in (even, odd)
+    )
+    assert one - two == pytest.approx(np.log(3))
+
+
+def test_candidates_that_separate_the_models_come_first(drawn: Path) -> None:
+    random = np.random.default_rng(1)
+    same = random.standard_normal((200, 2))
+    content = sl.compare(
+        ["tilted", "straight"], candidates={"useless": (same, same), "good": (same, same + 20)}, odds=(1.0, 1.0)
+    ).content
+    assert [one["candidate"] for one in content["separate"]] == ["good", "useless"]
+    assert content["separate"][0]["clearly_right"] > 0.99
+    assert "What would separate them" in (drawn / "comparison" / "compare.html").read_text("utf-8")
+
+
+def test_names_of_studies(home: Path) -> None:
+    for name, changes in (("a", {}), ("b", {}), ("c/a", {"name": "other"})):
+        write_study(home / name, **{**SMALL, "observation": {"file": str(home / "beam.csv"), "unit": "mm"}, **changes})
+    a, b, c = (sl.load_study(home / name) for name in ("a", "b", "c/a"))
+    assert labels_of([a, c]) == ("beam", "other")
+    assert labels_of([a, b]) == ("a", "b")
+    assert labels_of([a, b, c]) == tuple(str(one.folder.resolve()) for one in (a, b, c))
+
+
+def test_the_direction_of_the_points_does_not_matter(home: Path) -> None:
+    np.savetxt(home / "turned.csv", np.loadtxt(home / "beam.csv", delimiter=",")[::-1], delimiter=",")
+    edit(home / "straight", observation={"file": "../turned.csv", "unit": "mm"})
+    sl.run_study(sl.load_study(home / "straight"), executor=sl.InProcess())
+    assert sl.compare(["tilted", "straight"]).content["bayes_factors"]
+
+
+def edit(folder: Path, **changes: Any) -> None:
+    content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
+    (folder / "study.yaml").write_text(json.dumps({**content, **changes}))
+
+
+def test_every_key_is_described(home: Path) -> None:
+    random = np.random.default_rng(1)
+    signals = [random.standard_normal((20, 2)) for _ in range(2)]
+    found = sl.compare(["tilted", "straight"], candidates={"more": signals}).content
+    rows = [line.split("|")[1] for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `")]
+    described = {key for row in rows for key in re.findall(r"`([^`]+)`", row)}
+    assert described == set(keys(found))
+
+
+def keys(tree: Any, place: str = "") -> list[str]:
+    """Return the dotted keys with placeholders for names."""
+    named = ("models", "averaged", "inputs", "fixed", "versions", "averaged.NAME.models")
+    named = (*named, "predictive[].models", "averaged.NAME.histogram.models", "models.NAME.fixed")
+    if isinstance(tree, list) and tree and isinstance(tree[0], dict):
+        return list(dict.fromkeys(key for one in tree for key in keys(one, f"{place}[]")))
+    if not isinstance(tree, dict):
+        return [place]
+    inner = [
+        (f"{place}.{'NAME' if place in named else name}" if place else name, value) for name, value in tree.items()
+    ]
+    return list(dict.fromkeys(key for where, value in inner for key in keys(value, where)))
+
+
+def test_the_command_prints_what_it_writes(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["compare", "tilted", "straight", "--to", "here/it", "--odds", "1:2"])
+    shown = capsys.readouterr()
+    content = json.loads((home / "here" / "it" / "compare.json").read_text("utf-8"))
+    assert shown.err.splitlines() == ["surrogate …", "evidence …", "figures and report …"]
+    assert content["verdict"] in shown.out
+    assert content["models"]["straight"]["prior_probability"] == pytest.approx(2 / 3)
+    for name, one in content["models"].items():
+        row = next(line for line in shown.out.splitlines() if line.split()[:1] == [name] and "±" in line)
+        assert f"{one['log_evidence']:.2f} ± {one['error']:.2f}" in row
+    assert "page: here/it/compare.html" in shown.out
+    main(["compare", "tilted", "straight", "--to", "here/it", "--odds", "1:2", "--quiet"])
+    again = capsys.readouterr()
+    assert (again.err, again.out) == ("", shown.out)
+
+
+REFUSED: list[tuple[list[str], str]] = [
+    ([], "studies to compare: got none; expected at least two study folders"),
+    (["tilted"], "studies to compare: got tilted; expected at least two study folders"),
+    (["tilted", "straight", "./tilted"], "studies to compare: got tilted twice; expected different folders"),
+    (["tilted", "unfinished"], "the study has no posterior to compare: got a study that is not finished"),
+    (["tilted", "synthetic"], "the study has no posterior to compare: got a study that is not finished"),
+    (["tilted", "loose"], "loose cannot be compared: the range of its unknown noise is not stated"),
+    (["tilted", "nowhere"], "nowhere"),
+    (["tilted", "other"], "tilted and other cannot be compared: the observed interfaces differ: got points up to "),
+    (["tilted", "hotter"], "tilted and hotter cannot be compared: the noise differs: got sd 0.003 and 0.004; expected"),
+    (["tilted", "traced"], "tilted and traced cannot be compared: the measures differ: got NormalOffset and Tracked"),
+    (
+        ["tilted", "stiffer"],
+        "tilted and stiffer cannot be compared: the supports of the priors of E differ: got [300, 560] and [300, 600]",
+    ),
+    (["tilted", "straight", "--odds", "1:0"], "prior odds of the models: got 1:0; expected 2 numbers above 0"),
+    (["tilted", "straight", "--odds", "1"], "prior odds of the models: got 1; expected 2 numbers above 0"),
+    (["tilted", "straight", "--odds", "one"], "prior odds of the models: got one; expected numbers above 0"),
+    (["tilted", "straight", "--to", "straight"], "folder of the comparison: got straight, which is a study"),
+    (["tilted", "straight", "--to", "beam.csv"], "the results cannot be written: got beam.csv: File exists"),
+    (["tilted", "straight", "--seed", "-1"], "--seed"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), REFUSED)
+def test_what_is_refused(words: list[str], message: str, home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each ends the command with code 2 and one line, and writes nothing."""
+    refused(["compare", "--quiet", *words], message, home, capsys)
+
+
+def refused(words: list[str], message: str, home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = files(home)
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    shown = capsys.readouterr()
+    assert ended.value.code == 2
+    assert shown.out == ""
+    (line,) = shown.err.splitlines()
+    assert message in line
+    assert files(home) == before
+
+
+def files(home: Path) -> list[Path]:
+    return sorted(path for path in home.rglob("*") if not path.name.endswith(("-shm", "-wal")))
+
+
+def test_synthetic_data_of_two_models_are_different_data(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each model makes its own."""
+    edit(home / "straight", observation={"synthetic": {**TRUTH, "tilt": 0.01}}, fixed={"load": 1e-5, "tilt": 0.01})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("strandline.studies.run.write_report", lambda *given, folder, **others: folder / "report.html")
+        sl.run_study(sl.load_study(home / "straight"), executor=sl.InProcess())
+    message = "A synthetic observation comes from the study's own model"
+    refused(["compare", "--quiet", "tilted", "straight"], message, home, capsys)

@@ -1,0 +1,289 @@
+"""Can interfaces tell a Saint-Venant–Kirchhoff solid from a neo-Hookean one? The biofilm on its coarse mesh.
+
+First, ln B of `strandline compare` against quadrature of the true models, for one, two and three inflow rates: tensor
+Gauss–Legendre nodes where each posterior lies, a run of the true model at each; a run that fails has no likelihood. The
+data are the interfaces of the first law at E = 400 Pa, ν = 0.3. Second, crossings: true inputs from the prior, each law
+in turn, observed with errors of the points; surrogates of both laws give Bayes factors, and a posterior averaged over
+the laws. Its 90 % intervals should contain the truth whichever law is right.
+
+    python -m verification.validation.compare_laws [--nodes 12] [--crossings 40] [--folder FOLDER] [--publish]
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+from scipy.special import logsumexp, softmax
+from verification.validation.tables import Table, put_into_page
+
+import strandline as sl
+from strandline.calibration.evidence import evidence_of, integrated
+from strandline.calibration.model_comparison import ModelComparison, averaged
+from strandline.design import sobol
+from strandline.design.active import Knowledge, learn
+from strandline.likelihood import FieldLikelihood
+from strandline.numerics.one_thread import one_thread
+from strandline.numerics.precision import use_double
+from strandline.posterior.weighted import Weighted
+
+LAWS = ("saint_venant_kirchhoff", "neo_hookean")
+RATES = ({"v100": 100.0}, {"v50": 50.0, "v100": 100.0}, {"v50": 50.0, "v100": 100.0, "v125": 125.0})
+TRUTH = {"E": 400.0, "nu": 0.3}
+SPACE = sl.ParameterSpace((sl.Parameter("E", sl.Uniform(100, 800), "Pa"), sl.Parameter("nu", sl.Uniform(-0.8, 0.5))))
+MEASURE, VARIANCE = sl.Currents(0.005, quadrature="refined"), 0.0005
+WIDE = 6.0
+"""Half the width of the quadrature's box, in standard deviations of the posterior, inside the prior."""
+SD = 0.003
+"""Standard deviation of the observed points of the crossings, mm."""
+DESIGN = 192
+"""Runs of each law from which the interface is learnt over the whole prior."""
+ROUGH = 1024
+"""Draws of the prior that show where the posterior of a crossing lies."""
+WITHIN, COVERED = 0.2, 0.85
+"""Largest error of ln B, and least share of the intervals that contain the truth."""
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "comparison.md"
+
+
+def model(law: str, rates: dict[str, float]) -> sl.Biofilm:
+    """Return the biofilm of one law, with one interface for each rate."""
+    return sl.Biofilm(mesh="coarse", material=law, inflow_rates=tuple(rates.items()))
+
+
+def runs_of(law: str, rates: dict[str, float], x: Float[np.ndarray, "run 2"], folder: Path) -> list[sl.RunRecord]:
+    """Return the records of runs, which the folder keeps."""
+    simulator = model(law, rates)
+    with sl.Ledger.open(folder / f"{law}-{len(rates)}.sqlite", model=simulator) as ledger:
+        given = [SPACE.as_mapping(row) for row in x]
+        return list(sl.run_campaign(simulator, given, ledger=ledger, executor=sl.InProcess()))
+
+
+def study(law: str, rates: dict[str, float], folder: Path) -> sl.Study:
+    """Write the study of one law, with the data in files beside it, and return it."""
+    home = folder / f"{len(rates)}-rates" / law
+    home.mkdir(parents=True, exist_ok=True)
+    content: dict[str, Any] = {
+        "version": 1,
+        "name": law,
+        "model": {"biofilm": {"mesh": "coarse", "material": law, "inflow_rates": rates}},
+        "inputs": {
+            "E": {"prior": {"uniform": [100, 800]}, "unit": "Pa"},
+            "nu": {"prior": {"uniform": [-0.8, 0.5]}},
+        },
+        "observation": [{"condition": name, "file": f"../{name}.csv", "unit": "mm"} for name in rates],
+        "discrepancy": {"currents": {"width": 0.005, "quadrature": "refined"}},
+        "noise": {"variance": VARIANCE},
+        "design": {"active": {"runs": 100}},
+        "surrogate": {"field": {}},
+        "sampler": {"smc": {"particles": 2000, "rejuvenation_steps": 10, "zeta": 0.5}},
+        "executor": {"local": {"workers": 1, "timeout": 120}},
+    }
+    (home / "study.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    return sl.load_study(home)
+
+
+def data(rates: dict[str, float], folder: Path) -> tuple[sl.Observation, ...]:
+    """Return the interfaces of the first law, and write them to files."""
+    home = folder / f"{len(rates)}-rates"
+    home.mkdir(parents=True, exist_ok=True)
+    interfaces = model(LAWS[0], rates)(TRUTH, home).interfaces
+    for name in rates:
+        np.savetxt(home / f"{name}.csv", interfaces[name].points, delimiter=",", fmt="%.17g")
+    return tuple(sl.Observation(interfaces[name], VARIANCE, name) for name in rates)
+
+
+def by_quadrature(
+    law: str,
+    rates: dict[str, float],
+    seen: tuple[sl.Observation, ...],
+    posterior: sl.Posterior,
+    nodes: int,
+    folder: Path,
+) -> tuple[float, int]:
+    """Return the log-evidence of the true model where a posterior lies, and the number of runs that failed."""
+    low = np.maximum(posterior.mean - WIDE * posterior.sd, SPACE.low)
+    high = np.minimum(posterior.mean + WIDE * posterior.sd, SPACE.high)
+    places, weights = np.polynomial.legendre.leggauss(nodes)
+    x = np.stack(np.meshgrid(*(low + np.outer(0.5 * (places + 1), high - low)).T, indexing="ij"), axis=-1).reshape(
+        -1, 2
+    )
+    records = runs_of(law, rates, x, folder)
+    likelihood = sl.InterfaceLikelihood(seen, MEASURE)
+    values = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
+    share = float(np.prod((high - low) / (SPACE.high - SPACE.low)))
+    mass = 0.25 * share * np.outer(weights, weights).ravel()
+    return float(logsumexp(values, b=mass)), sum(not record.ok for record in records)
+
+
+def against_quadrature(nodes: int, folder: Path) -> tuple[Table, list[str]]:
+    """Return the table of ln B for one, two and three rates, and the aims that are missed."""
+    rows, missed = [], []
+    for rates in RATES:
+        seen = data(rates, folder)
+        studies = [study(law, rates, folder) for law in LAWS]
+        posteriors = [sl.run_study(one).posterior for one in studies]
+        found = sl.compare(studies, to=folder / f"{len(rates)}-rates" / "comparison")
+        exact, failed = zip(
+            *(by_quadrature(law, rates, seen, one, nodes, folder) for law, one in zip(LAWS, posteriors, strict=True)),
+            strict=True,
+        )
+        (factor,) = found.found.factors
+        ln = factor.ln if factor.of == LAWS[0] else -factor.ln
+        runs = [one["runs"] for one in found.content["models"].values()]
+        rates_shown = " + ".join(f"{rate:g}" for rate in rates.values())
+        rows.append((rates_shown, *runs, ln, factor.error, exact[0] - exact[1], factor.words, *failed))
+        print(rows[-1], flush=True)
+        if abs(ln - (exact[0] - exact[1])) > WITHIN:
+            missed.append(f"{rates_shown} mm²/s: ln B is {ln:.2f}, by quadrature {exact[0] - exact[1]:.2f}")
+        if factor.decided and abs(factor.ln) < 1:
+            missed.append(f"{rates_shown} mm²/s: a winner with ln B = {factor.ln:.2f}")
+    columns = ("rates, mm²/s", "runs, SVK", "runs, NH", "ln B", "error", "by quadrature", "verdict")
+    columns = (*columns, "failed runs, SVK", "failed runs, NH")
+    formats = ("s", "d", "d", ".2f", ".2f", ".2f", "s", "d", "d")
+    return Table(
+        "compare-quadrature", "ln B of Saint-Venant–Kirchhoff over neo-Hookean", columns, formats, tuple(rows)
+    ), missed
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """One crossing.
+
+    Args:
+        law: Number of the law that is right.
+        ln: ln B of the right law over the other one.
+        decided: Whether one of them is preferred.
+        averaged: Which inputs the averaged 90 % intervals contain.
+        right: The same under the right law alone.
+        wrong: The same under the other law alone.
+    """
+
+    law: int
+    ln: float
+    decided: bool
+    averaged: Float[np.ndarray, " 2"]
+    right: Float[np.ndarray, " 2"]
+    wrong: Float[np.ndarray, " 2"]
+
+
+def crossings(number: int, folder: Path) -> list[Crossing]:
+    """Return crossings with all three rates, the law of each in turn."""
+    rates, x = RATES[-1], SPACE.to_physical(sobol(DESIGN, 2, scramble=2))
+    learnt = [_learnt(x, runs_of(law, rates, x, folder)) for law in LAWS]
+    random, found = np.random.default_rng(21), []
+    while len(found) < number:
+        law, truth = len(found) % 2, SPACE.prior_quantiles(random.random((1, 2)))
+        (run,) = runs_of(LAWS[law], rates, truth, folder)
+        if not run.ok:
+            continue  # no interface to be observed
+        errors = sl.PointErrors(SD)
+        seen = tuple(sl.Observation(errors.draw(run.interfaces[name], random), errors, name) for name in rates)
+        known = [replace(k, likelihood=FieldLikelihood(k.surrogate, seen, sl.NormalOffset())) for k in learnt]
+        found.append(_crossing(law, truth[0], known, random))
+        one = found[-1]
+        print(LAWS[law], truth[0].round(2), f"ln B {one.ln:.2f}", one.averaged, one.right, one.wrong, flush=True)
+    return found
+
+
+def _learnt(x: Float[np.ndarray, "run 2"], records: Sequence[sl.RunRecord]) -> Knowledge:
+    """Return what is learnt of one law over the whole prior; the observation only says how accurate it must be."""
+    first = next(record for record in records if record.ok)
+    seen = tuple(sl.Observation(one, sl.PointErrors(SD), name) for name, one in first.interfaces.items())
+    with one_thread():
+        return learn(x, records, SPACE, seen, sl.NormalOffset())
+
+
+def _crossing(
+    law: int, truth: Float[np.ndarray, " 2"], known: Sequence[Knowledge], random: np.random.Generator
+) -> Crossing:
+    with one_thread():
+        x = SPACE.prior_quantiles(sobol(ROUGH, 2, scramble=5))
+        pools = [integrated(k, SPACE, Weighted(x, np.asarray(softmax(k.plug_in(x)))), random) for k in known]
+        evidences = [evidence_of(k, pool, random) for k, pool in zip(known, pools, strict=True)]
+    compared = ModelComparison(dict(zip(LAWS, evidences, strict=True)))
+    posteriors = [pool.weighted for pool in pools]
+    together = averaged(posteriors, [compared.probabilities[name] for name in LAWS])
+    return Crossing(
+        law=law,
+        ln=evidences[law].log - evidences[1 - law].log,
+        decided=compared.favoured is not None,
+        averaged=holds(together, truth),
+        right=holds(posteriors[law], truth),
+        wrong=holds(posteriors[1 - law], truth),
+    )
+
+
+def holds(posterior: Weighted, truth: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " 2"]:
+    """Return which inputs the central 90 % intervals contain, 1 or 0."""
+    below = np.array([posterior.weights[posterior.draws[:, k] < truth[k]].sum() for k in range(2)])
+    return np.asarray((below >= 0.05) & (below <= 0.95), float)
+
+
+def of_crossings(found: Sequence[Crossing]) -> tuple[Table, list[str]]:
+    """Return the table of the crossings, and the aims that are missed."""
+    rows, missed = [], []
+    for name, some in [
+        *((law, [one for one in found if one.law == k]) for k, law in enumerate(LAWS)),
+        ("both", list(found)),
+    ]:
+        cover = [100 * np.mean([getattr(one, kind) for one in some], axis=0) for kind in ("averaged", "right", "wrong")]
+        right = sum(one.decided and one.ln > 0 for one in some)
+        wrong = sum(one.decided and one.ln < 0 for one in some)
+        words = name.replace("saint_venant_kirchhoff", "Saint-Venant–Kirchhoff").replace("neo_hookean", "neo-Hookean")
+        rows.append((words, len(some), *(float(share) for pair in cover for share in pair), right, wrong))
+    for k, name in enumerate(("E", "ν")):
+        if rows[-1][2 + k] < 100 * COVERED:
+            missed.append(f"averaged intervals of {name} contain the truth in {rows[-1][2 + k]:.0f} %")
+    if any(one.decided and abs(one.ln) < 1 for one in found):
+        missed.append("a winner below 1 nat")
+    columns = ("right law", "crossings", "averaged: E, %", "ν, %", "right law: E, %", "ν, %", "wrong law: E, %", "ν, %")
+    columns = (*columns, "right winners", "wrong winners")
+    formats = ("s", "d", *(".0f",) * 6, "d", "d")
+    return Table(
+        "compare-crossings", "Averaged intervals that contain the truth", columns, formats, tuple(rows)
+    ), missed
+
+
+def main() -> None:
+    """Print both tables; exit with 1 on a missed aim."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--nodes", type=int, default=12, help="nodes of the quadrature along each input; 0: leave it out"
+    )
+    parser.add_argument("--crossings", type=int, default=40, help="number of crossings; 0: leave them out")
+    parser.add_argument(
+        "--folder", type=Path, help="folder of studies and runs; default: a new one, removed at the end"
+    )
+    parser.add_argument("--publish", action="store_true", help="put the tables into the documentation")
+    options = parser.parse_args()
+    use_double()
+    tables, missed = [], []
+    with TemporaryDirectory() as scratch:
+        folder = options.folder or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        if options.nodes:
+            table, failed = against_quadrature(options.nodes, folder)
+            tables.append(table)
+            missed += failed
+        if options.crossings:
+            table, failed = of_crossings(crossings(options.crossings, folder))
+            tables.append(table)
+            missed += failed
+    for table in tables:
+        print(f"{table.title}\n{table.markdown()}")
+    if options.publish:
+        raw = {table.name: table.as_json() for table in tables}
+        PAGE.with_suffix(".json").write_text(json.dumps(raw, indent=1, ensure_ascii=False) + "\n", "utf-8")
+        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), tables), "utf-8")
+    sys.exit("\n".join(missed) or 0)
+
+
+if __name__ == "__main__":
+    main()
