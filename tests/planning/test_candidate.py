@@ -15,7 +15,7 @@ def test_all_combinations_alone_and_together() -> None:
 
 def test_several_quantities_are_set_together() -> None:
     (one,) = candidates({"V_in": [50.0], "h": [0.5]}, [Look(("slow",), (0.0, 0.5), sd=0.003)])
-    assert one.label() == "V_in 50 h 0.5, slow, 0–50 % of the interface, sd 3 µm"
+    assert one.label() == "V_in 50 h 0.5, condition slow, 0–50 % of the interface, sd 3 µm"
     assert one == Candidate(({"V_in": 50.0, "h": 0.5},), Look(("slow",), (0.0, 0.5), sd=0.003))
 
 
@@ -23,3 +23,8 @@ def test_nothing_to_set_is_the_same_experiment() -> None:
     (one,) = candidates({}, [Look()])
     assert one.label() == "the same again"
     assert one.label("as planned") == "as planned"
+
+
+def test_conditions_of_the_model_alone() -> None:
+    (one,) = candidates({}, [Look(("slow", "fast"), points=20)])
+    assert one.label() == "conditions slow and fast, 20 points"

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,7 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr("strandline.studies.run.write_report", lambda *given, folder, **others: folder / "report.html")
         for name, changes in STUDIES.items():
             folder = write_study(home / name, **{**SMALL, **changes})
+            edit(folder)
             if name in ANALYSED:
                 sl.run_study(sl.load_study(folder), executor=sl.InProcess())
     return home
@@ -203,15 +205,72 @@ def test_odds_change_probabilities_alone(home: Path) -> None:
     assert one - two == pytest.approx(np.log(3))
 
 
-def test_candidates_that_separate_the_models_come_first(drawn: Path) -> None:
-    random = np.random.default_rng(1)
-    same = random.standard_normal((200, 2))
-    content = sl.compare(
-        ["tilted", "straight"], candidates={"useless": (same, same), "good": (same, same + 20)}, odds=(1.0, 1.0)
-    ).content
-    assert [one["candidate"] for one in content["separate"]] == ["good", "useless"]
-    assert content["separate"][0]["clearly_right"] > 0.99
-    assert "What would separate them" in (drawn / "comparison" / "compare.html").read_text("utf-8")
+NEXT = {"load": [0.0, 2e-5, 1.0], "points": [9]}
+
+
+def told(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {one["candidate"]: one for one in content["separate"]}
+
+
+def true_separation(home: Path, load: float, probabilities: list[float]) -> float:
+    """Return the mutual information of model and observation by nested Monte Carlo with the true model."""
+    shown, random = [], np.random.default_rng(3)
+    for name in ("tilted", "straight"):
+        study = sl.load_study(home / name)
+        draws = np.unique(sl.load_result(home / name).posterior.equally_weighted(5), axis=0)
+        some = random.permutation(draws)[:500]
+        inputs = [{**study.fixed, **study.space.as_mapping(x), "load": load} for x in some]
+        shown.append(np.array([undeclared_beam(one, Path()).interfaces[""].points[::2, 1] for one in inputs]) / SD)
+    total = 0.0
+    for k, truths in enumerate(shown):
+        seen = truths + random.standard_normal(truths.shape)
+        logs = []
+        for m, draws in enumerate(shown):
+            squares = -0.5 * ((seen[:, None] - draws[None]) ** 2).sum(axis=2)
+            if m == k:
+                np.fill_diagonal(squares, -np.inf)
+            logs.append(logsumexp(squares, axis=1) - np.log(len(draws)) + np.log(probabilities[m]))
+        total += probabilities[k] * float(np.mean(logs[k] - logsumexp(logs, axis=0) - np.log(probabilities[k])))
+    return total
+
+
+def test_what_separates_the_models_is_that_of_the_true_ones(drawn: Path) -> None:
+    """Without a load, the beam shows only its tilt; the models differ in whether they know it."""
+    edit(drawn / "straight", next=NEXT)
+    found = sl.compare(["tilted", "straight"], separate=True, executor=sl.InProcess())
+    probabilities = [found.content["models"][name]["probability"] for name in ("tilted", "straight")]
+    one = told(found.content)
+    for load in (0.0, 2e-5):
+        expected = true_separation(drawn, load, probabilities)
+        assert one[f"load {load:g}, 9 points"]["nats"] == pytest.approx(expected, abs=0.05)
+    assert one["load 1, 9 points"]["nats"] is None
+    assert list(one)[-1] == "load 1, 9 points"
+    page = (drawn / "comparison" / "compare.html").read_text("utf-8")
+    assert "What would separate them" in page
+    assert "its run failed: large_deflection" in page
+
+
+def test_a_model_whose_signals_are_shifted_is_noticed(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted: the signals of one model are four standard deviations off, as with another reference for each model."""
+    edit(home / "straight", next=NEXT)
+    shown = module.shown_by_models
+
+    def shifted(*given: Any, **options: Any) -> Any:
+        return tuple(
+            replace(one, signals=(one.signals[0] + 4.0, *one.signals[1:])) if one.signals else one
+            for one in shown(*given, **options)
+        )
+
+    monkeypatch.setattr(module, "shown_by_models", shifted)
+    content = sl.compare(["tilted", "straight"], separate=True, executor=sl.InProcess()).content
+    probabilities = [content["models"][name]["probability"] for name in ("tilted", "straight")]
+    assert abs(told(content)["load 0, 9 points"]["nats"] - true_separation(home, 0.0, probabilities)) > 0.1
+
+
+def test_no_candidates_to_separate_the_models(home: Path) -> None:
+    with pytest.raises(sl.InvalidInput, match="none of the studies lists candidates"):
+        sl.compare(["tilted", "straight"], separate=True)
+    assert not (home / "comparison").exists()
 
 
 def test_names_of_studies(home: Path) -> None:
@@ -232,13 +291,12 @@ def test_the_direction_of_the_points_does_not_matter(home: Path) -> None:
 
 def edit(folder: Path, **changes: Any) -> None:
     content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
-    (folder / "study.yaml").write_text(json.dumps({**content, **changes}))
+    (folder / "study.yaml").write_text("".join(f"{k}: {json.dumps(v)}\n" for k, v in {**content, **changes}.items()))
 
 
 def test_every_key_is_described(home: Path) -> None:
-    random = np.random.default_rng(1)
-    signals = [random.standard_normal((20, 2)) for _ in range(2)]
-    found = sl.compare(["tilted", "straight"], candidates={"more": signals}).content
+    edit(home / "tilted", next={"points": [9]})
+    found = sl.compare(["tilted", "straight"], separate=True).content
     rows = [line.split("|")[1] for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `")]
     described = {key for row in rows for key in re.findall(r"`([^`]+)`", row)}
     assert described == set(keys(found))

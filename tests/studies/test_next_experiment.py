@@ -197,7 +197,7 @@ def test_conditions_can_be_repeated_alone(tmp_path: Path, monkeypatch: pytest.Mo
     folder = write_study(tmp_path / "two", **changes)
     sl.run_study(sl.load_study(folder), executor=sl.InProcess())
     content = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess()).content
-    assert [one["label"] for one in content["candidates"]] == ["the same again, heavy", "the same again, light"]
+    assert [one["label"] for one in content["candidates"]] == ["condition heavy", "condition light"]
     assert content["runs"]["new"] == 0
 
 
@@ -286,6 +286,7 @@ def test_no_posterior_and_no_candidates(folder: Path, tmp_path: Path) -> None:
 def test_every_key_is_described(folder: Path) -> None:
     content = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess()).content
     rows = [line.split("|")[1] for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `")]
-    described = {key for row in rows for key in re.findall(r"`([^`]+)`", row)}
+    keys = [key for row in rows for key in re.findall(r"`([^`]+)`", row)]
+    described = {part for key in keys for part in re.split(r"[.\[\]]+", key)}
     named = {*content, *content["candidates"][0], *content["directions"][0], *content["inputs"]["E"]}
     assert named <= described, named - described

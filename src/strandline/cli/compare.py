@@ -15,19 +15,23 @@ __all__ = ["command"]
     "--to", type=click.Path(path_type=Path), default="comparison", show_default=True, help="Folder of the result."
 )
 @click.option("--odds", metavar="NUMBERS", help="Prior odds of the models in their order, e.g. 2:1; equal by default.")
+@click.option(
+    "--separate", is_flag=True, help="Rank the candidates under `next` by how well they tell the models apart."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of all random numbers.")
 @click.option("--quiet", is_flag=True, help="Print only the result.")
-def command(studies: tuple[Path, ...], to: Path, odds: str | None, seed: int, quiet: bool) -> None:
+def command(studies: tuple[Path, ...], to: Path, odds: str | None, separate: bool, seed: int, quiet: bool) -> None:
     """Compare the models of finished STUDIES of the same data: evidences, Bayes factors, averaged posterior.
 
-    The surrogate of the interface stands in for the simulator: no forward run is made.
+    The surrogate of the interface stands in for the simulator: no forward run is made, except with --separate: at most
+    one of each model for each candidate.
     """
     from strandline.cli.progress import observing
     from strandline.studies.compare import compare, odds_in
 
     given = odds_in(odds)
     with observing(quiet=quiet) as observer:
-        found = compare(studies, to=to, odds=given, seed=seed, observer=observer)
+        found = compare(studies, to=to, odds=given, separate=separate, seed=seed, observer=observer)
     _show(found.content, found.page)
 
 
@@ -53,6 +57,13 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
         mean, sd, low, high = (f"{item[key]:.4g}" for key in ("mean", "sd", "q05", "q95"))
         click.echo(f"{name:>10} {unit:>7} {mean:>10} {sd:>9} {low:>10} {high:>10}")
     for one in content["separate"]:
-        clear = f"clear with a probability of {one['clearly_right']:.0%}"
-        click.echo(f"{one['candidate']}: {one['nats']:.2f} nats about the model, {clear}")
+        click.echo(f"{one['candidate']}: {_separation(one)}")
     click.echo(f"page: {page}")
+
+
+def _separation(one: Mapping[str, Any]) -> str:
+    """Return what a candidate is expected to tell about the models, in words."""
+    if one["nats"] is None:
+        return str(one["problem"])
+    doubt = "" if one["reliable"] else " (few draws)"
+    return f"{one['nats']:.2f} nats about the model, clear with a probability of {one['clearly_right']:.0%}{doubt}"

@@ -32,8 +32,6 @@ class Look:
     @property
     def words(self) -> Iterator[str]:
         """What differs from the present observation, in words."""
-        if self.conditions:
-            yield " and ".join(self.conditions)
         if self.part != WHOLE:
             yield f"{100 * self.part[0]:.3g}–{100 * self.part[1]:.3g} % of the interface"
         if self.points is not None:
@@ -60,7 +58,11 @@ class Candidate:
         Args:
             present: Words for an experiment that sets no quantity.
         """
-        return ", ".join([" and ".join(_label(one) or present for one in self.settings), *self.look.words])
+        conditions = " and ".join(self.look.conditions)
+        kind = f"condition{'s' * (len(self.look.conditions) > 1)} {conditions}" if conditions else ""
+        settings = [_label(one) or kind or present for one in self.settings]
+        further = [kind] if kind and any(self.settings) else []
+        return ", ".join([" and ".join(settings), *further, *self.look.words])
 
 
 def _label(setting: Setting) -> str:

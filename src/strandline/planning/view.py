@@ -34,22 +34,33 @@ class View:
         """Return what would be observed of a simulated interface without errors."""
         return Interface(self.footprint.on(nodes), self.footprint.cells)
 
+    def points(self, nodes: Float[np.ndarray, "move node xyz"]) -> Float[np.ndarray, "move point xyz"]:
+        """Return the observed points of simulated interfaces, or displacements of the points given those of nodes."""
+        return np.asarray(np.einsum("pc,mpcx->mpx", self.footprint.weights, nodes[:, self.footprint.corners]))
+
+    def along(self, seen: Interface, moves: Float[np.ndarray, "move point xyz"]) -> Float[np.ndarray, "move row"]:
+        """Return displacements of the observed points as rows whose errors are known.
+
+        With errors along the normals there is one row for each point, else one for each of its coordinates.
+
+        Args:
+            seen: The observed interface whose normals count.
+            moves: Displacements of its points, mm, or slopes.
+        """
+        if isinstance(self.errors, CoordinateErrors):
+            return np.asarray(moves.reshape(len(moves), -1))
+        return np.asarray(np.einsum("mpx,px->mp", moves, steady_normals(seen)))
+
     def rows(
         self, reference: Float[np.ndarray, "node xyz"], moves: Float[np.ndarray, "move node xyz"]
     ) -> Float[np.ndarray, "move row"]:
-        """Return displacements of the nodes as displacements of the observed points.
-
-        With errors along the normals there is one row for each point, else one for each of its coordinates.
+        """Return displacements of the nodes, or slopes, as rows in the same way.
 
         Args:
             reference: Nodes of the simulated interface whose normals count.
             moves: Displacements of the nodes from there, mm, or slopes.
         """
-        here = self.footprint
-        points = np.einsum("pc,mpcx->mpx", here.weights, moves[:, here.corners])
-        if isinstance(self.errors, CoordinateErrors):
-            return np.asarray(points.reshape(len(points), -1))
-        return np.asarray(np.einsum("mpx,px->mp", points, steady_normals(self.seen(reference))))
+        return self.along(self.seen(reference), self.points(moves))
 
 
 def focused(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from strandline.calibration import Observer
 from strandline.calibration.evidence import Evidence, log_evidence
@@ -21,12 +20,14 @@ from strandline.planning.discrimination import Discrimination, expected_discrimi
 from strandline.posterior import Posterior
 from strandline.posterior.weighted import Weighted
 from strandline.report import write_comparison
+from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.comparable import labels_of, may_err, require_comparable, require_several
 from strandline.studies.compare_file import Compared, describe_comparison
 from strandline.studies.coverage import field_knowledge
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import COMPARISON, STUDY, SUMMARY, require_writable, told_if_unwritable, write_json
+from strandline.studies.separation import Shown, candidates_of, shown_by_models
 from strandline.studies.study import Study, load_study
 
 __all__ = ["FOLDER", "StudyComparison", "compare", "odds_in"]
@@ -63,21 +64,24 @@ def compare(
     to: Path | str = FOLDER,
     odds: Sequence[float] | None = None,
     seed: int = 1,
-    candidates: Mapping[str, Sequence[Float[np.ndarray, "_ signal"]]] | None = None,
+    separate: bool = False,
+    executor: Executor | None = None,
     observer: Observer | None = None,
 ) -> StudyComparison:
     """Compare finished studies of the same data: evidences, Bayes factors, predictions, and what they say together.
 
-    The interface is learnt from the runs of each study; no forward run is made. Writes compare.json, compare.html and
-    its figures.
+    The interface is learnt from the runs of each study; only `separate` makes forward runs. Writes compare.json,
+    compare.html and its figures.
 
     Args:
         studies: Two or more studies, or their folders.
         to: Folder of the result, created if needed.
         odds: Prior probabilities of the models relative to each other, in the order of the studies; equal by default.
         seed: Seed of all random numbers, 0 or above.
-        candidates: Further experiments by name, for which to predict how well they separate the models: what each
-            shows under each model, as in `expected_discrimination`.
+        separate: Whether to predict how well the candidates for the next experiment, listed under `next` of the first
+            study that lists some, would tell the models apart. Those that a surrogate does not cover cost one run with
+            sensitivities of each model.
+        executor: Where these runs are made; by default where each study says.
         observer: Receives the progress.
 
     Raises:
@@ -92,6 +96,7 @@ def compare(
     if odds is not None:
         require_odds(odds, len(loaded))
     _require_seed(seed)
+    wanted = candidates_of(loaded) if separate else ()
     named = dict(zip(labels_of(loaded), loaded, strict=True))
     for study in loaded:
         if not observations_of(study):  # synthetic, and its run is not made
@@ -113,10 +118,11 @@ def compare(
     }
     shared = tuple(name for name in loaded[0].space.names if all(name in one.space.names for one in loaded))
     together = _together(found, posteriors, shared)
-    separate = {name: _separation(found, signals, seed) for name, signals in (candidates or {}).items()}
+    shown = shown_by_models(named, wanted, seed=seed, executor=executor, tell=tell) if wanted else ()
     tell.stage("report")
     with one_thread():
-        content = describe_comparison(found, compared, together, shared, separate, seed=seed)
+        separations = [(one, _separation(found, one, seed)) for one in shown]
+        content = describe_comparison(found, compared, together, shared, separations, seed=seed)
     return StudyComparison(content, found, shared, together, _written(content, folder))
 
 
@@ -208,10 +214,12 @@ def _together(found: ModelComparison, posteriors: Mapping[str, Posterior], share
     return averaged(parts, [found.probabilities[name] for name in posteriors])
 
 
-def _separation(found: ModelComparison, signals: Sequence[Float[np.ndarray, "_ signal"]], seed: int) -> Discrimination:
+def _separation(found: ModelComparison, shown: Shown, seed: int) -> Discrimination | None:
     """Return what a candidate is expected to tell about the models; hopeless ones count with a tiny probability."""
+    if shown.problem:
+        return None
     shares = np.maximum(list(found.probabilities.values()), 1e-12)
-    return expected_discrimination(signals, (shares / shares.sum()).tolist(), np.random.default_rng(seed))
+    return expected_discrimination(shown.signals, (shares / shares.sum()).tolist(), np.random.default_rng(seed))
 
 
 def _written(content: dict[str, Any], folder: Path) -> Path:

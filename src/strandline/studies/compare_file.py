@@ -18,6 +18,7 @@ from strandline.posterior.weighted import Weighted
 from strandline.studies.check_file import offset_band, posterior_digest
 from strandline.studies.chosen import in_words
 from strandline.studies.comparable import may_err
+from strandline.studies.separation import Shown
 from strandline.studies.study import Study
 from strandline.studies.summary import versions
 from strandline.version import __version__
@@ -75,7 +76,7 @@ def describe_comparison(
     compared: Mapping[str, Compared],
     together: Weighted | None,
     shared: Sequence[str],
-    separate: Mapping[str, Discrimination],
+    separate: Sequence[tuple[Shown, Discrimination | None]],
     *,
     seed: int,
 ) -> dict[str, Any]:
@@ -86,7 +87,7 @@ def describe_comparison(
         compared: The studies by name.
         together: Model-averaged draws of the shared inputs.
         shared: Names of the shared inputs.
-        separate: What each candidate is expected to tell about the models.
+        separate: Candidates for the next experiment with what each is expected to tell about the models.
         seed: Seed of the random numbers.
     """
     first = next(iter(compared.values()))
@@ -110,18 +111,25 @@ def describe_comparison(
             }
             for seen in first.knowledge.likelihood.observations
         ],
-        "separate": [
-            {
-                "candidate": name,
-                "nats": one.nats,
-                "error": one.error,
-                "clearly_right": one.clear,
-                "clearly_wrong": one.wrong,
-                "clear_from": CLEAR,
-                "reliable": one.reliable,
-            }
-            for name, one in sorted(separate.items(), key=lambda item: -item[1].nats)
-        ],
+        "separate": [_separation(shown, one) for shown, one in sorted(separate, key=_worth)],
+    }
+
+
+def _worth(item: tuple[Shown, Discrimination | None]) -> float:
+    return math.inf if item[1] is None else -item[1].nats
+
+
+def _separation(shown: Shown, one: Discrimination | None) -> dict[str, Any]:
+    """Return what a candidate is expected to tell; nulls if a run of it failed."""
+    return {
+        "candidate": shown.label,
+        "nats": None if one is None else one.nats,
+        "error": None if one is None else one.error,
+        "clearly_right": None if one is None else one.clear,
+        "clearly_wrong": None if one is None else one.wrong,
+        "clear_from": CLEAR,
+        "reliable": one is not None and one.reliable,
+        "problem": shown.problem,
     }
 
 

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from strandline.calibration import Observer
 from strandline.calibration.coverage import repeatable
-from strandline.calibration.experiment import Experiment
+from strandline.calibration.experiment import Experiment, errors_behind
+from strandline.calibration.footprint import footprint
 from strandline.calibration.source import Source, posterior_source
 from strandline.errors import NoCommonPoints
 from strandline.models.offers import undeformed_interface
@@ -180,6 +181,16 @@ class Present:
             return Prospect(forecast, fields, crossing if crossing > 0 else None)
         return Prospect(forecast, fields, 1 - (1 - float(self.now.weights @ failing)) * (1 - crossing))
 
+    def _whole(self, name: str, nodes: Float[np.ndarray, "node xyz"]) -> View:
+        """Return how a condition is observed; of one that was not observed yet, all nodes are."""
+        experiment = self.experiment
+        if name in experiment.footprints:
+            return View(experiment.footprints[name], experiment.errors[name])
+        simulated = self.source.knowledge.surrogate.layouts[name].with_points(nodes)
+        measure = next(iter(self.study.discrepancies.values()))
+        errors = errors_behind(self.study.observation(simulated, name), measure, len(nodes))
+        return View(footprint(simulated, simulated), errors)
+
     def nodes(self, fields: Float[np.ndarray, "draw value"]) -> Nodes:
         """Return fields as nodes of interfaces by condition."""
         return self.source.knowledge.surrogate.by_condition(fields)
@@ -190,7 +201,7 @@ class Present:
         reference = {name: one[0] for name, one in nodes.items()}
         views = {}
         for name in look.conditions or self.experiment.footprints:
-            whole = View(self.experiment.footprints[name], self.experiment.errors[name])
+            whole = self._whole(name, reference[name])
             views[name] = focused(whole, reference[name], part=look.part, points=look.points, sd=look.sd)
         return Observing(views, reference)
 
