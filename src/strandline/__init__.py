@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from strandline.studies.compare import compare
     from strandline.studies.coverage import coverage
     from strandline.studies.next_experiment import next_experiment
+    from strandline.studies.open_specimens import open_specimens
+    from strandline.studies.specimens import specimens
+    from strandline.studies.watch_specimens import watch_specimens
     from strandline.studies.what_if import what_if
     from strandline.surrogate import fit_log_likelihood
 
@@ -88,6 +91,9 @@ __all__ = [  # noqa: RUF022
     "next_experiment",
     "what_if",
     "compare",
+    "specimens",
+    "open_specimens",
+    "watch_specimens",
     "StrandlineError",
     "InvalidInput",
     "ForwardModelError",
@@ -115,6 +121,9 @@ _NAMES_OF = {
     "studies.next_experiment": "next_experiment",
     "studies.what_if": "what_if",
     "studies.compare": "compare",
+    "studies.specimens": "specimens",
+    "studies.open_specimens": "open_specimens",
+    "studies.watch_specimens": "watch_specimens",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

@@ -17,7 +17,7 @@ from scipy.special import gammaln, log_softmax, logsumexp
 
 from strandline.posterior.weighted import Weighted
 
-__all__ = ["Pool", "StudentMixture", "effective_size", "fitted", "followed"]
+__all__ = ["ENOUGH", "FREEDOM", "Pool", "StudentMixture", "effective_size", "fitted", "followed"]
 
 ENOUGH = 400.0
 """Effective sample size at which sampling ends."""

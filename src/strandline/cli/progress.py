@@ -29,6 +29,8 @@ STAGES = {
     "candidates": "runs of candidates",
     "gains": "information gains",
     "alternatives": "alternatives",
+    "specimens": "specimens",
+    "population": "population",
     "report": "figures and report",
 }
 SECONDS_BETWEEN_LINES = 15.0

@@ -8,6 +8,7 @@ from strandline.report.page import (
     write_coverage,
     write_next,
     write_report,
+    write_specimens,
     write_what_if,
 )
 
@@ -19,5 +20,6 @@ __all__ = [
     "write_coverage",
     "write_next",
     "write_report",
+    "write_specimens",
     "write_what_if",
 ]

@@ -20,6 +20,7 @@ from strandline.report.coverage import draw_coverage
 from strandline.report.figures import figure_groups
 from strandline.report.next import draw_next
 from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
+from strandline.report.specimens import draw_specimens
 from strandline.report.warnings import reason_to_doubt, small_share
 from strandline.report.what_if import draw_what_if
 from strandline.typeset import RAISED, html_text, unit_text
@@ -33,6 +34,7 @@ __all__ = [
     "write_coverage",
     "write_next",
     "write_report",
+    "write_specimens",
     "write_what_if",
 ]
 
@@ -40,7 +42,7 @@ FILE_NAME = "report.html"
 FIGURES = "figures"
 PAGE_PIXELS_PER_INCH = 138
 """Pixels on the page per inch of a figure: two columns of a journal fill the page."""
-ANSWERS = ("coverage_*", "next_*", "what_if*")
+ANSWERS = ("coverage_*", "next_*", "specimens_*", "what_if*")
 """Figures that other commands draw; a new report leaves them in place."""
 OF_POSTERIOR = ("posterior", "uncertainty")
 """Sections whose figures show a posterior."""
@@ -185,6 +187,16 @@ def _write_answer(name: str, content: Mapping[str, Any], drawn: Iterable[Caption
     figures.mkdir(exist_ok=True)
     pictures = [_saved(captioned, figures) for captioned in drawn]
     return _replaced(folder, template(f"{name}.html.j2").render(c=content, figures=pictures), f"{name}.html")
+
+
+def write_specimens(content: Mapping[str, Any], folder: Path) -> Path:
+    """Write the figures of many specimens, and a self-contained page about them; return the page's path.
+
+    Args:
+        content: Content of specimens.json.
+        folder: Folder of the study.
+    """
+    return _write_answer("specimens", content, draw_specimens(content), folder)
 
 
 def _replaced(folder: Path, page: str, name: str = FILE_NAME) -> Path:

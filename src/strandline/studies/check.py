@@ -31,7 +31,7 @@ from strandline.studies.progress import results_of
 from strandline.studies.study import Study
 from strandline.studies.study_runs import report_backup, settled
 
-__all__ = ["PosteriorCheck", "check_posterior", "finished_posterior"]
+__all__ = ["PosteriorCheck", "check_posterior", "finished_posterior", "plain_model"]
 
 FEWEST_DRAWS = 20
 
@@ -141,7 +141,7 @@ def _run(
     study: Study, positions: Float[np.ndarray, "draw dim"], executor: Executor, observer: Observer
 ) -> tuple[tuple[RunRecord, ...], int]:
     """Return the record of each draw, and the number of new runs."""
-    model, identity = _plain(study), study.runs.identity
+    model, identity = plain_model(study), study.runs.identity
     inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in positions]
     keys = {run_key(identity, entry) for entry in inputs}
     with Ledger.open(study.folder / CHECK_LEDGER, model=identity, description=f"{study.name}, checked") as ledger:
@@ -151,7 +151,7 @@ def _run(
     return records, len(keys) - known
 
 
-def _plain(study: Study) -> ForwardModel:
+def plain_model(study: Study) -> ForwardModel:
     """Return the model without sensitivities, which are not needed here."""
     model: Any = study.model
     plain: ForwardModel = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model

@@ -5,7 +5,7 @@ Each replicate is written to coverage.jsonl as it ends, so that a stopped comman
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
@@ -212,13 +212,16 @@ def _require_arguments(replicates: int, source: str, seed: int) -> None:
         raise InvalidInput("seed of the coverage", value=seed, expected="0 or above", remedy="Choose another one.")
 
 
-def field_knowledge(study: Study, measure: str, *, purpose: str = "coverage") -> Knowledge:
+def field_knowledge(
+    study: Study, measure: str, *, purpose: str = "coverage", more: Sequence[RunRecord] = ()
+) -> Knowledge:
     """Learn the interface from the runs of a finished study, and what the observation tells through it.
 
     Args:
         study: The study.
         measure: Name of one of its measures.
         purpose: What needs the interface, a noun for the message.
+        more: Further runs of its model to learn from.
 
     Raises:
         InvalidStudy: The runs have no common points, or the synthetic observation is missing.
@@ -233,7 +236,7 @@ def field_knowledge(study: Study, measure: str, *, purpose: str = "coverage") ->
             remedy=f"Run the study first: strandline run {study.folder}",
         )
     judge = Judge(study.observations(observed), {measure: study.discrepancies[measure]}, study.settings.failures)
-    records = runs_to_learn_from(study)
+    records = (*runs_to_learn_from(study), *more)
     points = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
     try:
         return known_field(points, records, judge, study.space)[0]

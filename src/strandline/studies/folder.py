@@ -23,6 +23,10 @@ __all__ = [
     "REFINEMENT",
     "REPLICATES",
     "REPORT",
+    "SPECIMENS",
+    "SPECIMENS_LEDGER",
+    "SPECIMENS_LINES",
+    "SPECIMENS_TABLE",
     "STUDY",
     "SUMMARY",
     "WHAT_IF",
@@ -47,6 +51,10 @@ REPLICATES = "coverage.jsonl"
 NEXT = "next.json"
 NEXT_LEDGER = "next.sqlite"
 WHAT_IF = "what-if.json"
+SPECIMENS = "specimens.json"
+SPECIMENS_LINES = "specimens.jsonl"
+SPECIMENS_TABLE = "specimens.csv"
+SPECIMENS_LEDGER = "specimens.sqlite"
 
 
 def require_writable(folder: Path) -> None:

@@ -16,7 +16,7 @@ from strandline.studies.observed import read_points, read_sds, require_plausible
 from strandline.studies.pictures import Photographed, photographed
 from strandline.studies.stacks import Scanned, scanned
 
-__all__ = ["Found", "read_observations"]
+__all__ = ["Found", "read_observation", "read_observations"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ def read_observations(
     for condition in files:
         if condition not in known:
             raise _unknown_condition(condition, known)
-    return {condition: _read(folder, item, model) for condition, item in files.items()}
+    return {condition: read_observation(folder, item, model) for condition, item in files.items()}
 
 
 def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
@@ -73,8 +73,14 @@ def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
     )
 
 
-def _read(folder: Path, source: ObservationFile, model: ForwardModel) -> Found:
-    """Return an observed interface in the same direction as the model's."""
+def read_observation(folder: Path, source: ObservationFile, model: ForwardModel) -> Found:
+    """Return an observed interface in the same direction as the model's.
+
+    Args:
+        folder: Folder of the study.
+        source: The file and how to read it.
+        model: The simulator.
+    """
     undeformed = undeformed_interface(model)
     if source.image is not None:
         picture = photographed(folder, source.image, undeformed)

@@ -20,6 +20,12 @@ from strandline.report.plots.parts import plot_parts
 from strandline.report.plots.residuals import ResidualsAlong, plot_residuals
 from strandline.report.plots.run_history import RunHistory, plot_run_history
 from strandline.report.plots.sensitivity import plot_sensitivity
+from strandline.report.plots.specimens import (
+    PopulationDensity,
+    SpecimenIntervals,
+    plot_caterpillar,
+    plot_population,
+)
 from strandline.report.plots.style import mark_doubt
 from strandline.report.plots.tempering import plot_tempering
 from strandline.report.plots.what_if import Whisker, plot_alternatives
@@ -32,13 +38,16 @@ __all__ = [
     "IntervalCoverage",
     "ModelMarginals",
     "OffsetBand",
+    "PopulationDensity",
     "ResidualsAlong",
     "RunHistory",
+    "SpecimenIntervals",
     "Whisker",
     "mark_doubt",
     "plot_alternatives",
     "plot_averaged",
     "plot_candidates",
+    "plot_caterpillar",
     "plot_check",
     "plot_conditions",
     "plot_convergence",
@@ -60,6 +69,7 @@ __all__ = [
     "plot_parallel",
     "plot_particles",
     "plot_parts",
+    "plot_population",
     "plot_predictions",
     "plot_profile",
     "plot_rank_band",

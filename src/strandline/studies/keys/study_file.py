@@ -11,6 +11,7 @@ from strandline.studies.keys.failures import Failures
 from strandline.studies.keys.observation import Noise, Observed
 from strandline.studies.keys.scalars import Name, Number, Seed, Unit
 from strandline.studies.keys.section import Choice, Section, Switch
+from strandline.studies.keys.specimens import SpecimensFile
 from strandline.studies.keys.what_if import WhatIf
 
 __all__ = ["SCHEMA_VERSION", "Input", "Quantity", "StudyFile"]
@@ -83,6 +84,8 @@ class StudyFile(Section):
     next: dict[Name, Any] = {}
     """[candidates for the next experiment](../how-to/next-experiment.md): values of fixed quantities, with what of the
     interface is observed; no result depends on it"""
+    specimens: SpecimensFile | None = None
+    """outlines of [many specimens](../how-to/many-specimens.md), answered by the runs of this study"""
     what_if: list[WhatIf] = []
 
     @field_validator("fidelities", mode="before")

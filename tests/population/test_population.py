@@ -1,0 +1,166 @@
+"""The population against quadrature, its coverage, shrinkage against the closed form, and planted outliers."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+from scipy.stats import norm
+
+from strandline.errors import InvalidInput
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.population import Certified, SpecimenPosterior, population_of, shrunk
+from strandline.priors import Normal, Uniform
+
+SPACE = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"),))
+TWO = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", Uniform(-0.8, 0.5))))
+OWN = 25.0
+PLACES = (np.arange(64) + 0.5) / 64
+
+
+def specimen(name: str, mean: np.ndarray, sd: np.ndarray, space: ParameterSpace = SPACE) -> SpecimenPosterior:
+    """Return a normal posterior of independent inputs, by draws with its moments."""
+    random = np.random.default_rng(5)
+    columns = [norm.ppf(PLACES), *(norm.ppf(random.permutation(PLACES)) for _ in mean[1:])]
+    z = np.stack(columns, axis=1)
+    z = z @ np.linalg.inv(np.linalg.cholesky(np.cov(z.T, bias=True).reshape(len(mean), -1))).T
+    quantiles = mean + np.array([-1.645, 0.0, 1.645])[:, None] * sd
+    certified = Certified(0.0, 1.0)
+    return SpecimenPosterior(
+        name, {}, space, mean, np.diag(sd**2), quantiles, mean + sd * z, 1000.0, "importance", certified
+    )
+
+
+def specimens(number: int, *, mean: float = 400.0, sd: float = 40.0, seed: int = 0) -> tuple[SpecimenPosterior, ...]:
+    random = np.random.default_rng(seed)
+    truths = mean + sd * random.standard_normal(number)
+    seen = truths + OWN * random.standard_normal(number)
+    return tuple(specimen(f"{k:03}", np.array([x]), np.array([OWN])) for k, x in enumerate(seen))
+
+
+def by_quadrature(some: tuple[SpecimenPosterior, ...], own: float = OWN) -> np.ndarray:
+    """Return means and standard deviations of the population's m and s, and E[x_0] of the first specimen."""
+    m = np.linspace(100, 800, 701)[:, None]
+    s = np.linspace(0.5, 350, 500)[None, :]
+    mass = np.log(ndtr((800 - m) / s) - ndtr((100 - m) / s))
+    total = np.sqrt(own**2 + s**2)
+    log_density, pulled = np.zeros((len(m), s.shape[1])), 0.0
+    for one in some:
+        x = float(one.mean[0])
+        middle, width = (x * s**2 + m * own**2) / total**2, own * s / total
+        inside = np.log(np.maximum(ndtr((800 - middle) / width) - ndtr((100 - middle) / width), 1e-300))
+        log_density += -0.5 * ((x - m) / total) ** 2 - np.log(total) + inside - mass
+        if one is some[0]:
+            pulled = middle
+    weights = np.exp(log_density - log_density.max())
+    weights /= weights.sum()
+
+    def moments(value: np.ndarray) -> tuple[float, float]:
+        mean = float((weights * value).sum())
+        return mean, float(np.sqrt((weights * (value - mean) ** 2).sum()))
+
+    return np.array([*moments(m + 0 * s), *moments(s + 0 * m), float((weights * pulled).sum())])
+
+
+@pytest.mark.parametrize(("number", "sd"), [(5, 40.0), (12, 40.0), (12, 3.0)])
+@pytest.mark.parametrize(("own", "right"), [(OWN, True), (0.2, False)], ids=["right", "own errors forgotten"])
+def test_mean_and_spread_are_those_of_quadrature(number: int, sd: float, own: float, right: bool) -> None:
+    """Also for a population that is far narrower than the posteriors; planted: means taken as exact values."""
+    some = specimens(number, sd=sd)
+    found = population_of(some)
+    exact = by_quadrature(some, own)
+    m, s = 100 + 700 * found.centre[:, 0], 700 * found.width[:, 0]
+    error = max(abs(m.mean() - exact[0]) / exact[1], abs(s.mean() - exact[2]) / exact[3], abs(s.std() / exact[3] - 1))
+    assert bool(error < 0.2) is right
+
+
+def test_shrunk_means_are_those_of_quadrature() -> None:
+    some = specimens(12)
+    lifted = shrunk(population_of(some), tuple(one.name for one in some))
+    assert abs(lifted.mean[0, 0] - by_quadrature(some)[4]) < 0.08 * OWN
+    own = np.array([one.mean[0] for one in some])
+    assert lifted.mean[:, 0].std() < 0.95 * own.std()  # all are pulled to the middle
+    assert (lifted.sd[:, 0] < OWN).all()
+    assert (lifted.quantiles[:, 0] < lifted.quantiles[:, 1]).all()
+
+
+def ranks(factor: float) -> np.ndarray:
+    """Return the shares of draws of the spread below the truth, with draws that are spread out by a factor."""
+    found = []
+    for k in range(20):
+        random = np.random.default_rng([4, k])
+        s = 20 + 60 * random.random()
+        some = specimens(10, sd=s, seed=100 + k)
+        draws = 700 * population_of(some).width[:, 0]
+        draws = draws.mean() + factor * (draws - draws.mean())
+        found.append(float((draws < s).mean()))
+    return np.array(found)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("factor", "right"), [(1.0, True), (0.4, False)], ids=["right", "too narrow"])
+def test_intervals_of_the_spread_contain_the_truth(factor: float, right: bool) -> None:
+    inside = np.abs(ranks(factor) - 0.5) < 0.45
+    assert bool(inside.mean() >= 0.8) is right
+
+
+@pytest.mark.parametrize("far", [0.0, 300.0], ids=["none", "one"])
+def test_outliers_are_named(far: float) -> None:
+    some = list(specimens(20))
+    odd = specimen("odd", np.array([400.0 + far]), np.array([OWN]))
+    lifted = shrunk(population_of([*some, odd]), tuple(sorted(one.name for one in [*some, odd])))
+    assert lifted.outliers == (("odd",) if far else ())
+    assert lifted.limit == pytest.approx(0.05 / 21)
+    if far:
+        assert lifted.z[-1, 0] > 3
+        assert "outliers: odd" in repr(lifted)
+
+
+def test_p_values_of_a_population_without_outliers_are_uniform() -> None:
+    some = specimens(200, seed=3)
+    lifted = shrunk(population_of(some), tuple(one.name for one in some))
+    assert abs((lifted.p_values < 0.5).mean() - 0.5) < 0.12
+    assert not lifted.outliers
+
+
+def test_two_inputs() -> None:
+    random = np.random.default_rng(2)
+    truths = np.array([400.0, 0.1]) + random.standard_normal((30, 2)) * [40.0, 0.08]
+    own = np.array([20.0, 0.05])
+    some = [specimen(f"{k:02}", x + own * random.standard_normal(2), own, TWO) for k, x in enumerate(truths)]
+    found = population_of(some)
+    for draws, truth in ((found.mean, truths.mean(axis=0)), (found.sd, truths.std(axis=0))):
+        assert (np.abs(draws.mean(axis=0) - truth) < 2.5 * draws.std(axis=0)).all()
+    x = np.linspace(100, 800, 2001)
+    np.testing.assert_allclose(found.density(0, x).sum(axis=1) * (x[1] - x[0]), 1.0, atol=1e-3)
+    assert repr(found).startswith("<Population of 30 specimens: E ")
+
+
+def test_the_order_of_specimens_does_not_matter() -> None:
+    some = specimens(6)
+    first, second = population_of(some), population_of(some[::-1])
+    np.testing.assert_array_equal(first.centre, second.centre)
+    assert not np.array_equal(population_of(some, seed=2).centre, first.centre)
+
+
+def test_a_prior_counts_once() -> None:
+    """A prior that pulls each posterior to 300 must not pull the population there."""
+    space = ParameterSpace((Parameter("E", Normal(300.0, 30.0), "Pa", (100.0, 800.0)),))
+    narrow = 1 / np.sqrt(1 / OWN**2 + 1 / 30.0**2)
+    some = [
+        specimen(one.name, narrow**2 * (one.mean / OWN**2 + 300 / 30**2), np.array([narrow]), space)
+        for one in specimens(20)
+    ]
+    plain = population_of(specimens(20)).mean.mean()
+    assert abs(population_of(some).mean.mean() - plain) < 12
+    assert np.mean([one.mean for one in some]) < plain - 25
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_few_specimens_make_no_population(number: int) -> None:
+    with pytest.raises(InvalidInput, match=f"specimens of a population: got {number}; expected at least 3"):
+        population_of(specimens(number))
+
+
+def test_unlike_specimens_make_no_population() -> None:
+    two = specimen("two", np.array([400.0, 0.1]), np.array([20.0, 0.1]), TWO)
+    with pytest.raises(InvalidInput, match="the same ones for all"):
+        population_of([*specimens(3), two])

@@ -1,0 +1,164 @@
+"""The posterior of one specimen against quadrature, its certificate against perturbed fields, its random numbers."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from tests.calibration.arches import SD, SPACE, arch, knowledge, seen
+
+from strandline.discrepancy import NormalOffset
+from strandline.errors import InvalidInput
+from strandline.interface import Observation, PointErrors
+from strandline.likelihood import FieldLikelihood
+from strandline.population import SpecimenPosterior, Start, posterior_of, start
+from strandline.population import specimen as module
+from strandline.population.refinement import runs_for
+
+ERRORS = PointErrors(SD)
+TRUTH = np.array([0.33, 0.12])
+PLACES = 161
+
+
+@cache
+def begin() -> Start:
+    return start(knowledge(NormalOffset(), {"": Observation(seen(ERRORS), ERRORS)}), SPACE)
+
+
+@cache
+def outline() -> Observation:
+    return Observation(ERRORS.draw(arch(TRUTH), np.random.default_rng(3)), ERRORS)
+
+
+def found(of: Start | None = None, errors: PointErrors = ERRORS, name: str = "one", seed: int = 1) -> SpecimenPosterior:
+    observed = replace(outline(), noise=errors)
+    return posterior_of(of or begin(), (observed,), NormalOffset(), name=name, seed=seed)
+
+
+def grid(lean: float | None = None) -> np.ndarray:
+    u = (np.arange(PLACES) + 0.5) / PLACES
+    if lean is not None:
+        heights = SPACE.low[0] + u * (SPACE.high[0] - SPACE.low[0])
+        return np.stack([heights, np.full(PLACES, lean)], axis=1)
+    return SPACE.to_physical(np.stack(np.meshgrid(u, u, indexing="ij"), axis=-1).reshape(-1, 2))
+
+
+def near(one: SpecimenPosterior) -> np.ndarray:
+    """Return a grid of five standard deviations around a posterior."""
+    u = np.linspace(-5, 5, 41)
+    z = np.stack(np.meshgrid(u, u, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = one.mean + z @ np.linalg.cholesky(one.covariance).T
+    return x[((x >= SPACE.low) & (x <= SPACE.high)).all(axis=1)]
+
+
+def by_quadrature(x: np.ndarray, off: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and covariance by quadrature, with fields that are off by some coefficients."""
+    likelihood = FieldLikelihood(begin().knowledge.surrogate, (outline(),), NormalOffset())
+    values = likelihood.at(likelihood.surrogate.mean(x) + off)
+    weights = np.exp(values - values.max())
+    weights /= weights.sum()
+    mean = weights @ x
+    return mean, (weights[:, None] * (x - mean)).T @ (x - mean)
+
+
+@pytest.mark.parametrize(("errors", "right"), [(ERRORS, True), (PointErrors(1.4 * SD), False)], ids=["right", "wide"])
+def test_mean_and_covariance_are_those_of_quadrature(errors: PointErrors, right: bool) -> None:
+    """Planted: errors that are 1.4 times too large."""
+    one = found(errors=errors)
+    mean, covariance = by_quadrature(grid())
+    sd = np.sqrt(np.diag(covariance))
+    assert one.by == "importance"
+    assert one.effective > 1000
+    good = np.abs(one.covariance / np.outer(sd, sd) - covariance / np.outer(sd, sd)).max() < 0.1
+    assert bool(good) is right
+    if right:
+        assert np.abs((one.mean - mean) / sd).max() < 0.06
+    np.testing.assert_allclose(one.draws.mean(axis=0), one.mean, atol=1e-9)
+    np.testing.assert_allclose(np.cov(one.draws.T, bias=True), one.covariance, rtol=1e-6)
+    inside = (one.quantiles[0] < one.quantiles[1]) & (one.quantiles[1] < one.quantiles[2])
+    assert inside.all()
+
+
+def test_known_inputs_are_held_fixed() -> None:
+    one = found(begin().with_given({"lean": 0.12}))
+    mean, covariance = by_quadrature(grid(lean=0.12))
+    sd = float(np.sqrt(covariance[0, 0]))
+    assert one.space.names == ("height",)
+    assert abs(one.mean[0] - mean[0]) < 0.06 * sd
+    assert abs(one.sd[0] / sd - 1) < 0.06
+    elsewhere = found(begin().with_given({"lean": 0.05}))
+    assert abs(elsewhere.mean[0] - mean[0]) > 3 * sd  # the known value matters
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"lean": 3.0}, "known value of lean: got 3.0; expected a number from -0.1 to 0.2"),
+        ({"weight": 1.0}, "name of an input: got weight"),
+        ({"lean": 0.1, "height": 0.3}, "at least one input left"),
+    ],
+)
+def test_known_inputs_that_are_refused(given: dict[str, float], words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        begin().with_given(given)
+
+
+def test_it_depends_on_name_and_seed_alone() -> None:
+    first = found(name="a")
+    found(name="b")
+    again = found(name="a")
+    for part in ("mean", "covariance", "quantiles", "draws"):
+        np.testing.assert_array_equal(getattr(again, part), getattr(first, part))
+    for other in (found(name="b"), found(name="a", seed=2)):
+        assert not np.array_equal(other.draws, first.draws)
+        assert np.abs((other.mean - first.mean) / first.sd).max() < 0.12
+    assert repr(first).startswith("<SpecimenPosterior of a: height = 0.3")
+
+
+def test_other_samplers_take_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a likelihood nearby the measure leads the sampler; without importance sampling, tempering does it."""
+    one = found()
+    monkeypatch.setattr(FieldLikelihood, "nearby", None)
+    exact = found()
+    monkeypatch.setattr(module, "followed", lambda *given: None)
+    tempered = found()
+    assert [x.by for x in (one, exact, tempered)] == ["importance", "importance", "smc"]
+    for other, limit in ((exact, 0.1), (tempered, 0.3)):
+        assert np.abs((other.mean - one.mean) / one.sd).max() < limit
+        assert np.abs(other.sd / one.sd - 1).max() < limit
+
+
+def coarse(factor: float) -> Start:
+    """Return a start whose surrogate expects larger errors."""
+    known = begin().knowledge
+    wider = tuple(replace(process, widening=factor * process.widening) for process in known.surrogate.processes)
+    likelihood = replace(known.likelihood, surrogate=replace(known.surrogate, processes=wider))
+    return start(replace(known, likelihood=likelihood), SPACE)
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.5], ids=["right", "variance for sd"])
+def test_the_certified_shift_is_that_of_perturbed_fields(kept: float) -> None:
+    """Fields that are off by draws of the surrogate's error move the mean by as much; half of them do not."""
+    of = coarse(1e4)
+    one = found(of)
+    variance = of.predict(one.draws).variance.mean(axis=0)
+    random, x = np.random.default_rng(1), near(one)
+    mean = by_quadrature(x)[0]
+    drawn = kept * np.sqrt(variance) * random.standard_normal((60, len(variance)))
+    shifts = np.array([by_quadrature(x, off)[0] - mean for off in drawn]) / one.sd
+    expected = one.certified.shift / one.certified.surprise
+    ratio = float(shifts.std(axis=0).max() / expected)
+    assert (0.7 < ratio < 1.4) is (kept == 1.0)
+
+
+def test_a_coarse_surrogate_asks_for_runs_at_the_posterior() -> None:
+    assert found().certified.verdict == "good"
+    of = coarse(1e9)
+    one = found(of)
+    assert one.certified.verdict == "refine"
+    x = runs_for(of, [one], 3)
+    assert x.shape == (3, 2)
+    assert len(np.unique(x, axis=0)) == 3
+    assert (x >= one.draws.min(axis=0)).all()
+    assert (x <= one.draws.max(axis=0)).all()
+    assert len(runs_for(of, [], 3)) == 0

@@ -1,0 +1,170 @@
+"""Many biofilms and one set of runs: time, agreement with full analyses, and coverage of the population's intervals.
+
+The true model makes every outline; each point is disturbed by 3 µm. One study of 100 runs answers all of them.
+
+    python -m verification.validation.populations [--folder FOLDER] [--specimens 1000] [--checked 50] [--populations 40]
+
+- 1000 specimens of one population, E ~ N(400, 40) Pa and ν ~ N(0.2, 0.08): seconds for all posteriors.
+- 50 of them again, each by an analysis of its own: another design of 128 runs, its own surrogate, tempering.
+- 40 populations of 25 specimens, with means and spreads drawn at random: how often 90 % intervals contain them.
+
+The folder keeps the runs, so that a second call makes none.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from verification.validation.tables import Table, put_into_page
+
+import strandline as sl
+from strandline.population import SpecimenPosterior, Task, population_of, posteriors_of, shrunk
+from strandline.studies.open_specimens import Specimens
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "many-specimens.md"
+STUDY = """\
+version: 1
+name: many-biofilms
+model: {biofilm: {mesh: coarse}}
+fixed: {V_in: 100}
+inputs:
+  E:  {prior: {uniform: [100, 800]}, unit: Pa}
+  nu: {prior: {uniform: [-0.8, 0.5]}}
+observation: {synthetic: {E: 400, nu: 0.3, V_in: 100}, noise: {sd: 0.003}}
+discrepancy: {normal_offset: {}}
+noise: {sd: 3, unit: um}
+design: {sobol: {runs: 100, scramble: 1}}
+surrogate: {field: {}}
+executor: {local: {timeout: 120}}
+"""
+ERRORS = sl.PointErrors(0.003)
+MEAN, SPREAD = np.array([400.0, 0.2]), np.array([40.0, 0.08])
+LOWEST, HIGHEST = (
+    np.array([[300.0, 0.0], [20.0, 0.03]]),
+    np.array([[500.0, 0.25], [60.0, 0.1]]),
+)
+"""Range of the populations' means and spreads, of E and of ν."""
+OF_EACH = 25
+OTHER_RUNS = 128
+
+
+def outlines(study: sl.Study, inputs: Float[np.ndarray, "run 2"], ledger: Path, seed: int) -> list[sl.Interface | None]:
+    """Return disturbed outlines of the true model, None for a run that failed."""
+    wanted = [{**study.fixed, **study.space.as_mapping(x)} for x in inputs]
+    with sl.Ledger.open(ledger, model=study.runs.identity, description="specimens") as opened:
+        records = sl.run_campaign(study.model, wanted, ledger=opened, executor=study.executor)
+    return [
+        ERRORS.draw(record.interfaces[""], np.random.default_rng([seed, k])) if record.ok else None
+        for k, record in enumerate(records)
+    ]
+
+
+def answered(opened: Specimens, seen: Sequence[sl.Interface | None]) -> list[SpecimenPosterior]:
+    """Return the posteriors of all outlines that there are."""
+    tasks = [Task(f"{k:04}", (sl.Observation(one, ERRORS),), {}) for k, one in enumerate(seen) if one is not None]
+    found = posteriors_of(opened.begin, sl.NormalOffset(), tasks)
+    return sorted((one for one in found if isinstance(one, SpecimenPosterior)), key=lambda one: one.name)
+
+
+def full(study: sl.Study, seen: sl.Interface, ledger: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation by an analysis of one outline, from runs of another design."""
+    problem = sl.Problem(
+        study.model, study.space, study.fixed, (sl.Observation(seen, ERRORS),), {"offset": sl.NormalOffset()}
+    )
+    settings = sl.Settings(runs=OTHER_RUNS, scramble=2, surrogate="field")
+    posterior = sl.calibrate(problem, settings, ledger=ledger, executor=study.executor).posterior
+    return np.asarray(posterior.mean), np.asarray(posterior.sd)
+
+
+def within(low: float, high: float, truth: float) -> bool:
+    """Return whether an interval contains the truth."""
+    return low <= truth <= high
+
+
+def covered(found: Sequence[SpecimenPosterior], mean: np.ndarray, spread: np.ndarray) -> Iterator[bool]:
+    """Yield for E and ν whether the intervals of the mean and of the spread contain them."""
+    population = population_of(found)
+    for draws, truth in ((population.mean, mean), (population.sd, spread)):
+        low, high = np.quantile(draws, [0.05, 0.95], axis=0)
+        yield from (within(*ends) for ends in zip(low, high, truth, strict=True))
+
+
+def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -> tuple[list[int], float]:
+    """Return how many of the intervals contain the truth, and of the specimens' own shrunk intervals the share."""
+    random, counts, inside = np.random.default_rng(5), np.zeros(4, int), []
+    for k in range(number):
+        mean, spread = LOWEST + (HIGHEST - LOWEST) * random.random((2, 2))
+        truths = mean + spread * random.standard_normal((OF_EACH, 2))
+        truths = np.clip(truths, study.space.low, study.space.high)
+        seen = outlines(study, truths, folder / "populations.sqlite", 100 + k)
+        found = answered(opened, seen)
+        counts += list(covered(found, mean, spread))
+        lifted = shrunk(population_of(found), tuple(one.name for one in found))
+        known = truths[[int(one.name) for one in found]]
+        inside.append((lifted.quantiles[:, 0] <= known) & (known <= lifted.quantiles[:, 2]))
+    return counts.tolist(), float(np.concatenate(inside).mean())
+
+
+def rows(options: argparse.Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
+    """Yield what was looked at, the aim, and what was found."""
+    (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
+    study = sl.load_study(folder)
+    if not (folder / "posterior.nc").is_file():
+        sl.run_study(study)
+    opened = sl.open_specimens(study)
+    runs = opened.begin.knowledge.surrogate.runs
+    truths = MEAN + SPREAD * np.random.default_rng(7).standard_normal((options.specimens, 2))
+    seen = outlines(study, np.clip(truths, study.space.low, study.space.high), folder / "specimens-true.sqlite", 11)
+    begun = time.perf_counter()
+    found = answered(opened, seen)
+    seconds = time.perf_counter() - begun
+    good = sum(one.certified.good for one in found)
+    yield f"posteriors of {len(found)} outlines from {runs} runs", "≤ 60 s", f"{seconds:.0f} s, {good} good"
+    begun = time.perf_counter()
+    for one in seen[:5]:
+        opened.posterior(one)
+    yield "one more outline, warm", "< 1 s", f"{(time.perf_counter() - begun) / 5:.2f} s"
+    shifts, ratios = [], []
+    for one in found[:: max(len(found) // options.checked, 1)][: options.checked]:
+        mean, sd = full(study, seen[int(one.name)], folder / "others.sqlite")
+        shifts.append(np.abs(one.mean - mean) / sd)
+        ratios.append(one.sd / sd)
+    worst, ratio = np.max(shifts), np.array(ratios)
+    text = f"{worst:.3f} sd at most, median {np.median(shifts):.3f}; sd ratio {ratio.min():.2f} to {ratio.max():.2f}"
+    yield f"{len(shifts)} posterior means against full analyses", "≤ 0.1 sd", text
+    counts, inside = populations(study, opened, options.populations, folder)
+    of = [
+        f"{name} {100 * count / options.populations:.0f} %"
+        for name, count in zip(("mean of E", "mean of ν", "spread of E", "spread of ν"), counts, strict=True)
+    ]
+    share = 100 * sum(counts) / (4 * options.populations)
+    aim = f"90 % intervals of {options.populations} populations of {OF_EACH}"
+    yield aim, "85 to 95 %", f"{share:.0f} % ({', '.join(of)})"
+    yield "90 % shrunk intervals of their specimens", "", f"{100 * inside:.0f} %"
+
+
+def main() -> None:
+    """Print the table; with `--publish`, put it into the how-to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--folder", type=Path, default=Path("populations"), help="folder of study and runs")
+    parser.add_argument("--specimens", type=int, default=1000)
+    parser.add_argument("--checked", type=int, default=50)
+    parser.add_argument("--populations", type=int, default=40)
+    parser.add_argument("--publish", action="store_true", help="put the table into docs/how-to/many-specimens.md")
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    found = []
+    for row in rows(options, options.folder):
+        found.append(row)
+        print(*row, sep="  ", flush=True)
+    table = Table("populations", "Many biofilms", ("what", "aim", "found"), ("s", "s", "s"), tuple(found))
+    print(table.markdown())
+    if options.publish:
+        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), [table]), "utf-8")
+
+
+if __name__ == "__main__":
+    main()
