@@ -128,7 +128,7 @@ def against_quadrature(nodes: int, folder: Path) -> tuple[Table, list[str]]:
     for rates in RATES:
         seen = data(rates, folder)
         studies = [study(law, rates, folder) for law in LAWS]
-        posteriors = [sl.run_study(one).posterior for one in studies]
+        posteriors = [sl.run_study(one).calibration.posterior for one in studies]
         found = sl.compare(studies, to=folder / f"{len(rates)}-rates" / "comparison")
         exact, failed = zip(
             *(by_quadrature(law, rates, seen, one, nodes, folder) for law, one in zip(LAWS, posteriors, strict=True)),
