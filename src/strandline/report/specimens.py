@@ -7,6 +7,7 @@ import numpy as np
 
 from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
+from strandline.typeset import unit_text
 
 __all__ = ["draw_specimens"]
 
@@ -25,7 +26,8 @@ def draw_specimens(content: Mapping[str, Any]) -> Iterator[Captioned]:
     """Yield the intervals of each input, and its density in the population."""
     specimens, population = content["specimens"], content["population"]
     for name, item in content["inputs"].items() if specimens else ():
-        label = item["label"] if item["unit"] == "1" else f"{item['label']} / {item['unit']}"
+        unit = unit_text(item["unit"])
+        label = f"{item['label']} [{unit}]" if unit else item["label"]
         found = _intervals(specimens, name, shrunk=population is not None)
         caption = (ALONE if population is None else INTERVALS).format(item["label"])
         drawing = plots.plot_caterpillar(found, label)
