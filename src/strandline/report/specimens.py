@@ -7,7 +7,7 @@ import numpy as np
 
 from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
-from strandline.typeset import unit_text
+from strandline.typeset import figure_text, unit_text
 
 __all__ = ["draw_specimens"]
 
@@ -27,7 +27,7 @@ def draw_specimens(content: Mapping[str, Any]) -> Iterator[Captioned]:
     specimens, population = content["specimens"], content["population"]
     for name, item in content["inputs"].items() if specimens else ():
         unit = unit_text(item["unit"])
-        label = f"{item['label']} [{unit}]" if unit else item["label"]
+        label = f"{figure_text(item['label'])} [{unit}]" if unit else figure_text(item["label"])
         found = _intervals(specimens, name, shrunk=population is not None)
         caption = (ALONE if population is None else INTERVALS).format(item["label"])
         drawing = plots.plot_caterpillar(found, label)

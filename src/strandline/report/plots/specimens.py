@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 
 from strandline.report.plots.style import BLUE, DOUBLE, GREY, RED, SINGLE, SKY, axes_or_new, below, styled
-from strandline.typeset import figure_text
 
 __all__ = ["PopulationDensity", "SpecimenIntervals", "plot_caterpillar", "plot_population"]
 
@@ -57,7 +56,7 @@ def plot_caterpillar(found: SpecimenIntervals, label: str, *, ax: Axes | None = 
 
     Args:
         found: The intervals.
-        label: Name of the input with its unit.
+        label: Symbol of the input with its unit, for Matplotlib.
         ax: Where to draw.
     """
     with styled():
@@ -80,7 +79,7 @@ def plot_caterpillar(found: SpecimenIntervals, label: str, *, ax: Axes | None = 
             ax.set(xlabel="specimens, sorted", xticks=[])
         else:
             ax.set_xticks(places, [found.names[i] for i in order], rotation=90, fontsize=6)
-        ax.set(ylabel=figure_text(label), xlim=(-1, len(order)))
+        ax.set(ylabel=label, xlim=(-1, len(order)))
         below(ax)
     return ax
 
@@ -93,7 +92,7 @@ def plot_population(
     Args:
         density: The density.
         specimens: Posterior mean of each specimen given all of them, shape (specimen,).
-        label: Name of the input with its unit.
+        label: Symbol of the input with its unit, for Matplotlib.
         ax: Where to draw.
     """
     with styled():
@@ -104,6 +103,6 @@ def plot_population(
         ax.vlines(specimens, -2 * ROWS * top, -ROWS * top, color=GREY, linewidth=0.6, label="specimens")
         some = density.high > 1e-3 * top
         ends = np.concatenate([density.x[some], specimens])
-        ax.set(xlabel=figure_text(label), ylabel="density", xlim=(ends.min(), ends.max()))
+        ax.set(xlabel=label, ylabel="density", xlim=(ends.min(), ends.max()))
         below(ax)
     return ax
