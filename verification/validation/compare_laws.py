@@ -1,7 +1,7 @@
 """Can interfaces tell a Saint-Venant–Kirchhoff solid from a neo-Hookean one? The biofilm on its coarse mesh.
 
-First, ln B of `strandline compare` against quadrature of the true models, for one, two and three inflow rates: tensor
-Gauss–Legendre nodes where each posterior lies, a run of the true model at each; a run that fails has no likelihood. The
+First, ln B of `strandline compare` against quadrature of the true models, for one, two and three inflow rates:
+Gauss–Legendre nodes along the ridge of each posterior, a run of the true model at each; a run that fails has no likelihood. The
 data are the interfaces of the first law at E = 400 Pa, ν = 0.3. Second, crossings: true inputs from the prior, each law
 in turn, observed with errors of the points; surrogates of both laws give Bayes factors, and a posterior averaged over
 the laws. Its 90 % intervals should contain the truth whichever law is right.
@@ -107,19 +107,32 @@ def by_quadrature(
     nodes: int,
     folder: Path,
 ) -> tuple[float, int]:
-    """Return the log-evidence of the true model where a posterior lies, and the number of runs that failed."""
-    low = np.maximum(posterior.mean - WIDE * posterior.sd, SPACE.low)
-    high = np.minimum(posterior.mean + WIDE * posterior.sd, SPACE.high)
+    """Return the log-evidence of the true model where a posterior lies, and the number of runs that failed.
+
+    The nodes follow the ridge of the posterior: those of E lie about its conditional mean at each node of ν.
+    """
     places, weights = np.polynomial.legendre.leggauss(nodes)
-    x = np.stack(np.meshgrid(*(low + np.outer(0.5 * (places + 1), high - low)).T, indexing="ij"), axis=-1).reshape(
-        -1, 2
-    )
+    (mean, mean_nu), covariance = posterior.mean, posterior.covariance
+    slope = covariance[0, 1] / covariance[1, 1]
+    narrow = float(np.sqrt(covariance[0, 0] - slope * covariance[0, 1]))
+    nu, mass_nu = _nodes(mean_nu, posterior.sd[1], 1, places, weights)
+    rows = [_nodes(mean + slope * (one - mean_nu), narrow, 0, places, weights) for one in nu]
+    x = np.column_stack([np.concatenate([row for row, _ in rows]), np.repeat(nu, nodes)])
+    mass = np.concatenate([one * row for one, (_, row) in zip(mass_nu, rows, strict=True)])
     records = runs_of(law, rates, x, folder)
     likelihood = sl.InterfaceLikelihood(seen, MEASURE)
     values = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
-    share = float(np.prod((high - low) / (SPACE.high - SPACE.low)))
-    mass = 0.25 * share * np.outer(weights, weights).ravel()
     return float(logsumexp(values, b=mass)), sum(not record.ok for record in records)
+
+
+def _nodes(
+    mean: float, sd: float, column: int, places: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]
+) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, " node"]]:
+    """Return nodes within the prior of an input, and the prior's mass that each stands for."""
+    low, high = float(SPACE.low[column]), float(SPACE.high[column])
+    begin, end = max(mean - WIDE * sd, low), min(mean + WIDE * sd, high)
+    share = 0.5 * max(end - begin, 0.0) / (high - low)
+    return begin + 0.5 * (places + 1) * (end - begin), share * weights
 
 
 def against_quadrature(nodes: int, folder: Path) -> tuple[Table, list[str]]:
