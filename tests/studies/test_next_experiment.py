@@ -16,6 +16,7 @@ from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.planning import forecast
 from strandline.runs import Ledger
+from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, beam, write_study
 
 SMALL = {"sampler": {"smc": {"particles": 2000, "rejuvenation_steps": 4}}}
@@ -199,6 +200,23 @@ def test_conditions_can_be_repeated_alone(tmp_path: Path, monkeypatch: pytest.Mo
     content = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess()).content
     assert [one["label"] for one in content["candidates"]] == ["condition heavy", "condition light"]
     assert content["runs"]["new"] == 0
+
+
+def test_a_condition_that_was_not_observed_yet_costs_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The heavy load bends the beam 2.5 times as far, and tells E as much better."""
+    monkeypatch.setattr("strandline.studies.run.write_report", lambda *given, folder, **others: folder / "report.html")
+    seen = TwoLoads()({"E": 400.0, "load": 1e-5}, tmp_path).interfaces["light"]
+    np.savetxt(tmp_path / "light.csv", seen.points, delimiter=",")
+    observation = [{"condition": "light", "file": "../light.csv", "unit": "mm"}]
+    changes = {**TWO_LOADS_STUDY, **SMALL, "observation": observation, "surrogate": {"field": {}}}
+    folder = write_study(tmp_path / "two", **changes, next={"condition": ["light", "heavy"]})
+    sl.run_study(sl.load_study(folder), executor=sl.InProcess())
+    content = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess()).content
+    found = {one["label"]: one for one in content["candidates"]}
+    assert content["runs"] == {"new": 0, "reused": 0}
+    now = content["inputs"]["E"]["sd"]
+    assert found["condition light"]["sd"]["E"] == pytest.approx(now / np.sqrt(2), rel=0.1)
+    assert found["condition heavy"]["sd"]["E"] == pytest.approx(now / np.sqrt(1 + TwoLoads().ratio ** 2), rel=0.1)
 
 
 def test_an_experiment_whose_run_fails_comes_last_with_its_reason(folder: Path) -> None:

@@ -1,10 +1,10 @@
 """Can interfaces tell a Saint-Venant–Kirchhoff solid from a neo-Hookean one? The biofilm on its coarse mesh.
 
 First, ln B of `strandline compare` against quadrature of the true models, for one, two and three inflow rates:
-Gauss–Legendre nodes along the ridge of each posterior, a run of the true model at each; a run that fails has no likelihood. The
-data are the interfaces of the first law at E = 400 Pa, ν = 0.3. Second, crossings: true inputs from the prior, each law
-in turn, observed with errors of the points; surrogates of both laws give Bayes factors, and a posterior averaged over
-the laws. Its 90 % intervals should contain the truth whichever law is right.
+Gauss–Legendre nodes along the ridge of each posterior, a run of the true model at each; a run that fails has no
+likelihood. The data are the interfaces of the first law at E = 400 Pa, ν = 0.3. Second, crossings: true inputs from the
+prior, each law in turn, observed with errors of the points; surrogates of both laws give Bayes factors, and a posterior
+averaged over the laws. Its 90 % intervals should contain the truth whichever law is right.
 
     python -m verification.validation.compare_laws [--nodes 12] [--crossings 40] [--folder FOLDER] [--publish]
 """

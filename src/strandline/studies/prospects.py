@@ -1,6 +1,6 @@
 """What candidates can be expected to show after the experiment of a study, from its posterior and a run of each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,8 +12,10 @@ from strandline.calibration.coverage import repeatable
 from strandline.calibration.experiment import Experiment, errors_behind
 from strandline.calibration.footprint import footprint
 from strandline.calibration.source import Source, posterior_source
+from strandline.design.active import Knowledge, training_of
 from strandline.errors import NoCommonPoints
 from strandline.models.offers import undeformed_interface
+from strandline.models.protocol import declared_conditions
 from strandline.planning.candidate import Candidate, Look, Setting
 from strandline.planning.failing import FailureBySize, crossing_share, learn_failure_by_size
 from strandline.planning.forecast import Forecast, carried, covered, field_of, slopes_of_field
@@ -24,10 +26,11 @@ from strandline.posterior import systematic_indices
 from strandline.posterior.weighted import Weighted
 from strandline.runs import Executor, RunRecord
 from strandline.studies.check import finished_posterior
-from strandline.studies.coverage import field_knowledge
+from strandline.studies.coverage import field_knowledge, runs_to_learn_from
 from strandline.studies.next_answer import problem_of
 from strandline.studies.next_runs import PointRuns, Runs, runs_at
 from strandline.studies.study import Study
+from strandline.surrogate.field import FieldSurrogate, fit_field
 
 __all__ = ["Present", "Prospect", "Prospects", "prospects_of"]
 
@@ -77,7 +80,9 @@ def prospects_of(
     observer.stage("surrogate")
     knowledge = field_knowledge(study, next(iter(study.discrepancies)), purpose="strandline next")
     source = posterior_source(knowledge, posterior)
-    present = Present(study, source, repeatable(source), _drawn(source, draws, seed))
+    conditions = {name for one in candidates for name in one.look.conditions}
+    surrogate = _surrogate(study, knowledge, conditions)
+    present = Present(study, source, surrogate, repeatable(source), _drawn(source, draws, seed))
     observer.stage("candidates")
     settings = list({_key(one): one for candidate in candidates for one in candidate.settings}.values())
     runs = _runs(present, settings, executor, observer)
@@ -110,7 +115,8 @@ class Present:
 
     Args:
         study: The study.
-        source: Its posterior, with the surrogate of the interface.
+        source: Its posterior.
+        surrogate: Surrogate of the interface in all conditions that a candidate observes.
         experiment: Places and errors of the observed points.
         now: Draws of the posterior.
         succeeded: Fields of candidates' runs that succeeded, mm.
@@ -118,6 +124,7 @@ class Present:
 
     study: Study
     source: Source
+    surrogate: FieldSurrogate
     experiment: Experiment
     now: Weighted
     succeeded: Float[np.ndarray, "run value"] | None = None
@@ -141,7 +148,7 @@ class Present:
     @cached_property
     def undeformed(self) -> Float[np.ndarray, " value"] | None:
         """The undeformed interface as a field; None if the model does not know it."""
-        found, surrogate = undeformed_interface(self.study.model), self.source.knowledge.surrogate
+        found, surrogate = undeformed_interface(self.study.model), self.surrogate
         if found is None:
             return None
         try:
@@ -156,11 +163,11 @@ class Present:
         if self.undeformed is None:
             return None
         others = self.undeformed[None, :][:0] if self.succeeded is None else self.succeeded
-        return learn_failure_by_size(known.surrogate, known.x, known.ok, self.undeformed, others)
+        return learn_failure_by_size(self.surrogate, known.x, known.ok, self.undeformed, others)
 
     def prospect(self, setting: Setting, runs: PointRuns | None) -> Prospect:
         """Return the predicted interfaces of an experiment."""
-        surrogate, known, draws = self.source.knowledge.surrogate, self.known(setting), self.now.draws
+        surrogate, known, draws = self.surrogate, self.known(setting), self.now.draws
         if runs is None:
             forecast = covered(surrogate, known)
             x = draws.copy()
@@ -186,14 +193,14 @@ class Present:
         experiment = self.experiment
         if name in experiment.footprints:
             return View(experiment.footprints[name], experiment.errors[name])
-        simulated = self.source.knowledge.surrogate.layouts[name].with_points(nodes)
+        simulated = self.surrogate.layouts[name].with_points(nodes)
         measure = next(iter(self.study.discrepancies.values()))
         errors = errors_behind(self.study.observation(simulated, name), measure, len(nodes))
         return View(footprint(simulated, simulated), errors)
 
     def nodes(self, fields: Float[np.ndarray, "draw value"]) -> Nodes:
         """Return fields as nodes of interfaces by condition."""
-        return self.source.knowledge.surrogate.by_condition(fields)
+        return self.surrogate.by_condition(fields)
 
     def observing(self, field: Float[np.ndarray, " value"], look: Look) -> Observing:
         """Return how interfaces near this field are observed."""
@@ -206,10 +213,19 @@ class Present:
         return Observing(views, reference)
 
 
+def _surrogate(study: Study, knowledge: Knowledge, conditions: Collection[str]) -> FieldSurrogate:
+    """Return the surrogate of the study, or one of all conditions if some were not observed yet."""
+    if all(name in knowledge.surrogate.layouts for name in conditions):
+        return knowledge.surrogate
+    records = runs_to_learn_from(study)
+    x = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
+    return fit_field(training_of(x, records, study.space, declared_conditions(study.model)))
+
+
 def _runs(present: Present, settings: Sequence[Setting], executor: Executor, observer: Observer) -> Runs:
     """Return the runs of all experiments that the surrogate does not cover, at the posterior mean."""
     wanted = [(one, present.now.mean) for one in settings if present.unknown(one)]
-    surrogate, names = present.source.knowledge.surrogate, present.study.space.names
+    surrogate, names = present.surrogate, present.study.space.names
 
     def usable(record: RunRecord) -> bool:
         return slopes_of_field(surrogate, record.sensitivities, names) is not None
@@ -221,14 +237,14 @@ def _runs(present: Present, settings: Sequence[Setting], executor: Executor, obs
 
 def _succeeded(present: Present, runs: Runs) -> Float[np.ndarray, "run value"] | None:
     """Return the fields of all runs that succeeded; None if there are none."""
-    surrogate = present.source.knowledge.surrogate
+    surrogate = present.surrogate
     good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
     return np.array([field_of(surrogate, record.interfaces) for record in good]) if good else None
 
 
 def _slopes(present: Present, runs: PointRuns, field: Float[np.ndarray, " value"]) -> Float[np.ndarray, "value dim"]:
     """Return the derivatives of the field at the point, from sensitivities or from the runs beside it."""
-    surrogate = present.source.knowledge.surrogate
+    surrogate = present.surrogate
     if not runs.others:
         found = slopes_of_field(surrogate, runs.run.sensitivities, present.study.space.names)
         assert found is not None

@@ -10,7 +10,7 @@ from strandline.design.active.reported import BatchReport
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.scatter import Scatter, scatter_of
 from strandline.design.active.settings import Active
-from strandline.design.active.state import Knowledge, State, learn
+from strandline.design.active.state import Knowledge, State, learn, training_of
 
 __all__ = [
     "CRITERIA",
@@ -33,4 +33,5 @@ __all__ = [
     "posterior_state",
     "scatter_of",
     "seconds_of_a_batch",
+    "training_of",
 ]

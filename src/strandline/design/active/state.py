@@ -18,7 +18,7 @@ from strandline.runs import RunRecord
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
-__all__ = ["Knowledge", "Moved", "Remembered", "State", "learn"]
+__all__ = ["Knowledge", "Moved", "Remembered", "State", "learn", "training_of"]
 
 Values = Float[np.ndarray, " point"]
 
@@ -116,11 +116,8 @@ def learn(
             farther away than the noise hides.
     """
     ok = np.array([record.ok for record in records], bool)
-    good = [record for record in records if record.ok]
-    names = [seen.condition for seen in observations]
-    interfaces = [{name: record.interfaces[name] for name in names} for record in good]
     hidden = min(noise_length(seen, discrepancy) for seen in observations)
-    training = FieldTraining(x[ok], interfaces, _gradients(good, names, space.names), space.low, space.high)
+    training = training_of(x, records, space, [seen.condition for seen in observations])
     surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
     likelihood = FieldLikelihood(surrogate, observations, discrepancy)
     if likelihood.inferred is not None:
@@ -229,6 +226,23 @@ class Remembered:
             width=float(np.abs(np.log(np.maximum(sds[1], tiny) / np.maximum(sds[0], tiny))).max()),
             effective=float(1.0 / (after @ np.exp(log_weights - self.log_weights))),
         )
+
+
+def training_of(
+    x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], space: ParameterSpace, conditions: Sequence[str]
+) -> FieldTraining:
+    """Return what the surrogate of the interface of some conditions is trained with: all runs that succeeded.
+
+    Args:
+        x: Inputs of all runs, shape (run, dim).
+        records: Their records.
+        space: The unknown inputs.
+        conditions: Names of the conditions.
+    """
+    ok = np.array([record.ok for record in records], bool)
+    good = [record for record in records if record.ok]
+    interfaces = [{name: record.interfaces[name] for name in conditions} for record in good]
+    return FieldTraining(x[ok], interfaces, _gradients(good, conditions, space.names), space.low, space.high)
 
 
 def _gradients(
