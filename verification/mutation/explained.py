@@ -119,7 +119,7 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
         "No number of the cube is 1, so the last draw is never passed."
     ),
     ("posterior/kde.py", "normal_rule = (_size(mass) *", "unit.shape[0] + 2", "(unit.shape[0])"): (
-        "The bandwidth is searched below three times this rule: it is smaller in any case."
+        "Only the ends of the search for the bandwidth, a tenth and three times this rule, up to a quarter larger then."
     ),
     ("posterior/netcdf.py", "np.clip(uniform, 1e-12, 1 - 1e-12)", "1 - 1e-12", "(1)"): (
         "Keeps out a number of exactly 1, which does not come."
