@@ -164,6 +164,16 @@ def test_before_any_data_the_prior_takes_its_place(tmp_path: Path) -> None:
     assert {one["by"] for one in found.values()} == {"linearised"}
     assert content["identifiability"][0].startswith("The planned picture would tell tilt up and E up")
     assert not (folder / "ledger.sqlite").exists()
+    assert content["noise"][0]["in_words"] == "standard deviation of each point 3 µm"
+
+
+def test_unknown_noise_is_guessed_before_any_data(tmp_path: Path) -> None:
+    noise = {"sd": "unknown", "unit": "um"}
+    changes = {"noise": noise, "discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}}
+    folder = write_study(tmp_path / "beam", **changes)
+    (one,) = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess()).content["noise"]
+    assert one["guessed"]
+    assert one["in_words"].endswith(" µm, a guess: the study does not know its noise")
 
 
 def _sd(x: np.ndarray, load: float) -> np.ndarray:
@@ -306,5 +316,11 @@ def test_every_key_is_described(folder: Path) -> None:
     rows = [line.split("|")[1] for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| `")]
     keys = [key for row in rows for key in re.findall(r"`([^`]+)`", row)]
     described = {part for key in keys for part in re.split(r"[.\[\]]+", key)}
-    named = {*content, *content["candidates"][0], *content["directions"][0], *content["inputs"]["E"]}
+    named = {
+        *content,
+        *content["candidates"][0],
+        *content["noise"][0],
+        *content["directions"][0],
+        *content["inputs"]["E"],
+    }
     assert named <= described, named - described

@@ -58,6 +58,8 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
         click.echo(f"{rest} more in {page.with_suffix('.json')}")
     for line in content["identifiability"]:
         click.echo(line)
+    for one in content["noise"]:
+        click.echo(f"{one['condition'] or 'noise'}: {one['in_words']}")
     runs = content["runs"]
     click.echo(f"{runs['new']} new forward runs, {runs['reused']} known; {content['seconds']:.1f} s\npage: {page}")
 

@@ -1,10 +1,11 @@
 """What is answered about each candidate for the next experiment."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from strandline.calibration.experiment import Errors
 from strandline.planning.candidate import Candidate
 from strandline.planning.identifiability import Direction
 from strandline.planning.outlook import Outlook
@@ -46,6 +47,7 @@ class Answers:
     Args:
         source: What is known before: the ``prior`` or the ``posterior``.
         now: Draws of it.
+        errors: Errors of the observed points by condition.
         answers: Answers, one for each candidate.
         directions: Combinations of the inputs in prior standard deviations, from the least to the best known: after
             the present experiment, or before any data after the planned one.
@@ -55,6 +57,7 @@ class Answers:
 
     source: str
     now: Weighted
+    errors: Mapping[str, Errors]
     answers: tuple[Answer, ...]
     directions: tuple[Direction, ...]
     new: int

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from strandline.interface import UnknownErrors
 from strandline.planning.candidate import Candidate
 from strandline.planning.identifiability import Direction, in_words
 from strandline.studies.next_answer import Answer, Answers, ranked
@@ -16,6 +17,7 @@ __all__ = ["describe_next"]
 
 AGAIN = {"prior": "as planned", "posterior": "the same again"}
 """Words for an experiment with the study's own settings."""
+TO_MICROMETRES = 1e3
 NOTHING = 0.1
 """Gain, nats, below which an experiment is said to teach next to nothing."""
 AS_GOOD = 0.05
@@ -56,6 +58,7 @@ def describe_next(study: Study, found: Answers, *, seed: int, seconds: float) ->
             }
             for k, one in enumerate(study.space)
         },
+        "noise": [_noise(study, found, name) for name in found.errors],
         "advice": _advice(study, found, answers),
         "candidates": [_described(study, one, AGAIN[found.source], sd) for one in answers],
         "directions": [_direction(study, one) for one in found.directions],
@@ -63,6 +66,16 @@ def describe_next(study: Study, found: Answers, *, seed: int, seconds: float) ->
         "runs": {"new": found.new, "reused": found.reused},
         "seconds": seconds,
     }
+
+
+def _noise(study: Study, found: Answers, condition: str) -> dict[str, Any]:
+    """Return the errors of the points of a condition; before any data, unknown ones are a guess."""
+    guessed = found.source == "prior" and isinstance(study.noise_of(condition), UnknownErrors)
+    sd = TO_MICROMETRES * found.errors[condition].sd
+    words = f"standard deviation of each point {sd:.3g} µm"
+    if guessed:
+        words += ", a guess: the study does not know its noise"
+    return {"condition": condition, "sd_um": sd, "guessed": guessed, "in_words": words}
 
 
 def _described(study: Study, one: Answer, again: str, sd: np.ndarray) -> dict[str, Any]:

@@ -42,6 +42,7 @@ def answers_from_posterior(
     return Answers(
         source="posterior",
         now=found.present.now,
+        errors=found.present.experiment.errors,
         answers=tuple(_answer(found.present, candidate, found.of(candidate), seed) for candidate in candidates),
         directions=found.present.directions,
         new=found.new,

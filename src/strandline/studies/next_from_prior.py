@@ -81,6 +81,7 @@ def answers_from_prior(
     return Answers(
         source="prior",
         now=now,
+        errors=before.errors,
         answers=tuple(_answer(before, candidate, at, now) for candidate in asked),
         directions=directions_left(scale_of(space), np.array([one.x for one in good]), planned),
         new=made.new,
