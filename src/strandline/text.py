@@ -1,11 +1,11 @@
 """Rules for names, units and numbers that a person writes, shared by all parts of the package."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from strandline.errors import InvalidInput
 
-__all__ = ["LONGEST", "decimal", "is_label", "is_name", "require_label", "require_name", "with_sd"]
+__all__ = ["LONGEST", "decimal", "is_label", "is_name", "listed", "require_label", "require_name", "with_sd"]
 
 LONGEST = 64
 """Maximum number of characters in a name or a unit."""
@@ -27,6 +27,17 @@ def is_name(text: object) -> bool:
         and text not in ("", ".", "..")
         and not NOT_IN_NAMES & set(text)
     )
+
+
+def listed(words: Sequence[str], last: str = "and") -> str:
+    """Return words as a list in a sentence: ``a, b and c``.
+
+    Args:
+        words: The words, one or more.
+        last: Word before the last one.
+    """
+    *others, end = words
+    return f"{', '.join(others)} {last} {end}" if others else end
 
 
 def require_label(what: str, text: object) -> None:

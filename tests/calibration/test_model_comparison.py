@@ -61,6 +61,13 @@ def test_a_large_error_decides_nothing() -> None:
     assert found.verdict.startswith("The data cannot tell a and b apart: ln B = 2.00 ± 1.50 of a over b, less than 2 e")
 
 
+def test_the_verdict_quotes_the_pair_that_is_undecided() -> None:
+    """The second model is clearly worse, the third one is worse but uncertain."""
+    found = ModelComparison({"a": Evidence(0.0, 0.1), "b": Evidence(-2.0, 0.1), "c": Evidence(-4.0, 3.0)})
+    assert found.tied == ("a", "c")
+    assert found.verdict.startswith("The data cannot tell a and c apart: ln B = 4.00 ± 3.00 of a over c, less than 2 e")
+
+
 def test_probabilities() -> None:
     even = ModelComparison({"a": Evidence(-1000.0), "b": Evidence(-1001.0)})
     assert even.probabilities["a"] == pytest.approx(1 / (1 + math.exp(-1)))

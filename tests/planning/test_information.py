@@ -78,3 +78,13 @@ def test_too_sharp_a_signal_for_the_draws_is_noticed() -> None:
     now = drawn(512, 2)
     assert not expected_gain(now, 1e3 * now.draws, np.random.default_rng(6)).reliable
     assert expected_gain(now, now.draws, np.random.default_rng(6)).reliable
+
+
+def test_a_draw_that_resembles_no_other_leaves_the_gain_about_some_inputs_finite() -> None:
+    now = drawn(1024, 2)
+    signals = now.draws.copy()
+    expected = expected_gain(now, signals, np.random.default_rng(7), interest=[0]).of_interest
+    signals[10] += 1e3
+    found = expected_gain(now, signals, np.random.default_rng(7), interest=[0])
+    assert found.reliable
+    assert found.of_interest == pytest.approx(expected, abs=0.02)

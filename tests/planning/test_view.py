@@ -42,6 +42,17 @@ def test_a_part_has_its_points_only() -> None:
     np.testing.assert_allclose(fisher(half), by_hand(X[20:], 0.01))
 
 
+def test_views_of_two_models_have_the_same_points_if_one_arc_length_counts() -> None:
+    """Where one model stretches the line's first half, fewer of its points lie in it."""
+    stretched = Interface.polyline(np.column_stack([np.where(X < 1, 3 * X, X + 2), np.zeros(41)]))
+    one, other = (focused(view(PointErrors(0.01)), at.points, part=(0.0, 0.4)) for at in (LINE, stretched))
+    assert len(one.footprint.corners) != len(other.footprint.corners)
+    for options in ({}, {"points": 7}):
+        one = focused(view(PointErrors(0.01)), LINE.points, part=(0.0, 0.4), **options)
+        other = focused(view(PointErrors(0.01)), stretched.points, part=(0.0, 0.4), along=LINE, **options)
+        np.testing.assert_allclose(other.seen(LINE.points).points, one.seen(LINE.points).points)
+
+
 def test_points_at_equal_distances_along_a_part() -> None:
     few = focused(view(PointErrors(0.01)), LINE.points, part=(0.25, 0.75), points=5)
     places = np.linspace(0.5, 1.5, 5)

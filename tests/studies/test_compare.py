@@ -15,10 +15,13 @@ from scipy.special import logsumexp
 import strandline as sl
 from strandline.calibration.evidence import Evidence
 from strandline.cli import main
+from strandline.errors import TooFewRuns
 from strandline.likelihood import InterfaceLikelihood
+from strandline.planning.candidate import Candidate, Look
 from strandline.runs import Ledger
 from strandline.studies import compare as module
 from strandline.studies.comparable import labels_of
+from strandline.studies.separation import require_settable
 from strandline.testing.studies import undeclared_beam, write_study
 
 E = {"prior": {"uniform": [300, 560]}, "unit": "Pa"}
@@ -246,7 +249,7 @@ def test_what_separates_the_models_is_that_of_the_true_ones(drawn: Path) -> None
     assert one["load 1, 9 points"]["nats"] is None
     assert list(one)[-1] == "load 1, 9 points"
     page = (drawn / "comparison" / "compare.html").read_text("utf-8")
-    assert "What would separate them" in page
+    assert "Which experiment would tell them apart" in page
     assert "its run failed: large_deflection" in page
 
 
@@ -271,6 +274,30 @@ def test_no_candidates_to_separate_the_models(home: Path) -> None:
     with pytest.raises(sl.InvalidInput, match="none of the studies lists candidates"):
         sl.compare(["tilted", "straight"], separate=True)
     assert not (home / "comparison").exists()
+
+
+@pytest.mark.parametrize(
+    ("fixed", "words"),
+    [
+        ({"load": 1e-5, "tilt": 0.015}, "do not fit tilted: got tilt, which is calibrated there"),
+        ({"load": 1e-5, "tilt": 0.015, "mass": 1.0}, "do not fit tilted: got mass, which its model does not have"),
+    ],
+)
+def test_candidates_must_fit_all_studies(home: Path, fixed: dict[str, float], words: str) -> None:
+    straight, tilted = (sl.load_study(home / name) for name in ("straight", "tilted"))
+    wanted = tuple(Candidate(({name: 1.0},), Look()) for name in list(fixed)[-1:])
+    with pytest.raises(sl.InvalidInput, match=words):
+        require_settable({"straight": replace(straight, fixed=fixed), "tilted": tilted}, wanted)
+
+
+def test_a_comparison_that_fails_leaves_no_folder(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_few(*_: Any, **__: Any) -> None:
+        raise TooFewRuns("runs", value=1, expected="more", remedy="Make more.")
+
+    monkeypatch.setattr(module, "field_knowledge", too_few)
+    with pytest.raises(TooFewRuns):
+        sl.compare(["tilted", "straight"], to="new/one")
+    assert not (home / "new").exists()
 
 
 def test_names_of_studies(home: Path) -> None:
@@ -351,7 +378,7 @@ REFUSED: list[tuple[list[str], str]] = [
     (["tilted", "straight", "--odds", "1"], "prior odds of the models: got 1; expected 2 numbers above 0"),
     (["tilted", "straight", "--odds", "one"], "prior odds of the models: got one; expected numbers above 0"),
     (["tilted", "straight", "--to", "straight"], "folder of the comparison: got straight, which is a study"),
-    (["tilted", "straight", "--to", "beam.csv"], "the results cannot be written: got beam.csv: File exists"),
+    (["tilted", "straight", "--to", "beam.csv"], "folder of the comparison: got beam.csv, which is a file"),
     (["tilted", "straight", "--seed", "-1"], "--seed"),
 ]
 

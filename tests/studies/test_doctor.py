@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,10 @@ def exclude(folder: Path) -> None:
         ledger.exclude(load_study(folder).runs.design_keys[5], "odd")
 
 
+def answered_before(folder: Path, name: str) -> None:
+    (folder / name).write_text('{"study_sha256": "that of another study.yaml"}')
+
+
 WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "checksum": (
         lambda folder: tamper(folder / "ledger.sqlite", "UPDATE outcomes SET seconds = 7 WHERE attempt = 9"),
@@ -65,6 +70,10 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "model": (lambda folder: summary_with(folder, model="m"), "made with the model m"),
     "missing": (lambda folder: (folder / "posterior.nc").unlink(), "missing next to summary.json: posterior.nc"),
     "half": (lambda folder: (folder / "summary.json").unlink(), "without a readable summary.json"),
+    **{
+        name: (partial(answered_before, name=name), f"{name} is of another study.yaml")
+        for name in ("check.json", "coverage.json", "next.json", "what-if.json", "specimens.json")
+    },
     "study": (lambda folder: (folder / "study.yaml").write_text("version: 1\n"), "study.yaml cannot be used"),
 }
 

@@ -162,7 +162,7 @@ def test_before_any_data_the_prior_takes_its_place(tmp_path: Path) -> None:
     np.testing.assert_allclose([found["as planned"]["sd"][name] for name in ("E", "tilt")], expected, rtol=0.03)
     assert found["load 3e-05"]["gain"] > found["as planned"]["gain"] > found["load 5e-06"]["gain"]
     assert {one["by"] for one in found.values()} == {"linearised"}
-    assert content["identifiability"][0].startswith("The planned picture would tell tilt up and E up")
+    assert content["identifiability"][0].startswith("The planned picture would determine tilt up and E up")
     assert not (folder / "ledger.sqlite").exists()
     assert content["noise"][0]["in_words"] == "standard deviation of each point 3 µm"
 
@@ -189,7 +189,7 @@ def _sd(x: np.ndarray, load: float) -> np.ndarray:
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(prior + slopes.T @ slopes))))
 
 
-def test_inputs_that_no_picture_tells_apart_are_named(tmp_path: Path) -> None:
+def test_combinations_that_no_picture_determines_are_named(tmp_path: Path) -> None:
     """Without a known load, the beam shows only load/E."""
     inputs = {
         "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"},
@@ -198,8 +198,9 @@ def test_inputs_that_no_picture_tells_apart_are_named(tmp_path: Path) -> None:
     }
     folder = write_study(tmp_path / "beam", inputs=inputs, fixed=None)
     content = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess()).content
-    assert content["identifiability"][0].startswith("The planned picture could not tell E up and load up (1 : 0.89)")
-    assert len([line for line in content["identifiability"] if "could not tell" in line]) == 1
+    first = "The planned picture could not determine E up and load up (1 : 0.89)"
+    assert content["identifiability"][0].startswith(first)
+    assert len([line for line in content["identifiability"] if "could not determine" in line]) == 1
 
 
 def test_conditions_can_be_repeated_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,6 +228,24 @@ def test_a_condition_that_was_not_observed_yet_costs_no_run(tmp_path: Path, monk
     now = content["inputs"]["E"]["sd"]
     assert found["condition light"]["sd"]["E"] == pytest.approx(now / np.sqrt(2), rel=0.1)
     assert found["condition heavy"]["sd"]["E"] == pytest.approx(now / np.sqrt(1 + TwoLoads().ratio ** 2), rel=0.1)
+
+
+def test_a_condition_that_is_not_observed_can_be_asked_about_before_any_data(tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "two", **TWO_LOADS_STUDY)
+    seen = sl.load_study(folder).model({"E": 400.0, "load": 1e-5}, tmp_path).interfaces["light"]
+    np.savetxt(folder / "light.csv", seen.points, delimiter=",")
+    observation = [{"condition": "light", "file": "light.csv", "unit": "mm"}]
+    write_study(folder, **{**TWO_LOADS_STUDY, "observation": observation, "next": {"condition": ["heavy"]}})
+    content = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess(), runs=4).content
+    assert [one["label"] for one in content["candidates"]] == ["condition heavy", "as planned"]
+    assert content["candidates"][0]["gain"] > content["candidates"][1]["gain"] > 0
+
+
+def test_a_part_with_too_few_points_is_refused_before_any_run(folder: Path) -> None:
+    ask(folder, {"load": [2e-5], "part": [[0, 0.05]]})
+    with pytest.raises(InvalidInput, match="part of the interface to look at"):
+        sl.next_experiment(sl.load_study(folder), executor=sl.InProcess())
+    assert not (folder / "next.sqlite").exists()
 
 
 def test_an_experiment_whose_run_fails_comes_last_with_its_reason(folder: Path) -> None:

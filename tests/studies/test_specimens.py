@@ -21,6 +21,7 @@ from strandline.interface import Interface
 from strandline.population import Refused, SpecimenPosterior
 from strandline.population.certificate import Certified
 from strandline.runs import Ledger, Progress
+from strandline.studies.specimen_files import specimen_files
 from strandline.studies.specimens import specimens
 from strandline.testing.studies import TWO_LOADS_STUDY, beam, write_study
 
@@ -99,7 +100,7 @@ def test_what_it_writes(folder: Path) -> None:
     content = json.loads((folder / "specimens.json").read_text("utf-8"))
     assert content == json.loads(json.dumps(found.content))
     assert (folder / "ledger.sqlite").read_bytes() == before
-    assert content["counts"] == {"files": 6, "answered": 5, "good": 5, "refine": 0, "set_aside": 1}
+    assert content["counts"] == {"files": 6, "analysed": 5, "good": 5, "refine": 0, "set_aside": 1}
     assert [one["specimen"] for one in content["specimens"]] == list(TRUTHS)
     assert content["set_aside"][0]["specimen"] == "bad.csv"
     assert "bad.csv holds no points" in content["set_aside"][0]["why"]
@@ -192,6 +193,7 @@ def test_known_inputs(folder: Path) -> None:
         ("file,E,tilt\ns0.csv,400,0.02\n", "some, not all"),
         ("", "got none"),
         (None, "specimens.given: got known.csv"),
+        ("file,tilt\ns0.csv,0.02\ns0.csv,0.03\n", "rows of known.csv: got several for s0.csv"),
     ],
 )
 def test_tables_that_are_refused(table: str | None, words: str, folder: Path) -> None:
@@ -199,6 +201,14 @@ def test_tables_that_are_refused(table: str | None, words: str, folder: Path) ->
         (folder / "known.csv").write_text(table)
     with pytest.raises(InvalidStudy, match=re.escape(words)):
         specimens(changed(folder, given="known.csv"))
+
+
+def test_tables_beside_the_outlines_are_no_outlines(folder: Path) -> None:
+    for name in ("known.csv", "specimens.csv", "s0.csv"):
+        shutil.copy(folder / "all" / "s0.csv", folder / name)
+    (folder / "known.csv").write_text("file,tilt\ns0.csv,0.02\n")
+    files = specimen_files(changed(folder, files="*.csv", given="known.csv"))
+    assert [path.name for path in files.paths] == ["s0.csv"]
 
 
 def test_values_outside_the_box_are_set_aside(folder: Path) -> None:
@@ -337,6 +347,12 @@ REFUSED: list[tuple[list[str], Mapping[str, Any], str]] = [
     ([], {"specimens": {**SPECIMENS, "files": "none/*.csv"}}, "specimens: got no file none/*.csv in "),
     ([], {"specimens": {**SPECIMENS, "read": {"unit": "inch"}}}, "study.yaml: specimens.read.unit: got inch"),
     ([], {"specimens": {"file": "all/*.csv"}}, "unknown key"),
+    ([], {"specimens": {**SPECIMENS, "files": "**.csv"}}, "specimens.files: got **.csv; expected a pattern of files"),
+    (
+        [],
+        {"specimens": {**SPECIMENS, "files": "study.yaml"}},
+        "specimens: none of the files can be used: got study.y",
+    ),
 ]
 
 

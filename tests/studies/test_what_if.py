@@ -202,7 +202,7 @@ def test_a_study_that_learns_the_log_likelihood(tmp_path: Path, monkeypatch: pyt
     assert words in content["remarks"]
     assert content["surrogate"] is None
     none = what_if(study, [{"noise": {"sd": 0.01}}])
-    assert none.content["conclusion"] == "None of the questions can be answered without new runs."
+    assert none.content["conclusion"] == "None of the alternatives can be computed without new runs."
     assert "`reuse: [../beam]`" in none.content["remarks"][0]
     assert "needs new runs: there is no surrogate" in none.page.read_text("utf-8")
 

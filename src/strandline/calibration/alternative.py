@@ -1,4 +1,4 @@
-"""A posterior whose sensitivity is examined, and what else might have been assumed for it."""
+"""A posterior whose sensitivity is examined, and alternatives to its assumptions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""The log-evidence of a study through its surrogate of the interface, and how far it may be off.
+"""The log-evidence of a study through its surrogate of the interface, and its error.
 
 The evidence Z = ∫ L p dx is integrated by importance sampling, without the runs and the particles of the sampler: draws
 of the prior, and of mixtures that are fitted to the posterior. Three errors add up:
@@ -47,9 +47,9 @@ class Evidence:
 
     Args:
         log: Natural logarithm of the evidence.
-        sampling: Standard error by the finite number of draws.
-        surrogate: Standard deviation by what the surrogate does not know of the interface.
-        failing: Error by not knowing exactly where runs fail.
+        sampling: Standard error due to the finite number of draws.
+        surrogate: Standard deviation due to the uncertainty of the surrogate.
+        failing: Error due to not knowing exactly where runs fail.
     """
 
     log: float

@@ -1,4 +1,4 @@
-"""Which of several models explains the same data best: Bayes factors in words, and what the models say together.
+"""Which of several models explains the same data best: Bayes factors in words, and the average over the models.
 
 The words are those of Kass and Raftery (1995), who scale 2 ln B; here it is ln B, in nats. Below 1 nat, or below two
 errors of ln B, no model is preferred.
@@ -15,13 +15,14 @@ import numpy as np
 from strandline.calibration.evidence import Evidence
 from strandline.errors import InvalidInput
 from strandline.posterior.weighted import Weighted
+from strandline.text import listed
 
 __all__ = ["CANNOT_TELL", "ERRORS", "SCALE", "BayesFactor", "ModelComparison", "averaged", "in_words", "require_odds"]
 
 SCALE = ((1.0, "positive"), (3.0, "strong"), (5.0, "very strong"))
 """Least |ln B| of each word."""
 ERRORS = 2.0
-"""Errors of ln B that a decision needs besides."""
+"""Smallest |ln B| of a decision, in standard errors of ln B."""
 CANNOT_TELL = "cannot tell"
 
 
@@ -111,7 +112,7 @@ class ModelComparison:
     def prior(self) -> dict[str, float]:
         """Prior probabilities of the models."""
         odds = self.odds or dict.fromkeys(self.evidences, 1.0)
-        whole = sum(odds.values())
+        whole = sum(odds[name] for name in self.evidences)
         return {name: odds[name] / whole for name in self.evidences}
 
     @cached_property
@@ -135,17 +136,16 @@ class ModelComparison:
     @property
     def verdict(self) -> str:
         """The verdict in a sentence."""
-        nearest = self._of_best[0]
-        found = f"ln B = {_shown(nearest)}"
         if self.favoured is not None:
-            return f"The data favour {nearest.of} over {nearest.over}: {found}, {nearest.words} evidence."
-        names = " and ".join(filter(None, [", ".join(self.tied[:-1]), self.tied[-1]]))
-        open_ones = [one for one in self._of_best if not one.decided]
-        if open_ones[0].ln < SCALE[0][0]:
-            return f"The data cannot tell {names} apart: {found} of {nearest.of} over {nearest.over}, below 1."
+            second = self._of_best[0]
+            return f"The data favour {second.of} over {second.over}: ln B = {_shown(second)}, {second.words} evidence."
+        nearest = next(one for one in self._of_best if not one.decided)
+        found = f"ln B = {_shown(nearest)} of {nearest.of} over {nearest.over}"
+        if nearest.ln < SCALE[0][0]:
+            return f"The data cannot tell {listed(self.tied)} apart: {found}, below 1."
         return (
-            f"The data cannot tell {names} apart: {found} of {nearest.of} over {nearest.over}, less than "
-            f"{ERRORS:g} errors. More runs, or more particles, make the error smaller."
+            f"The data cannot tell {listed(self.tied)} apart: {found}, less than {ERRORS:g} errors. "
+            "More runs, or more particles, make the error smaller."
         )
 
     @property

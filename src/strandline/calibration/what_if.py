@@ -1,4 +1,4 @@
-"""How a posterior changes with what was assumed: by weights of its draws, or by new draws through the surrogate.
+"""How a posterior changes with its assumptions: by weights of its draws, or by new draws through the surrogate.
 
 The draws of the posterior get the weights p'(x) L'(x) / (p(x) L(x)), with the prior p and the likelihood L of the study
 and those of the alternative. The largest weights are smoothed, and their tail decides whether they can be used (Vehtari

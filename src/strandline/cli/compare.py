@@ -1,4 +1,4 @@
-"""`strandline compare`: which of several finished studies' models do the data prefer?"""
+"""`strandline compare`: which model do the data prefer, of those of several finished studies?"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,8 +23,7 @@ __all__ = ["command"]
 def command(studies: tuple[Path, ...], to: Path, odds: str | None, separate: bool, seed: int, quiet: bool) -> None:
     """Compare the models of finished STUDIES of the same data: evidences, Bayes factors, averaged posterior.
 
-    The surrogate of the interface stands in for the simulator: no forward run is made, except with --separate: at most
-    one of each model for each candidate.
+    The surrogate of the interface stands in for the simulator: without --separate, no forward run is made.
     """
     from strandline.cli.progress import observing
     from strandline.studies.compare import compare, odds_in
@@ -66,4 +65,4 @@ def _separation(one: Mapping[str, Any]) -> str:
     if one["nats"] is None:
         return str(one["problem"])
     doubt = "" if one["reliable"] else " (few draws)"
-    return f"{one['nats']:.2f} nats about the model, clear with a probability of {one['clearly_right']:.0%}{doubt}"
+    return f"{one['nats']:.2f} nats about the model; the right one wins clearly in {one['clearly_right']:.0%}{doubt}"

@@ -32,7 +32,7 @@ COMMANDS = {
     "coverage": "Test by replicates whether the intervals are right.",
     "what-if": "Ask how the posterior changes with prior, noise and measure.",
     "compare": "Say which of several studies' models the data prefer.",
-    "specimens": "Answer the outlines of many specimens, with their population.",
+    "specimens": "Analyse many specimens with the runs of one study.",
     "posterior": "Check the posterior of a finished study with the true model.",
     "next": "Rank the candidates for the next experiment.",
     "forward": "Make one forward run at chosen inputs.",

@@ -1,4 +1,4 @@
-"""`strandline next`: which experiment can be expected to teach most."""
+"""`strandline next`: which experiment would teach most?"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,8 +27,8 @@ SHOWN = 15
 def command(study: Path, source: str | None, draws: int, runs: int, seed: int, quiet: bool) -> None:
     """Rank the candidates for the next experiment, which STUDY lists under `next`, by what they would teach.
 
-    After the study is finished, a candidate costs one forward run, or none. Before, it is run at a few draws of the
-    prior; the command then also says which inputs the planned experiment cannot tell apart.
+    If the study is finished, a candidate costs one forward run or none; without sensitivities, one more for each input.
+    Otherwise it is run at a few draws of the prior.
     """
     from strandline.cli.progress import observing
     from strandline.studies import load_study

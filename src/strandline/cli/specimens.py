@@ -1,4 +1,4 @@
-"""`strandline specimens`: the outlines of many specimens, answered by the runs of one finished study."""
+"""`strandline specimens`: many specimens, analysed with the runs of one finished study."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -16,19 +16,19 @@ __all__ = ["command"]
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Most further runs, for specimens that the surrogate does not predict well enough.",
+    help="Largest number of further runs, made where the surrogate is too coarse.",
 )
-@click.option("--watch", is_flag=True, help="Wait for new files and answer each at once, until Ctrl-C.")
+@click.option("--watch", is_flag=True, help="Wait for new files and analyse each as it arrives, until Ctrl-C.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of all random numbers.")
 @click.option("--measure", metavar="NAME", help="A measure of the study; its first by default.")
-@click.option("--processes", type=click.IntRange(min=1), help="Processes that share the specimens; one per core.")
+@click.option("--processes", type=click.IntRange(min=1), help="Processes that share the work; by default one per core.")
 @click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(
     study: Path, refine: int, watch: bool, seed: int, measure: str | None, processes: int | None, quiet: bool
 ) -> None:
-    """Answer all specimens that STUDY names, through the surrogate of its finished runs, with their population.
+    """Analyse all specimens that STUDY names, through the surrogate of its finished runs, and their population.
 
-    No forward run is made without --refine. Run it again to resume, or after adding specimens.
+    Without --refine, no forward run is made. Run it again to resume, or after adding specimens.
     """
     from strandline.cli.progress import observing
     from strandline.studies import load_study
@@ -50,7 +50,7 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
     counts, surrogate = content["counts"], content["surrogate"]
     made = f", {surrogate['made']} of them new" if surrogate["made"] else ""
     click.echo(
-        f"\n{content['study']}: {counts['answered']} specimens from {surrogate['runs']} runs{made}; "
+        f"\n{content['study']}: {counts['analysed']} specimens from {surrogate['runs']} runs{made}; "
         f"{counts['good']} good, {counts['refine']} to refine, {counts['set_aside']} set aside"
     )
     if content["population"] is not None:

@@ -1,4 +1,4 @@
-"""`strandline what-if`: how would the posterior of a finished study change with what was assumed?"""
+"""`strandline what-if`: how would the posterior of a finished study change with other assumptions?"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,14 +20,14 @@ WIDEST = 44
     "asked",
     multiple=True,
     metavar="CHANGE",
-    help="Ask this instead, as under what_if in study.yaml: '{noise: {sd: 5, unit: um}}'. May be repeated.",
+    help="Ask only this, with the keys of what_if: '{noise: {sd: 5, unit: um}}'. May be repeated.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of all random numbers.")
 @click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(study: Path, asked: tuple[str, ...], seed: int, quiet: bool) -> None:
     """Ask how the posterior of STUDY changes with its priors, noise, measure and nuisance inputs.
 
-    The draws of the posterior get other weights, or new ones are drawn through the surrogate: no forward run is made.
+    The draws of the posterior get other weights, or new ones come from the surrogate: no forward run is made.
     """
     from strandline.cli.progress import observing
     from strandline.studies import load_study

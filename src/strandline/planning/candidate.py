@@ -1,4 +1,4 @@
-"""Candidates for the next experiment: what is set, where on the interface one looks, how finely."""
+"""Candidates for the next experiment: what they set, and what of the interface they observe."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from itertools import combinations_with_replacement, product
 
 from strandline.planning.view import WHOLE
 
-__all__ = ["Candidate", "Look", "Setting", "candidates"]
+__all__ = ["Candidate", "Look", "Setting", "candidates", "key_of"]
 
 Setting = Mapping[str, float]
 """Quantities that an experiment sets to other values than the present one; empty for the same experiment again."""
@@ -67,6 +67,11 @@ class Candidate:
 
 def _label(setting: Setting) -> str:
     return " ".join(f"{name} {value:.6g}" for name, value in setting.items())
+
+
+def key_of(setting: Setting) -> str:
+    """Return a text that is the same for equal settings alone."""
+    return repr(sorted(setting.items()))
 
 
 def candidates(

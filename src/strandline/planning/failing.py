@@ -1,7 +1,7 @@
-"""How probably a run fails in an experiment not yet made: runs fail where the interface moves too far.
+"""How likely a run is to fail in an experiment that has not been made: runs fail where the interface moves too far.
 
-The runs of the present experiment and of other candidates show up to which displacement runs succeed; those that failed
-count with the displacement that the surrogate predicts where they were tried.
+The runs of the present experiment and of other candidates show up to which displacement runs succeed. Failed runs count
+with the displacement that the surrogate predicts at their inputs.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ MOST_CHECKED = 200
 
 @dataclass(frozen=True, eq=False)
 class FailureBySize:
-    """The probability that a run fails, a logistic function of log displacement that does not fall.
+    """The probability that a run fails, a logistic function of the log displacement that never decreases.
 
     Args:
         undeformed: Undeformed field, shape (value,), mm.
@@ -57,7 +57,7 @@ def learn_failure_by_size(
 ) -> FailureBySize:
     """Return the probability of failure by the size of the displacement, from the runs at hand.
 
-    It maximises the likelihood with a weak normal prior for the slope, so that it exists without failures too.
+    It maximises the likelihood, with a weak normal prior so that a maximum exists even without failures.
 
     Args:
         surrogate: Surrogate of the interface.

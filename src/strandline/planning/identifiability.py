@@ -1,12 +1,12 @@
-"""Which combinations of the inputs an experiment can tell, from the Fisher information.
+"""Which combinations of the inputs an experiment can determine, from the Fisher information.
 
-Inputs u are scaled by their prior standard deviations; of positive ones the logarithm counts, since a common factor of
-stiffness and load changes no shape, whatever their size. An experiment of Fisher information F leaves the covariance
+Inputs u are scaled by their prior standard deviations. Positive ones enter by their logarithms, since a common factor
+of stiffness and load changes no shape, whatever their size. An experiment of Fisher information F leaves the covariance
 (I + F)⁻¹ of u for a normal prior and an interface that is linear in u. Its eigenvectors are the combinations that are
 learnt independently; the root of an eigenvalue is what is left of the prior's standard deviation there.
 
-Combinations of which hardly anything is learnt are equally unknown, so that any rotation of them describes the same.
-The one of fewest inputs each is chosen (varimax; Kaiser 1958).
+Combinations about which hardly anything is learnt are equally unknown, so any rotation of them is as good. The one with
+the fewest inputs in each is chosen (varimax; Kaiser 1958).
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from strandline.parameters import ParameterSpace
 __all__ = ["Direction", "Scale", "directions_left", "directions_of", "in_words", "scale_of"]
 
 HARDLY = 0.85
-"""Share of the prior's standard deviation above which hardly anything was learnt of a combination."""
+"""Share of the prior's standard deviation above which hardly anything was learnt about a combination."""
 NAMED = 0.3
 """Inputs with a smaller share of a combination than this, relative to the largest, are left out of its description."""
 ROTATIONS = 200
@@ -32,7 +32,7 @@ class Scale:
     """How inputs are scaled.
 
     Args:
-        logarithmic: Whether the logarithm of each input counts, shape (dim,).
+        logarithmic: Whether each input enters by its logarithm, shape (dim,).
         sd: Prior standard deviations of the inputs or their logarithms, shape (dim,).
     """
 
@@ -49,7 +49,7 @@ class Scale:
 
 
 def scale_of(space: ParameterSpace) -> Scale:
-    """Return the scale of the inputs of a study: of those whose box has no negative values, the logarithm counts."""
+    """Return the scale of the inputs of a study; those whose box has no negative values enter by their logarithms."""
     logarithmic = space.low >= 0
     p = (np.arange(QUANTILES) + 0.5) / QUANTILES
     draws = Scale(logarithmic, np.ones(space.dim)).of(space.prior_quantiles(np.repeat(p[:, None], space.dim, axis=1)))

@@ -24,6 +24,8 @@ __all__ = ["Gain", "expected_gain", "linear_gain", "linear_sd"]
 
 FEWEST = 30.0
 """Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
+LEAST_LOG_DET = -1e3
+"""Logarithm of the smallest determinant of a covariance; that of equal draws is 0."""
 BLOCK = 256
 """Observations that are weighed at the same time."""
 
@@ -37,7 +39,7 @@ class Gain:
         error: Its standard error by the number of draws.
         sd: Expected posterior standard deviation of each input, shape (dim,).
         of_interest: Expected gain about the inputs of interest alone, by the determinants of their covariances; exact
-            for normal distributions.
+            for normal distributions. Observations that leave too few draws for a determinant do not count.
         left: Median number of draws that a possible observation leaves with weight.
     """
 
@@ -80,11 +82,13 @@ def expected_gain(
     gains = -squares - logs - 0.5 * (1.0 / left - float(np.sum(now.weights**2)))
     mean, error = _controlled(gains, squares - 0.5 * signals.shape[1], now.weights)
     before = np.linalg.slogdet(now.covariance[np.ix_(columns, columns)])[1]
+    counted = now.weights * (left > len(columns) + 1)  # fewer draws have no covariance: its determinant is near 0
+    after = counted @ np.maximum(log_dets, LEAST_LOG_DET) / max(float(counted.sum()), 1e-300)
     return Gain(
         nats=mean,
         error=error,
         sd=np.asarray(now.weights @ sds),
-        of_interest=float(0.5 * (before - now.weights @ log_dets)),
+        of_interest=float(0.5 * (before - after)),
         left=float(np.median(left)),
     )
 

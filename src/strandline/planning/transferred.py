@@ -1,4 +1,4 @@
-"""The interface in an experiment not yet made, from one run of it and the surrogate of the present experiment.
+"""The interface in an experiment to be made, from one run of it and the surrogate of the present experiment.
 
 What an input does to the interface there is nearly what it does here, times a factor. With the slopes J of the present
 field in the inputs at x₀, and J' of the other one,
@@ -6,8 +6,8 @@ field in the inputs at x₀, and J' of the other one,
     y'(x) = y'(x₀) + A P Δ + a (I - P) Δ + (J' - A J) (u(x) - u(x₀)),   Δ = c(x) - c(x₀),
 
 where c are the coefficients of the present modes, A = J' J⁺ takes slopes to slopes, P = J J⁺ projects onto what the
-inputs do at x₀, a is the mean ratio of the slopes, and u are the inputs as the surrogate warps them. The bends of the
-present field are thus carried over. If the experiment is the present one, y' is its own surrogate.
+inputs do at x₀, a is the mean ratio of the slopes, and u are the inputs as the surrogate warps them. The
+curvature of the present field is thus carried over. If the experiment is the present one, y' is its own surrogate.
 """
 
 from dataclasses import dataclass
@@ -66,7 +66,7 @@ def transfer(
         at: Inputs of the run.
         field: Field of the run at the points of the surrogate, mm.
         slopes: Its derivatives in the physical inputs.
-        covariance: Covariance of the inputs for which it is wanted.
+        covariance: Covariance of the inputs where the field will be used.
     """
     low, high = surrogate.warping.low, surrogate.warping.high
     steps = np.diag(STEP * (high - low))

@@ -70,6 +70,7 @@ def focused(
     part: tuple[float, float] = WHOLE,
     points: int | None = None,
     sd: float | None = None,
+    along: Interface | None = None,
 ) -> View:
     """Return the view of a part of the interface, with another number of points, or with another error of each.
 
@@ -79,6 +80,7 @@ def focused(
         part: Where the part begins and ends, as shares of the observed arc length.
         points: Number of points, at equal distances along the part; by default those of the view that lie in it.
         sd: Standard deviation of each point, mm; that of the view by default.
+        along: Interface with the points of the view whose arc length counts instead, for views that must correspond.
 
     Raises:
         InvalidInput: Fewer than 3 points in the part, or a part or a number of points on a surface.
@@ -87,7 +89,7 @@ def focused(
         view = View(view.footprint, _with_sd(view.errors, sd))
     if part == WHOLE and points is None:
         return view
-    seen = view.seen(nodes)
+    seen = view.seen(nodes) if along is None else along
     if seen.dim == 3:
         raise InvalidInput(
             "part, or number of points, of a surface",

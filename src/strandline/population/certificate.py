@@ -2,8 +2,8 @@
 
 Let e be the error of the predicted modes near the posterior, with variances V. It multiplies the likelihood by
 exp(∂log L/∂c·e). If it is small and changes little over the posterior, the mean of input d thus moves by
-cov(x_d, ∂log L/∂c)·e. The standard deviation of this shift, in posterior standard deviations, is what the surrogate may
-be wrong by. V counts more if the runs nearest to the posterior, each predicted from all others, have larger errors than
+cov(x_d, ∂log L/∂c)·e. The standard deviation of this shift, in posterior standard deviations, is the error that
+counts. V is enlarged if the runs nearest to the posterior, each predicted from all others, have larger errors than
 expected.
 """
 
@@ -22,7 +22,7 @@ __all__ = ["TOLERATED_SHIFT", "Certified", "certify"]
 TOLERATED_SHIFT = 0.1
 """Shift of a posterior mean that is tolerated, in posterior standard deviations."""
 NEAREST = 3
-"""Left-out runs near the posterior that are looked at, per number of inputs + 1."""
+"""Number of left-out runs near the posterior that are considered, per number of inputs + 1."""
 PRIOR_RUNS = 2.0
 """Runs with errors as expected that count beside them."""
 

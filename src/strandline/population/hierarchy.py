@@ -1,8 +1,8 @@
 """The population that specimens come from: a hierarchical model of the mean and the spread of each input.
 
-Input d of a specimen comes from N(m_d, s_d²), cut off at the box; the inputs are independent of each other within the
+Input d of a specimen comes from N(m_d, s_d²), truncated to the box; the inputs are independent of each other within the
 population. The likelihood of m and s is the product over the specimens of ∫ L_i(x) p(x | m, s) dx (Hogg, Myers and Bovy
-2010, Eq. 8), with L_i the likelihood of specimen i. Before any specimen, m_d is uniform over the box and s_d uniform
+2010, Eq. 8), with L_i the likelihood of specimen i. The prior of m_d is uniform over the box, and that of s_d uniform
 from 0 to half its width (Gelman 2006 recommends a uniform density of the spread).
 """
 
@@ -57,8 +57,8 @@ class Population:
     Args:
         space: The inputs that are unknown for all specimens.
         mixtures: The likelihood of each specimen.
-        centre: Draws of m, the means before the population is cut off at the box, as shares of the box.
-        width: Draws of s, the standard deviations before, as shares of the box.
+        centre: Draws of m, the means before truncation to the box, as shares of the box.
+        width: Draws of s, the standard deviations before truncation, as shares of the box.
     """
 
     space: ParameterSpace
@@ -124,7 +124,7 @@ def _require_alike(specimens: Sequence[SpecimenPosterior]) -> None:
             "specimens of a population",
             value=len(specimens),
             expected=f"at least {FEWEST_SPECIMENS}",
-            remedy="Add specimens; the posterior of each one stands without a population.",
+            remedy="Add specimens; the posterior of each is valid without a population.",
         )
     names = {one.space.names for one in specimens}
     if len(names) > 1:
@@ -185,7 +185,7 @@ def _by_smc(log_densities: Densities, scales: Float[np.ndarray, " twice"], rando
 
 
 def _cut_moments(m: Rows, s: Rows) -> tuple[Rows, Rows]:
-    """Return means and standard deviations of normal distributions that are cut off at 0 and 1."""
+    """Return means and standard deviations of normal distributions that are truncated to [0, 1]."""
     a, b = -m / s, (1 - m) / s
     pa, pb = (np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi) for z in (a, b))
     inside = np.maximum(ndtr(b) - ndtr(a), TINY)

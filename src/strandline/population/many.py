@@ -71,7 +71,8 @@ def posteriors_of(
         seed: Seed of all random numbers.
         processes: Processes that share them; by default one per core, fewer for few specimens.
     """
-    number = processes or min(usable_cores(), max(len(tasks) // WORTH_HELP, 1), MOST_PROCESSES)
+    wanted = processes or min(usable_cores(), len(tasks) // WORTH_HELP, MOST_PROCESSES)
+    number = min(wanted, len(tasks))
     packed = _packed(begin, measure, seed) if number > 1 else None
     if packed is None:
         use_double()
@@ -146,7 +147,7 @@ def _asked(
         for _ in share:
             answers.put(pickle.load(helper.stdout))
         answers.put(None)
-    except (OSError, EOFError, pickle.UnpicklingError) as error:
+    except Exception as error:  # whatever it is: the caller waits for an answer
         message = "a process that analyses specimens ended early. Run the command again: what is finished is kept."
         answers.put(NumericsError(f"{message} ({type(error).__name__})"))
 

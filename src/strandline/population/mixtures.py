@@ -5,7 +5,7 @@ a normal distribution, narrower than the posterior, and all move towards the mea
 covariance (West 1993). Then the mean of L_i over a population N(m, S) is a sum of normal densities N(a_k; m, H_i + S),
 which stays exact for a population far narrower than the posterior, where a mean over draws would see none of them.
 
-Lengths are shares of the box: each input runs from 0 to 1. The population is cut off at the box, and so are the parts.
+Lengths are shares of the box: each input runs from 0 to 1. Population and parts are truncated to the box.
 """
 
 import math
@@ -75,7 +75,7 @@ class Mixtures:
         """Return the mixtures after the population's density has multiplied them.
 
         Args:
-            mean: Means of the population before it is cut off.
+            mean: Means of the population before truncation.
             sd: Its standard deviations.
         """
         S = sd**2
@@ -93,7 +93,7 @@ class Mixtures:
         """Return the log-likelihood of each specimen for some populations, up to a constant of each specimen.
 
         Args:
-            mean: Means of the populations before they are cut off.
+            mean: Means of the populations before truncation.
             sd: Their standard deviations.
         """
         of_parts = [logsumexp(self.parts(m, s).log_weights, axis=1) for m, s in zip(mean, sd, strict=True)]

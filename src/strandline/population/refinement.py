@@ -1,4 +1,4 @@
-"""Where further runs help the specimens most whose posteriors the surrogate does not predict well enough."""
+"""Where to make further runs for specimens for which the surrogate is too coarse."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from strandline.population.start import Start
 __all__ = ["runs_for"]
 
 OF_EACH, MOST = 8, 400
-"""Draws of each posterior that are looked at, and of all together."""
+"""Largest number of draws of each posterior, and of all together, that are considered."""
 LEAST_FEASIBLE = 0.5
 """Least probability that a run succeeds, relative to the safest one."""
 

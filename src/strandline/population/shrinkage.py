@@ -13,7 +13,7 @@ from strandline.posterior.pareto_smoothing import pareto_smoothed
 __all__ = ["CHANCE", "Shrunk", "shrunk"]
 
 CHANCE = 0.05
-"""Chance that any specimen is named if none is an outlier."""
+"""Probability that any specimen is called an outlier if there is none."""
 LEVELS = (0.05, 0.5, 0.95)
 
 
@@ -42,7 +42,7 @@ class Shrunk:
 
     @property
     def limit(self) -> float:
-        """p-value below which a specimen is named."""
+        """p-value below which a specimen is called an outlier."""
         return CHANCE / len(self.names)
 
     @property

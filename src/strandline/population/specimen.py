@@ -1,8 +1,8 @@
-"""The posterior of one specimen through a surrogate of the interface that other specimens' runs helped to learn.
+"""The posterior of one specimen through the surrogate of the interface that all specimens share.
 
 Adaptive importance sampling begins with draws of the prior whose predicted interfaces are kept, so that no specimen
-costs a forward run. The last draws come from a shifted Sobol sequence (Cranley and Patterson 1976), which makes their
-mean more exact than independent ones. Where importance sampling does not get there, tempering does.
+costs a forward run. The last draws come from a shifted Sobol sequence (Cranley and Patterson 1976), whose mean is more
+accurate than that of independent draws. If importance sampling fails, tempering takes over.
 """
 
 from collections.abc import Callable, Mapping
@@ -43,9 +43,9 @@ from strandline.surrogate.field import FieldPrediction
 __all__ = ["SPECIMEN_DRAWS", "SpecimenPosterior", "posterior_of", "random_of"]
 
 LAST = 2048
-"""Draws of the last round, whose mean is the most exact."""
+"""Draws of the last round, whose mean is the most accurate."""
 LED = 150.0
-"""Effective sample size to which the likelihood nearby leads: enough to fit a mixture for the last round."""
+"""Effective sample size to reach with the likelihood nearby: enough to fit a mixture for the last round."""
 PARTICLES = 2000
 """Particles of the tempered sampler."""
 SPECIMEN_DRAWS = 64

@@ -1,4 +1,4 @@
-"""What the analyses of all specimens share: the surrogate of the interface, and draws of the prior to begin with."""
+"""What the analyses of all specimens share: the surrogate of the interface, and the first draws of the prior."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

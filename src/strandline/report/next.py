@@ -13,12 +13,12 @@ __all__ = ["draw_next"]
 MOST = 20
 """Candidates that are drawn."""
 GAINS = (
-    "Left: information that each candidate is expected to give about the inputs; the pale part is lost where the "
-    "specimen folds or the run fails. Right: expected standard deviation of each input, as a share of the present one."
+    "Left: expected information about the inputs from each candidate; the pale part is lost where the specimen folds "
+    "or the run fails. Right: expected standard deviation of each input, as a share of the present one."
 )
 DIRECTIONS = (
-    "Combinations of the inputs, in prior standard deviations, each a column, from the least to the best known: below "
-    "each column, the share of the prior's width that is left in it."
+    "Combinations of the inputs, in prior standard deviations, one in each column, from the least to the best known. "
+    "Below each column: the share of the prior's width that is left."
 )
 
 

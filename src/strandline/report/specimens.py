@@ -14,7 +14,7 @@ __all__ = ["draw_specimens"]
 QUANTILES = ("q05", "q50", "q95")
 INTERVALS = (
     "90 % intervals of {} for each specimen, from its own outline alone (grey) and given all specimens (blue), with "
-    "their medians. The population pulls the less certain specimens towards it most."
+    "their medians. The less certain specimens move most towards the population."
 )
 ALONE = "90 % intervals of {} for each specimen, with their medians."
 DENSITY = (

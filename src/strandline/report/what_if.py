@@ -1,4 +1,4 @@
-"""The figure of other assumptions, from the content of what-if.json alone."""
+"""The figure of the alternatives, from the content of what-if.json alone."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,7 @@
 """Can studies be compared? Only if they explain the same data, with the same measure, noise and supports of priors.
 
 Log-likelihoods leave out constants, so that evidences of other data, measures or noise differ by more than the models.
-What may differ is the model, its unknown and its known inputs, and whether the model itself may err.
+What may differ is the model, its unknown and its known inputs, and whether the study allows for an error of the model.
 """
 
 from collections.abc import Mapping, Sequence
@@ -84,7 +84,7 @@ def require_comparable(studies: Mapping[str, Study]) -> None:
 
 
 def may_err(study: Study) -> bool:
-    """Return whether the study lets its model err."""
+    """Return whether the study allows for an error of the model."""
     noises = [study.noise, *study.noises.values()]
     return any(isinstance(one, UnknownErrors) and (one.model_error or bool(one.spread)) for one in noises)
 
@@ -154,7 +154,7 @@ def _turned(stated: dict[str, object]) -> dict[str, object]:
 
 
 def _require_known_range(name: str, study: Study) -> None:
-    """Refuse unknown errors without a range: their prior would follow from the residuals of each model."""
+    """Refuse unknown errors without a range: each model would then get another prior, from its own residuals."""
     for condition in observations_of(study):
         noise = study.noise_of(condition)
         if isinstance(noise, UnknownErrors) and (noise.sd is None or noise.length is None):

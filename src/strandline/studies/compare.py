@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,8 @@ from strandline.studies.compare_file import Compared, describe_comparison
 from strandline.studies.coverage import field_knowledge
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import COMPARISON, STUDY, SUMMARY, require_writable, told_if_unwritable, write_json
-from strandline.studies.separation import Shown, candidates_of, shown_by_models
+from strandline.studies.seeds import require_seed
+from strandline.studies.separation import Shown, candidates_of, require_settable, shown_by_models
 from strandline.studies.study import Study, load_study
 
 __all__ = ["FOLDER", "StudyComparison", "compare", "odds_in"]
@@ -68,7 +69,7 @@ def compare(
     executor: Executor | None = None,
     observer: Observer | None = None,
 ) -> StudyComparison:
-    """Compare finished studies of the same data: evidences, Bayes factors, predictions, and what they say together.
+    """Compare finished studies of the same data: evidences, Bayes factors, predictions, and the averaged posterior.
 
     The interface is learnt from the runs of each study; only `separate` makes forward runs. Writes compare.json,
     compare.html and its figures.
@@ -92,30 +93,25 @@ def compare(
         TooFewRuns: Too few runs of a study succeeded to learn the interface.
     """
     loaded = [one if isinstance(one, Study) else load_study(one) for one in studies]
-    require_several(loaded)
-    if odds is not None:
-        require_odds(odds, len(loaded))
-    _require_seed(seed)
+    named = _named(loaded, odds)
+    require_seed(seed, "the comparison")
     wanted = candidates_of(loaded) if separate else ()
-    named = dict(zip(labels_of(loaded), loaded, strict=True))
-    for study in loaded:
-        if not observations_of(study):  # synthetic, and its run is not made
-            finished_posterior(study, purpose="compare")
-    require_comparable(named)
+    require_settable(named, wanted)
     posteriors = {name: finished_posterior(study, purpose="compare") for name, study in named.items()}
     summaries = {name: _summary(study) for name, study in named.items()}
     constants = _constants(named, summaries)
-    folder = _free(Path(to))
+    folder = Path(to)
+    _require_free(folder)
     use_double()
     tell = observer or Observer()
     tell.stage("surrogate")
-    known = {name: _learnt(study) for name, study in named.items()}
-    tell.stage("evidence")
-    evidences = {name: _evidence(known[name], named[name], posteriors[name], constants[name], seed) for name in named}
-    found = ModelComparison(evidences, None if odds is None else dict(zip(named, odds, strict=True)))
     compared = {
-        name: Compared(named[name], posteriors[name], known[name], summaries[name], constants[name]) for name in named
+        name: Compared(study, posteriors[name], _learnt(study), summaries[name], constants[name])
+        for name, study in named.items()
     }
+    tell.stage("evidence")
+    evidences = {name: _evidence(one, seed) for name, one in compared.items()}
+    found = ModelComparison(evidences, None if odds is None else dict(zip(named, odds, strict=True)))
     shared = tuple(name for name in loaded[0].space.names if all(name in one.space.names for one in loaded))
     together = _together(found, posteriors, shared)
     shown = shown_by_models(named, wanted, seed=seed, executor=executor, tell=tell) if wanted else ()
@@ -124,6 +120,24 @@ def compare(
         separations = [(one, _separation(found, one, seed)) for one in shown]
         content = describe_comparison(found, compared, together, shared, separations, seed=seed)
     return StudyComparison(content, found, shared, together, _written(content, folder))
+
+
+def _named(studies: Sequence[Study], odds: Sequence[float] | None) -> dict[str, Study]:
+    """Return the studies by name, once they can be compared.
+
+    Raises:
+        InvalidInput: Fewer than two studies, the same one twice, or wrong odds.
+        InvalidStudy: A study is not finished, or the studies explain other data.
+    """
+    require_several(studies)
+    if odds is not None:
+        require_odds(odds, len(studies))
+    named = dict(zip(labels_of(studies), studies, strict=True))
+    for study in studies:
+        if not observations_of(study):  # synthetic, and its run is not made
+            finished_posterior(study, purpose="compare")
+    require_comparable(named)
+    return named
 
 
 def odds_in(text: str | None) -> tuple[float, ...] | None:
@@ -146,11 +160,6 @@ def odds_in(text: str | None) -> tuple[float, ...] | None:
         ) from None
 
 
-def _require_seed(seed: int) -> None:
-    if seed < 0:
-        raise InvalidInput("seed of the comparison", value=seed, expected="0 or above", remedy="Choose another one.")
-
-
 def _summary(study: Study) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((study.folder / SUMMARY).read_text(encoding="utf-8"))
     return found
@@ -160,7 +169,7 @@ def _constants(studies: Mapping[str, Study], summaries: Mapping[str, Mapping[str
     """Return the constant that each study leaves out of log L; 0 for all if it is the same.
 
     Raises:
-        InvalidStudy: Some models may err and others may not, and the constants are not known.
+        InvalidStudy: Only some of the studies allow for an error of the model, and the constants are not known.
     """
     if len({may_err(study) for study in studies.values()}) == 1:
         return dict.fromkeys(studies, 0.0)
@@ -176,8 +185,8 @@ def _constants(studies: Mapping[str, Study], summaries: Mapping[str, Mapping[str
     return {name: float(constant) for name, constant in found.items()}
 
 
-def _free(folder: Path) -> Path:
-    """Create the folder of the result if needed, and return it.
+def _require_free(folder: Path) -> None:
+    """Refuse a folder that cannot hold the result; nothing is created yet.
 
     Raises:
         InvalidStudy: It is a study's own folder, or cannot be created or written to.
@@ -189,10 +198,15 @@ def _free(folder: Path) -> Path:
             expected="a folder that is no study, since a comparison belongs to several",
             remedy="Choose another one, e.g. --to comparison.",
         )
-    with told_if_unwritable(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    require_writable(folder)
-    return folder
+    there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    if not there.is_dir():
+        raise InvalidStudy(
+            "folder of the comparison",
+            value=f"{there}, which is a file",
+            expected="a folder, or a path where one can be created",
+            remedy="Choose another one, e.g. --to comparison.",
+        )
+    require_writable(there)
 
 
 def _learnt(study: Study) -> Knowledge:
@@ -200,10 +214,10 @@ def _learnt(study: Study) -> Knowledge:
         return field_knowledge(study, next(iter(study.discrepancies)), purpose="a comparison")
 
 
-def _evidence(knowledge: Knowledge, study: Study, posterior: Posterior, constant: float, seed: int) -> Evidence:
-    draws = Weighted(posterior.draws, posterior.weights)
-    found = log_evidence(knowledge, study.space, draws, np.random.default_rng(seed))
-    return Evidence(found.log + constant, found.sampling, found.surrogate, found.failing)
+def _evidence(one: Compared, seed: int) -> Evidence:
+    draws = Weighted(one.posterior.draws, one.posterior.weights)
+    found = log_evidence(one.knowledge, one.study.space, draws, np.random.default_rng(seed))
+    return replace(found, log=found.log + one.constant)
 
 
 def _together(found: ModelComparison, posteriors: Mapping[str, Posterior], shared: tuple[str, ...]) -> Weighted | None:
@@ -223,8 +237,9 @@ def _separation(found: ModelComparison, shown: Shown, seed: int) -> Discriminati
 
 
 def _written(content: dict[str, Any], folder: Path) -> Path:
-    """Write compare.json, compare.html and its figures; return the path of the page."""
+    """Write compare.json, compare.html and its figures, in a new folder if needed; return the path of the page."""
     with told_if_unwritable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
         page = write_comparison(content, folder)
         write_json(folder / COMPARISON, content)
     return page

@@ -39,6 +39,7 @@ from strandline.studies.coverage_file import TO_MICROMETRES, ReplicateFile, desc
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import COVERAGE, REPLICATES, require_writable, told_if_unwritable, write_json
 from strandline.studies.provenance import points_digest
+from strandline.studies.seeds import require_seed
 from strandline.studies.study import Study
 from strandline.studies.study_runs import settled
 from strandline.version import __version__
@@ -208,8 +209,7 @@ def _require_arguments(replicates: int, source: str, seed: int) -> None:
         raise InvalidInput(
             "source of the true inputs", value=source, expected=" or ".join(SOURCES), remedy="Choose one of them."
         )
-    if seed < 0:
-        raise InvalidInput("seed of the coverage", value=seed, expected="0 or above", remedy="Choose another one.")
+    require_seed(seed, "the coverage")
 
 
 def field_knowledge(

@@ -10,7 +10,19 @@ from strandline.errors import StrandlineError
 from strandline.models.python import PythonModel
 from strandline.runs.overview import Overview
 from strandline.runs.soundness import outcome_digest, unsound
-from strandline.studies.folder import CHECK, CHECK_LEDGER, COVERAGE, LEDGER, POSTERIOR, SUMMARY, WHAT_IF
+from strandline.studies.folder import (
+    CHECK,
+    CHECK_LEDGER,
+    COVERAGE,
+    LEDGER,
+    NEXT,
+    NEXT_LEDGER,
+    POSTERIOR,
+    SPECIMENS,
+    SPECIMENS_LEDGER,
+    SUMMARY,
+    WHAT_IF,
+)
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.study import Study, load_study
 from strandline.studies.summary import versions
@@ -18,6 +30,15 @@ from strandline.version import __version__
 
 __all__ = ["Finding", "examine"]
 
+LEDGERS = (LEDGER, CHECK_LEDGER, NEXT_LEDGER, SPECIMENS_LEDGER)
+ANSWERS = {
+    CHECK: "Check again: strandline posterior check",
+    COVERAGE: "Test again: strandline coverage",
+    NEXT: "Ask again: strandline next",
+    WHAT_IF: "Ask again: strandline what-if",
+    SPECIMENS: "Analyse them again: strandline specimens",
+}
+"""Results of other commands, and how each is made again."""
 LEFTOVERS = ("*.partial", ".*.partial", "*.sqlite.new", "*.sqlite.new-*")
 
 
@@ -55,7 +76,7 @@ def examine(folder: Path) -> list[Finding]:
 
 
 def _ledgers(folder: Path) -> Iterator[Finding]:
-    for name in (LEDGER, CHECK_LEDGER):
+    for name in LEDGERS:
         if (folder / name).is_file():
             for what in unsound(folder / name):
                 yield Finding(
@@ -92,7 +113,7 @@ def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
     left = sorted({path.name for pattern in LEFTOVERS for path in folder.glob(pattern)})
     if left:
         yield Finding(f"left by a process that was killed: {', '.join(left)}", "Delete them.")
-    for name in (LEDGER, CHECK_LEDGER):
+    for name in LEDGERS:
         if (folder / f"{name}-wal").exists() and (folder / f"{name}-wal").stat().st_size > 0:
             yield Finding(
                 f"{name}-wal: the last driver of {name} did not end by itself",
@@ -142,15 +163,10 @@ def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
     if digest is not None and digest != outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)):
         yield Finding("the ledger has changed since the results were made (runs made again, or excluded)", report)
     yield from _environment(summary, report)
-    check = _read(study.folder / CHECK)
-    if check and check.get("study_sha256") != study.text_digest:
-        yield Finding(f"{CHECK} is of another study.yaml", f"Check again: strandline posterior check {study.folder}")
-    tested = _read(study.folder / COVERAGE)
-    if tested and tested.get("study_sha256") != study.text_digest:
-        yield Finding(f"{COVERAGE} is of another study.yaml", f"Test again: strandline coverage {study.folder}")
-    asked = _read(study.folder / WHAT_IF)
-    if asked and asked.get("study_sha256") != study.text_digest:
-        yield Finding(f"{WHAT_IF} is of another study.yaml", f"Ask again: strandline what-if {study.folder}")
+    for name, remedy in ANSWERS.items():
+        answer = _read(study.folder / name)
+        if answer and answer.get("study_sha256") != study.text_digest:
+            yield Finding(f"{name} is of another study.yaml", f"{remedy} {study.folder}")
 
 
 def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""What is answered about each candidate for the next experiment."""
+"""What each candidate for the next experiment can be expected to teach, as one answer for each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -18,6 +18,7 @@ from strandline.studies.next_file import describe_next
 from strandline.studies.next_from_posterior import answers_from_posterior
 from strandline.studies.next_from_prior import answers_from_prior
 from strandline.studies.progress import results_of
+from strandline.studies.seeds import require_seed
 from strandline.studies.study import Study
 
 __all__ = ["NextExperiment", "next_experiment"]
@@ -136,5 +137,4 @@ def _require_arguments(source: str | None, draws: int, runs: int, seed: int) -> 
             expected=f"at least {FEWEST_RUNS}",
             remedy="8 are a good start.",
         )
-    if seed < 0:
-        raise InvalidInput("seed of the next experiment", value=seed, expected="0 or above", remedy="Choose another.")
+    require_seed(seed, "the next experiment")

@@ -19,13 +19,13 @@ AGAIN = {"prior": "as planned", "posterior": "the same again"}
 """Words for an experiment with the study's own settings."""
 TO_MICROMETRES = 1e3
 NOTHING = 0.1
-"""Gain, nats, below which an experiment is said to teach next to nothing."""
+"""Gain, nats, below which the advice says that an experiment teaches little."""
 AS_GOOD = 0.05
-"""Difference, nats, within which two candidates are said to be as good as each other."""
+"""Difference, nats, within which the advice calls two candidates equally good."""
 RISKY = 0.2
 """Probability of failure from which the advice mentions it."""
 UNKNOWN, PARTLY = 0.85, 0.5
-"""Shares of the prior's standard deviation above which a direction cannot be told, or only roughly."""
+"""Shares of the prior's standard deviation above which a direction is not determined, or only roughly."""
 
 
 def describe_next(study: Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:
@@ -110,23 +110,24 @@ def _direction(study: Study, one: Direction) -> dict[str, Any]:
 
 
 def _identifiability(study: Study, found: Answers) -> list[str]:
-    """Return which combinations of the inputs the picture cannot tell, in words."""
+    """Return which combinations of the inputs the picture cannot determine, in words."""
     after = found.source == "posterior"
-    picture, leaves, tells = (
-        ("The picture", "leaves", "tells") if after else ("The planned picture", "would leave", "would tell")
+    picture, leaves, determines, cannot = (
+        ("The picture", "leaves", "determines", "cannot determine")
+        if after
+        else ("The planned picture", "would leave", "would determine", "could not determine")
     )
-    cannot = "cannot tell" if after else "could not tell"
     lines = []
     for one in found.directions:
         what, left = in_words(one, study.space.names), f"it {leaves} {100 * one.left:.0f} % of the prior's width"
         if one.left > UNKNOWN:
             lines.append(f"{picture} {cannot} {what}: {left}.")
         elif one.left > PARTLY:
-            lines.append(f"{picture} {tells} {what} only roughly: {left}.")
+            lines.append(f"{picture} {determines} {what} only roughly: {left}.")
     if not lines:
         worst = found.directions[0]
         what, left = in_words(worst, study.space.names), f"it {leaves} {100 * worst.left:.0f} % of the prior's width"
-        lines.append(f"{picture} {tells} all combinations of the inputs, {what} least well: {left}.")
+        lines.append(f"{picture} {determines} all combinations of the inputs, {what} least well: {left}.")
     return lines
 
 
@@ -155,10 +156,10 @@ def _best(study: Study, found: Answers, answers: Sequence[Answer], number: int) 
     words = f"Choose {label}" if number == 1 and len(answers) > 1 else label
     text = f"{of}{words[0].upper() if not of else words[0]}{words[1:]}: {best.outlook.gain:.2f} nats; {fall}"
     if best.failing is not None and best.failing > RISKY:
-        text += f" But it fails with a probability of {100 * best.failing:.0f} %."
+        text += f" It fails with a probability of {100 * best.failing:.0f} %, though."
     close = [_words(one.candidate, again) for one in answers[1:] if one.worth > best.worth - AS_GOOD]
     if close:
-        text += f" As good within {AS_GOOD} nats: {'; '.join(close[:3])}{', …' if len(close) > 3 else ''}."
+        text += f" Equally good, within {AS_GOOD} nats: {'; '.join(close[:3])}{', …' if len(close) > 3 else ''}."
     return text
 
 

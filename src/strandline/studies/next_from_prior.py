@@ -16,7 +16,7 @@ from strandline.design import sobol
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.models.offers import undeformed_interface
-from strandline.planning.candidate import Candidate, Look, Setting
+from strandline.planning.candidate import Candidate, Look, key_of
 from strandline.planning.identifiability import directions_left, scale_of
 from strandline.planning.observing import Observing
 from strandline.planning.outlook import linear_outlook
@@ -58,7 +58,7 @@ def answers_from_prior(
     space = study.space
     x = space.prior_quantiles(sobol(runs, space.dim, scramble=SCRAMBLE))
     asked = [PLANNED, *(one for one in candidates if one != PLANNED)]
-    settings = list({_key(one): one for candidate in asked for one in candidate.settings}.values())
+    settings = list({key_of(one): one for candidate in asked for one in candidate.settings}.values())
     observer.stage("candidates")
     made = runs_at(
         study,
@@ -69,13 +69,13 @@ def answers_from_prior(
         observer=observer,
     )
     observer.stage("gains")
-    at = {_key(setting): made.points[k * runs : (k + 1) * runs] for k, setting in enumerate(settings)}
-    _require_one(at[_key({})])
-    before = _Before(study, _errors(study, at[_key({})]))
+    at = {key_of(setting): made.points[k * runs : (k + 1) * runs] for k, setting in enumerate(settings)}
+    _require_one(at[key_of({})])
+    before = _Before(study, _errors(study, at[key_of({})], asked))
     now = Weighted(
         space.prior_quantiles(sobol(PRIOR_DRAWS, space.dim, scramble=SCRAMBLE)), np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS)
     )
-    good = [one for one in at[_key({})] if one.failed is None]
+    good = [one for one in at[key_of({})] if one.failed is None]
     planned = [information for _, information in before.experiments(good, PLANNED.look)]
     _require_slopes(planned)
     return Answers(
@@ -95,7 +95,7 @@ class _Before:
 
     Args:
         study: The study.
-        errors: Errors of the observed points by condition.
+        errors: Errors of the points by condition.
     """
 
     study: Study
@@ -115,18 +115,19 @@ class _Before:
     def observing(self, run: RunRecord, look: Look) -> Observing:
         """Return how the interfaces of a run are observed: at the places of the study's observation if there is one."""
         views, reference = {}, {}
-        for name in look.conditions or self.errors:
+        for name in look.conditions or self.study.observed or run.interfaces:
             reference[name] = run.interfaces[name].points
             whole = View(_places(self.study, run, name), self.errors[name])
             views[name] = focused(whole, reference[name], part=look.part, points=look.points, sd=look.sd)
         return Observing(views, reference)
 
 
-def _errors(study: Study, points: Sequence[PointRuns]) -> dict[str, Errors]:
-    """Return the errors of the observed points by condition, near the first run that succeeded."""
+def _errors(study: Study, points: Sequence[PointRuns], asked: Sequence[Candidate]) -> dict[str, Errors]:
+    """Return the errors of the points in each condition that is, or would be, observed, near a run that succeeded."""
     run = next(one.run for one in points if one.failed is None)
     measure, found = next(iter(study.discrepancies.values())), {}
-    for name in study.observed or run.interfaces:
+    wanted = {*(study.observed or run.interfaces), *(name for one in asked for name in one.look.conditions)}
+    for name in sorted(wanted):
         places, nodes = _places(study, run, name), run.interfaces[name].points
         seen = study.observation(Interface(places.on(nodes), places.cells), name)
         found[name] = errors_behind(seen, measure, len(nodes))
@@ -140,7 +141,7 @@ def _places(study: Study, run: RunRecord, name: str) -> Footprint:
 
 def _answer(before: _Before, candidate: Candidate, at: Mapping[str, Sequence[PointRuns]], now: Weighted) -> Answer:
     """Return what one candidate can be expected to teach; experiments made together share the draws of the inputs."""
-    several = [at[_key(setting)] for setting in candidate.settings]
+    several = [at[key_of(setting)] for setting in candidate.settings]
     good = [k for k, points in enumerate(zip(*several, strict=True)) if all(one.failed is None for one in points)]
     failing = 1 - len(good) / len(several[0])
     if not good:
@@ -184,7 +185,3 @@ def _require_slopes(informations: Sequence[Float[np.ndarray, "dim dim"]]) -> Non
             expected="interfaces with the same nodes in all runs, or sensitivities",
             remedy="Let the simulator return the same nodes, or finish the study and plan from its posterior.",
         )
-
-
-def _key(setting: Setting) -> str:
-    return repr(sorted(setting.items()))

@@ -1,4 +1,4 @@
-"""A study opened for many specimens: the surrogate is learnt once, and then answers one outline after the other."""
+"""A study opened for many specimens: the surrogate is learnt once, and serves one outline after another."""
 
 import json
 from collections.abc import Mapping
@@ -19,6 +19,7 @@ from strandline.runs.soundness import outcome_digest
 from strandline.studies.coverage import field_knowledge
 from strandline.studies.folder import SPECIMENS_LEDGER
 from strandline.studies.observed import require_plausible
+from strandline.studies.seeds import require_seed
 from strandline.studies.specimen_files import SpecimenFiles, noise_of_outline, require_one_condition, specimen_files
 from strandline.studies.study import Study
 from strandline.studies.study_runs import settled
@@ -29,7 +30,7 @@ __all__ = ["Specimens", "further_runs", "open_specimens"]
 
 @dataclass(frozen=True, eq=False)
 class Specimens:
-    """A study that is ready to answer outlines, without a forward run.
+    """A study that is ready to analyse outlines, without a forward run.
 
     Args:
         study: The study.
@@ -133,7 +134,7 @@ class Specimens:
 
 
 def open_specimens(study: Study, *, seed: int = 1, measure: str | None = None) -> Specimens:
-    """Learn the interface from the runs of a finished study, to answer many outlines with it.
+    """Learn the interface from the runs of a finished study, to analyse many outlines with it.
 
     Args:
         study: A finished study, from `load_study`.
@@ -147,8 +148,7 @@ def open_specimens(study: Study, *, seed: int = 1, measure: str | None = None) -
         TooFewRuns: Too few runs succeeded to learn the interface.
     """
     name = _measure(study, measure)
-    if seed < 0:
-        raise InvalidInput("seed of the specimens", value=seed, expected="0 or above", remedy="Choose another one.")
+    require_seed(seed, "the specimens")
     require_one_condition(study)
     study.runs.require_finished()
     use_double()

@@ -19,6 +19,7 @@ from strandline.studies.keys.what_if import WhatIf
 from strandline.studies.parse import first_problem
 from strandline.studies.study import Study, study_of
 from strandline.studies.yaml_text import load_yaml
+from strandline.text import listed
 
 __all__ = ["alternative_of", "asked_in", "require_asked"]
 
@@ -72,7 +73,7 @@ def alternative_of(asked: WhatIf, study: Study, now: Present) -> Alternative:
         return Alternative(
             name=asked.name or ", ".join(name for _, name, _ in parts),
             kind=parts[0][0] if len(parts) == 1 else "several",
-            about=_in_words([about for _, _, about in parts]),
+            about=listed([about for _, _, about in parts]),
             space=space,
             likelihood=likelihood,
             fixed=dict(asked.fix),
@@ -93,11 +94,6 @@ def _parts(asked: WhatIf) -> list[tuple[Kind, str, str]]:
         out.append(("measure", f"measure {name}", "the measure"))
     out += [("without", f"without condition {name}", f"condition {name}") for name in asked.without]
     return out
-
-
-def _in_words(subjects: list[str]) -> str:
-    *others, last = subjects
-    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _changes_likelihood(asked: WhatIf) -> bool:

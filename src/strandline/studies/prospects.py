@@ -14,9 +14,10 @@ from strandline.calibration.footprint import footprint
 from strandline.calibration.source import Source, posterior_source
 from strandline.design.active import Knowledge, training_of
 from strandline.errors import NoCommonPoints
+from strandline.interface import Interface
 from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import declared_conditions
-from strandline.planning.candidate import Candidate, Look, Setting
+from strandline.planning.candidate import Candidate, Look, Setting, key_of
 from strandline.planning.failing import FailureBySize, crossing_share, learn_failure_by_size
 from strandline.planning.forecast import Forecast, carried, covered, field_of, slopes_of_field
 from strandline.planning.identifiability import Direction, directions_of, scale_of
@@ -56,7 +57,7 @@ class Prospects:
 
     def of(self, candidate: Candidate) -> list["Prospect"]:
         """Return the predicted interfaces of each experiment of a candidate."""
-        return [self.by_setting[_key(one)] for one in candidate.settings]
+        return [self.by_setting[key_of(one)] for one in candidate.settings]
 
 
 def prospects_of(
@@ -74,21 +75,23 @@ def prospects_of(
 
     Raises:
         InvalidStudy: The study has no posterior, or no surrogate of the interface can be learnt.
-        InvalidInput: No independent errors of the points have the stated σ_N².
+        InvalidInput: No independent errors of the points have the stated σ_N², or a part has too few points.
     """
     posterior = finished_posterior(study, purpose="plan from")
     observer.stage("surrogate")
-    knowledge = field_knowledge(study, next(iter(study.discrepancies)), purpose="strandline next")
+    knowledge = field_knowledge(study, next(iter(study.discrepancies)), purpose="planning the next experiment")
     source = posterior_source(knowledge, posterior)
     conditions = {name for one in candidates for name in one.look.conditions}
     surrogate = _surrogate(study, knowledge, conditions)
     present = Present(study, source, surrogate, repeatable(source), _drawn(source, draws, seed))
+    for look in {candidate.look for candidate in candidates}:  # refuses a part with too few points before any run
+        present.observing(present.surrogate.modes.fields(present.surrogate.mean(present.now.mean[None]))[0], look)
     observer.stage("candidates")
-    settings = list({_key(one): one for candidate in candidates for one in candidate.settings}.values())
+    settings = list({key_of(one): one for candidate in candidates for one in candidate.settings}.values())
     runs = _runs(present, settings, executor, observer)
     present = replace(present, succeeded=_succeeded(present, runs))
     points = iter(runs.points)
-    found = {_key(one): present.prospect(one, next(points) if present.unknown(one) else None) for one in settings}
+    found = {key_of(one): present.prospect(one, next(points) if present.unknown(one) else None) for one in settings}
     return Prospects(present, found, runs.new, runs.reused)
 
 
@@ -202,15 +205,34 @@ class Present:
         """Return fields as nodes of interfaces by condition."""
         return self.surrogate.by_condition(fields)
 
-    def observing(self, field: Float[np.ndarray, " value"], look: Look) -> Observing:
-        """Return how interfaces near this field are observed."""
-        nodes = self.nodes(field[None])
-        reference = {name: one[0] for name, one in nodes.items()}
+    def observing(
+        self, field: Float[np.ndarray, " value"], look: Look, *, along: Mapping[str, Interface] | None = None
+    ) -> Observing:
+        """Return how interfaces near this field are observed.
+
+        Args:
+            field: The field, mm.
+            look: What of them is observed.
+            along: Whole interfaces of another model by condition whose arc lengths count; by default its own.
+        """
+        reference = {name: one[0] for name, one in self.nodes(field[None]).items()}
         views = {}
         for name in look.conditions or self.experiment.footprints:
-            whole = self._whole(name, reference[name])
-            views[name] = focused(whole, reference[name], part=look.part, points=look.points, sd=look.sd)
+            views[name] = focused(
+                self._whole(name, reference[name]),
+                reference[name],
+                part=look.part,
+                points=look.points,
+                sd=look.sd,
+                along=None if along is None else along[name],
+            )
         return Observing(views, reference)
+
+    def seen(self, field: Float[np.ndarray, " value"], look: Look) -> dict[str, Interface]:
+        """Return what would be observed of the whole interfaces of this field, by condition of a look."""
+        nodes = self.nodes(field[None])
+        names = look.conditions or self.experiment.footprints
+        return {name: self._whole(name, nodes[name][0]).seen(nodes[name][0]) for name in names}
 
 
 def _surrogate(study: Study, knowledge: Knowledge, conditions: Collection[str]) -> FieldSurrogate:
@@ -259,7 +281,3 @@ def _drawn(source: Source, number: int, seed: int) -> Weighted:
     chosen = systematic_indices(weights / weights.sum(), number, np.random.default_rng(seed))
     places, counts = np.unique(chosen, return_counts=True)
     return Weighted(source.points[places], counts / counts.sum())
-
-
-def _key(setting: Setting) -> str:
-    return repr(sorted(setting.items()))

@@ -2,7 +2,8 @@
 
 import csv
 import glob
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -12,6 +13,7 @@ from pydantic import ValidationError
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.models.protocol import declared_conditions
+from strandline.studies.folder import SPECIMENS_TABLE
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import ObservationFile
 from strandline.studies.keys.specimens import SpecimensFile
@@ -75,13 +77,28 @@ class SpecimenFiles:
 
     @property
     def paths(self) -> list[Path]:
-        """The files there are now, in the order of their names."""
+        """The files there are now, in the order of their names, without the tables beside them.
+
+        Raises:
+            InvalidStudy: The pattern cannot be used.
+        """
+        said = self.content.specimens
+        tables = [self.study.folder / SPECIMENS_TABLE]
+        if said is not None and said.given is not None:
+            tables.append(self.study.folder / said.given)
+        apart = {path.resolve() for path in tables}
+        try:
+            return sorted(path for path in self._matching() if path.is_file() and path.resolve() not in apart)
+        except (ValueError, NotImplementedError) as error:
+            raise InvalidStudy(
+                "specimens.files", value=self.pattern, expected=f"a pattern of files: {error}", remedy="Correct it."
+            ) from None
+
+    def _matching(self) -> Iterator[Path]:
         pattern = Path(self.pattern)
         if pattern.is_absolute():
-            found = Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
-        else:
-            found = self.study.folder.glob(self.pattern)
-        return sorted(path for path in found if path.is_file())
+            return Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
+        return self.study.folder.glob(self.pattern)
 
     def name(self, path: Path) -> str:
         """Return the name of the specimen in a file."""
@@ -216,7 +233,19 @@ def _table(study: Study, name: str) -> tuple[tuple[str, ...], dict[str, dict[str
             remedy="Correct the first line of the table.",
         )
     cleaned = [{str(key).strip(): value for key, value in row.items()} for row in rows]
+    _require_once([str(row[FILE]).strip() for row in cleaned], name)
     return known, {str(row[FILE]).strip(): {key: _number(row[key]) for key in known} for row in cleaned}
+
+
+def _require_once(names: Sequence[str], table: str) -> None:
+    twice = sorted(name for name, number in Counter(names).items() if number > 1)
+    if twice:
+        raise InvalidStudy(
+            f"specimens.given: rows of {table}",
+            value=f"several for {', '.join(twice)}",
+            expected="one for each specimen",
+            remedy="Remove the wrong ones.",
+        )
 
 
 def _number(text: str | None) -> float | None:

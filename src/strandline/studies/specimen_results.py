@@ -1,4 +1,4 @@
-"""specimens.json and specimens.csv: each specimen on its own and given all others, and the population."""
+"""specimens.json and specimens.csv: each specimen alone and given all specimens, and the population."""
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,7 +44,7 @@ def describe_specimens(
     study, good = opened.study, sum(one.certified.good for one in posteriors)
     counts = {
         "files": len(posteriors) + len(refused),
-        "answered": len(posteriors),
+        "analysed": len(posteriors),
         "good": good,
         "refine": len(posteriors) - good,
         "set_aside": len(refused),
@@ -132,9 +132,9 @@ def _remarks(content: Mapping[str, Any]) -> Iterator[str]:
     if counts["set_aside"]:
         yield f"Set aside: {_named([one['specimen'] for one in content['set_aside']])}; the reasons are listed."
     if population is None:
-        answered = counts["answered"]
+        number = counts["analysed"]
         yield (
-            f"No population: {answered} specimen{'s' if answered != 1 else ''} with a posterior, and at least "
+            f"No population: {number} specimen{'s' if number != 1 else ''} with a posterior, and at least "
             f"{FEWEST_SPECIMENS} are needed."
         )
     elif population["outliers"]:

@@ -17,6 +17,7 @@ from strandline.calibration import Observer
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError
 from strandline.numerics.one_thread import one_thread
 from strandline.population import (
+    FEWEST_SPECIMENS,
     Population,
     Refused,
     Shrunk,
@@ -45,7 +46,7 @@ from strandline.studies.specimen_results import describe_specimens, write_table
 from strandline.studies.study import Study
 from strandline.studies.study_runs import report_backup
 
-__all__ = ["StudySpecimens", "alone", "answered_now", "specimens"]
+__all__ = ["StudySpecimens", "posteriors_of_files", "specimens", "specimens_lock"]
 
 BATCH = 4
 """Fewest further runs that are made before the posteriors are looked at again."""
@@ -72,7 +73,7 @@ class StudySpecimens:
     def __repr__(self) -> str:
         counts = self.content["counts"]
         return (
-            f"<StudySpecimens of {self.content['study']}: {counts['answered']} specimens, {counts['good']} good, "
+            f"<StudySpecimens of {self.content['study']}: {counts['analysed']} specimens, {counts['good']} good, "
             f"{counts['set_aside']} set aside>"
         )
 
@@ -87,7 +88,7 @@ def specimens(
     executor: Executor | None = None,
     observer: Observer | None = None,
 ) -> StudySpecimens:
-    """Answer all specimens that study.yaml names through the surrogate of a finished study, with their population.
+    """Analyse all specimens that study.yaml names through the surrogate of a finished study, and their population.
 
     The posterior of a specimen depends on its file, its known inputs, its name and the seed, and on the runs: not on
     the other specimens, their order or the number of processes. Writes specimens.jsonl, specimens.json, specimens.csv,
@@ -104,7 +105,7 @@ def specimens(
 
     Raises:
         InvalidInput: An argument is out of its range.
-        InvalidStudy: The study is not finished, names no specimens, none can be read, or its folder cannot be written
+        InvalidStudy: The study is not finished, names no specimens, none can be used, or its folder cannot be written
             to.
         LedgerError: A ledger is damaged, or belongs to another model.
         TooFewRuns: Too few runs succeeded to learn the interface.
@@ -115,13 +116,14 @@ def specimens(
     tell.stage("surrogate")
     opened = open_specimens(study, seed=seed, measure=measure)
     paths = _paths(opened)
-    with alone(study.folder / SPECIMENS_LINES), told_if_unwritable(study.folder):
+    with specimens_lock(study.folder / SPECIMENS_LINES), told_if_unwritable(study.folder):
         tell.stage("specimens")
-        found = answered_now(opened, paths, processes=processes, tell=tell)
+        found = posteriors_of_files(opened, paths, processes=processes, tell=tell)
+        _require_any(found)
         made = 0
         if refine and any(not one.certified.good for one in found.posteriors):
             opened, made = _refined(opened, paths, found, refine, executor or study.executor, processes, tell)
-            found = answered_now(opened, paths, processes=processes, tell=tell)
+            found = posteriors_of_files(opened, paths, processes=processes, tell=tell)
         tell.stage("population")
         population, lifted = _population(found.posteriors, seed)
         tell.stage("report")
@@ -133,21 +135,21 @@ def specimens(
 
 
 @dataclass(frozen=True, eq=False)
-class Answered:
+class Analysed:
     """Posteriors in the order of their names, and the specimens that were set aside."""
 
     posteriors: tuple[SpecimenPosterior, ...]
     refused: tuple[Refused, ...]
 
 
-def answered_now(
+def posteriors_of_files(
     opened: Specimens,
     paths: Sequence[Path],
     *,
     processes: int | None = None,
     tell: Observer | None = None,
     known: Mapping[str, SpecimenPosterior] | None = None,
-) -> Answered:
+) -> Analysed:
     """Return the posteriors of the specimens in these files; those in specimens.jsonl are not computed again.
 
     Args:
@@ -183,7 +185,7 @@ def answered_now(
         if tell is not None:
             tell.part(Progress(len(paths), done, done, 0, reused, time.monotonic() - begun))
     by_name = sorted(found, key=lambda one: one.name)
-    return Answered(tuple(by_name), tuple(sorted(refused, key=lambda one: one.name)))
+    return Analysed(tuple(by_name), tuple(sorted(refused, key=lambda one: one.name)))
 
 
 def _task(opened: Specimens, path: Path) -> tuple[Task, str] | Refused:
@@ -196,7 +198,7 @@ def _task(opened: Specimens, path: Path) -> tuple[Task, str] | Refused:
 def _refined(
     opened: Specimens,
     paths: Sequence[Path],
-    found: Answered,
+    found: Analysed,
     most: int,
     executor: Executor,
     processes: int | None,
@@ -214,7 +216,7 @@ def _refined(
         made += _run(opened, x, executor, tell)
         opened = open_specimens(opened.study, seed=opened.seed, measure=opened.measure)
         tell.stage("specimens")
-        again = answered_now(opened, [by_name[one.name] for one in open_ones], processes=processes, tell=tell)
+        again = posteriors_of_files(opened, [by_name[one.name] for one in open_ones], processes=processes, tell=tell)
         open_ones = [one for one in again.posteriors if not one.certified.good]
     return opened, made
 
@@ -231,12 +233,22 @@ def _run(opened: Specimens, x: Any, executor: Executor, tell: Observer) -> int:
 
 
 def _population(posteriors: Sequence[SpecimenPosterior], seed: int) -> tuple[Population | None, Shrunk | None]:
-    try:
-        with one_thread():
-            population = population_of(posteriors, seed=seed)
-            return population, shrunk(population, tuple(one.name for one in posteriors), seed=seed)
-    except InvalidInput:
+    if len(posteriors) < FEWEST_SPECIMENS:
         return None, None
+    with one_thread():
+        population = population_of(posteriors, seed=seed)
+        return population, shrunk(population, tuple(one.name for one in posteriors), seed=seed)
+
+
+def _require_any(found: Analysed) -> None:
+    if not found.posteriors:
+        first = found.refused[0]
+        raise InvalidStudy(
+            "specimens: none of the files can be used",
+            value=f"{first.name}: {first.why}",
+            expected="at least one outline",
+            remedy="Correct specimens in study.yaml, or the files.",
+        )
 
 
 def _paths(opened: Specimens) -> list[Path]:
@@ -260,7 +272,7 @@ def _require_arguments(refine: int, processes: int | None) -> None:
 
 
 @contextmanager
-def alone(path: Path) -> Iterator[None]:
+def specimens_lock(path: Path) -> Iterator[None]:
     """Hold the lock of the posteriors' file.
 
     Raises:

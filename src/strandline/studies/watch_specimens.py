@@ -1,4 +1,4 @@
-"""New outlines are answered as they appear in the folder, by a surrogate that was learnt once."""
+"""New outlines are analysed as they appear in the folder, with a surrogate that was learnt once."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from pathlib import Path
 from strandline.population import Refused, SpecimenPosterior
 from strandline.studies.folder import SPECIMENS_LINES, require_writable
 from strandline.studies.open_specimens import open_specimens
-from strandline.studies.specimens import alone, answered_now
+from strandline.studies.specimens import posteriors_of_files, specimens_lock
 from strandline.studies.study import Study
 
 __all__ = ["Arrived", "watch_specimens"]
@@ -21,11 +21,11 @@ PATIENCE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Arrived:
-    """An outline that was answered.
+    """An outline that was analysed.
 
     Args:
         answer: Its posterior, or why it was set aside.
-        seconds: Time from the moment its file was complete, at most the pause between two looks, to the answer.
+        seconds: Time from the completion of its file to the answer, at most one pause between two looks too long.
     """
 
     answer: SpecimenPosterior | Refused
@@ -49,9 +49,9 @@ def watch_specimens(
     ready: Callable[[int], None] = lambda known: None,
     going_on: Callable[[], bool] = lambda: True,
 ) -> Iterator[Arrived]:
-    """Yield an answer for each file of the specimens that appears or changes, until it is stopped.
+    """Yield the posterior for each file of the specimens that appears or changes, until it is stopped.
 
-    The files that are there already are answered first, without being yielded. Each posterior is added to
+    The files that are already there are analysed first, without being yielded. Each posterior is added to
     specimens.jsonl. A file that is still being written is not read: it must be the same in two looks at the folder, and
     one that cannot be read is looked at again for two seconds.
 
@@ -69,9 +69,9 @@ def watch_specimens(
     require_writable(study.folder)
     opened = open_specimens(study, seed=seed, measure=measure)
     template = opened.begin.knowledge.surrogate.layouts[""].template
-    with alone(study.folder / SPECIMENS_LINES):
-        found = answered_now(opened, opened.files.paths)
+    with specimens_lock(study.folder / SPECIMENS_LINES):
         seen = {path: _Seen(_state(path), 0.0, done=True) for path in opened.files.paths}
+        found = posteriors_of_files(opened, list(seen))
         _warm(lambda: opened.posterior(template))
         ready(len(found.posteriors))
         while going_on():
@@ -80,7 +80,7 @@ def watch_specimens(
                 if since is None:
                     continue
                 begun = time.monotonic()
-                answered = answered_now(opened, [path], processes=1, known={})
+                answered = posteriors_of_files(opened, [path], processes=1, known={})
                 answer = answered.posteriors[0] if answered.posteriors else answered.refused[0]
                 if isinstance(answer, SpecimenPosterior) or begun - seen[path].since >= PATIENCE:
                     seen[path].done = True

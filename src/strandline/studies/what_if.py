@@ -1,4 +1,4 @@
-"""How the posterior of a finished study changes with what was assumed, without a forward run."""
+"""How the posterior of a finished study changes with other assumptions, without a forward run."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +21,7 @@ from strandline.studies.coverage import field_knowledge
 from strandline.studies.folder import WHAT_IF, require_writable, told_if_unwritable, write_json
 from strandline.studies.keys.what_if import WhatIf
 from strandline.studies.other_assumptions import alternative_of, asked_in, require_asked
+from strandline.studies.seeds import require_seed
 from strandline.studies.study import Study
 from strandline.studies.what_if_file import describe_what_if, in_order
 
@@ -29,7 +30,7 @@ __all__ = ["StudyWhatIf", "what_if"]
 
 @dataclass(frozen=True)
 class StudyWhatIf:
-    """How the posterior of a study changes with what was assumed.
+    """How the posterior of a study changes with other assumptions.
 
     Args:
         content: Content of what-if.json.
@@ -58,18 +59,21 @@ def what_if(
 
     Args:
         study: A finished study, from `load_study`.
-        alternatives: Other assumptions, each with the keys of `what_if` in study.yaml; default: those of study.yaml and
-            the usual ones.
+        alternatives: Other assumptions, each with the keys of `what_if` in study.yaml; by default those of study.yaml
+            and the usual ones.
         seed: Seed of all random numbers, 0 or above.
         observer: Receives the progress.
 
     Raises:
-        InvalidInput: A negative seed.
+        InvalidInput: A negative seed, or an empty list of alternatives.
         InvalidStudy: The study is not finished, its folder cannot be written to, or an alternative does not fit it.
         LedgerError: The ledger is damaged, or belongs to another model.
     """
-    if seed < 0:
-        raise InvalidInput("seed of what-if", value=seed, expected="0 or above", remedy="Choose another one.")
+    require_seed(seed, "what-if")
+    if alternatives is not None and not alternatives:
+        raise InvalidInput(
+            "alternatives", value="none", expected="at least one", remedy="Leave them out to ask the usual questions."
+        )
     asked = asked_in(study) if alternatives is None else tuple(require_asked(one) for one in alternatives)
     posterior = finished_posterior(study, purpose="compare with")
     require_writable(study.folder)

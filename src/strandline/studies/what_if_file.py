@@ -11,6 +11,7 @@ from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, Answer
 from strandline.posterior.weighted import Weighted
 from strandline.studies.study import Study
 from strandline.studies.summary import versions
+from strandline.text import listed
 from strandline.version import __version__
 
 __all__ = ["describe_what_if", "in_order"]
@@ -65,14 +66,14 @@ def describe_what_if(study: Study, now: Present, answers: Sequence[Answer], *, s
 def _conclusion(answers: Sequence[Answer]) -> str:
     """Return what the posterior depends on, in a sentence."""
     if all(one.by is None for one in answers):
-        return "None of the questions can be answered without new runs."
+        return "None of the alternatives can be computed without new runs."
     subjects = list(dict.fromkeys(one.alternative.about for one in answers if one.moves))
     if not subjects:
         return (
             f"The posterior depends on nothing that was tried: no mean moves by more than {LEAST_SHIFT:g} sd, and no "
             f"sd changes by more than a factor of {LEAST_RATIO:g}."
         )
-    words = _listed(_with_priors_together(subjects))
+    words = listed(_with_priors_together(subjects))
     comma = "," if " and " in words else ""
     return f"The posterior depends on {words}{comma} and on nothing else that was tried."
 
@@ -82,13 +83,8 @@ def _with_priors_together(subjects: Sequence[str]) -> list[str]:
     names = [one.removeprefix(PRIOR) for one in subjects if one.startswith(PRIOR) and " and " not in one]
     if len(names) < 2:
         return list(subjects)
-    together = f"the priors of {_listed(names)}"
+    together = f"the priors of {listed(names)}"
     return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
-
-
-def _listed(words: Sequence[str]) -> str:
-    *others, last = words
-    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _remarks(study: Study, now: Present, answers: Sequence[Answer]) -> list[str]:
@@ -96,7 +92,7 @@ def _remarks(study: Study, now: Present, answers: Sequence[Answer]) -> list[str]
     number = sum(one.by is None for one in answers)
     if number:
         out.append(
-            f"{number} of {len(answers)} questions cannot be answered without new runs. Copy the study, make the "
+            f"{number} of {len(answers)} alternatives cannot be computed without new runs. Copy the study, make the "
             f"change in its study.yaml with `reuse: [../{study.folder.resolve().name}]`, and run it."
         )
     if now.knowledge is None:

@@ -34,6 +34,7 @@ from strandline.errors import StrandlineError
 from strandline.interface import GLOBAL, Observation, PointErrors, arc_lengths, steady_normals
 from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface
 from strandline.posterior import Posterior
+from strandline.text import listed
 
 __all__ = ["invisible", "misfit_of"]
 
@@ -209,7 +210,7 @@ def _removed(one: ConditionMisfit) -> str:
     names = [said[name] for name in GLOBAL if name in one.removed]
     of = f" of condition {one.condition}" if one.condition else ""
     were = "was" if len(names) == 1 else "were"
-    return f"The most probable {_listed(names, 'and')}{of} {were} removed from the residuals."
+    return f"The most probable {listed(names, 'and')}{of} {were} removed from the residuals."
 
 
 def _model_error(residuals: Residuals, explained: Float[np.ndarray, "seen cause"] | None) -> float:
@@ -225,11 +226,6 @@ def invisible(observations: Sequence[Observation], names: Sequence[str], fixed: 
     known = ", ".join([*(fixed or ("a load", "an inflow")), "a density or any other factor"])
     scale = "" if scaled else ", or most of a wrong picture scale"
     return (
-        f"Residuals cannot reveal an error that {_listed(names, 'or')} can compensate for: a wrong value of "
+        f"Residuals cannot reveal an error that {listed(names, 'or')} can compensate for: a wrong value of "
         f"{known}{scale}. Such an error shifts the posterior without worsening the fit."
     )
-
-
-def _listed(names: Sequence[str], joined_by: str) -> str:
-    *others, last = names
-    return f"{', '.join(others)} {joined_by} {last}" if others else last

@@ -85,7 +85,7 @@ class StudyFile(Section):
     """[candidates for the next experiment](../how-to/next-experiment.md): values of fixed quantities, with what of the
     interface is observed; no result depends on it"""
     specimens: SpecimensFile | None = None
-    """outlines of [many specimens](../how-to/many-specimens.md), answered by the runs of this study"""
+    """outlines of [many specimens](../how-to/many-specimens.md), analysed with the runs of this study"""
     what_if: list[WhatIf] = []
 
     @field_validator("fidelities", mode="before")

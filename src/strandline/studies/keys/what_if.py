@@ -13,7 +13,7 @@ CHANGES = ("prior", "noise", "measure", "fix", "without")
 
 
 class WhatIf(Section):
-    """What else might have been assumed: one change of the study, or several together."""
+    """Another assumption: one change of the study, or several together."""
 
     name: Unit | None = None
     """of an [alternative](../how-to/what-if.md): what it is called in the table; default: what it changes"""
