@@ -117,7 +117,7 @@ def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
         if (folder / f"{name}-wal").exists() and (folder / f"{name}-wal").stat().st_size > 0:
             yield Finding(
                 f"{name}-wal: the last driver of {name} did not end by itself",
-                f"Leave it where it is, next to {name}: the next `strandline run` recovers its content.",
+                f"Leave it where it is, next to {name}: the next command that opens it recovers its content.",
             )
     if any((folder / "slurm").glob("*/batch.json")):
         yield Finding("results of a SLURM array are not collected", f"Collect them: strandline run {folder}")
