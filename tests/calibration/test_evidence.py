@@ -1,4 +1,4 @@
-"""The log-evidence against quadrature of the surrogate and of the true model; its errors against what they are."""
+"""The log-evidence against quadrature of the surrogate and of the true model, and its errors."""
 
 from collections.abc import Callable
 

@@ -403,7 +403,7 @@ def test_the_usual_questions() -> None:
 
 
 def test_noise_that_is_inferred_is_asked_about_at_its_median() -> None:
-    """With a model error, that it is left out is asked about too."""
+    """With a model error, one alternative leaves it out."""
     observations = observed(UnknownErrors(sd=SD, length=0.02, model_error=True))
     mine = replace(now(), knowledge=knowledge(NormalOffset(), observations))
     found = {one.name: one for one in usual_alternatives(mine, {})}

@@ -138,7 +138,7 @@ def coarse(factor: float) -> Start:
 
 @pytest.mark.parametrize("kept", [1.0, 0.5], ids=["right", "variance for sd"])
 def test_the_certified_shift_is_that_of_perturbed_fields(kept: float) -> None:
-    """Fields that are off by draws of the surrogate's error move the mean by as much; half of them do not."""
+    """Fields with drawn errors of the surrogate move the mean by as much as certified; half of these errors do not."""
     of = coarse(1e4)
     one = found(of)
     variance = of.predict(one.draws).variance.mean(axis=0)

@@ -197,6 +197,14 @@ def test_a_best_model_that_does_not_fit_is_marked(home: Path) -> None:
     assert "does not explain the observation within the noise" in content["remarks"][0]
 
 
+def test_a_study_whose_fit_was_not_judged_can_be_compared(drawn: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = drawn / "straight" / "summary.json"
+    path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "misfit": None}))
+    main(["compare", "tilted", "straight", "--quiet"])
+    assert "not judged" in capsys.readouterr().out
+    assert "straight: The fit was not judged." in (drawn / "comparison" / "compare.html").read_text("utf-8")
+
+
 def test_odds_change_probabilities_alone(home: Path) -> None:
     even = sl.compare(["tilted", "straight"]).content
     odd = sl.compare(["tilted", "straight"], odds=(1.0, 3.0)).content

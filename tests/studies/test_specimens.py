@@ -81,7 +81,7 @@ def lines(folder: Path) -> list[str]:
 
 
 def write(folder: Path, said: Mapping[str, Any]) -> None:
-    """Write study.yaml with some of its keys changed; a value of None removes the key."""
+    """Write study.yaml with some of its keys changed; None removes a key."""
     content = {**yaml.safe_load((folder / "study.yaml").read_text()), **said}
     kept = {key: value for key, value in content.items() if value is not None}
     (folder / "study.yaml").write_text(yaml.safe_dump(kept, sort_keys=False))
@@ -125,7 +125,7 @@ def test_what_it_writes(folder: Path) -> None:
 
 
 def test_a_study_stays_current(folder: Path) -> None:
-    """The key only asks: results of the study itself stay valid with it, without it and with another one."""
+    """The key only asks a question: results of the study stay valid with it, without it and with another one."""
     digest = sl.load_study(folder).text_digest
     assert changed(folder, files="others/*.csv").text_digest == digest
 

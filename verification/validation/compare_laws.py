@@ -206,7 +206,7 @@ def crossings(number: int, folder: Path) -> list[Crossing]:
 
 
 def _learnt(x: Float[np.ndarray, "run 2"], records: Sequence[sl.RunRecord]) -> Knowledge:
-    """Return what is learnt of one law over the whole prior; the observation only says how accurate it must be."""
+    """Return the surrogate of one law over the whole prior; the observation only sets the accuracy that it needs."""
     first = next(record for record in records if record.ok)
     seen = tuple(sl.Observation(one, sl.PointErrors(SD), name) for name, one in first.interfaces.items())
     with one_thread():

@@ -1,6 +1,6 @@
 """Many biofilms and one set of runs: time, agreement with full analyses, and coverage of the population's intervals.
 
-The true model makes every outline; each point is disturbed by 3 µm. One study of 100 runs answers all of them.
+The true model makes all outlines, with errors of 3 µm at each point. One study of 100 runs analyses them all.
 
     python -m verification.validation.populations [--folder FOLDER] [--specimens 1000] [--checked 50] [--populations 40]
 
@@ -52,7 +52,7 @@ OTHER_RUNS = 128
 
 
 def outlines(study: sl.Study, inputs: Float[np.ndarray, "run 2"], ledger: Path, seed: int) -> list[sl.Interface | None]:
-    """Return disturbed outlines of the true model, None for a run that failed."""
+    """Return outlines of the true model with errors; None for a run that failed."""
     wanted = [{**study.fixed, **study.space.as_mapping(x)} for x in inputs]
     with sl.Ledger.open(ledger, model=study.runs.identity, description="specimens") as opened:
         records = sl.run_campaign(study.model, wanted, ledger=opened, executor=study.executor)
@@ -63,7 +63,7 @@ def outlines(study: sl.Study, inputs: Float[np.ndarray, "run 2"], ledger: Path, 
 
 
 def answered(opened: Specimens, seen: Sequence[sl.Interface | None]) -> list[SpecimenPosterior]:
-    """Return the posteriors of all outlines that there are."""
+    """Return the posteriors of all outlines, in the order of their names."""
     tasks = [Task(f"{k:04}", (sl.Observation(one, ERRORS),), {}) for k, one in enumerate(seen) if one is not None]
     found = posteriors_of(opened.begin, sl.NormalOffset(), tasks)
     return sorted((one for one in found if isinstance(one, SpecimenPosterior)), key=lambda one: one.name)
@@ -93,7 +93,7 @@ def covered(found: Sequence[SpecimenPosterior], mean: np.ndarray, spread: np.nda
 
 
 def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -> tuple[list[int], float]:
-    """Return how many of the intervals contain the truth, and of the specimens' own shrunk intervals the share."""
+    """Return how many of the population's intervals contain the truth, and what share of the shrunk ones do."""
     random, counts, inside = np.random.default_rng(5), np.zeros(4, int), []
     for k in range(number):
         mean, spread = LOWEST + (HIGHEST - LOWEST) * random.random((2, 2))
@@ -109,7 +109,7 @@ def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -
 
 
 def rows(options: argparse.Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
-    """Yield what was looked at, the aim, and what was found."""
+    """Yield each quantity, its aim, and what was found."""
     (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
     study = sl.load_study(folder)
     if not (folder / "posterior.nc").is_file():

@@ -1,4 +1,4 @@
-"""Answers of `strandline what-if` beside full analyses of the changed studies, which make forward runs of their own.
+"""Results of `strandline what-if` beside full analyses of the changed studies, which make their own forward runs.
 
 FOLDER holds the finished study studies/biofilm-uniform-active, or a copy of it. Each changed study is run in a folder
 beside it and takes over its runs. With ``--publish`` the table goes into docs/how-to/what-if.md.
@@ -53,7 +53,7 @@ def changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
 
 
 def row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple[Cell, ...]:
-    """Return means and standard deviations by both ways, and how far they are apart."""
+    """Return means and standard deviations from both, and how much they differ."""
     draws = answer.draws
     assert draws is not None
     cells: list[Cell] = [name, "weights" if answer.by == "reweighting" else "new draws"]

@@ -43,7 +43,7 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
     click.echo(f"{'model':>{width}} {'log-evidence':>15} {'best log L':>11} {'probability':>12}   misfit")
     for name, one in content["models"].items():
         evidence = f"{one['log_evidence']:.2f} ± {one['error']:.2f}"
-        misfit = "noticed" if one["misfit"]["flagged"] else "none"
+        misfit = "not judged" if one["misfit"] is None else "noticed" if one["misfit"]["flagged"] else "none"
         click.echo(
             f"{name:>{width}} {evidence:>15} {one['best_log_likelihood']:>11.2f} {one['probability']:>12.1%}   {misfit}"
         )

@@ -41,7 +41,7 @@ def command(study: Path, source: str | None, draws: int, runs: int, seed: int, q
 
 
 def _show(content: Mapping[str, Any], page: Path) -> None:
-    """Print the advice, the table of the candidates, and what the picture cannot tell."""
+    """Print the advice, the table of the candidates, and what the picture determines."""
     known = "from its posterior" if content["source"] == "posterior" else "before any data, from the prior (linearised)"
     click.echo(f"\n{content['study']}: the next experiment, {known}")
     click.echo(content["advice"])

@@ -29,6 +29,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 PREDICTED = 200
 """Draws of each posterior whose interfaces are predicted."""
 BINS = 40
+OF_MISFIT = ("verdict", "flagged", "p", "region_p", "smooth_p")
 OUTSIDE = 0.001
 """Share of the draws left out at either end of a histogram."""
 NARROWED = math.log(2.0)
@@ -55,6 +56,12 @@ class Compared:
     knowledge: Knowledge
     summary: Mapping[str, Any]
     constant: float
+
+    @property
+    def misfit_noticed(self) -> bool:
+        """Whether the study says that the model does not explain the data; false if its fit was not judged."""
+        misfit = self.summary["misfit"]
+        return misfit is not None and bool(misfit["flagged"])
 
     @property
     def information(self) -> float:
@@ -154,7 +161,7 @@ def _model(found: ModelComparison, name: str, one: Compared) -> dict[str, Any]:
         "information": one.information,
         "prior_probability": found.prior[name],
         "probability": found.probabilities[name],
-        "misfit": {key: misfit[key] for key in ("verdict", "flagged", "p", "region_p", "smooth_p")},
+        "misfit": None if misfit is None else {key: misfit[key] for key in OF_MISFIT},
     }
 
 
@@ -224,8 +231,7 @@ def _band(one: Compared, condition: str) -> dict[str, Any] | None:
 
 def _remarks(found: ModelComparison, compared: Mapping[str, Compared], shared: Sequence[str]) -> Iterator[str]:
     """Yield sentences on what the verdict depends on."""
-    flagged = [name for name, one in compared.items() if one.summary["misfit"]["flagged"]]
-    if found.order[0] in flagged:
+    if compared[found.order[0]].misfit_noticed:
         yield (
             f"{found.order[0]} has the largest evidence, but does not explain the observation within the noise. "
             "Even the best of these models is not good enough: do not trust its posterior, nor the average."

@@ -1,4 +1,4 @@
-"""The planning of experiments against the true model of the biofilm.
+"""Planned experiments against the true model of the biofilm.
 
     python -m verification.validation.planning [gains] [advice] [unknown] [--truths 20] [--draws 1000] [--publish]
 

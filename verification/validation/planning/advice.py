@@ -1,4 +1,4 @@
-"""What following the advice is worth: a second experiment at the advised rate, against one at 50 mm²/s."""
+"""How much the advice helps: a second experiment at the advised rate, against one at 50 mm²/s."""
 
 import json
 from pathlib import Path
@@ -82,7 +82,7 @@ def _followed(folder: Path, truth: dict[str, float], first: np.ndarray, seed: in
 
 
 def _second(folder: Path, truth: dict[str, float], first: np.ndarray, rate: float, seed: int) -> float | None:
-    """Return sd(ν) with a second experiment at a rate; None if the specimen cannot bear it."""
+    """Return sd(ν) with a second experiment at a rate; None if the specimen folds."""
     try:
         second = observed(rate, truth, np.random.default_rng(seed))
     except sl.ForwardModelError:

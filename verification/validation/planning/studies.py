@@ -1,4 +1,4 @@
-"""The studies of the biofilm that are planned, on the coarse mesh, with errors of each point of 7.2 µm as in S3."""
+"""The studies of the biofilm for planning, on the coarse mesh, with errors of 7.2 µm at each point as in S3."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
