@@ -46,7 +46,7 @@ def test_what_is_left_is_that_of_a_normal_posterior() -> None:
 
 
 def test_combinations_that_are_equally_unknown_have_few_inputs_each() -> None:
-    """Any rotation of E1 + V and ν describes what two of four directions leave; that with the fewest inputs is chosen."""
+    """Any rotation of E + V and ν describes what two of four directions leave; the one of fewest inputs is chosen."""
     first, second = np.array([1, 1, 0, 0]) / 2**0.5, np.array([0, 0, 1.0, 0])
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
     unknown = np.stack([first, second]).T @ turn
