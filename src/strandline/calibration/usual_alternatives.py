@@ -68,7 +68,7 @@ def other_priors(parameter: Parameter) -> Iterator[tuple[str, Prior]]:
 
 
 def with_prior(space: ParameterSpace, priors: Mapping[str, Prior]) -> ParameterSpace:
-    """Return the inputs with other priors, in the same box: what of a prior is outside is cut off.
+    """Return the inputs with other priors, truncated to the same box.
 
     Args:
         space: The inputs.

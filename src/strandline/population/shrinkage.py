@@ -1,4 +1,4 @@
-"""Each specimen in the light of all others: its shrunk posterior, and whether it is an outlier."""
+"""Each specimen given all others: its shrunk posterior, and whether it is an outlier."""
 
 from dataclasses import dataclass
 
