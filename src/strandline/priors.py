@@ -277,13 +277,7 @@ class Truncated:
         return np.clip(self.base.quantile(below + np.asarray(p) * self.mass), self.low, self.high)
 
 
-PRIORS = {
-    "uniform": Uniform,
-    "loguniform": LogUniform,
-    "normal": Normal,
-    "lognormal": LogNormal,
-    "beta": ScaledBeta,
-}
+PRIORS = {"uniform": Uniform, "loguniform": LogUniform, "normal": Normal, "lognormal": LogNormal, "beta": ScaledBeta}
 """Names in study files → classes that take the listed numbers in the order of their fields."""
 
 
