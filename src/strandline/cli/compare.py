@@ -65,4 +65,5 @@ def _separation(one: Mapping[str, Any]) -> str:
     if one["nats"] is None:
         return str(one["problem"])
     doubt = "" if one["reliable"] else " (few draws)"
-    return f"{one['nats']:.2f} nats about the model; the right one wins clearly in {one['clearly_right']:.0%}{doubt}"
+    often = f"{one['clearly_right']:.0%} of cases{doubt}"
+    return f"{one['nats']:.2f} nats about which model is right; it becomes clear in {often}"

@@ -55,7 +55,8 @@ def _change(text: str) -> dict[str, Any]:
 def _show(content: Mapping[str, Any], page: Path) -> None:
     """Print the conclusion and a row for each alternative."""
     some = content["alternatives"]
-    click.echo(f"\n{content['study']}: {len(some)} alternatives, no forward run\n{content['conclusion']}")
+    number = f"{len(some)} alternative{'s' * (len(some) != 1)}"
+    click.echo(f"\n{content['study']}: {number}, no forward run\n{content['conclusion']}")
     for remark in content["remarks"]:
         click.echo(remark)
     width = min(max([len("what changed"), *(len(one["name"]) for one in some)]), WIDEST)

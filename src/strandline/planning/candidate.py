@@ -75,7 +75,11 @@ def key_of(setting: Setting) -> str:
 
 
 def candidates(
-    values: Mapping[str, Sequence[float]], looks: Iterable[Look], *, together: int = 1
+    values: Mapping[str, Sequence[float]],
+    looks: Iterable[Look],
+    *,
+    together: int = 1,
+    present: Mapping[str, float] | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates: every combination of the values with every look, alone and several together.
 
@@ -83,9 +87,12 @@ def candidates(
         values: Values of each quantity that can be set; empty for the same experiment again.
         looks: What can be observed.
         together: Largest number of experiments that are made together, with the same look.
+        present: Values that the present experiment has; setting them again is the same experiment.
     """
-    settings = [dict(zip(values, row, strict=True)) for row in product(*values.values())]
-    looks = tuple(looks)
+    rows = [zip(values, row, strict=True) for row in product(*values.values())]
+    changes = [{name: value for name, value in row if (present or {}).get(name) != value} for row in rows]
+    settings = list({key_of(one): one for one in changes}.values())
+    looks = tuple(dict.fromkeys(looks))
     return tuple(
         Candidate(several, look)
         for number in range(1, together + 1)

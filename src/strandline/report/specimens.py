@@ -14,7 +14,8 @@ __all__ = ["draw_specimens"]
 QUANTILES = ("q05", "q50", "q95")
 INTERVALS = (
     "90 % intervals of {} for each specimen, from its own outline alone (grey) and given all specimens (blue), with "
-    "their medians. The less certain specimens move most towards the population."
+    "their medians, in the order of the blue ones. The less certain specimens move most towards the population; as the "
+    "inputs of a specimen move together, a single one may move away."
 )
 ALONE = "90 % intervals of {} for each specimen, with their medians."
 DENSITY = (

@@ -41,7 +41,7 @@ def read_candidates(
         return ()
     rest = {name: value for name, value in given.items() if name not in (*LOOKS, "unit", "together")}
     values = {name: _values(name, value, model, space, fixed) for name, value in rest.items()}
-    found = candidates(values, _looks(given, model), together=_together(given))
+    found = candidates(values, _looks(given, model), together=_together(given), present=fixed)
     if len(found) > MOST:
         raise InvalidStudy(
             "next: too many candidates",
@@ -97,7 +97,9 @@ def _condition(given: Any, model: ForwardModel) -> tuple[str, ...]:
     raise InvalidStudy(
         "next.condition",
         value=given,
-        expected=f"names among {', '.join(known)}" if any(known) else "no such key: the model has a single condition",
+        expected=f"names among {', '.join(known)}"
+        if any(known)
+        else "no such key, since the model has a single condition",
         remedy="Correct the name." if any(known) else "Remove it.",
     )
 
@@ -140,7 +142,7 @@ def _together(given: Mapping[str, Any]) -> int:
     raise InvalidStudy(
         "next.together",
         value=number,
-        expected=f"how many experiments may be made together, from 1 to {MOST_TOGETHER}",
+        expected=f"a whole number from 1 to {MOST_TOGETHER}: how many experiments may be made together",
         remedy="Correct it.",
     )
 

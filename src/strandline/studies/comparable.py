@@ -93,7 +93,7 @@ def _require_same_data(both: str, first: Study, other: Study) -> None:
     seen, others = observations_of(first), observations_of(other)
     if seen.keys() != others.keys():
         value = " and ".join(", ".join(map(_condition, one)) for one in (seen, others))
-        _refuse(f"{both}: other conditions were observed", value, "the same conditions in both")
+        _refuse(f"{both}: they observe different conditions", value, "the same conditions in both")
     for name in seen:
         apart = _apart(seen[name], others[name])
         if not apart <= SAME:

@@ -28,7 +28,7 @@ __all__ = ["Compared", "describe_comparison"]
 QUANTILES = (0.05, 0.5, 0.95)
 PREDICTED = 200
 """Draws of each posterior whose interfaces are predicted."""
-BINS = 40
+BINS = 25
 OF_MISFIT = ("verdict", "flagged", "p", "region_p", "smooth_p")
 OUTSIDE = 0.001
 """Share of the draws left out at either end of a histogram."""

@@ -12,6 +12,7 @@ from strandline.numerics.precision import use_double
 from strandline.planning.candidate import Candidate
 from strandline.report import write_next
 from strandline.runs import Executor
+from strandline.studies.check import finished_posterior
 from strandline.studies.folder import NEXT, POSTERIOR, require_writable, told_if_unwritable, write_json
 from strandline.studies.next_answer import Answers
 from strandline.studies.next_file import describe_next
@@ -83,6 +84,8 @@ def next_experiment(
     begun, tell = time.perf_counter(), observer or Observer()
     executor = executor or study.executor
     after = source == "posterior" or (source is None and _has_posterior(study))
+    if source == "posterior":
+        finished_posterior(study, purpose="plan from")
     candidates = _candidates(study, after=after)
     require_writable(study.folder)
     use_double()

@@ -135,6 +135,8 @@ def _changed(asked: WhatIf, study: Study) -> Study:
 
 def _left(asked: WhatIf, observations: tuple[Observation, ...]) -> tuple[Observation, ...]:
     conditions = {seen.condition: seen for seen in observations}
+    if asked.without and len(conditions) == 1:
+        raise _refused("without", ", ".join(asked.without), "several conditions: the study has one", "Remove it.")
     for name in asked.without:
         entry(conditions, name, f"{PLACE}.without")
     left = tuple(seen for name, seen in conditions.items() if name not in asked.without)

@@ -130,7 +130,7 @@ def _remarks(content: Mapping[str, Any]) -> Iterator[str]:
             "study with a larger design."
         )
     if counts["set_aside"]:
-        yield f"Set aside: {_named([one['specimen'] for one in content['set_aside']])}; the reasons are listed."
+        yield f"Set aside: {_named([one['specimen'] for one in content['set_aside']])}; see the reasons below."
     if population is None:
         number = counts["analysed"]
         yield (

@@ -70,7 +70,7 @@ def plot_alternatives(
 def _panel(ax: Axes, band: Whisker, some: Sequence[Whisker | None]) -> None:
     ax.axvspan(band.low, band.high, color=SKY, alpha=0.35, linewidth=0, label="present 90 % interval")
     ax.axvline(band.mean, color=GREY, linewidth=0.8, label="present mean")
-    for moves, colour, label in ((False, BLUE, "mean and 90 % interval"), (True, RED, "the same, moved")):
+    for moves, colour, label in ((False, BLUE, "mean and 90 % interval"), (True, RED, "mean and 90 % interval, moved")):
         chosen = [(k, one) for k, one in enumerate(some) if one is not None and one.moves == moves]
         if not chosen:
             continue
