@@ -28,3 +28,11 @@ def test_nothing_to_set_is_the_same_experiment() -> None:
 def test_conditions_of_the_model_alone() -> None:
     (one,) = candidates({}, [Look(("slow", "fast"), points=20)])
     assert one.label() == "conditions slow and fast, 20 points"
+
+
+def test_present_values_and_values_given_twice_are_one_candidate() -> None:
+    found = candidates({"V_in": [50.0, 100.0, 50.0]}, [Look()], together=2, present={"V_in": 100.0})
+    assert [one.label() for one in found] == [
+        "V_in 50", "the same again", "V_in 50 and V_in 50", "V_in 50 and the same again",
+        "the same again and the same again",
+    ]  # fmt: skip

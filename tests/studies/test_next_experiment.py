@@ -77,7 +77,7 @@ def some_draws(folder: Path) -> np.ndarray:
 
 def gains(folder: Path, **options: Any) -> dict[tuple[float, ...], dict[str, Any]]:
     content = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess(), **options).content
-    return {tuple(s["load"] for s in one["settings"]): one for one in content["candidates"]}
+    return {tuple(s.get("load", 1e-5) for s in one["settings"]): one for one in content["candidates"]}
 
 
 def test_gains_of_other_loads_and_pairs_are_those_of_the_true_model(folder: Path) -> None:
