@@ -51,4 +51,4 @@ def test_the_long_description_names_files_that_there_are(hook: ModuleType) -> No
     assert "](docs/" not in text
     named = [word for word in text.replace(")", "").replace("(", "").split() if word.startswith("`docs/")]
     assert len(named) >= 4
-    assert all((ROOT / word.strip("`,.;:")).exists() for word in named)
+    assert all((ROOT / word.strip("`,.;:?")).exists() for word in named)
