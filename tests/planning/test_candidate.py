@@ -34,5 +34,5 @@ def test_present_values_and_values_given_twice_are_one_candidate() -> None:
     found = candidates({"V_in": [50.0, 100.0, 50.0]}, [Look()], together=2, present={"V_in": 100.0})
     assert [one.label() for one in found] == [
         "V_in 50", "the same again", "V_in 50 and V_in 50", "V_in 50 and the same again",
-        "the same again and the same again",
+        "the same again, twice",
     ]  # fmt: skip

@@ -12,6 +12,8 @@ Setting = Mapping[str, float]
 """Quantities that an experiment sets to other values than the present one; empty for the same experiment again."""
 MICROMETRES = 1e3
 
+TIMES = {2: "twice", 3: "three times"}
+
 
 @dataclass(frozen=True)
 class Look:
@@ -61,6 +63,8 @@ class Candidate:
         conditions = " and ".join(self.look.conditions)
         kind = f"condition{'s' * (len(self.look.conditions) > 1)} {conditions}" if conditions else ""
         settings = [_label(one) or kind or present for one in self.settings]
+        if len(settings) > 1 and not any(self.settings):
+            settings = [f"{settings[0]}, {TIMES[len(settings)]}"]
         further = [kind] if kind and any(self.settings) else []
         return ", ".join([" and ".join(settings), *further, *self.look.words])
 
