@@ -3,7 +3,7 @@
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.text import decimal, is_label, is_name, require_label, require_name
+from strandline.text import decimal, is_label, is_name, require_label, require_name, with_sd
 
 
 @pytest.mark.parametrize("name", ["E", "V_in", "ν", "E modulus", "a.b", "k[0]", "é" * 64])
@@ -47,3 +47,14 @@ def test_numbers(text: str, value: float) -> None:
 @pytest.mark.parametrize("text", ["1_0", "١٢", "nan", "inf", "", " 1", "1e", "0x1", "1,5", "³", "1e5\n"])
 def test_no_numbers(text: str) -> None:
     assert decimal(text) is None
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "shown"),
+    [
+        (399.62, 15.34, "400 ± 15"), (580.4, 103.0, "580 ± 103"), (0.2971, 0.0588, "0.297 ± 0.059"),
+        (404.31, 8.26, "404.3 ± 8.3"), (1.0, 0.0, "1 ± 0"), (2e-7, 3e-8, "2e-07 ± 3e-08"),
+    ],
+)  # fmt: skip
+def test_a_mean_has_the_decimals_of_its_standard_deviation(mean: float, sd: float, shown: str) -> None:
+    assert with_sd(mean, sd) == shown

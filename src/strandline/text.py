@@ -86,6 +86,11 @@ def decimal(text: str) -> float | None:
 
 
 def with_sd(mean: float, sd: float) -> str:
-    """Return mean ± sd; the mean has as many decimals as the standard deviation, which has two significant digits."""
-    decimals = 0 if sd >= 10 or sd <= 0 else len(f"{sd:.2g}".partition("e")[0].partition(".")[2])
-    return f"{mean:.{decimals}f} ± {sd:.2g}" if 1e-4 <= sd < 1e6 else f"{mean:.4g} ± {sd:.2g}"
+    """Return mean ± sd; the mean has as many decimals as the standard deviation, which has two significant digits or,
+    from 100, all those before the point."""
+    if not 1e-4 <= sd < 1e6:
+        return f"{mean:.4g} ± {sd:.2g}"
+    if sd >= 10:
+        return f"{mean:.0f} ± {sd:.0f}"
+    decimals = len(f"{sd:.2g}".partition(".")[2])
+    return f"{mean:.{decimals}f} ± {sd:.2g}"

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from strandline.calibration.experiment import Experiment, experiment_behind
 from strandline.calibration.importance_sampler import Pool, followed
+from strandline.calibration.log_densities import only_inside
 from strandline.calibration.source import Source
 from strandline.design.refinement import SAMPLING
 from strandline.likelihood import FieldLikelihood, OnHost
@@ -115,17 +116,11 @@ def _posterior(
 ) -> _Sampled:
     """Sample the posterior; the truth itself is not among the draws that sampling begins with."""
 
-    def log_densities(
-        x: Float[np.ndarray, "point dim"],
-    ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
-        """Return the logarithms of the source's density and of the posterior's, -∞ outside the box."""
-        first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
-        inside = source.inside(x)
-        if inside.any():
-            coefficients = likelihood.surrogate.mean(x[inside])
-            first[inside] = source.log_density(x[inside], coefficients)
-            target[inside] = first[inside] + likelihood.at(coefficients)
-        return first, target
+    def both(x: Float[np.ndarray, "point dim"]) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+        """Return the log densities of the source and of the posterior of points inside the box."""
+        coefficients = likelihood.surrogate.mean(x)
+        first = source.log_density(x, coefficients)
+        return first, first + likelihood.at(coefficients)
 
     own = (source.points == truth).all(axis=1)
     of_truth, *others = likelihood.at(np.vstack([likelihood.surrogate.mean(truth[None]), source.coefficients]))
@@ -136,7 +131,7 @@ def _posterior(
         log_target=source.log_densities + np.array(others),
         number=source.number,
     )
-    found = followed(pool, log_densities, random)
+    found = followed(pool, only_inside(source.inside, both), random)
     if found is None:
         draws = _by_smc(likelihood, source, random)
         return _Sampled(draws, likelihood.at(likelihood.surrogate.mean(draws.draws)), of_truth, "smc")

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 
 from strandline.calibration.importance_sampler import Pool, effective_size, fitted
+from strandline.calibration.log_densities import prior_and_posterior
 from strandline.design import sobol
 from strandline.design.active import Knowledge
 from strandline.numerics.one_thread import one_thread
@@ -140,16 +141,7 @@ def integrated(knowledge: Knowledge, space: ParameterSpace, posterior: Weighted,
         posterior: Draws of the posterior, which the first mixture is fitted to; their weights need not be exact.
         random: Random numbers.
     """
-
-    def log_densities(x: Points) -> tuple[Values, Values]:
-        """Return the logarithms of the prior and of likelihood times prior, -inf outside the box."""
-        first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
-        inside = ((x >= space.low) & (x <= space.high)).all(axis=1)
-        first[inside] = np.asarray(space.log_prior(x[inside]))
-        inside &= np.isfinite(first)
-        target[inside] = first[inside] + knowledge.nearly_expected(x[inside])
-        return first, target
-
+    log_densities = prior_and_posterior(space, knowledge.nearly_expected)
     x = space.prior_quantiles(sobol(FIRST, space.dim, scramble=SCRAMBLE))
     first, target = log_densities(x)
     pool = Pool(x=x, log_counts=np.zeros(len(x)), log_first=first, log_target=target, number=len(x))

@@ -20,6 +20,7 @@ from scipy.special import log_softmax, logsumexp
 from strandline.calibration.alternative import Alternative, Present
 from strandline.calibration.field_quality import FieldQuality, quality_at
 from strandline.calibration.importance_sampler import Pool, effective_size, followed
+from strandline.calibration.log_densities import prior_and_posterior
 from strandline.calibration.source import POINTS, SCRAMBLE
 from strandline.design import sobol
 from strandline.design.active import Knowledge
@@ -216,7 +217,7 @@ def _sampled(
     prior = np.asarray(space.log_prior(first))
     pool = Pool(first, np.zeros(len(first)), prior, prior + plug_in(first), len(first))
     by: By = "importance"
-    found = followed(pool, _log_densities(alternative, plug_in), random, enough=ENOUGH)
+    found = followed(pool, prior_and_posterior(space, plug_in), random, enough=ENOUGH)
     if found is not None:
         inside = np.isfinite(found.log_first)
         values = np.where(inside, found.log_target - np.where(inside, found.log_first, 0.0), -np.inf)
@@ -238,24 +239,6 @@ def _sampled(
         effective=effective_size(final),
         log_evidence_change=change if alternative.by_prior_alone else None,
     )
-
-
-def _log_densities(
-    alternative: Alternative, plug_in: Callable[[Points], Values]
-) -> Callable[[Points], tuple[Values, Values]]:
-    """Return a function for the logarithms of the prior's density and of the posterior's, -∞ outside the prior."""
-    space = alternative.free_space
-
-    def log_densities(x: Points) -> tuple[Values, Values]:
-        first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
-        inside = ((x >= space.low) & (x <= space.high)).all(axis=1)
-        first[inside] = np.asarray(space.log_prior(x[inside]))
-        inside &= np.isfinite(first)
-        if inside.any():
-            target[inside] = first[inside] + plug_in(x[inside])
-        return first, target
-
-    return log_densities
 
 
 def _by_smc(

@@ -7,7 +7,7 @@ from 0 to half its width (Gelman 2006 recommends a uniform density of the spread
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from jaxtyping import Float
 from scipy.special import ndtr
 
 from strandline.calibration.importance_sampler import Pool, StudentMixture, followed
+from strandline.calibration.log_densities import Densities, only_inside
 from strandline.design import sobol
 from strandline.design.refinement import SAMPLING
 from strandline.errors import InvalidInput
@@ -28,6 +29,7 @@ from strandline.population.specimen import SpecimenPosterior
 from strandline.posterior import systematic_indices
 from strandline.posterior.weighted import Weighted
 from strandline.smc import sample
+from strandline.text import with_sd
 
 __all__ = ["FEWEST_SPECIMENS", "LARGEST_SPREAD", "Population", "population_of"]
 
@@ -47,7 +49,6 @@ TINY = 1e-300
 
 Rows = Float[np.ndarray, "draw dim"]
 Values = Float[np.ndarray, " draw"]
-Densities = Callable[[Rows], tuple[Values, Values]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class Population:
 
     def __repr__(self) -> str:
         means, sds = self.mean.mean(axis=0), self.sd.mean(axis=0)
-        shown = (f"{name} {a:.4g} ± {b:.2g}" for name, a, b in zip(self.space.names, means, sds, strict=True))
+        shown = (f"{name} {with_sd(a, b)}" for name, a, b in zip(self.space.names, means, sds, strict=True))
         return f"<Population of {len(self.mixtures.means)} specimens: {', '.join(shown)}>"
 
     @property
@@ -141,14 +142,12 @@ def _sampled(mixtures: Mixtures, random: np.random.Generator) -> Weighted:
     dim = mixtures.dim
     scales = np.repeat([1.0, LARGEST_SPREAD], dim)
 
-    def log_densities(x: Rows) -> tuple[Values, Values]:
-        first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
-        inside = ((x > 0) & (x < scales)).all(axis=1)
-        first[inside] = -dim * math.log(LARGEST_SPREAD)
-        if inside.any():
-            target[inside] = mixtures.log_likelihoods(x[inside, :dim], x[inside, dim:]).sum(axis=1)
-        return first, target
+    def both(x: Rows) -> tuple[Values, Values]:
+        """Return the log densities of the prior and of the posterior of means and spreads that the prior allows."""
+        first = np.full(len(x), -dim * math.log(LARGEST_SPREAD))
+        return first, mixtures.log_likelihoods(x[:, :dim], x[:, dim:]).sum(axis=1)
 
+    log_densities = only_inside(lambda x: np.all((x > 0) & (x < scales), axis=1), both)
     spread = scales * np.clip(sobol(FIRST, 2 * dim, scramble=0), 1e-9, 1 - 1e-9)
     pool = Pool(spread, np.zeros(FIRST), *log_densities(spread), FIRST)
     guess = _first_guess(mixtures)

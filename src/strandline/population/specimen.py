@@ -5,7 +5,7 @@ costs a forward run. The last draws come from a shifted Sobol sequence (Cranley 
 accurate than that of independent draws. If importance sampling fails, tempering takes over.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
@@ -25,6 +25,7 @@ from strandline.calibration.importance_sampler import (
     fitted,
     followed,
 )
+from strandline.calibration.log_densities import Densities, only_inside
 from strandline.design import sobol
 from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy
@@ -39,6 +40,7 @@ from strandline.posterior import systematic_indices
 from strandline.posterior.weighted import Weighted
 from strandline.smc import sample
 from strandline.surrogate.field import FieldPrediction
+from strandline.text import with_sd
 
 __all__ = ["SPECIMEN_DRAWS", "SpecimenPosterior", "posterior_of", "random_of"]
 
@@ -86,7 +88,7 @@ class SpecimenPosterior:
 
     def __repr__(self) -> str:
         pairs = zip(self.space.names, self.mean, self.sd, strict=True)
-        shown = ", ".join(f"{name} = {mean:.4g} ± {sd:.2g}" for name, mean, sd in pairs)
+        shown = ", ".join(f"{name} = {with_sd(mean, sd)}" for name, mean, sd in pairs)
         return f"<SpecimenPosterior of {self.name}: {shown}; {self.certified.verdict}>"
 
     @property
@@ -154,12 +156,12 @@ class _Target:
 
     def log_densities(self, x: Points) -> tuple[Values, Values]:
         """Return log densities of the prior and of the posterior, -∞ outside the box."""
-        first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
-        inside = self.begin.inside(x)
-        if inside.any():
-            first[inside] = np.asarray(self.begin.unknown.log_prior(x[inside]))
-            target[inside] = self.begin.log_density(x[inside]) + self.of(self.begin.predict(x[inside]))
-        return first, target
+        return only_inside(self.begin.inside, self._inside)(x)
+
+    def _inside(self, x: Points) -> tuple[Values, Values]:
+        """Return log densities of the prior and of the posterior of points inside the box."""
+        target = self.begin.log_density(x) + self.of(self.begin.predict(x))
+        return np.asarray(self.begin.unknown.log_prior(x)), target
 
 
 def _sampled(target: _Target, random: np.random.Generator) -> tuple[Weighted, By]:
@@ -177,7 +179,7 @@ def _sampled(target: _Target, random: np.random.Generator) -> tuple[Weighted, By
     return found.weighted, "importance"
 
 
-def _begun(target: _Target) -> tuple[Pool, Callable[[Points], tuple[Values, Values]]]:
+def _begun(target: _Target) -> tuple[Pool, Densities]:
     """Return the kept draws of the prior with their posterior density, and the densities of others."""
     begin = target.begin
     pool = Pool(

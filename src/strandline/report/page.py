@@ -23,6 +23,7 @@ from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.specimens import draw_specimens
 from strandline.report.warnings import reason_to_doubt, small_share
 from strandline.report.what_if import draw_what_if
+from strandline.text import with_sd
 from strandline.typeset import RAISED, html_text, unit_text
 
 __all__ = [
@@ -268,6 +269,7 @@ def _environment(package: str) -> Environment:
     )
     environment.filters["g"] = _figures
     environment.filters["unit"] = lambda unit: unit_text(unit) or "–"
+    environment.filters["with_sd"] = lambda item: with_sd(item["mean"], item["sd"])
     environment.filters["symbol"] = lambda symbol: Markup(html_text(symbol))
     environment.filters["percent"] = lambda value: f"{value:.1%}"
     environment.filters["small_share"] = small_share
