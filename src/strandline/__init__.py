@@ -29,16 +29,16 @@ if TYPE_CHECKING:
     from strandline.posterior import Posterior
     from strandline.posterior.quadrature import integrate
     from strandline.priors import LogNormal, LogUniform, Normal, ScaledBeta, Uniform
+    from strandline.questions.compare.study_comparison import compare
+    from strandline.questions.coverage.study_coverage import coverage
+    from strandline.questions.next.next_experiment import next_experiment
+    from strandline.questions.specimens.opened import open_specimens
+    from strandline.questions.specimens.study_specimens import specimens
+    from strandline.questions.specimens.watch import watch_specimens
+    from strandline.questions.what_if.study_what_if import what_if
     from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, run_campaign
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
-    from strandline.studies.compare import compare
-    from strandline.studies.coverage import coverage
-    from strandline.studies.next_experiment import next_experiment
-    from strandline.studies.open_specimens import open_specimens
-    from strandline.studies.specimens import specimens
-    from strandline.studies.watch_specimens import watch_specimens
-    from strandline.studies.what_if import what_if
     from strandline.surrogate import fit_log_likelihood
 
 __all__ = [  # noqa: RUF022
@@ -117,13 +117,13 @@ _NAMES_OF = {
     "posterior": "Posterior",
     "calibration": "Problem Settings Observer Calibration calibrate",
     "studies": "Study load_study Outcome run_study Result load_result",
-    "studies.coverage": "coverage",
-    "studies.next_experiment": "next_experiment",
-    "studies.what_if": "what_if",
-    "studies.compare": "compare",
-    "studies.specimens": "specimens",
-    "studies.open_specimens": "open_specimens",
-    "studies.watch_specimens": "watch_specimens",
+    "questions.coverage.study_coverage": "coverage",
+    "questions.next.next_experiment": "next_experiment",
+    "questions.what_if.study_what_if": "what_if",
+    "questions.compare.study_comparison": "compare",
+    "questions.specimens.study_specimens": "specimens",
+    "questions.specimens.opened": "open_specimens",
+    "questions.specimens.watch": "watch_specimens",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

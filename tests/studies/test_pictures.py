@@ -21,7 +21,7 @@ from strandline.interface import PointErrors, UnknownErrors
 from strandline.report.plots.picture import off_smooth, plot_picture
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
-from strandline.studies.picture_files import described, write_pictures
+from strandline.studies.pictures.picture_files import described, write_pictures
 from strandline.studies.read_how import read_how
 from strandline.testing.studies import write_study
 

@@ -18,8 +18,8 @@ from strandline.interface import PointErrors
 from strandline.readers import Reading, read_interface
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
+from strandline.studies.pictures.stack_files import vtu, write_stacks
 from strandline.studies.read_how import read_how
-from strandline.studies.stack_files import vtu, write_stacks
 from strandline.testing.studies import write_study
 
 V, RADIUS = 1e-3, 0.014

@@ -14,8 +14,8 @@ from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors
 from strandline.runs import InProcess
 from strandline.studies import Study, load_study, run_study
+from strandline.studies.pictures.undeformed import Undeformed, with_errors_of
 from strandline.studies.read_how import read_how
-from strandline.studies.undeformed import Undeformed, with_errors_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "oct-biofilm"
 SEEN = Interface.polyline(np.stack([np.linspace(0, 1, 101), np.zeros(101)], axis=1))

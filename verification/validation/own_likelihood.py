@@ -28,8 +28,8 @@ from strandline.interface import GaussianNoise, PointErrors
 from strandline.likelihood.set_aside import Judge
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
+from strandline.questions.knowledge import runs_to_learn_from
 from strandline.studies import Study, load_study
-from strandline.studies.coverage import runs_to_learn_from
 from strandline.studies.first_run import observations_of
 
 ERRORS = PointErrors(0.001)

@@ -22,7 +22,7 @@ from verification.validation.tables import Table, put_into_page
 
 import strandline as sl
 from strandline.population import SpecimenPosterior, Task, population_of, posteriors_of, shrunk
-from strandline.studies.open_specimens import Specimens
+from strandline.questions.specimens.opened import Specimens
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "many-specimens.md"
 STUDY = """\

@@ -26,7 +26,7 @@ def command(studies: tuple[Path, ...], to: Path, odds: str | None, separate: boo
     The surrogate of the interface stands in for the simulator: without --separate, no forward run is made.
     """
     from strandline.cli.progress import observing
-    from strandline.studies.compare import compare, odds_in
+    from strandline.questions.compare.study_comparison import compare, odds_in
 
     given = odds_in(odds)
     with observing(quiet=quiet) as observer:

@@ -29,8 +29,8 @@ def command(study: Path, replicates: int, source: str, seed: int, measure: str |
     The surrogate of the interface stands in for the simulator: no forward run is made. Run it again to resume.
     """
     from strandline.cli.progress import observing
+    from strandline.questions.coverage.study_coverage import coverage
     from strandline.studies import load_study
-    from strandline.studies.coverage import coverage
 
     loaded = load_study(study)
     with observing(quiet=quiet) as observer:

@@ -49,7 +49,7 @@ def command(
     """
     from strandline.models.protocol import declared_conditions, with_sensitivities, without_failure_budget
     from strandline.studies import load_study
-    from strandline.studies.build import check_complete
+    from strandline.studies.inputs import check_complete
 
     loaded = load_study(study)
     inputs = {**loaded.fixed, **_parsed(settings)}

@@ -9,7 +9,7 @@ import click
 from strandline.errors import InvalidStudy
 
 if TYPE_CHECKING:
-    from strandline.studies.picture_files import PictureFiles
+    from strandline.studies.pictures.picture_files import PictureFiles
 
 __all__ = ["command"]
 
@@ -36,8 +36,8 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
         click.echo(f"wrote {page}: open it in a browser, and save what you mark beside study.yaml")
         return
     from strandline.studies import load_study
-    from strandline.studies.picture_files import write_pictures
-    from strandline.studies.stack_files import write_stacks
+    from strandline.studies.pictures.picture_files import write_pictures
+    from strandline.studies.pictures.stack_files import write_stacks
 
     loaded = load_study(study)
     if not loaded.pictures and not loaded.stacks and loaded.undeformed is None:
@@ -139,9 +139,9 @@ def _moved(found: Mapping[str, Any], unit: float) -> str:
 def _page(study: Path, condition: str | None, *, reference: bool) -> Path:
     """Write the page for one picture and return its path."""
     from strandline.studies.parse import parse_study
-    from strandline.studies.picture_files import UNDEFORMED, write_page
-    from strandline.studies.pictures import picture_of, reference_of
-    from strandline.studies.undeformed import undeformed_picture
+    from strandline.studies.pictures.photographed import picture_of, reference_of
+    from strandline.studies.pictures.picture_files import UNDEFORMED, write_page
+    from strandline.studies.pictures.undeformed import undeformed_picture
 
     content, _ = parse_study(study)
     undeformed = undeformed_picture(content.model)

@@ -31,8 +31,8 @@ def command(study: Path, source: str | None, draws: int, runs: int, seed: int, q
     Otherwise it is run at a few draws of the prior.
     """
     from strandline.cli.progress import observing
+    from strandline.questions.next.next_experiment import next_experiment
     from strandline.studies import load_study
-    from strandline.studies.next_experiment import next_experiment
 
     loaded = load_study(study)
     with observing(quiet=quiet) as observer:

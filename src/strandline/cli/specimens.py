@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from strandline.text import with_sd
+
 __all__ = ["command"]
 
 
@@ -31,13 +33,15 @@ def command(
     Without --refine, no forward run is made. Run it again to resume, or after adding specimens.
     """
     from strandline.cli.progress import observing
+    from strandline.questions.specimens.study_specimens import specimens
     from strandline.studies import load_study
-    from strandline.studies.specimens import specimens
 
     loaded = load_study(study)
     if watch:
         if refine:
             raise click.UsageError("--watch makes no forward runs: run `strandline specimens --refine` first.")
+        if processes is not None:
+            raise click.UsageError("--watch analyses one file at a time: leave out --processes.")
         _watch(loaded, seed, measure)
         return
     with observing(quiet=quiet) as observer:
@@ -70,7 +74,7 @@ def _population(content: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each input: mean and spread with their standard deviations."""
     for name, item in content["population"]["inputs"].items():
         unit = content["inputs"][name]["unit"]
-        parts = (f"{item[part]['mean']:.4g} ± {item[part]['sd']:.2g}" for part in ("mean", "spread"))
+        parts = (with_sd(item[part]["mean"], item[part]["sd"]) for part in ("mean", "spread"))
         mean, spread = parts
         yield f"{name:>10} {'' if unit == '1' else unit:>7} {mean:>22} {spread:>22}"
 
@@ -78,7 +82,7 @@ def _population(content: Mapping[str, Any]) -> Iterator[str]:
 def _watch(study: Any, seed: int, measure: str | None) -> None:
     """Print a line for each specimen as it arrives."""
     from strandline.population import Refused
-    from strandline.studies.watch_specimens import watch_specimens
+    from strandline.questions.specimens.watch import watch_specimens
 
     def ready(known: int) -> None:
         click.echo(f"{study.name}: {known} specimens known; waiting for new ones (Ctrl-C ends)")
@@ -89,5 +93,5 @@ def _watch(study: Any, seed: int, measure: str | None) -> None:
             click.echo(f"{one.name}: set aside: {one.why}")
             continue
         pairs = zip(one.space.names, one.mean, one.sd, strict=True)
-        values = ", ".join(f"{name} {mean:.4g} ± {sd:.2g}" for name, mean, sd in pairs)
+        values = ", ".join(f"{name} {with_sd(mean, sd)}" for name, mean, sd in pairs)
         click.echo(f"{one.name}: {values}; {one.certified.verdict} ({arrived.seconds:.2f} s)")

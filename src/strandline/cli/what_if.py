@@ -30,8 +30,8 @@ def command(study: Path, asked: tuple[str, ...], seed: int, quiet: bool) -> None
     The draws of the posterior get other weights, or new ones come from the surrogate: no forward run is made.
     """
     from strandline.cli.progress import observing
+    from strandline.questions.what_if.study_what_if import what_if
     from strandline.studies import load_study
-    from strandline.studies.what_if import what_if
 
     alternatives = [_change(text) for text in asked] or None
     loaded = load_study(study)

@@ -10,7 +10,7 @@ from strandline.parameters import ParameterSpace
 from strandline.planning.candidate import Candidate, Look, candidates
 from strandline.planning.view import FEWEST_POINTS, WHOLE
 from strandline.registry import suggestion
-from strandline.studies.build import check_values
+from strandline.studies.inputs import check_values
 from strandline.studies.observed import TO_MM
 from strandline.text import decimal
 

@@ -16,7 +16,7 @@ from strandline.runs import RunRecord
 from strandline.studies.build import build_model
 from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
-from strandline.studies.undeformed import Undeformed
+from strandline.studies.pictures.undeformed import Undeformed
 
 __all__ = ["cheaper_dropped", "cheaper_lines", "with_cheaper"]
 

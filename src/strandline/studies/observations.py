@@ -13,8 +13,8 @@ from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import ForwardModel, declared_conditions
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
 from strandline.studies.observed import read_points, read_sds, require_plausible
-from strandline.studies.pictures import Photographed, photographed
-from strandline.studies.stacks import Scanned, scanned
+from strandline.studies.pictures.photographed import Photographed, photographed
+from strandline.studies.pictures.scanned import Scanned, scanned
 
 __all__ = ["Found", "read_observation", "read_observations"]
 

@@ -15,7 +15,7 @@ from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
 from strandline.runs.tables import EXCLUDED, INTERRUPTED
 from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY
-from strandline.studies.questions import digest_of
+from strandline.studies.question_keys import digest_of
 
 if TYPE_CHECKING:
     from strandline.studies.study import Study

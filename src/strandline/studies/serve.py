@@ -20,7 +20,7 @@ from strandline.models.umbridge.layout import flattened
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, run_key
 from strandline.runs.on_call import OnCall
-from strandline.studies.build import check_values
+from strandline.studies.inputs import check_values
 from strandline.studies.noise import require_stated
 from strandline.studies.observed import noisy
 from strandline.studies.study import Study

@@ -22,6 +22,7 @@ from strandline.studies.cheaper import with_cheaper
 from strandline.studies.chosen import refused_at
 from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
+from strandline.studies.inputs import build_fixed, build_space, check_complete
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionFile, ConditionNoise, ObservationFile
 from strandline.studies.known_model import as_in_ledgers
@@ -29,11 +30,11 @@ from strandline.studies.noise import build_noise, require_fits, require_inferabl
 from strandline.studies.observations import Found, read_observations
 from strandline.studies.observed import SyntheticNoise
 from strandline.studies.parse import parse_study
-from strandline.studies.pictures import Photographed
-from strandline.studies.questions import digest_of
-from strandline.studies.stacks import Scanned
+from strandline.studies.pictures.photographed import Photographed
+from strandline.studies.pictures.scanned import Scanned
+from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, with_errors_of
+from strandline.studies.question_keys import digest_of
 from strandline.studies.study_runs import StudyRuns
-from strandline.studies.undeformed import Undeformed, undeformed_in, with_errors_of
 from strandline.typeset import html_text
 
 __all__ = ["Study", "load_study", "study_of"]
@@ -164,7 +165,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
     model = build.build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
     model = with_cheaper(as_in_ledgers(model, (folder / LEDGER, *reuse)), content, folder, undeformed)
-    space, fixed = build.build_space(content.inputs, model), build.build_fixed(content, model)
+    space, fixed = build_space(content.inputs, model), build_fixed(content, model)
     truth = _truth(content.observation, model, names=(*space.names, *fixed))
     read = {} if truth is not None else read_observations(folder, content.observation, model)
     observed = {condition: one.interface for condition, one in read.items()}
@@ -282,7 +283,7 @@ def _truth(
     """Return the inputs of a synthetic observation."""
     if isinstance(source, list) or source.synthetic is None:
         return None
-    build.check_complete(source.synthetic, names, model, "observation.synthetic")
+    check_complete(source.synthetic, names, model, "observation.synthetic")
     return dict(source.synthetic)
 
 

@@ -1,0 +1,86 @@
+"""The interface learnt from the runs of a finished study: what every question looks through."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from strandline.calibration.learning import known_field
+from strandline.design.active import Knowledge
+from strandline.design.active.fidelities import as_by_model
+from strandline.errors import InvalidStudy, NoCommonPoints
+from strandline.likelihood.set_aside import Judge
+from strandline.runs import Ledger, RunRecord
+from strandline.studies.cheaper import cheaper_dropped
+from strandline.studies.first_run import observations_of
+from strandline.studies.study import Study
+from strandline.studies.study_runs import settled
+
+__all__ = ["field_knowledge", "runs_to_learn_from"]
+
+MOST_ROWS, FEWEST_RUNS = 400, 50
+"""Values and derivatives from which the interface is learnt in a study that learns the log-likelihood; fewest runs."""
+
+
+def field_knowledge(
+    study: Study, measure: str, *, purpose: str = "coverage", more: Sequence[RunRecord] = ()
+) -> Knowledge:
+    """Learn the interface from the runs of a finished study, and what the observation tells through it.
+
+    Args:
+        study: The study.
+        measure: Name of one of its measures.
+        purpose: What needs the interface, a noun for the message.
+        more: Further runs of its model to learn from.
+
+    Raises:
+        InvalidStudy: The runs have no common points, or the synthetic observation is missing.
+        TooFewRuns: Too few runs succeeded.
+    """
+    observed = observations_of(study)
+    if not observed:
+        raise InvalidStudy(
+            "the synthetic observation is not in the ledger",
+            value="no run that ended ok",
+            expected="the run at the inputs of observation.synthetic",
+            remedy=f"Run the study first: strandline run {study.folder}",
+        )
+    judge = Judge(study.observations(observed), {measure: study.discrepancies[measure]}, study.settings.failures)
+    records = (*runs_to_learn_from(study), *more)
+    points = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
+    try:
+        return known_field(points, records, judge, study.space)[0]
+    except NoCommonPoints as error:
+        raise InvalidStudy(
+            f"{purpose} needs a surrogate of the interface",
+            value=str(error.value),
+            expected="runs whose interfaces can be brought to common points",
+            remedy="Let the simulator return interfaces of the same kind, best with the same nodes in all runs.",
+        ) from error
+
+
+def runs_to_learn_from(study: Study) -> tuple[RunRecord, ...]:
+    """Return the finished runs of a study from which the interface is learnt."""
+    return _thinned(study, _finished(study))
+
+
+def _finished(study: Study) -> tuple[RunRecord, ...]:
+    """Return the study's runs in the order in which it asked for them, those of a cheaper model corrected."""
+    runs = study.runs
+    keys = [*runs.design_keys, *(key for some in runs.rounds for key in some)]
+    with Ledger.open(study.ledger_path, model=runs.identity, read_only=True) as ledger:
+        found = {record.key: record for record in settled(ledger, keys, sensitivities=study.sensitivities)}
+    records = [found[key] for key in dict.fromkeys(keys) if key in found]
+    return as_by_model(records, study.space.names, dropped=cheaper_dropped(study.folder))
+
+
+def _thinned(study: Study, records: tuple[RunRecord, ...]) -> tuple[RunRecord, ...]:
+    """Return all runs if the study learns the interface, else at most as many as its surrogate can use quickly.
+
+    The first ones of a design are spread over the box, and so are the last ones, unless these are where the posterior
+    lies.
+    """
+    rows = 1 + (study.space.dim if study.sensitivities else 0)
+    most = max(MOST_ROWS // rows, FEWEST_RUNS)
+    if study.settings.surrogate == "field" or len(records) <= most:
+        return records
+    return (*records[: most // 2], *records[-(most // 2) :])

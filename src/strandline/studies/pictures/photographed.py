@@ -1,0 +1,293 @@
+"""Pictures of a study: the edge in each, in the model's coordinates, with the errors that the picture itself shows."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.imaging import (
+    Clicks,
+    Edge,
+    Frame,
+    FrameErrors,
+    Picture,
+    PictureReading,
+    Registration,
+    edge_method,
+    errors_from_frames,
+    find_edge,
+    read_clicks,
+    read_frames,
+    read_path,
+    read_picture,
+    registered,
+    typed_path,
+)
+from strandline.imaging.markov_path import MarkovPath
+from strandline.imaging.pixel_size import PixelSize
+from strandline.interface import Interface, PointErrors
+from strandline.studies.chosen import refused_at
+from strandline.studies.keys.image import ImageFile
+from strandline.studies.keys.observation import ConditionFile, ObservationFile
+from strandline.studies.pictures.frame_note import frame_note
+
+__all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture", "reference_of"]
+
+PLACE = "observation.image"
+MODEL = "model"
+"""The path of a picture whose first path is the model's own outline."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photographed:
+    """A picture, the edge in it, and where it lies in the model's coordinates.
+
+    Args:
+        picture: The picture.
+        frame: Where the model lies in it.
+        path: First path, from which the search began, in pixels.
+        edge: The edge, in pixels; its errors and arc lengths in mm.
+        interface: The edge as an interface in the model's coordinates, mm.
+        registration: Where the set-up is in the picture, if it was found from another one of it.
+        repeated: Errors of the edge from the frames whose mean the picture is; None for a single one.
+        doubts: Why such frames show no errors.
+        placed: Sentence that says where the model lies in the picture, and who said so.
+    """
+
+    picture: Picture
+    frame: Frame
+    path: Float[np.ndarray, "click 2"]
+    edge: Edge
+    interface: Interface
+    registration: Registration | None = None
+    repeated: FrameErrors | None = None
+    doubts: tuple[str, ...] = ()
+    placed: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the picture's file."""
+        return self.picture.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences that say what was taken from where, and what is in doubt."""
+        placed = (self.placed,) if self.placed else ()
+        repeated = () if self.repeated is None else self.repeated.notes
+        return (*self.picture.notes, *placed, *self.doubts, *repeated)
+
+    @property
+    def errors(self) -> PointErrors:
+        """Errors of the interface's points that the picture shows: local ones, a common offset, and of its place."""
+        found, place = self.edge.errors, self.registration
+        if place is None:
+            return PointErrors(found.sd, found.length, offset=found.offset)
+        turned = np.array([place.centre])  # what is registered is turned about its own middle
+        lever = np.linalg.norm(self.frame.to_mm(place(turned))[0] - self.interface.points.mean(axis=0))
+        shift = math.hypot(min(self.picture.pixel) * place.shift_sd, np.deg2rad(place.rotation_sd) * float(lever))
+        return PointErrors(found.sd, found.length, offset=found.offset, shift=shift, rotation=place.rotation_sd)
+
+
+def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -> Photographed:
+    """Return the edge in a picture of a study.
+
+    Args:
+        folder: Folder of the study.
+        given: The section `observation.image`.
+        undeformed: The model's undeformed interface, if it has one.
+
+    Raises:
+        InvalidStudy: The picture, the path or another option cannot be used, or the picture shows no edge there.
+    """
+    with refused_at():
+        clicks = clicked(folder, given)
+        picture = read_picture([folder / name for name in given.files], _reading(given, clicks))
+        size = picture.values.shape[1], picture.values.shape[0]
+        if clicks is not None:
+            clicks.require_picture(picture.sha256, size)
+        frame, registration, placed = _placed(folder, given, clicks, picture)
+        path, closed = _path(folder, given, clicks, frame, undeformed, size)
+        exclude = [np.array(corners, float) for corners in given.exclude]
+        exclude += clicks.exclude if clicks is not None else ()
+        edge = find_edge(
+            picture.values,
+            path,
+            method=edge_method(given.edge, f"{PLACE}.edge"),
+            solid=given.solid,
+            closed=closed,
+            exclude=exclude,
+            pixel=picture.pixel,
+            trim=given.trim,
+        )
+        repeated, doubts = _repeated(folder, given, clicks, picture, edge, exclude)
+        edge = edge if repeated is None else repeated.put_into(edge)
+        points = frame.to_mm(edge.points)
+        interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
+    return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts, placed)
+
+
+def _repeated(
+    folder: Path,
+    given: ImageFile,
+    clicks: Clicks | None,
+    picture: Picture,
+    edge: Edge,
+    exclude: Sequence[Float[np.ndarray, "corner 2"]],
+) -> tuple[FrameErrors | None, tuple[str, ...]]:
+    """Return the errors that several frames of one state show, or why they show none."""
+    if picture.frames == 1:
+        return None, ()
+    frames = read_frames([folder / name for name in given.files], _reading(given, clicks))
+    try:
+        return errors_from_frames(frames, edge, number=picture.frames, exclude=exclude), ()
+    except InvalidInput as error:
+        return None, (f"no errors from the frames, for {error.what}: {error.value}",)
+
+
+def clicked(folder: Path, given: ImageFile) -> Clicks | None:
+    """Return the clicks that the study names, if its path is a file of clicks."""
+    if isinstance(given.path, str) and given.path.endswith(".json"):
+        return read_clicks(folder / given.path)
+    return None
+
+
+def picture_of(source: ObservationFile | list[ConditionFile], condition: str | None) -> ImageFile:
+    """Return the section of the picture of a condition; None for the only one.
+
+    Raises:
+        InvalidStudy: There is no such picture, or there are several.
+    """
+    sections = source if isinstance(source, list) else [source]
+    found = {getattr(one, "condition", ""): one.image for one in sections if one.image is not None}
+    if condition is None and len(found) == 1:
+        return next(iter(found.values()))
+    if condition is None or condition not in found:
+        raise InvalidStudy(
+            "observation with a picture" if condition is None else "--condition",
+            value=condition if condition is not None else f"{len(found)} pictures",
+            expected=f"one of {', '.join(found)}" if any(found) else "`observation: {image: {file: …}}`",
+            remedy="Give its condition, `--condition NAME`." if any(found) else "Correct study.yaml.",
+        )
+    return found[condition]
+
+
+def reference_of(given: ImageFile) -> ImageFile:
+    """Return the section of the picture to which a picture is registered, its marks as the path.
+
+    Raises:
+        InvalidStudy: The picture is registered to none.
+    """
+    how = given.registration
+    if how is None:
+        raise InvalidStudy(
+            "--reference",
+            value=f"{', '.join(given.files)}, without `registration`",
+            expected="a picture that is registered to another",
+            remedy="Leave --reference out, or add `registration: {to: FILE, marks: FILE.path.json}`.",
+        )
+    marks = how.marks or f"{Path(how.files[0]).stem}.path.json"
+    return given.model_copy(update={"file": how.to, "path": marks, "registration": None})
+
+
+def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
+    """Return the picture alone, and whether study or header state the size of its pixels; else it is 1 mm."""
+    paths = [folder / name for name in given.files]
+    how = PictureReading.from_options(given.reading, PLACE)
+    try:
+        with refused_at():
+            return read_picture(paths, how), True
+    except InvalidStudy:
+        if how.pixel is not None:
+            raise
+        with refused_at():
+            return read_picture(paths, replace(how, pixel=PixelSize(1.0, 1.0, source="nothing yet"))), False
+
+
+def _reading(given: ImageFile, clicks: Clicks | None, name: str | None = None) -> PictureReading:
+    """Return how to read the picture, with the size of a pixel from a scale bar if the study states none.
+
+    A bar shows the size along itself only: pixels are taken as square, and the note says so.
+    """
+    how = PictureReading.from_options(given.reading, PLACE)
+    size = None if clicks is None else clicks.pixel_mm
+    if how.pixel is not None or size is None:
+        return how
+    source = f"the scale bar in {given.path if name is None else name}, as if pixels were square"
+    return replace(how, pixel=PixelSize(size, size, source=source))
+
+
+def _placed(
+    folder: Path, given: ImageFile, clicks: Clicks | None, picture: Picture
+) -> tuple[Frame, Registration | None, str]:
+    """Return where the model lies in the picture, if need be by what does not move from another picture to it.
+
+    The sentence says so, and where origin and axes come from.
+    """
+    how = given.registration
+    if how is None:
+        frame, origin = _frame(given, clicks, picture, str(given.path))
+        return frame, None, frame_note(frame, given.frame, origin)
+    marks = None if how.marks is None else read_clicks(folder / how.marks)
+    other = read_picture([folder / name for name in how.files], _reading(given, marks, how.marks))
+    if marks is not None:
+        marks.require_picture(other.sha256, (other.values.shape[1], other.values.shape[0]))
+    regions = [*(np.array(one, float) for one in how.fixed), *(marks.fixed if marks is not None else ())]
+    if not regions:
+        raise InvalidStudy(
+            f"{PLACE}.registration.marks",
+            value=f"{how.marks}, without a fixed region",
+            expected="a region that does not move with the specimen",
+            remedy="Mark one: `strandline image STUDY --edit --reference`, or give `fixed`.",
+        )
+    speckle = isinstance(edge_method(given.edge, f"{PLACE}.edge"), MarkovPath)
+    found = registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=speckle)
+    frame, origin = _frame(given, marks, other, str(how.marks))
+    return frame.moved(found), found, f"in {other.name}, {frame_note(frame, given.frame, origin)}"
+
+
+def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture, marks: str) -> tuple[Frame, str]:
+    """Return where the model lies in the picture, and what gives the origin: the marks if the study states none."""
+    source = "the study"
+    options: Mapping[str, Any] | Any = {} if given.frame is None else given.frame
+    if isinstance(options, Mapping) and "origin" not in options and clicks is not None and clicks.origin is not None:
+        options, source = {**options, "origin": list(clicks.origin)}, f"the marks in {marks}"
+    return Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel), source
+
+
+def _path(
+    folder: Path,
+    given: ImageFile,
+    clicks: Clicks | None,
+    frame: Frame,
+    undeformed: Interface | None,
+    size: tuple[int, int],
+) -> tuple[Float[np.ndarray, "click 2"], bool]:
+    """Return the first path, in pixels, and whether it is closed."""
+    if clicks is not None:
+        if not len(clicks.path):
+            raise InvalidStudy(
+                f"{PLACE}.path",
+                value=f"{given.path}, without a path",
+                expected="at least 3 points along the interface",
+                remedy="Click them: `strandline image STUDY --edit`.",
+            )
+        return clicks.path, clicks.closed or given.closed
+    if given.path == MODEL:
+        if undeformed is None or undeformed.dim != 2:
+            raise InvalidStudy(
+                f"{PLACE}.path",
+                value=MODEL,
+                expected="a model with an undeformed outline in the plane",
+                remedy="Click the path: `strandline image STUDY --edit`.",
+            )
+        return frame.to_pixels(undeformed.points), undeformed.closed
+    if isinstance(given.path, str):
+        found = read_path(folder / given.path, size=size)
+    else:
+        found = typed_path(given.path, closed=given.closed, size=size, what=f"{PLACE}.path")
+    return found.points, found.closed or given.closed

@@ -1,0 +1,94 @@
+"""Stacks of a study: the surface in each, in the model's coordinates, with the errors that the stack itself shows."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from strandline.errors import InvalidStudy
+from strandline.imaging import PictureReading, Stack, read_stack
+from strandline.imaging.pixel_size import PixelSize
+from strandline.imaging.surfaces import StackFrame, Surface, find_surface, region_of
+from strandline.interface import Interface, PointErrors
+from strandline.studies.chosen import refused_at
+from strandline.studies.keys.stack import StackFile
+from strandline.studies.pictures.frame_note import frame_note
+
+__all__ = ["Scanned", "scanned"]
+
+PLACE = "observation.stack"
+
+
+@dataclass(frozen=True, eq=False)
+class Scanned:
+    """A stack, the surface in it, and where it lies in the model's coordinates.
+
+    Args:
+        stack: The stack.
+        frame: Where the model lies in it.
+        surface: The surface, in voxels; its errors in mm.
+        interface: The surface as an interface in the model's coordinates, mm.
+        placed: Sentence that says where the model lies in the stack, and who said so.
+    """
+
+    stack: Stack
+    frame: StackFrame
+    surface: Surface
+    interface: Interface
+    placed: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the stack's file."""
+        return self.stack.name
+
+    @property
+    def errors(self) -> PointErrors:
+        """Errors of the interface's points that the stack shows: local ones and a common offset."""
+        found = self.surface.errors
+        return PointErrors(found.sd, found.length, offset=found.offset)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences that say what was taken from where, and what of the solid the stack shows."""
+        found, notes = self.surface.errors, [*self.stack.notes, *([self.placed] if self.placed else [])]
+        if found.open_share > 0:
+            notes.append(f"the surface is open: the faces of the stack cut off {100 * found.open_share:.2g} % of it")
+        if found.area_share < 0.999:
+            notes.append(f"the largest of several surfaces, {100 * found.area_share:.3g} % of their area")
+        if self.surface.left_out:
+            left = f"{self.surface.left_out} triangles in excluded regions left out"
+            notes.append(f"{left}: `closest_point` does not compare there, but currents compare whole surfaces")
+        return tuple(notes)
+
+
+def scanned(folder: Path, given: StackFile) -> Scanned:
+    """Return the surface in a stack of a study.
+
+    Args:
+        folder: Folder of the study.
+        given: The section `observation.stack`.
+
+    Raises:
+        InvalidStudy: The stack or an option cannot be used, or the stack shows no surface.
+    """
+    with refused_at():
+        stack = read_stack([folder / name for name in given.files], _reading(given))
+        frame = StackFrame.from_options(given.frame or {}, f"{PLACE}.frame", voxel=stack.voxel)
+        exclude = [region_of(one, f"{PLACE}.exclude[{k}]", frame) for k, one in enumerate(given.exclude)]
+        surface = find_surface(
+            stack, solid=given.solid, triangles=given.triangles, smooth=given.smooth, exclude=exclude
+        )
+        return Scanned(stack, frame, surface, frame.interface(surface.mesh), frame_note(frame, given.frame))
+
+
+def _reading(given: StackFile) -> PictureReading:
+    """Return how to read the stack."""
+    names = ("index", "scale", "channel", "dataset", "reader")
+    options = {name: value for name in names if (value := getattr(given, name)) is not None}
+    how = PictureReading.from_options(options, PLACE)
+    if given.voxel is None:
+        return how
+    if isinstance(given.voxel, dict) and given.voxel.get("size") is not None:
+        raise InvalidStudy(
+            f"{PLACE}.voxel", value=given.voxel, expected="x, y and z", remedy="Write {x: 6, y: 6, z: 10, unit: um}."
+        )
+    return PictureReading(**how.given, pixel=PixelSize.from_options(given.voxel, f"{PLACE}.voxel"))

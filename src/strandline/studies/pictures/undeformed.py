@@ -1,0 +1,126 @@
+"""The undeformed outline of the flow cell from a picture, and what its errors add to those of the observation."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from strandline.imaging import Outlined, outline_of
+from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
+from strandline.studies.chosen import refused_at
+from strandline.studies.keys.image import ImageFile
+from strandline.studies.parse import first_problem
+from strandline.studies.pictures.photographed import Photographed, photographed
+
+__all__ = ["IMAGE", "Undeformed", "undeformed_in", "undeformed_picture", "with_errors_of", "without_picture"]
+
+IMAGE = "image"
+"""Option of an outline that names a picture instead of points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Undeformed:
+    """An undeformed outline and the picture that shows it.
+
+    Args:
+        picture: The picture with the edge.
+        outline: The smooth outline through the edge.
+        noises: Noise of each condition without the errors of the outline.
+    """
+
+    picture: Photographed
+    outline: Outlined
+    noises: Mapping[str, Noise | PointErrors | UnknownErrors] = field(default_factory=dict)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The outline as options of the model."""
+        return {"points": self.outline.points.tolist(), "spline": False}
+
+    @property
+    def errors(self) -> PointErrors:
+        """Errors of the outline: local ones, and a common offset."""
+        return PointErrors(self.outline.sd, self.outline.length, offset=self.picture.edge.errors.offset)
+
+
+def undeformed_picture(choice: Mapping[str, Mapping[str, Any] | None]) -> ImageFile | None:
+    """Return the section of the picture that gives the model its outline, if one does.
+
+    Args:
+        choice: The key `model` of the study.
+
+    Raises:
+        InvalidStudy: A key is missing, unknown or of the wrong kind.
+    """
+    (name, options) = next(iter(choice.items()))
+    outline = (options or {}).get("outline")
+    if not isinstance(outline, Mapping) or IMAGE not in outline:
+        return None
+    try:
+        return ImageFile.model_validate(outline[IMAGE])
+    except ValidationError as error:
+        raise first_problem(error, ImageFile, f"model.{name}.outline.{IMAGE}") from None
+
+
+def undeformed_in(choice: Mapping[str, Mapping[str, Any] | None], folder: Path) -> Undeformed | None:
+    """Return the outline in a picture that the model is to have, if the study names one.
+
+    Args:
+        choice: The key `model` of the study.
+        folder: Folder of the study.
+
+    Raises:
+        InvalidStudy: The picture cannot be used, or shows no outline there.
+    """
+    given = undeformed_picture(choice)
+    if given is None:
+        return None
+    picture = photographed(folder, given, None)
+    path = picture.frame.to_mm(picture.path)
+    path = path if path[0, 0] < path[-1, 0] else path[::-1]
+    points = picture.interface.points
+    points = points if points[0, 0] < points[-1, 0] else points[::-1]
+    found = picture.edge.errors
+    with refused_at():
+        return Undeformed(picture, outline_of(points, path, sd=found.sd, length=found.length))
+
+
+def without_picture(outline: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of an outline but for its picture."""
+    return {key: value for key, value in outline.items() if key != IMAGE}
+
+
+def with_errors_of(
+    undeformed: Undeformed | None, noise: Noise | PointErrors | UnknownErrors, seen: Interface, *, conditions: int
+) -> Noise | PointErrors | UnknownErrors:
+    """Return the noise of an observation together with the errors of the undeformed outline.
+
+    An error of the undeformed outline moves the simulated interface by nearly as much: variances add, and so do the
+    integrals s²ℓ of the covariances. The outline is the same in all conditions; since each is compared on its own, its
+    variances count as many times as there are conditions, so that no number of them can make it better known.
+
+    Args:
+        undeformed: The outline from a picture, if there is one.
+        noise: The noise of the observed interface; one of the measure stays as it is.
+        seen: The observed interface.
+        conditions: Number of observed conditions.
+    """
+    if undeformed is None or not isinstance(noise, PointErrors | UnknownErrors):
+        return noise
+    own = undeformed.errors
+    offset = math.hypot(noise.offset, math.sqrt(conditions) * own.offset)
+    if not isinstance(noise.sd, float) or not isinstance(noise.length, float):
+        return replace(noise, offset=offset)
+    added = conditions * own.sd**2
+    spacing = float(np.median(seen.lengths))
+    length = max(noise.length, 0.5 * spacing)
+    sd = math.sqrt(noise.sd**2 + added)
+    length = (noise.sd**2 * length + added * own.length) / sd**2
+    if isinstance(noise, UnknownErrors):
+        return replace(noise, sd=sd, length=length, offset=offset)
+    shares = tuple(math.sqrt((share * noise.sd) ** 2 + added) / sd for share in noise.shares)
+    return replace(noise, sd=sd, length=length, offset=offset, shares=shares)
