@@ -235,7 +235,7 @@ def test_run_interrupted_run_status_and_report(
     folder = write_study(tmp_path / "study", model={"python": {"function": "slow_beam:slow"}}, **SMALL)
 
     ended = interrupted_run(folder)
-    message = "strandline: interrupted; what is finished is kept, and the same command goes on from there\n"
+    message = "strandline: interrupted; what is finished is kept; run the same command again to go on\n"
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", message)
     kept = finished_runs(folder) - 1  # one run is the synthetic observation
     assert 3 <= kept < 32

@@ -144,7 +144,7 @@ def _call(command: click.Command, arguments: list[str] | None) -> Any:
 
 def _end_interrupted(cause: KeyboardInterrupt) -> None:
     by, number = (f" by {cause.number.name}", cause.number) if isinstance(cause, Ended) else ("", signal.SIGINT)
-    _end(f"interrupted{by}; what is finished is kept, and the same command goes on from there", 128 + number)
+    _end(f"interrupted{by}; what is finished is kept; run the same command again to go on", 128 + number)
 
 
 def _end(message: str, code: int) -> None:
