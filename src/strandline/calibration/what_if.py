@@ -30,7 +30,7 @@ from strandline.posterior.pareto_smoothing import pareto_smoothed, reliability_t
 from strandline.posterior.weighted import Weighted
 from strandline.smc import sample
 
-__all__ = ["LEAST_RATIO", "LEAST_SHIFT", "Answer", "By", "answered"]
+__all__ = ["LEAST_RATIO", "LEAST_SHIFT", "Answer", "By", "answered", "reweighted"]
 
 LEAST_SHIFT = 0.2
 """Shift of a mean, in present standard deviations, from which an input moves."""
@@ -146,7 +146,7 @@ def answered(now: Present, alternative: Alternative, *, seed: int) -> Answer:
     if now.knowledge is None and not alternative.by_prior_alone:
         return Answer(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
     if not alternative.fixed and _covered(now, alternative):
-        found = _reweighted(now, alternative)
+        found = reweighted(now, alternative)
         if found.k_hat < reliability_threshold(len(now.draws)) and found.effective >= FEWEST:
             return _judged(found)
         k_hat, effective = found.k_hat, found.effective
@@ -178,8 +178,13 @@ def _covered(now: Present, alternative: Alternative) -> bool:
     return True
 
 
-def _reweighted(now: Present, alternative: Alternative) -> Answer:
-    """Return the present draws with other weights."""
+def reweighted(now: Present, alternative: Alternative) -> Answer:
+    """Return the present draws with other weights, whether or not enough of them count.
+
+    Args:
+        now: The present posterior.
+        alternative: The alternative.
+    """
     log_ratios = np.asarray(alternative.space.log_prior(now.draws)) - now.log_prior
     if alternative.likelihood is not None and now.knowledge is not None:
         known = _with(now.knowledge, alternative)

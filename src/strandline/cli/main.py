@@ -24,6 +24,7 @@ COMMANDS = {
     "check": "Validate a study and make one forward run.",
     "run": "Do the whole study; go on where it was stopped.",
     "retry": "Make failed runs again, then the rest of the study.",
+    "view": "Show a study in the browser, while its runs are made and after.",
     "status": "Show how many runs are done, and how the others ended.",
     "runs": "List the runs of a study, show one in full, export them.",
     "doctor": "Look for damage, gaps and drift in a study folder.",

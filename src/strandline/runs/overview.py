@@ -8,7 +8,7 @@ import contextlib
 import json
 import os
 import socket
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +22,7 @@ __all__ = ["OPEN", "STATES", "Attempt", "Details", "Driver", "Overview", "Run", 
 
 OPEN = "open"
 """State of a run that was started and has not ended: under way, or lost with its driver."""
+NUMBERS_PER_QUERY = 500
 STATES = ("ok", "failed", "timeout", "killed", "invalid", OPEN)
 
 
@@ -168,6 +169,26 @@ class Overview:
         runs = [Run(key, tuple(attempts), excluded.get(key)) for key, attempts in found.items()]
         return sorted(runs, key=lambda run: run.last.number)
 
+    def changes(self, after: int, among: Collection[int]) -> list[tuple[str, Attempt]]:
+        """Return keys and starts that are new or may have ended since an earlier look.
+
+        Args:
+            after: Number of the last start seen.
+            among: Numbers of earlier starts that had not ended.
+        """
+        some = sorted(among)
+        with translated(self.path):
+            found = list(self._attempts("attempt > ?", (after,)))
+            for first in range(0, len(some), NUMBERS_PER_QUERY):
+                asked = some[first : first + NUMBERS_PER_QUERY]
+                found += self._attempts(f"attempt IN ({','.join('?' * len(asked))})", asked)
+        return found
+
+    def exclusions(self) -> Mapping[str, Exclusion]:
+        """Return the runs excluded by hand, by key."""
+        with translated(self.path):
+            return read_exclusions(self._connection)
+
     def details(self, numbers: Iterable[int]) -> dict[int, Details]:
         """Return message, log and diagnostics of those starts that have ended."""
         sql = "SELECT message, log, diagnostics FROM outcomes WHERE attempt = ?"
@@ -188,13 +209,15 @@ class Overview:
         session, pid, host, opened_at = row
         return Driver(session, pid, host, opened_at, is_at_work(pid, host, self.path.with_suffix(".lock")))
 
-    def _attempts(self) -> Iterator[tuple[str, Attempt]]:
+    def _attempts(self, which: str = "1", given: Sequence[int] = ()) -> Iterator[tuple[str, Attempt]]:
         with_plans = tables.has_table(self._connection, "plans")
         hint = "INDEXED BY outcomes_told" if with_plans else ""  # otherwise each row is read past its interface
         sql = f"""SELECT key, attempt, session, inputs, started_at, state, kind, seconds, origin, finished_at
-            FROM starts LEFT JOIN outcomes {hint} USING (attempt) ORDER BY attempt"""
+            FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""
         slopes = self._with_sensitivities()
-        for key, number, session, inputs, start, state, kind, seconds, origin, end in self._connection.execute(sql):
+        for key, number, session, inputs, start, state, kind, seconds, origin, end in self._connection.execute(
+            sql, given
+        ):
             sensitivities = number in slopes
             yield (
                 key,

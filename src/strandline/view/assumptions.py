@@ -1,0 +1,170 @@
+"""What the sliders of the page ask → an alternative to the study, and its posterior."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from strandline.calibration.alternative import Alternative, Present
+from strandline.calibration.usual_alternatives import scaled_noise, with_prior
+from strandline.calibration.what_if import Answer, answered, reweighted
+from strandline.errors import InvalidInput
+from strandline.interface import GaussianNoise, Observation, PointErrors
+from strandline.likelihood import FieldLikelihood
+from strandline.priors import Prior
+from strandline.studies.inputs import build_prior
+from strandline.studies.study import Study
+
+__all__ = ["Asked", "answer_to", "asked_by", "knobs_of"]
+
+NOISE, LENGTH = (0.2, 5.0), (0.0, 200.0)
+"""Range of the factor on the noise's standard deviation, and of the correlation length, µm."""
+LARGEST = 1e300
+SEED = 1
+TO_UM = 1e3
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Other assumptions.
+
+    Args:
+        noise: Factor on the standard deviation of the noise.
+        length_um: Correlation length of the points' errors, µm; None for the stated one.
+        measure: Name of a measure of the study; None for its first one.
+        priors: Other priors by input, as study.yaml has them.
+        fixed: Inputs that are taken as known.
+    """
+
+    noise: float
+    length_um: float | None
+    measure: str | None
+    priors: Mapping[str, Mapping[str, list[float]]]
+    fixed: Mapping[str, float]
+
+    @property
+    def nothing(self) -> bool:
+        """Whether this is the study as it is."""
+        return self.noise == 1 and self.length_um is None and not (self.measure or self.priors or self.fixed)
+
+
+def knobs_of(study: Study, now: Present | None) -> dict[str, Any]:
+    """Return what the page may change, with the present values.
+
+    Args:
+        study: The study.
+        now: Its posterior; None if there is none yet.
+    """
+    noises = [study.noise, *study.noises.values()]
+    by_points = all(isinstance(one, PointErrors) for one in noises)
+    sure = all(scaled_noise(one, 2.0) is not None for one in noises)
+    through = now is not None and now.knowledge is not None
+    first = noises[-1]
+    return {
+        "noise": {"range": list(NOISE), "now": _in_words(first)} if sure and through else None,
+        "length_um": {"range": list(LENGTH), "now": TO_UM * first.length}
+        if by_points and through and isinstance(first, PointErrors)
+        else None,
+        "measures": list(study.discrepancies) if through else [next(iter(study.discrepancies))],
+        "why_not": "" if now is None or through else now.why_not,
+    }
+
+
+def _in_words(noise: object) -> dict[str, Any]:
+    """Return the present noise: its standard deviation and the unit of it."""
+    if isinstance(noise, PointErrors):
+        return {"sd": TO_UM * noise.sd, "unit": "µm"}
+    if isinstance(noise, GaussianNoise):
+        return {"sd": float(np.sqrt(noise.variance)), "unit": "σ_N"}
+    return {"sd": None, "unit": ""}
+
+
+def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
+    """Return what the page asks, checked.
+
+    Raises:
+        InvalidInput: A value that makes no sense.
+    """
+    known = {"noise", "length_um", "measure", "priors", "fixed"}
+    if set(given) - known:
+        raise _refused("assumptions", sorted(set(given) - known)[0], f"some of {', '.join(sorted(known))}")
+    noise = _number("noise", given.get("noise", 1.0), *NOISE)
+    length = given.get("length_um")
+    length = None if length is None else _number("length_um", length, *LENGTH)
+    measure = given.get("measure")
+    if measure is not None and measure not in study.discrepancies:
+        raise _refused("measure", measure, f"one of {', '.join(study.discrepancies)}")
+    priors, fixed = given.get("priors") or {}, given.get("fixed") or {}
+    for name in (*priors, *fixed):
+        if name not in study.space.names:
+            raise _refused("input", name, f"one of {', '.join(study.space.names)}")
+    stated = {name: _prior(name, prior) for name, prior in priors.items()}
+    values = {name: _number(name, one, *study.space[name].interval) for name, one in fixed.items()}
+    return Asked(noise, length, measure, stated, values)
+
+
+def answer_to(asked: Asked, study: Study, now: Present, *, again: bool) -> Answer:
+    """Return the posterior under other assumptions, without a forward run.
+
+    Args:
+        asked: The assumptions.
+        study: The study.
+        now: Its posterior.
+        again: Whether it may be sampled again; otherwise the present draws get other weights.
+
+    Raises:
+        InvalidInput: Assumptions that cannot be used.
+    """
+    alternative = _alternative(asked, study, now)
+    if again or alternative.fixed:
+        return answered(now, alternative, seed=SEED)
+    return reweighted(now, alternative)
+
+
+def _alternative(asked: Asked, study: Study, now: Present) -> Alternative:
+    priors: dict[str, Prior] = {name: build_prior(one, f"prior of {name}") for name, one in asked.priors.items()}
+    plain = asked.noise == 1 and asked.length_um is None and asked.measure is None
+    if not plain and now.knowledge is None:
+        raise _refused("assumptions", "another noise or measure", f"another prior only: {now.why_not}")
+    likelihood = None if plain or now.knowledge is None else _likelihood(asked, study, now.knowledge.likelihood)
+    return Alternative(
+        name="as asked",
+        kind="several",
+        about="the assumptions",
+        space=with_prior(now.space, priors),
+        likelihood=likelihood,
+        fixed=dict(asked.fixed),
+        by_prior_alone=likelihood is None,
+    )
+
+
+def _likelihood(asked: Asked, study: Study, present: FieldLikelihood) -> FieldLikelihood:
+    measure = present.discrepancy if asked.measure is None else study.discrepancies[asked.measure]
+    seen = []
+    for one in present.observations:
+        noise = scaled_noise(one.noise, asked.noise)
+        if noise is None:
+            raise _refused("noise", "another standard deviation", "a study that states it")
+        if asked.length_um is not None and isinstance(noise, PointErrors):
+            noise = replace(noise, length=asked.length_um / TO_UM)
+        seen.append(Observation(one.interface, noise, one.condition))
+    return replace(present, observations=tuple(seen), discrepancy=measure)
+
+
+def _prior(name: str, given: Any) -> dict[str, list[float]]:
+    if isinstance(given, dict) and len(given) == 1:
+        ((kind, numbers),) = given.items()
+        if isinstance(numbers, list):
+            return {kind: [_number(f"prior of {name}", one, -LARGEST, LARGEST) for one in numbers]}
+    raise _refused(f"prior of {name}", given, "a prior with its numbers, {normal: [400, 50]}")
+
+
+def _number(name: str, given: Any, low: float, high: float) -> float:
+    if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
+        return float(given)
+    raise _refused(name, given, f"a number from {low:g} to {high:g}")
+
+
+def _refused(what: str, value: object, expected: str) -> InvalidInput:
+    return InvalidInput(what, value=value, expected=expected, remedy="Choose another one.")

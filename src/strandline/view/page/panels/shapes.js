@@ -1,0 +1,129 @@
+// The observed interface, what the posterior, a run and the surrogate say of it, and how far apart they are.
+
+import { newest, post } from "../api.js";
+import { colour, draw } from "../charts.js";
+import { listen, shared, tell } from "../store.js";
+import { element, figure, percent, withUnit } from "../text.js";
+
+const condition = () => shared.facts.conditions[shared.condition];
+
+// Turn points in mm into pixels of the picture behind them.
+function placed([x, y]) {
+  const picture = condition().picture;
+  if (!picture) return [x, y];
+  const [[a, b], [c, d]] = picture.matrix;
+  const [u, v] = picture.origin;
+  return [x.map((one, k) => a * one + b * y[k] + u), x.map((one, k) => c * one + d * y[k] + v)];
+}
+
+function line(points, name, shade, extra = {}) {
+  const [x, y] = placed(points);
+  return { type: "scatter", mode: "lines", x, y, name, hoverinfo: "name", line: { color: colour(shade), width: 2, ...extra } };
+}
+
+function band(points, name, fill) {
+  const [x, y] = placed(points);
+  return { type: "scatter", mode: "lines", x, y, name, fill: "toself", fillcolor: fill, line: { width: 0 }, hoverinfo: "skip" };
+}
+
+function show() {
+  const one = condition();
+  const traces = [];
+  const bands = (shared.posterior && shared.posterior.bands && shared.posterior.bands[one.name]) || null;
+  if (one.undeformed) traces.push(line(one.undeformed, "undeformed", "open", { width: 1, dash: "dot" }));
+  if (bands && bands.band) traces.push(band(bands.band, "posterior, ± 2 sd", colour("band")));
+  if (one.observed) {
+    const [x, y] = placed(one.observed);
+    traces.push({ type: "scatter", mode: "lines+markers", x, y, name: "observed", marker: { size: 4, color: colour("ink") }, line: { color: colour("ink"), width: 1 } });
+  }
+  if (bands) traces.push(line(bands.line, "posterior mean", "ok"));
+  const run = shared.run && shared.run.interfaces[one.name];
+  if (run) traces.push(line(run.line, `run ${shared.run.row + 1}`, "failed"));
+  const found = shared.prediction && shared.prediction.conditions[one.name];
+  if (found) {
+    if (found.band) traces.push(band(found.band, "surrogate, ± 2 sd", "rgba(0,150,110,.3)"));
+    traces.push(line(found.line, "sliders", "asked", { dash: "dash" }));
+  }
+  const layout = { showlegend: true, uirevision: one.name, xaxis: { title: { text: "x [mm]" } }, yaxis: { title: { text: "y [mm]" }, scaleanchor: "x" } };
+  if (one.picture) {
+    const { width, height, pixel } = one.picture;
+    const source = `api/picture?${new URLSearchParams({ condition: one.name })}`;
+    layout.images = [{ source, x: -0.5, y: -0.5, sizex: width, sizey: height, xref: "x", yref: "y", yanchor: "top", sizing: "stretch", layer: "below", opacity: 0.9 }];
+    layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5] };
+    layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0] };
+  }
+  draw("shape-plot", traces, layout, `Interfaces: ${traces.map((trace) => trace.name).join(", ")}`);
+  showOffsets(run, found);
+}
+
+function showOffsets(run, found) {
+  const traces = [];
+  const told = [];
+  const add = (values, name, shade) => {
+    if (!values) return;
+    traces.push({ type: "scatter", mode: "lines", x: values.map((_, k) => k + 1), y: values, name, line: { color: colour(shade), width: 1.5 } });
+    const rms = Math.sqrt(values.reduce((sum, value) => sum + value * value, 0) / values.length);
+    told.push(`${name}: root mean square ${figure(rms, 3)} µm`);
+  };
+  add(run && run.offsets, `run ${shared.run ? shared.run.row + 1 : ""}`, "failed");
+  add(found && found.offsets, "sliders", "asked");
+  document.getElementById("offset-plot").hidden = !traces.length;
+  document.getElementById("shape-note").textContent = told.length ? `Normal offset of the observed points from ${told.join("; from ")}.` : "Click on a run or move a slider to see the normal offset in µm.";
+  if (!traces.length) return;
+  const layout = { xaxis: { title: { text: "observed point" } }, yaxis: { title: { text: "normal offset [µm]" } }, showlegend: true };
+  draw("offset-plot", traces, layout, told.join("; "));
+}
+
+const predict = newest(async () => {
+  const note = document.getElementById("predict-note");
+  try {
+    shared.prediction = await post("predict", { inputs: shared.chosen });
+  } catch (error) {
+    note.textContent = error.message;
+    return;
+  }
+  const parts = Object.entries(shared.prediction.conditions).map(([name, one]) => `${name ? `${name}: ` : ""}error of the surrogate ${figure(one.sd_um, 2)} µm`);
+  note.textContent = `${parts.join("; ")}; a run here succeeds with probability ${percent(shared.prediction.success)}.`;
+  tell("prediction");
+});
+
+function slider(input) {
+  const label = element("label");
+  const shown = element("output", figure(shared.chosen[input.name]));
+  const range = element("input", null, { type: "range", min: input.low, max: input.high, step: "any", "data-input": input.name, "aria-label": withUnit(input) });
+  range.value = shared.chosen[input.name];
+  range.addEventListener("input", () => {
+    shared.chosen[input.name] = range.valueAsNumber;
+    shown.textContent = figure(range.valueAsNumber);
+    predict();
+  });
+  label.append(`${withUnit(input)} `, shown, range);
+  return label;
+}
+
+function moveTo(inputs) {
+  for (const input of shared.facts.inputs) {
+    const value = inputs[input.name];
+    if (value === undefined) continue;
+    shared.chosen[input.name] = Math.min(Math.max(value, input.low), input.high);
+    const range = document.querySelector(`#sliders input[data-input="${CSS.escape(input.name)}"]`);
+    range.value = shared.chosen[input.name];
+    range.parentElement.querySelector("output").textContent = figure(shared.chosen[input.name]);
+  }
+  predict();
+}
+
+export function mountShapes() {
+  const choice = document.getElementById("condition");
+  shared.facts.conditions.forEach((one, k) => choice.append(element("option", one.name || "the only one", { value: k })));
+  document.getElementById("shape-choices").hidden = shared.facts.conditions.length < 2;
+  choice.addEventListener("change", () => {
+    shared.condition = Number(choice.value);
+    show();
+  });
+  document.getElementById("sliders").append(...shared.facts.inputs.map(slider));
+  document.getElementById("to-mean").addEventListener("click", () => shared.posterior && shared.posterior.mean && moveTo(shared.posterior.mean));
+  document.getElementById("to-run").addEventListener("click", () => shared.run && moveTo(shared.run.inputs));
+  for (const name of ["facts", "posterior", "run", "prediction"]) listen(name, show);
+  show();
+}

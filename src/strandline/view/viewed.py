@@ -1,0 +1,386 @@
+"""A study as the page sees it: what does not change, what the ledger says now, and the posterior so far."""
+
+import json
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration.alternative import Present, present
+from strandline.calibration.so_far import posterior_so_far
+from strandline.calibration.usual_alternatives import prior_in_words
+from strandline.calibration.what_if import Answer
+from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
+from strandline.models.offers import DrawsFields, undeformed_interface
+from strandline.numerics.one_thread import one_thread
+from strandline.numerics.precision import use_double
+from strandline.posterior import systematic_indices
+from strandline.posterior.pareto_smoothing import reliability_threshold
+from strandline.questions.knowledge import field_knowledge
+from strandline.runs import Ledger
+from strandline.runs.overview import Overview
+from strandline.studies.check import finished_posterior
+from strandline.studies.first_run import observations_of
+from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY
+from strandline.studies.progress import progress_in, results_of
+from strandline.studies.study import Study
+from strandline.view.assumptions import answer_to, asked_by, knobs_of
+from strandline.view.flow import flow_on_grid
+from strandline.view.predictions import predicted, predictive_band
+from strandline.view.runs_feed import RunsFeed
+from strandline.view.shapes import offsets_um, outline, picture_behind
+
+__all__ = ["ViewedStudy"]
+
+DRAWS = 2000
+"""Draws of the posterior that the page gets."""
+GROWTH, FEWEST_NEW = 0.1, 4
+"""New runs, as a share of those used and at least, after which the posterior is computed again."""
+OF_SUMMARY = ("misfit", "certificate", "nearest", "log_evidence", "seconds", "version", "provenance")
+SEED = 1
+DIGITS = 6
+
+
+@dataclass
+class ViewedStudy:
+    """A study and what has been computed for its page. Only `refresh` changes it; requests read it.
+
+    Args:
+        study: The study, from `load_study`.
+    """
+
+    study: Study
+    history: list[dict[str, Any]] = field(default_factory=list)
+    now: Present | None = None
+    source: str = "none"
+    why_none: str = "no forward run has ended yet"
+    _tried: int = 0
+    _solving: threading.Lock = field(default_factory=threading.Lock)
+
+    @cached_property
+    def feed(self) -> RunsFeed:
+        """The runs in the study's ledger."""
+        return RunsFeed(self.study.ledger_path, self.study.space.names)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the page needs to know once: the inputs, the conditions, what was observed, what can be changed."""
+        study = self.study
+        return {
+            "name": study.name,
+            "folder": str(study.folder),
+            "model": type(study.model).__name__,
+            "inputs": [
+                {
+                    "name": p.name,
+                    "label": p.shown,
+                    "unit": "" if p.unit == "1" else p.unit,
+                    "low": p.interval[0],
+                    "high": p.interval[1],
+                    "nuisance": p.nuisance,
+                    "prior": prior_in_words(p.prior),
+                    "middle": float(p.truncated_prior.quantile(0.5)),
+                }
+                for p in study.space
+            ],
+            "fixed": dict(study.fixed),
+            "truth": study.truth,
+            "measures": list(study.discrepancies),
+            "flow": isinstance(study.model, DrawsFields),
+            "conditions": self._conditions(),
+        }
+
+    def _conditions(self) -> list[dict[str, Any]]:
+        """Return each condition with what was observed, the undeformed interface and the picture behind it."""
+        study, rest = self.study, undeformed_interface(self.study.model)
+        observed = observations_of(study)
+        names = list(observed) or [""]
+        return [
+            {
+                "name": name,
+                "observed": None if name not in observed else outline(observed[name]),
+                "undeformed": None if rest is None else outline(rest),
+                "picture": picture_behind(study, name),
+            }
+            for name in names
+        ]
+
+    @property
+    def stamp(self) -> tuple[Any, ...]:
+        """What the state depends on, cheap to read: the ledger, the driver, the files of the study."""
+        folder, ledger = self.study.folder, self.study.ledger_path
+        driver = None
+        if ledger.is_file():
+            with Overview(ledger) as overview:
+                driver = overview.driver()
+        files = tuple(_changed_at(folder / name) for name in (STUDY, SUMMARY, REFINEMENT))
+        return self.feed.version, driver, files, len(self.history)
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """How far the study has got."""
+        progress = progress_in(self.study.folder)
+        summary = _read(self.study.folder / SUMMARY) if progress.results == "current" else {}
+        return {
+            **progress.as_dict(),
+            "version": self.feed.version,
+            "posterior": len(self.history),
+            "summary": {name: summary.get(name) for name in OF_SUMMARY if name in summary},
+        }
+
+    def run(self, place: int) -> dict[str, Any] | None:
+        """Return the run in this place of the feed, with its interfaces, message and log; None if there is none."""
+        found = self.feed.key_at(place)
+        if found is None:
+            return None
+        key, attempt = found
+        with Overview(self.study.ledger_path) as overview:
+            details = overview.details([attempt.number]).get(attempt.number)
+        out: dict[str, Any] = {
+            "row": place,
+            "key": key,
+            "number": attempt.number,
+            "inputs": json.loads(attempt.inputs),
+            "state": attempt.state,
+            "kind": attempt.kind,
+            "seconds": attempt.seconds,
+            "message": "" if details is None else details.message,
+            "log": "" if details is None else details.log,
+            "diagnostics": {} if details is None else _finite(details.diagnostics),
+            "interfaces": {},
+        }
+        if attempt.state == "ok":
+            out["interfaces"] = self._interfaces(key)
+        return out
+
+    def _interfaces(self, key: str) -> dict[str, Any]:
+        """Return the interfaces of a run by condition, with the signed distances of the observed points, µm."""
+        observed = observations_of(self.study)
+        with Ledger.open(self.study.ledger_path, model=None, read_only=True) as ledger:
+            record = ledger.latest([key]).get(key)
+        return {
+            name: {
+                "line": outline(one),
+                "offsets": None if name not in observed else offsets_um(observed[name], one),
+            }
+            for name, one in ({} if record is None else record.interfaces).items()
+        }
+
+    def due(self) -> bool:
+        """Return whether there is a newer posterior than the one that the page has: stored, or worth computing."""
+        if self.source != "stored" and results_of(self.study) == "current":
+            return True
+        if self.source == "stored":
+            return False
+        made = self.feed.succeeded
+        return made - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
+
+    def refresh(self) -> None:
+        """Read the stored posterior if the study is finished, else compute the one of the runs so far."""
+        use_double()
+        self._tried = self.feed.succeeded
+        with one_thread():
+            try:
+                found, source = self._posterior()
+            except (InvalidStudy, InvalidInput, TooFewRuns, NumericsError) as error:
+                self.why_none = f"no posterior yet: {error}"
+                return
+        moved = None if self.now is None else _moved(self.now, found)
+        self.now, self.source = found, source
+        space, used = self.study.space, self._tried
+        self.history.append(
+            {
+                "runs": used,
+                "source": source,
+                "mean": dict(zip(space.names, found.mean.tolist(), strict=True)),
+                "sd": dict(zip(space.names, found.sd.tolist(), strict=True)),
+                "moved": moved,
+            }
+        )
+
+    def _posterior(self) -> tuple[Present, str]:
+        study, measure = self.study, next(iter(self.study.discrepancies))
+        if results_of(study) == "current":
+            stored = finished_posterior(study, purpose="show")
+            try:
+                knowledge, why_not = field_knowledge(study, measure, purpose="the page"), ""
+            except (InvalidStudy, TooFewRuns) as error:
+                knowledge, why_not = None, f"there is no surrogate of the interface ({error.value})"
+            return _thinned(present(stored, knowledge, why_not=why_not)), "stored"
+        knowledge = field_knowledge(study, measure, purpose="the page")
+        return posterior_so_far(knowledge, study.space, seed=SEED), "so far"
+
+    @property
+    def posterior(self) -> dict[str, Any]:
+        """The posterior now, with its history, what it predicts, and what may be changed."""
+        now = self.now
+        out: dict[str, Any] = {
+            "source": self.source,
+            "why_none": "" if now is not None else self.why_none,
+            "history": self.history,
+            "knobs": knobs_of(self.study, now),
+        }
+        if now is None:
+            return out
+        quality = now.quality
+        return {
+            **out,
+            **_moments(self.study.space.names, now.weighted.draws, np.exp(now.log_weights)),
+            "draws": self._columns(now.draws),
+            "bands": predictive_band(now),
+            "surrogate": None
+            if quality is None
+            else {
+                "error_um": 1e3 * quality.median,
+                "hidden_um": 1e3 * quality.hidden,
+                "good": quality.good,
+            },
+        }
+
+    def predict(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the interface that the surrogate predicts at some inputs.
+
+        Raises:
+            InvalidInput: An input is missing or outside its box, or there is no surrogate yet.
+        """
+        if self.now is None or self.now.knowledge is None:
+            why = self.why_none if self.now is None else self.now.why_not
+            raise InvalidInput(
+                "prediction", value=why, expected="a surrogate of the interface", remedy="Wait for runs."
+            )
+        x = self._inputs(given)
+        knowledge = self.now.knowledge
+        chance = float(np.exp(knowledge.log_feasibility(x[None])[0]))
+        return {"conditions": predicted(knowledge, x, observations_of(self.study)), "success": chance}
+
+    def ask(self, given: Mapping[str, Any], *, again: bool) -> dict[str, Any]:
+        """Return the posterior under other assumptions.
+
+        Args:
+            given: The assumptions, see `asked_by`.
+            again: Whether it may be sampled again.
+
+        Raises:
+            InvalidInput: The assumptions cannot be used, or there is no posterior yet.
+        """
+        asked = asked_by(given, self.study)
+        if self.now is None:
+            raise InvalidInput("posterior", value=self.why_none, expected="a posterior", remedy="Wait for runs.")
+        use_double()
+        with one_thread():
+            return self._answered(answer_to(asked, self.study, self.now, again=again), self.now)
+
+    def _answered(self, answer: Answer, now: Present) -> dict[str, Any]:
+        threshold = reliability_threshold(len(now.draws))
+        out: dict[str, Any] = {
+            "by": answer.by,
+            "why_not": answer.why_not,
+            "effective": answer.effective,
+            "k_hat": answer.k_hat if math.isfinite(answer.k_hat) else None,
+            "threshold": threshold,
+            "reliable": answer.by != "reweighting" or answer.k_hat < threshold,
+        }
+        if answer.draws is None:
+            return out
+        weights, draws = answer.draws.weights, answer.draws.draws
+        if answer.by != "reweighting":
+            draws = draws[systematic_indices(weights, DRAWS, np.random.default_rng(SEED))]
+            out["draws"] = self._columns(draws)
+        return {
+            **out,
+            **_moments(self.study.space.names, answer.draws.draws, answer.draws.weights),
+            "weights": np.round(weights * len(weights), 5).tolist() if answer.by == "reweighting" else None,
+            "shift": dict(zip(self.study.space.names, _finite_list(answer.shift), strict=True)),
+            "sd_ratio": dict(zip(self.study.space.names, _finite_list(answer.sd_ratio), strict=True)),
+        }
+
+    def flow(self, given: Mapping[str, Any], condition: str) -> dict[str, Any]:
+        """Return velocity, pressure and displacement at some inputs, by a run of the model.
+
+        Raises:
+            InvalidInput: An input is missing or outside its box, or the model has no fields.
+            ForwardModelError: The run failed.
+        """
+        if not isinstance(self.study.model, DrawsFields):
+            raise InvalidInput(
+                "flow", value=type(self.study.model).__name__, expected="a model that offers its fields", remedy="None."
+            )
+        inputs = {**self.study.fixed, **self.study.space.as_mapping(self._inputs(given))}
+        with self._solving:
+            return flow_on_grid(self.study.model, inputs, condition)
+
+    def _inputs(self, given: Mapping[str, Any]) -> Float[np.ndarray, " dim"]:
+        values = []
+        for parameter in self.study.space:
+            low, high = parameter.interval
+            value = given.get(parameter.name)
+            if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
+                raise InvalidInput(
+                    parameter.name,
+                    value=value,
+                    expected=f"a number in its box, [{low:g}, {high:g}]",
+                    remedy="Choose another one.",
+                )
+            values.append(float(value))
+        return np.array(values)
+
+    def _columns(self, draws: Float[np.ndarray, "draw dim"]) -> dict[str, list[float]]:
+        names = self.study.space.names
+        return {name: [float(f"{v:.{DIGITS}g}") for v in draws[:, i].tolist()] for i, name in enumerate(names)}
+
+
+def _thinned(now: Present) -> Present:
+    """Return a posterior with equally weighted draws, few enough to be weighted again while a slider moves."""
+    chosen = systematic_indices(np.exp(now.log_weights), DRAWS, np.random.default_rng(SEED))
+    return replace(
+        now,
+        draws=now.draws[chosen],
+        log_weights=np.full(DRAWS, -math.log(DRAWS)),
+        log_likelihood=now.log_likelihood[chosen],
+        log_prior=now.log_prior[chosen],
+    )
+
+
+def _moved(before: Present, after: Present) -> float:
+    """Return the largest shift of a mean, in earlier standard deviations."""
+    return float(np.abs((after.mean - before.mean) / before.sd).max())
+
+
+def _moments(
+    names: Sequence[str], draws: Float[np.ndarray, "draw dim"], weights: Float[np.ndarray, " draw"]
+) -> dict[str, Any]:
+    mean = weights @ draws
+    sd = np.sqrt(weights @ (draws - mean) ** 2)
+    return {
+        "mean": dict(zip(names, mean.tolist(), strict=True)),
+        "sd": dict(zip(names, sd.tolist(), strict=True)),
+    }
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def _finite_list(values: Float[np.ndarray, " dim"]) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+def _changed_at(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,91 @@
+"""The rows of the page are those of the ledger, however it grew between two looks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strandline.interface import Interface
+from strandline.runs import Ledger, RunRecord, RunRequest
+from strandline.runs.overview import OPEN, Overview
+from strandline.view.runs_feed import RunsFeed
+
+LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
+ENDS = ("ok", "failed", "timeout", "killed", "invalid")
+
+
+def end(ledger: Ledger, key: str, random: np.random.Generator) -> None:
+    state = str(random.choice(ENDS))
+    good = {"": LINE} if state == "ok" else {}
+    kind = None if state == "ok" else f"because_{state}"
+    ledger.finished(RunRecord(key, {"E": 1.5}, state, good, seconds=random.random(), failure_kind=kind))  # type: ignore[arg-type]
+
+
+def told(feed: RunsFeed, known: dict[int, tuple[object, ...]], version: int) -> int:
+    """Take over what the feed says has changed since a version; return its version."""
+    new = feed.since(version)
+    columns = (new[name] for name in ("row", "number", "state", "kind"))
+    for row, *rest in zip(*columns, strict=True):
+        known[row] = tuple(rest)
+    return int(new["version"])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_changed_adds_up_to_the_ledger(seed: int, tmp_path: Path) -> None:
+    random, path = np.random.default_rng(seed), tmp_path / "ledger.sqlite"
+    feed, known, version = RunsFeed(path, ["E"]), dict[int, tuple[object, ...]](), 0
+    assert not feed.update()
+    with Ledger.open(path, model="m") as ledger:
+        under_way: list[str] = []
+        for _ in range(60):
+            key = f"k{random.integers(20)}"
+            if key not in under_way:
+                ledger.started(RunRequest(key, {"E": 1.5}))
+                under_way.append(key)
+            if random.random() < 0.7:
+                end(ledger, under_way.pop(random.integers(len(under_way))), random)
+            if random.random() < 0.2:
+                done = [run.key for run in _runs(path) if run.outcome is not None and run.exclusion is None]
+                if done:
+                    ledger.exclude(done[0], "looks wrong")
+            if random.random() < 0.5:
+                feed.update()
+                version = told(feed, known, version)
+    feed.update()
+    told(feed, known, version)
+    runs = {run.key: run for run in _runs(path)}
+    first = list(dict.fromkeys(key for key, _ in _starts(path)))
+    expected = {
+        row: (
+            runs[key].last.number,
+            "excluded" if runs[key].exclusion is not None else runs[key].last.state,
+            runs[key].last.kind,
+        )
+        for row, key in enumerate(first)
+    }
+    assert known == expected
+    assert feed.succeeded == sum(state == "ok" for _, state, _ in expected.values())
+
+
+def _runs(path: Path) -> list[object]:
+    with Overview(path) as ledger:
+        return ledger.runs()  # type: ignore[return-value]
+
+
+def _starts(path: Path) -> list[tuple[str, object]]:
+    with Overview(path) as ledger:
+        return ledger.changes(0, ())  # type: ignore[return-value]
+
+
+def test_a_quiet_ledger_says_nothing_new(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.sqlite"
+    feed = RunsFeed(path, ["E", "missing"])
+    with Ledger.open(path, model="m") as ledger:
+        ledger.started(RunRequest("k", {"E": 2.0}))
+    assert feed.update()
+    assert feed.since(0)["state"] == [OPEN]
+    assert feed.since(0)["inputs"] == {"E": [2.0], "missing": [None]}
+    assert not feed.update()
+    assert feed.since(feed.version)["row"] == []
+    assert feed.key_at(0) is not None
+    assert feed.key_at(1) is None

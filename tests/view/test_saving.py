@@ -1,0 +1,64 @@
+"""Other assumptions become a new study, which takes over the runs and gives the posterior that the page showed."""
+
+from pathlib import Path
+
+import pytest
+
+import strandline as sl
+from strandline.errors import InvalidInput
+from strandline.view.assumptions import Asked, answer_to, asked_by
+from strandline.view.saving import save_as
+from strandline.view.viewed import ViewedStudy
+
+PLAIN = Asked(1.0, None, None, {}, {})
+
+
+def test_the_new_study_gives_the_posterior_that_the_page_showed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("strandline.studies.run.write_report", lambda *given, folder, **others: folder / "report.html")
+    study = sl.load_study(folder)
+    viewed = ViewedStudy(study)
+    viewed.feed.update()
+    viewed.refresh()
+    assert viewed.now is not None
+    asked = asked_by({"noise": 2.0, "length_um": 20.0, "priors": {"E": {"normal": [420.0, 30.0]}}}, study)
+    shown = answer_to(asked, study, viewed.now, again=True)
+    target = save_as(study, "wider", asked)
+    assert target == folder.parent / "wider"
+    other = sl.load_study(target)
+    assert isinstance(other.noise, sl.PointErrors)
+    assert other.noise.sd == pytest.approx(0.006)
+    assert other.noise.length == pytest.approx(0.02)
+    assert not (target / "posterior.nc").exists()
+    outcome = sl.run_study(other, executor=sl.InProcess())
+    assert not outcome.calibration.made
+    assert shown.draws is not None
+    for k in range(2):
+        mean, sd = outcome.calibration.posterior.mean[k], outcome.calibration.posterior.sd[k]
+        assert shown.draws.mean[k] == pytest.approx(mean, abs=0.15 * sd)
+        assert shown.draws.sd[k] == pytest.approx(sd, rel=0.12)
+
+
+def test_inputs_that_are_known_and_another_measure(folder: Path) -> None:
+    study = sl.load_study(folder)
+    asked = asked_by({"fixed": {"tilt": 0.02}, "measure": "tracked_points"}, study)
+    other = sl.load_study(save_as(study, "known", asked))
+    assert other.space.names == ("E",)
+    assert other.fixed == {"load": 1e-5, "tilt": 0.02}
+    assert next(iter(other.discrepancies)) == "tracked_points"
+    assert other.reuse[0].parent.resolve() == folder.resolve()
+
+
+@pytest.mark.parametrize("name", ["", "../there", "a/b", ".hidden", "a" * 64, "a\nb", "beam"])
+def test_names_that_are_refused(name: str, folder: Path) -> None:
+    before = sorted(path.name for path in folder.parent.iterdir())
+    with pytest.raises(InvalidInput, match="name of the new study"):
+        save_as(sl.load_study(folder), name, PLAIN)
+    assert sorted(path.name for path in folder.parent.iterdir()) == before
+
+
+def test_nothing_is_left_of_a_study_that_cannot_be_written(folder: Path) -> None:
+    study = sl.load_study(folder)
+    wrong = Asked(1.0, None, None, {"E": {"uniform": [0.0, 1000.0]}}, {})
+    with pytest.raises(InvalidInput):
+        save_as(study, "wrong", wrong)
+    assert not (folder.parent / "wrong").exists()
