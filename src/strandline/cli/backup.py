@@ -6,13 +6,14 @@ from pathlib import Path
 
 import click
 
+from strandline.cli.study_folder import STUDY
 from strandline.errors import InvalidInput
 
 __all__ = ["command"]
 
 
 @click.command("backup")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.argument("file", type=click.Path(path_type=Path))
 def command(study: Path, file: Path) -> None:
     """Copy the ledger of STUDY to FILE, which must not exist; it may be running meanwhile.

@@ -1,6 +1,8 @@
 """`strandline check`: validate everything, make one forward run and report what it shows."""
 
-from collections.abc import Iterator, Mapping
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,26 +12,27 @@ if TYPE_CHECKING:
     from strandline.runs import RunRecord
     from strandline.studies import Study
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 PICTURE = "check.png"
 
 
 @click.command("check")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option("--plot", is_flag=True, help="Draw check.png in the study folder: observed, undeformed, simulated.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON object.")
 @click.option("--widths", is_flag=True, help="Predict the posterior's widths; makes one more run per input if needed.")
-def command(study: Path, plot: bool, widths: bool) -> None:
+def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     """Validate STUDY (a folder) and make one forward run at the medians of the priors.
 
     With a model that has sensitivities, or with --widths, it predicts the widths of the posterior. The biofilm model
     also solves on the next finer mesh. Nothing is written without --plot.
     """
-    from strandline.report.warnings import small_share
     from strandline.studies import load_study
     from strandline.studies.first_run import facing, require_same_size
     from strandline.studies.folder import require_writable
-    from strandline.studies.read_how import read_lines
 
     loaded = load_study(study)
     require_writable(loaded.folder)
@@ -41,32 +44,72 @@ def command(study: Path, plot: bool, widths: bool) -> None:
     lines, known = list(_lines(loaded, record, log_likelihoods)), loaded.runs.known
     lines += _widths(loaded, record, asked=widths)
     picture = _drawn(loaded, record) if plot else None
-    click.echo(f"{loaded.name}: study.yaml is sound")
-    for parameter in loaded.space:
-        cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
-        nuisance = ", nuisance" if parameter.nuisance else ""
-        click.echo(f"  {parameter.label()}: {parameter.prior}{cut}{nuisance}")
-    conditions = tuple(loaded.observed or record.interfaces)
-    if any(conditions):
-        click.echo(f"  observed conditions: {', '.join(conditions)}")
-    for condition in loaded.turned:
-        of = f" of {condition}" if condition else ""
-        click.echo(f"  the observed points{of} run opposite to the model's interface and will be turned round")
-    for line in read_lines(loaded):
-        click.echo(f"  {line}")
-    click.echo(f"  {told}")
-    for line in lines:
-        click.echo(f"  {line}")
-    for kind in loaded.runs.unheard_kinds:
-        click.echo(f"  warning: failures.kinds.{kind}: no run has ended with it yet; does the model use it?")
-    refine = loaded.settings.refine
-    rounds = f" ({loaded.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
-    most = "at most " if loaded.settings.active is not None else ""
-    planned = max(loaded.settings.planned_runs, known)
-    click.echo(f"  {most}{planned} forward runs planned{rounds}, {known} of them known already")
+    lines = [*_about(loaded, record), told, *lines, *_unheard(loaded)]
+    most, planned = _planned(loaded, known)
+    if as_json:
+        click.echo(json.dumps(_as_dict(loaded, record, log_likelihoods, lines, planned, known)))
+        return
+    click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound", *lines, most]))
     if picture is not None:
         click.echo(f"wrote {picture}")
     click.echo(f"next: strandline run {study}")
+
+
+def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
+    """Yield what the study states: inputs, conditions, how pictures were read."""
+    from strandline.report.warnings import small_share
+    from strandline.studies.read_how import read_lines
+
+    for parameter in study.space:
+        cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
+        nuisance = ", nuisance" if parameter.nuisance else ""
+        yield f"{parameter.label()}: {parameter.prior}{cut}{nuisance}"
+    conditions = tuple(study.observed or record.interfaces)
+    if any(conditions):
+        yield f"observed conditions: {', '.join(conditions)}"
+    for condition in study.turned:
+        of = f" of {condition}" if condition else ""
+        yield f"the observed points{of} run opposite to the model's interface and will be turned round"
+    yield from read_lines(study)
+
+
+def _unheard(study: "Study") -> Iterator[str]:
+    """Yield a warning for each kind of failure that study.yaml names and no run has had."""
+    for kind in study.runs.unheard_kinds:
+        yield f"warning: failures.kinds.{kind}: no run has ended with it yet; does the model use it?"
+
+
+def _planned(study: "Study", known: int) -> tuple[str, int]:
+    """Return a line on the planned runs, and their number."""
+    refine = study.settings.refine
+    rounds = f" ({study.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
+    most = "at most " if study.settings.active is not None else ""
+    planned = max(study.settings.planned_runs, known)
+    return f"{most}{planned} forward runs planned{rounds}, {known} of them known already", planned
+
+
+def _as_dict(
+    study: "Study",
+    record: "RunRecord",
+    log_likelihoods: Mapping[str, float],
+    lines: Sequence[str],
+    planned: int,
+    known: int,
+) -> dict[str, Any]:
+    """Return what the check shows, in types that JSON has."""
+    return {
+        "study": study.name,
+        "inputs": {p.name: {"unit": p.unit, "box": list(p.interval), "nuisance": p.nuisance} for p in study.space},
+        "run": {
+            "inputs": dict(record.inputs),
+            "seconds": record.seconds,
+            "diagnostics": {name: value for name, value in record.diagnostics.items() if math.isfinite(value)},
+        },
+        "log_likelihood": dict(log_likelihoods),
+        "planned": planned,
+        "known": known,
+        "lines": list(lines),
+    }
 
 
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:

@@ -6,11 +6,13 @@ from typing import Any
 
 import click
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 
 @click.command("compare")
-@click.argument("studies", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("studies", nargs=-1, type=STUDY)
 @click.option(
     "--to", type=click.Path(path_type=Path), default="comparison", show_default=True, help="Folder of the result."
 )

@@ -6,11 +6,13 @@ from typing import Any
 
 import click
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 
 @click.command("coverage")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option("--replicates", type=int, default=200, show_default=True, help="Repetitions, at least 20.")
 @click.option(
     "--from",

@@ -4,11 +4,13 @@ from pathlib import Path
 
 import click
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 
 @click.command("doctor")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 def command(study: Path) -> None:
     """Look for damage, gaps and drift in STUDY, and say what to do about each; change nothing.
 

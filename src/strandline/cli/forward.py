@@ -17,13 +17,15 @@ if TYPE_CHECKING:
     from strandline.models.protocol import ForwardModel
     from strandline.runs import RunRecord
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["attempted", "command", "show_remains"]
 
 LOG_LINES = 20
 
 
 @click.command("forward")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="An input or fixed quantity; repeatable.")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the deformed interface, x,y in mm.")
 @click.option("--json", "as_json", is_flag=True, help="Print the outcome as one JSON object.")

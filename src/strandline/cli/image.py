@@ -11,11 +11,13 @@ from strandline.errors import InvalidStudy
 if TYPE_CHECKING:
     from strandline.studies.pictures.picture_files import PictureFiles
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 
 @click.command("image")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option("--edit", is_flag=True, help="Write a page on which to mark path, scale, origin and regions instead.")
 @click.option(
     "--condition",

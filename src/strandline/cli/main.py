@@ -11,6 +11,7 @@ import click
 
 from strandline.cli.signals import Ended, end_as_ctrl_c
 from strandline.errors import InvalidInput, StrandlineError
+from strandline.registry import suggestion
 from strandline.version import __version__
 
 __all__ = ["environment", "main"]
@@ -67,6 +68,16 @@ class _LazyGroup(click.Group):
         module = importlib.import_module(f"strandline.cli.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is called; suggest the nearest one if there is none of this name."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            hint = suggestion(args[0], COMMANDS, "")
+            raise click.UsageError(f"{error.message} {hint}".rstrip(), ctx) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 SHOWN = 15
@@ -13,7 +15,7 @@ SHOWN = 15
 
 
 @click.command("next")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option(
     "--from",
     "source",

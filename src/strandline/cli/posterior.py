@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 
@@ -15,7 +17,7 @@ def command() -> None:
 
 
 @command.command("check")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option("--draws", type=int, default=200, show_default=True, help="Draws at which the true model is run.")
 @click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
 @click.option("--quiet", is_flag=True, help="Print only the result.")

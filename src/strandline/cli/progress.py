@@ -1,14 +1,19 @@
 """Progress: bars on a terminal, plain lines elsewhere."""
 
+import dataclasses
+import io
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TextIO, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from strandline.calibration import Observer
 from strandline.design.active import BatchReport
+from strandline.errors import InvalidInput
 from strandline.runs import Progress as Runs
 from strandline.runs import RunRecord
 from strandline.smc import StepInfo
@@ -37,16 +42,64 @@ SECONDS_BETWEEN_LINES = 15.0
 
 
 @contextmanager
-def observing(*, quiet: bool = False) -> Iterator[Observer]:
-    """Yield an observer that shows the progress of the study on standard error, nothing if `quiet`."""
+def observing(*, quiet: bool = False, log: Path | None = None) -> Iterator[Observer]:
+    """Yield an observer that shows the progress of the study on standard error, nothing if `quiet`.
+
+    Args:
+        quiet: Whether to show nothing.
+        log: File to which the progress is added, a line with its time for each step.
+
+    Raises:
+        InvalidInput: The file cannot be written to.
+    """
     console = Console(stderr=True)
-    if quiet:
-        yield Observer()
-    elif console.is_terminal:
-        with _bars(console) as bars:
-            yield bars
-    else:
-        yield _lines(console)
+    with ExitStack() as opened:
+        if quiet:
+            shown = Observer()
+        elif console.is_terminal:
+            shown = opened.enter_context(_bars(console))
+        else:
+            shown = _lines(console)
+        yield shown if log is None else _both(shown, _lines(opened.enter_context(_timed(log))))
+
+
+@contextmanager
+def _timed(path: Path) -> Iterator[Console]:
+    """Yield a console that adds lines with the time to a file."""
+    try:
+        file = path.open("a", encoding="utf-8", buffering=1)
+    except OSError as error:
+        raise InvalidInput(
+            "--log", value=f"{path}: {error.strerror}", expected="a file that can be written to", remedy="Correct it."
+        ) from None
+    with file:
+        yield Console(file=cast(TextIO, _Timed(file)), no_color=True, width=10_000)
+
+
+class _Timed(io.TextIOBase):
+    """A stream that writes the time before each line."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def write(self, text: str) -> int:
+        for line in text.splitlines():
+            if line:
+                self._file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
+        return len(text)
+
+
+def _both(first: Observer, second: Observer) -> Observer:
+    """Return an observer that tells two."""
+
+    def of(name: str) -> Callable[..., None]:
+        def tell(*given: object) -> None:
+            getattr(first, name)(*given)
+            getattr(second, name)(*given)
+
+        return tell
+
+    return Observer(**{one.name: of(one.name) for one in dataclasses.fields(Observer)})
 
 
 @contextmanager

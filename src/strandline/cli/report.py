@@ -5,12 +5,13 @@ from pathlib import Path
 import click
 
 from strandline.cli import device as devices
+from strandline.cli.study_folder import STUDY
 
 __all__ = ["command"]
 
 
 @click.command("report")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @devices.option
 @click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(study: Path, device: str | None, quiet: bool) -> None:

@@ -1,5 +1,7 @@
 """The result of a study on the terminal."""
 
+import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,17 +16,20 @@ __all__ = ["show", "shown_also_if_incomplete"]
 
 
 @contextmanager
-def shown_also_if_incomplete() -> Iterator[None]:
+def shown_also_if_incomplete(*, as_json: bool = False) -> Iterator[None]:
     """Print the results even if the command ends with an error because some result files could not be written."""
     try:
         yield
     except ResultsNotWritten as error:
-        show(error.outcome.summary, error.outcome.report)
+        show(error.outcome.summary, error.outcome.report, as_json=as_json)
         raise
 
 
-def show(summary: Mapping[str, Any], report: Path) -> None:
-    """Print the posterior, the checks and the warnings."""
+def show(summary: Mapping[str, Any], report: Path, *, as_json: bool = False) -> None:
+    """Print the posterior, the checks and the warnings, or the content of summary.json."""
+    if as_json:
+        click.echo(json.dumps(summary))
+        return
     runs, check = summary["runs"], summary["quadrature_check"]
     click.echo(
         f"\n{summary['study']}: {runs['ok']} forward runs ok, {runs['failed']} failed {_kinds(runs['by_kind'])}"
@@ -52,13 +57,18 @@ def show(summary: Mapping[str, Any], report: Path) -> None:
         if summary["certificate"].get("fidelities"):
             click.echo(summary["certificate"]["fidelities"]["statement"])
     for warning in summary["warnings"]:
-        click.echo(f"warning: {warning}")
+        click.secho(f"warning: {warning}", fg=_warning_colour())
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     click.echo(f"seconds: {seconds}")
     if report.name not in summary["missing"]:
         click.echo(f"report: {report}")
     if summary["nearest"]["message"]:
         click.echo(summary["nearest"]["message"])
+
+
+def _warning_colour() -> str | None:
+    """Return the colour of warnings; none if NO_COLOR is set (no-color.org)."""
+    return None if os.environ.get("NO_COLOR") else "yellow"
 
 
 def _certified(certificate: Mapping[str, Any]) -> str:

@@ -4,11 +4,13 @@ from pathlib import Path
 
 import click
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 
 @click.command("retry")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option(
     "--kind",
     "kinds",

@@ -1,9 +1,10 @@
 """`strandline runs`: the runs of a study, one line each, one in full, or as a table for other programs."""
 
+import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,6 +12,8 @@ from strandline.errors import InvalidInput
 
 if TYPE_CHECKING:
     from strandline.runs.overview import Details, Overview, Run
+
+from strandline.cli.study_folder import STUDY
 
 __all__ = ["command"]
 
@@ -20,7 +23,7 @@ SUFFIXES = (".csv", ".nc")
 
 
 @click.command("runs")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option("--state", help="Only runs of this state: ok, failed, timeout, killed, invalid, excluded or open.")
 @click.option("--kind", help="Only runs that failed for this reason.")
 @click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N, the last to be started.")
@@ -28,6 +31,7 @@ SUFFIXES = (".csv", ".nc")
 @click.option(
     "--export", type=click.Path(path_type=Path), metavar="FILE", help="Write them to FILE.csv or FILE.nc instead."
 )
+@click.option("--json", "as_json", is_flag=True, help="Print them as one JSON array.")
 @click.option("--exclude", metavar="KEY", help="Use this run no more, and do not make it again; needs --why.")
 @click.option("--include", metavar="KEY", help="Use an excluded run again.")
 @click.option("--why", metavar="REASON", help="Reason for --exclude or --include, kept in the ledger.")
@@ -38,6 +42,7 @@ def command(
     limit: int | None,
     show: str | None,
     export: Path | None,
+    as_json: bool,
     exclude: str | None,
     include: str | None,
     why: str | None,
@@ -53,8 +58,10 @@ def command(
 
     _require_known(state)
     _require_target(export)
+    if as_json and export is not None:
+        raise click.UsageError("--json prints the runs, --export writes them: give one of the two.")
     if exclude is not None or include is not None or why is not None:
-        option = _require_one_change(exclude, include, state, kind, limit, show, export)
+        option = _require_one_change(exclude, include, state, kind, limit, show, export, as_json or None)
         with Overview(study / LEDGER) as ledger:
             run = _found(exclude or include or "", ledger.runs(), option)
         change(study, run.key, why, exclude=exclude is not None)
@@ -62,14 +69,16 @@ def command(
     with Overview(study / LEDGER) as ledger:
         runs = as_used(ledger.runs(), study)
         if show is not None:
-            _require_alone(state, kind, limit, export)
+            _require_alone(state, kind, limit, export, as_json or None)
             run = _found(show, runs)
             click.echo("\n".join((*_in_full(run, ledger), *reasons(run, study))))
             return
         _require_kind(kind, runs)
         chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
         chosen = chosen[-limit:] if limit else chosen
-        if export is None:
+        if as_json:
+            click.echo(json.dumps([_as_dict(run) for run in chosen]))
+        elif export is None:
             click.echo("\n".join((*_table(chosen), f"{len(chosen)} of {len(runs)} runs")))
         else:
             _export(export, chosen, ledger)
@@ -122,7 +131,7 @@ def _require_alone(*others: object) -> None:
             "--show",
             value="another option with it",
             expected="--show KEY alone",
-            remedy="Leave out --state, --kind, --limit and --export.",
+            remedy="Leave out --state, --kind, --limit, --export and --json.",
         )
 
 
@@ -165,6 +174,21 @@ def _table(runs: Sequence["Run"]) -> Iterator[str]:
         left, right = row[:3], row[3:]
         cells = [text.ljust(width) for text, width in zip(left, widths, strict=False)]
         yield "  ".join([*cells, *(text.rjust(width) for text, width in zip(right, widths[3:], strict=True))])
+
+
+def _as_dict(run: "Run") -> dict[str, Any]:
+    last = run.last
+    return {
+        "key": run.key,
+        "state": last.state,
+        "kind": last.kind,
+        "inputs": dict(run.inputs),
+        "seconds": last.seconds,
+        "started_at": last.started_at,
+        "finished_at": last.finished_at,
+        "starts": len(run.attempts),
+        "origin": last.origin,
+    }
 
 
 def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:

@@ -6,13 +6,14 @@ from typing import Any
 
 import click
 
+from strandline.cli.study_folder import STUDY
 from strandline.text import with_sd
 
 __all__ = ["command"]
 
 
 @click.command("specimens")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option(
     "--refine",
     type=click.IntRange(min=0),

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from strandline.cli.study_folder import STUDY
+
 __all__ = ["command"]
 
 HOW = {"reweighting": "reweighting", "importance": "new draws", "smc": "new draws", None: "needs new runs"}
@@ -14,7 +16,7 @@ WIDEST = 44
 
 
 @click.command("what-if")
-@click.argument("study", type=click.Path(path_type=Path))
+@click.argument("study", type=STUDY)
 @click.option(
     "--ask",
     "asked",

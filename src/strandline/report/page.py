@@ -18,6 +18,7 @@ from strandline.report.check import draw_check
 from strandline.report.comparison import draw_comparison
 from strandline.report.coverage import draw_coverage
 from strandline.report.figures import figure_groups
+from strandline.report.methods import BIBTEX, methods_paragraph
 from strandline.report.next import draw_next
 from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.specimens import draw_specimens
@@ -96,6 +97,8 @@ def write_report(
         s={**summary, "warnings": [*failed, *summary["warnings"]]},
         figures=[item for item in shown if item is not picture],
         study_text=study_text,
+        methods=methods_paragraph(summary),
+        bibtex=BIBTEX.format(version=summary["version"]),
         fit=calibration.settings.fit,
         check=check,
         picture=picture,

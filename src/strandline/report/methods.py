@@ -1,0 +1,145 @@
+"""A study in the words of a paper: a paragraph for the methods section, and what to cite."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from strandline.text import listed, with_sd
+from strandline.typeset import unit_text
+
+__all__ = ["BIBTEX", "methods_paragraph"]
+
+BIBTEX = """\
+@article{{willmann2022bayesian,
+  author  = {{Willmann and Nitzler and Brandstäter and Wall}},
+  title   = {{Bayesian calibration of coupled computational mechanics models under uncertainty based on interface
+             deformation}},
+  journal = {{Advanced Modeling and Simulation in Engineering Sciences}},
+  volume  = {{9}},
+  number  = {{24}},
+  year    = {{2022}},
+  doi     = {{10.1186/s40323-022-00237-5}}
+}}
+
+@software{{strandline,
+  author  = {{{{strandline contributors}}}},
+  title   = {{strandline: Bayesian calibration of computational-mechanics models from the shape of a measured
+             interface}},
+  version = {{{version}}}
+}}
+"""
+"""References of the method and of the software, for ``format(version=…)``."""
+MEASURES = {
+    "currents": "the RKHS norm of the difference of their surface currents",
+    "closest_point": "the distances to the closest points",
+    "measurement_lines": "their distances along measurement lines",
+    "normal_offset": "the distances of the observed points along the normals",
+    "tracked_points": "the distances of tracked points",
+}
+TO_UM = 1e3
+
+
+def methods_paragraph(summary: Mapping[str, Any]) -> str:
+    """Return a paragraph for the methods section of a paper, with the numbers of a study.
+
+    It says what does not speak for the result as well: runs that failed, a design that did not converge, a model that
+    does not explain the observation.
+
+    Args:
+        summary: Content of summary.json.
+    """
+    return " ".join(_sentences(summary))
+
+
+def _sentences(s: Mapping[str, Any]) -> Iterator[str]:
+    calibrated = [name for name, item in s["inputs"].items() if not item["nuisance"]]
+    nuisance = [name for name, item in s["inputs"].items() if item["nuisance"]]
+    labels = {name: item["label"] for name, item in s["inputs"].items()}
+    uncertain = f", with {listed([labels[name] for name in nuisance])} uncertain" if nuisance else ""
+    source = "a synthetic observation" if s.get("truth") else "the observed shape of the interface"
+    yield (
+        f"We inferred {listed([labels[name] for name in calibrated])} from {source}{uncertain}, by Bayesian "
+        f"calibration (Willmann et al. 2022) with strandline {s['version']}."
+    )
+    yield f"The priors were {listed([_prior(item) for item in s['inputs'].values()])}."
+    if s["fixed"]:
+        known = [f"{name} = {value:.6g}" for name, value in s["fixed"].items()]
+        yield f"{listed(known)} {'was' if len(known) == 1 else 'were'} known."
+    yield _likelihood(s["likelihood"])
+    yield _runs(s)
+    yield _surrogate(s)
+    yield (
+        f"The posterior was sampled by adaptive tempered sequential Monte Carlo with {s['sampler']['particles']} "
+        f"particles ({s['sampler']['ess']:.0f} effective)."
+    )
+    yield from _checks(s)
+    yield f"Posterior means and standard deviations are {listed([_result(s['inputs'][name]) for name in calibrated])}."
+
+
+def _prior(item: Mapping[str, Any]) -> str:
+    kind, _, numbers = item["prior"].partition(": ")
+    shown = f"{kind.lower()} ({numbers})" if numbers else kind
+    return f"{shown} for {item['label']}{_unit(item, ' in ')}"
+
+
+def _unit(item: Mapping[str, Any], before: str) -> str:
+    text = unit_text(item["unit"])
+    return f"{before}{text}" if text else ""
+
+
+def _result(item: Mapping[str, Any]) -> str:
+    return f"{item['label']} = {with_sd(item['mean'], item['sd'])}{_unit(item, ' ')}"
+
+
+def _likelihood(found: Mapping[str, Any]) -> str:
+    measure = MEASURES.get(found["discrepancy"], f"the measure {found['discrepancy']}")
+    options = found["options"].partition(": ")[2]
+    compared = f"Simulated and observed interfaces were compared by {measure}{f' ({options})' if options else ''}"
+    if found.get("inferred_noise") is not None:
+        return f"{compared}, with errors of the observed points that were inferred from the residuals."
+    if found.get("point_sd") is not None:
+        length = found.get("correlation_length")
+        along = f", correlated over {TO_UM * length:.3g} µm along the interface" if length else ""
+        return f"{compared}, with errors of the observed points of {TO_UM * found['point_sd']:.3g} µm{along}."
+    unit = unit_text(found["unit"] or "")
+    return f"{compared}, with Gaussian noise of variance {found['noise_variance']:.4g}{f' {unit}' if unit else ''}."
+
+
+def _runs(s: Mapping[str, Any]) -> str:
+    ok, failed = s["runs"]["ok"], s["runs"]["failed"]
+    kinds = ", ".join(f"{count} × {kind.replace('_', ' ')}" for kind, count in s["runs"]["by_kind"].items())
+    lost = f", {failed} of which failed ({kinds})" if failed else ""
+    if s["certificate"] is not None:
+        how = "chosen one batch after the other where the posterior lies"
+    elif s["refinement"]:
+        how = "from a Sobol design that was refined where the posterior lies"
+    else:
+        how = "from a Sobol design"
+    return f"We made {ok + failed} forward runs{lost}, {how}."
+
+
+def _surrogate(s: Mapping[str, Any]) -> str:
+    found = s["surrogate"]
+    if found["kind"] == "field":
+        error = found["predicted_error_um"]["median"]
+        return (
+            f"A Gaussian-process surrogate of the interface ({found['modes']} modes, {found['n_train']} runs) took the "
+            f"place of the model; its error where the posterior lies is {error:.2g} µm."
+        )
+    first = next(iter(s["measures"].values()))
+    return f"A Gaussian-process surrogate of the log-likelihood ({first['n_train']} runs) took the place of the model."
+
+
+def _checks(s: Mapping[str, Any]) -> Iterator[str]:
+    certificate, misfit = s["certificate"], s["misfit"]
+    if certificate is not None:
+        check = certificate.get("check")
+        if certificate["converged"] and check is not None:
+            yield f"The true model confirmed the posterior at {check['draws']} {check['by']}."
+        else:
+            yield "The design ended before the posterior was confirmed by the true model."
+    if s["nearest"]["message"]:
+        yield "No forward run comes near the observation, so the posterior must not be used."
+    elif misfit is not None:
+        does = "does not explain" if misfit["flagged"] else "explains"
+        p = "" if misfit["p"] is None else f" (p = {misfit['p']:.2g})"
+        yield f"The model {does} the observation within the noise{p}."
