@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +173,38 @@ def test_it_listens_on_this_machine_alone(server: Server) -> None:
     assert server.url.startswith("http://127.0.0.1:")
     with socket.socket() as other:
         other.bind(("127.0.0.2", server.port))  # free: the server holds one address, not all
+
+
+def test_a_forwarded_port_shows_the_page(server: Server) -> None:
+    """As with `ssh -L`: the browser calls another port, of localhost."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        threading.Thread(target=_forward, args=(listening, server.port), daemon=True).start()
+        for host in ("localhost", "127.0.0.1"):
+            address = f"http://{host}:{port}/{server.door.token}/"
+            origin = {"Origin": f"http://{host}:{port}"}
+            assert httpx.get(f"{address}api/study", headers=origin).json()["name"] == "beam"
+            with httpx.stream("GET", f"{address}events") as stream:
+                assert next(stream.iter_lines()).startswith("data: ")
+
+
+def _forward(listening: socket.socket, port: int) -> None:
+    """Pass on whatever comes, until the listening socket is closed."""
+    while True:
+        try:
+            near, _ = listening.accept()
+        except OSError:
+            return
+        far = socket.create_connection(("127.0.0.1", port))
+        for one, other in ((near, far), (far, near)):
+            threading.Thread(target=_pump, args=(one, other), daemon=True).start()
+
+
+def _pump(one: socket.socket, other: socket.socket) -> None:
+    with one, suppress(OSError):
+        while data := one.recv(65536):
+            other.sendall(data)
+        other.shutdown(socket.SHUT_WR)
 
 
 def test_a_port_in_use_is_refused(server: Server, folder: Path) -> None:

@@ -1,0 +1,126 @@
+"""How fast the page of a study is in Chromium, with 100, 10 000 and 100 000 runs in the ledger.
+
+    python -m verification.validation.view [--repeats 7] [--publish]
+
+Seconds from the request until something is painted, until the counts of the runs are there, and until the runs are
+drawn; then from a click on a run until it is shown, and from a slider's move until the interface or the posterior has
+followed. Each page is opened anew. Times depend on the machine: 2 cores, which the server and the browser share.
+"""
+
+import argparse
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+from verification.validation.tables import Table, put_into_page
+
+import strandline as sl
+from strandline.runs import RunRequest
+from strandline.testing.studies import beam, write_study
+from strandline.view import Server, serving
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "view.md"
+SIZES = (100, 10_000, 100_000)
+FAILING = 0.1
+COLUMNS = ("runs", "first paint", "counts", "runs drawn", "a run", "prediction", "posterior")
+READY = "() => document.querySelectorAll('#counts div').length > 0"
+DRAWN = "() => document.querySelectorAll('#pair-plot .points path').length > 20"
+PAINT = "() => performance.getEntriesByType('paint').find((e) => e.name === 'first-contentful-paint').startTime / 1000"
+MOVE = "(e, v) => { e.value = v; e.dispatchEvent(new Event('input')); }"
+
+
+def large_study(folder: Path, runs: int) -> sl.Study:
+    """Return an unfinished study of a beam with so many runs in its ledger, a tenth of them failed."""
+    study = sl.load_study(write_study(folder, design={"sobol": {"runs": runs}}, noise={"sd": 0.003}))
+    random = np.random.default_rng(1)
+    with study.runs.ledger() as ledger:
+        ledger.plan(study.runs.plan)
+        for record in _records(study, random):
+            ledger.started(RunRequest(record.key, record.inputs))
+            ledger.finished(record)
+    return study
+
+
+def _records(study: sl.Study, random: np.random.Generator) -> Iterator[sl.RunRecord]:
+    for number, inputs in enumerate([dict(study.truth or {}), *study.runs.design]):
+        key, seconds = study.runs.key(inputs), float(random.random())
+        if number and random.random() < FAILING:
+            yield sl.RunRecord(key, inputs, "failed", seconds=seconds, failure_kind="diverged", message="it diverged")
+        else:
+            yield sl.RunRecord(key, inputs, "ok", beam(inputs, Path()).interfaces, seconds=seconds)
+
+
+def opened(browser: Any, server: Server) -> tuple[Any, list[float]]:
+    """Open the page; return it, and the seconds until it is painted, has counts, and has drawn the runs."""
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    begun = time.perf_counter()
+    page.goto(server.url, wait_until="commit")
+    page.wait_for_function(READY)
+    counts = time.perf_counter() - begun
+    page.wait_for_function(DRAWN)
+    return page, [page.evaluate(PAINT), counts, time.perf_counter() - begun]
+
+
+def answered(page: Any, number: int) -> list[float]:
+    """Return the seconds until a run is shown, a prediction has moved, and the posterior has followed."""
+    page.fill("#run-row", str(number + 1))
+    shown = f"() => document.querySelector('#shape-note').textContent.includes('run {number + 1}')"
+    return [
+        _until(page, lambda: page.press("#run-row", "Enter"), shown),
+        _moved(page, "#sliders input[data-input=E]", 340.0 + number, "#predict-note"),
+        _moved(page, "#assumptions [data-knob=noise]", 0.1 + 0.02 * number, "#asked-note"),
+    ]
+
+
+def _moved(page: Any, slider: str, value: float, note: str) -> float:
+    page.evaluate("(note) => { document.querySelector(note).textContent = ''; }", note)
+    done = f"() => document.querySelector('{note}').textContent.length > 10"
+    return _until(page, lambda: page.locator(slider).evaluate(MOVE, value), done)
+
+
+def _until(page: Any, act: Callable[[], object], done: str) -> float:
+    begun = time.perf_counter()
+    act()
+    page.wait_for_function(done)
+    return time.perf_counter() - begun
+
+
+def row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
+    """Return the medians and the worst seconds of one size."""
+    times = []
+    with serving(large_study(folder, runs)) as server:
+        first, _ = opened(browser, server)
+        first.wait_for_selector("#moments td", timeout=120_000)
+        for number in range(repeats):
+            page, seconds = opened(browser, server)
+            page.wait_for_selector("#assumptions [data-knob=noise]")
+            times.append([*seconds, *answered(page, number)])
+            page.close()
+    medians, worst = np.median(times, axis=0), np.max(times, axis=0)
+    return (str(runs), *(f"{m:.2f} ({w:.2f})" for m, w in zip(medians, worst, strict=True)))
+
+
+def main() -> None:
+    """Print the table; with `--publish`, put it into the how-to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--publish", action="store_true", help="put the table into docs/how-to/view.md")
+    options = parser.parse_args()
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    with tempfile.TemporaryDirectory(prefix="strandline-") as home, sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=chromium)
+        rows = tuple(row(runs, options.repeats, Path(home) / str(runs), browser) for runs in SIZES)
+        browser.close()
+    table = Table("view", "The page, seconds: median (worst)", COLUMNS, ("s",) * len(COLUMNS), rows)
+    print(table.markdown())
+    if options.publish:
+        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), [table]), "utf-8")
+
+
+if __name__ == "__main__":
+    main()
