@@ -18,10 +18,10 @@ def test_the_new_study_gives_the_posterior_that_the_page_showed(folder: Path, mo
     study = sl.load_study(folder)
     viewed = ViewedStudy(study)
     viewed.feed.update()
-    viewed.refresh()
-    assert viewed.now is not None
+    viewed.newest.refresh(viewed.feed.succeeded)
+    assert viewed.newest.now is not None
     asked = asked_by({"noise": 2.0, "length_um": 20.0, "priors": {"E": {"normal": [420.0, 30.0]}}}, study)
-    shown = answer_to(asked, study, viewed.now, again=True)
+    shown = answer_to(asked, study, viewed.newest.now, again=True)
     target = save_as(study, "wider", asked)
     assert target == folder.parent / "wider"
     other = sl.load_study(target)

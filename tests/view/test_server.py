@@ -227,6 +227,19 @@ def test_events_tell_of_new_runs_within_a_second(folder: Path, client: httpx.Cli
         assert (changed["ok"], changed["failed"]) == (23, 1)
 
 
+def test_a_study_that_was_edited_is_noticed(folder: Path, client: httpx.Client) -> None:
+    settled(client)
+    assert not client.get("/api/state").json()["edited"]
+    path = folder / "study.yaml"
+    path.write_text(path.read_text("utf-8").replace('"seed": 1', '"seed": 2'), encoding="utf-8")
+    for _ in range(50):
+        if client.get("/api/state").json()["edited"]:
+            break
+        threading.Event().wait(0.1)
+    else:
+        raise AssertionError("it was not noticed")
+
+
 def test_a_damaged_ledger_is_told(folder: Path, client: httpx.Client) -> None:
     settled(client)
     (folder / "ledger.sqlite").write_bytes(b"rubbish" * 1000)

@@ -4,7 +4,7 @@ import json
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,61 +12,55 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.alternative import Present, present
-from strandline.calibration.so_far import posterior_so_far
+from strandline.calibration.alternative import Present
 from strandline.calibration.usual_alternatives import prior_in_words
 from strandline.calibration.what_if import Answer
-from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
+from strandline.errors import InvalidInput
 from strandline.models.offers import DrawsFields, undeformed_interface
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.pareto_smoothing import reliability_threshold
-from strandline.questions.knowledge import field_knowledge
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
-from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY
-from strandline.studies.progress import progress_in, results_of
+from strandline.studies.progress import progress_in
+from strandline.studies.question_keys import digest_of
 from strandline.studies.study import Study
 from strandline.view.assumptions import answer_to, asked_by, knobs_of
 from strandline.view.flow import flow_on_grid
+from strandline.view.posterior_feed import DRAWS, SEED, PosteriorFeed
 from strandline.view.predictions import predicted, predictive_band
 from strandline.view.runs_feed import RunsFeed
 from strandline.view.shapes import offsets_um, outline, picture_behind
 
 __all__ = ["ViewedStudy"]
 
-DRAWS = 2000
-"""Draws of the posterior that the page gets."""
-GROWTH, FEWEST_NEW = 0.1, 4
-"""New runs, as a share of those used and at least, after which the posterior is computed again."""
 OF_SUMMARY = ("misfit", "certificate", "nearest", "log_evidence", "seconds", "version", "provenance")
-SEED = 1
 DIGITS = 6
 
 
 @dataclass
 class ViewedStudy:
-    """A study and what has been computed for its page. Only `refresh` changes it; requests read it.
+    """A study and what has been computed for its page.
 
     Args:
         study: The study, from `load_study`.
     """
 
     study: Study
-    history: list[dict[str, Any]] = field(default_factory=list)
-    now: Present | None = None
-    source: str = "none"
-    why_none: str = "no forward run has ended yet"
-    _tried: int = 0
     _solving: threading.Lock = field(default_factory=threading.Lock)
 
     @cached_property
     def feed(self) -> RunsFeed:
         """The runs in the study's ledger."""
         return RunsFeed(self.study.ledger_path, self.study.space.names)
+
+    @cached_property
+    def newest(self) -> PosteriorFeed:
+        """The posterior now, and how it took shape."""
+        return PosteriorFeed(self.study)
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -120,7 +114,7 @@ class ViewedStudy:
             with Overview(ledger) as overview:
                 driver = overview.driver()
         files = tuple(_changed_at(folder / name) for name in (STUDY, SUMMARY, REFINEMENT))
-        return self.feed.version, driver, files, len(self.history)
+        return self.feed.version, driver, files, len(self.newest.history)
 
     @property
     def state(self) -> dict[str, Any]:
@@ -130,9 +124,19 @@ class ViewedStudy:
         return {
             **progress.as_dict(),
             "version": self.feed.version,
-            "posterior": len(self.history),
+            "edited": self._edited,
+            "posterior": len(self.newest.history),
             "summary": {name: summary.get(name) for name in OF_SUMMARY if name in summary},
         }
+
+    @property
+    def _edited(self) -> bool:
+        """Whether study.yaml asks for something else than when the page was opened."""
+        try:
+            text = (self.study.folder / STUDY).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            return True
+        return digest_of(text) != self.study.text_digest
 
     def run(self, place: int) -> dict[str, Any] | None:
         """Return the run in this place of the feed, with its interfaces, message and log; None if there is none."""
@@ -172,58 +176,14 @@ class ViewedStudy:
             for name, one in ({} if record is None else record.interfaces).items()
         }
 
-    def due(self) -> bool:
-        """Return whether there is a newer posterior than the one that the page has: stored, or worth computing."""
-        if self.source != "stored" and results_of(self.study) == "current":
-            return True
-        if self.source == "stored":
-            return False
-        made = self.feed.succeeded
-        return made - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
-
-    def refresh(self) -> None:
-        """Read the stored posterior if the study is finished, else compute the one of the runs so far."""
-        use_double()
-        self._tried = self.feed.succeeded
-        with one_thread():
-            try:
-                found, source = self._posterior()
-            except (InvalidStudy, InvalidInput, TooFewRuns, NumericsError) as error:
-                self.why_none = f"no posterior yet: {error}"
-                return
-        moved = None if self.now is None else _moved(self.now, found)
-        self.now, self.source = found, source
-        space, used = self.study.space, self._tried
-        self.history.append(
-            {
-                "runs": used,
-                "source": source,
-                "mean": dict(zip(space.names, found.mean.tolist(), strict=True)),
-                "sd": dict(zip(space.names, found.sd.tolist(), strict=True)),
-                "moved": moved,
-            }
-        )
-
-    def _posterior(self) -> tuple[Present, str]:
-        study, measure = self.study, next(iter(self.study.discrepancies))
-        if results_of(study) == "current":
-            stored = finished_posterior(study, purpose="show")
-            try:
-                knowledge, why_not = field_knowledge(study, measure, purpose="the page"), ""
-            except (InvalidStudy, TooFewRuns) as error:
-                knowledge, why_not = None, f"there is no surrogate of the interface ({error.value})"
-            return _thinned(present(stored, knowledge, why_not=why_not)), "stored"
-        knowledge = field_knowledge(study, measure, purpose="the page")
-        return posterior_so_far(knowledge, study.space, seed=SEED), "so far"
-
     @property
     def posterior(self) -> dict[str, Any]:
         """The posterior now, with its history, what it predicts, and what may be changed."""
-        now = self.now
+        now = self.newest.now
         out: dict[str, Any] = {
-            "source": self.source,
-            "why_none": "" if now is not None else self.why_none,
-            "history": self.history,
+            "source": self.newest.source,
+            "why_none": "" if now is not None else self.newest.why_none,
+            "history": self.newest.history,
             "knobs": knobs_of(self.study, now),
         }
         if now is None:
@@ -249,13 +209,13 @@ class ViewedStudy:
         Raises:
             InvalidInput: An input is missing or outside its box, or there is no surrogate yet.
         """
-        if self.now is None or self.now.knowledge is None:
-            why = self.why_none if self.now is None else self.now.why_not
+        if self.newest.now is None or self.newest.now.knowledge is None:
+            why = self.newest.why_none if self.newest.now is None else self.newest.now.why_not
             raise InvalidInput(
                 "prediction", value=why, expected="a surrogate of the interface", remedy="Wait for runs."
             )
         x = self._inputs(given)
-        knowledge = self.now.knowledge
+        knowledge = self.newest.now.knowledge
         chance = float(np.exp(knowledge.log_feasibility(x[None])[0]))
         return {"conditions": predicted(knowledge, x, observations_of(self.study)), "success": chance}
 
@@ -270,11 +230,11 @@ class ViewedStudy:
             InvalidInput: The assumptions cannot be used, or there is no posterior yet.
         """
         asked = asked_by(given, self.study)
-        if self.now is None:
-            raise InvalidInput("posterior", value=self.why_none, expected="a posterior", remedy="Wait for runs.")
+        if self.newest.now is None:
+            raise InvalidInput("posterior", value=self.newest.why_none, expected="a posterior", remedy="Wait for runs.")
         use_double()
         with one_thread():
-            return self._answered(answer_to(asked, self.study, self.now, again=again), self.now)
+            return self._answered(answer_to(asked, self.study, self.newest.now, again=again), self.newest.now)
 
     def _answered(self, answer: Answer, now: Present) -> dict[str, Any]:
         threshold = reliability_threshold(len(now.draws))
@@ -333,23 +293,6 @@ class ViewedStudy:
     def _columns(self, draws: Float[np.ndarray, "draw dim"]) -> dict[str, list[float]]:
         names = self.study.space.names
         return {name: [float(f"{v:.{DIGITS}g}") for v in draws[:, i].tolist()] for i, name in enumerate(names)}
-
-
-def _thinned(now: Present) -> Present:
-    """Return a posterior with equally weighted draws, few enough to be weighted again while a slider moves."""
-    chosen = systematic_indices(np.exp(now.log_weights), DRAWS, np.random.default_rng(SEED))
-    return replace(
-        now,
-        draws=now.draws[chosen],
-        log_weights=np.full(DRAWS, -math.log(DRAWS)),
-        log_likelihood=now.log_likelihood[chosen],
-        log_prior=now.log_prior[chosen],
-    )
-
-
-def _moved(before: Present, after: Present) -> float:
-    """Return the largest shift of a mean, in earlier standard deviations."""
-    return float(np.abs((after.mean - before.mean) / before.sd).max())
 
 
 def _moments(

@@ -11,6 +11,7 @@ import { mountRun } from "./panels/run.js";
 import { mountRuns } from "./panels/runs.js";
 import { mountShapes } from "./panels/shapes.js";
 
+const EDITED = "study.yaml has changed since this page was opened. Start `strandline view` again to see the study as it is now.";
 const status = document.getElementById("status");
 let version = 0;
 let posteriors = -1;
@@ -36,8 +37,9 @@ async function readPosterior(number) {
 
 async function follow(state) {
   const problem = document.getElementById("problem");
-  problem.hidden = !state.problem;
-  problem.textContent = state.problem || "";
+  const words = state.problem || (state.edited ? EDITED : "");
+  problem.hidden = !words;
+  problem.textContent = words;
   if (state.planned === undefined) return;
   const had = shared.state.ok || 0;
   shared.state = state;

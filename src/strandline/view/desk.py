@@ -1,0 +1,113 @@
+"""What all requests share: the study, the threads that do the work, and a bell that rings when something is new."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+from strandline.errors import StrandlineError
+from strandline.view.door import Door
+from strandline.view.viewed import ViewedStudy
+
+__all__ = ["Desk"]
+
+PAUSE = 0.5
+"""Seconds between two looks at the ledger."""
+KEEP_ALIVE = 15.0
+"""Seconds after which a silent stream of events says that it is alive."""
+
+
+@dataclass
+class Desk:
+    """What all requests share: the study, threads that do the work, and a bell that rings when something is new."""
+
+    viewed: ViewedStudy
+    door: Door
+    rings: int = 0
+    streams: int = 0
+    closing: bool = False
+    problem: str = ""
+    _reading: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "ledger"))
+    _answering: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(2, "answers"))
+    _sampling: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "posterior"))
+    _changed: asyncio.Condition = field(default_factory=asyncio.Condition)
+    _state: dict[str, Any] = field(default_factory=dict)
+    _stamp: tuple[Any, ...] = ()
+    _rest_until: float = 0.0
+
+    async def read(self, task: Callable[[], Any]) -> Any:
+        """Do a task that reads the ledger; one at a time."""
+        return await asyncio.get_running_loop().run_in_executor(self._reading, task)
+
+    async def answer(self, task: Callable[[], Any]) -> Any:
+        """Do a task that computes."""
+        return await asyncio.get_running_loop().run_in_executor(self._answering, task)
+
+    async def watch_runs(self) -> None:
+        """Look at the ledger again and again, and ring when something is new."""
+        while True:
+            try:
+                new = await self.read(self._look)
+            except (StrandlineError, OSError) as error:
+                new, self.problem = str(error) != self.problem, str(error)
+            if new:
+                await self.ring()
+            await asyncio.sleep(PAUSE)
+
+    def _look(self) -> bool:
+        """Read what is new; return whether there is anything. A large ledger is not counted all the time."""
+        self.viewed.feed.update()
+        stamp, begun = self.viewed.stamp, time.monotonic()
+        if (stamp == self._stamp and not self.problem) or begun < self._rest_until:
+            return False
+        state = self.viewed.state
+        self._rest_until = time.monotonic() + time.monotonic() - begun
+        new, self._state, self._stamp, self.problem = state != self._state, state, stamp, ""
+        return new
+
+    async def watch_posterior(self) -> None:
+        """Compute the posterior again when there are enough new runs, or read it when the study has ended."""
+        loop, newest = asyncio.get_running_loop(), self.viewed.newest
+        while True:
+            made = self.viewed.feed.succeeded
+            try:
+                if await self.read(lambda made=made: newest.due(made)):  # type: ignore[misc]
+                    await loop.run_in_executor(self._sampling, newest.refresh, made)
+                    await self.read(self._look)
+                    await self.ring()
+            except (StrandlineError, OSError):
+                pass  # `watch_runs` reports what is wrong with the ledger
+            await asyncio.sleep(PAUSE)
+
+    async def ring(self) -> None:
+        """Wake all streams of events."""
+        async with self._changed:
+            self.rings += 1
+            self._changed.notify_all()
+
+    async def heard(self, rings: int) -> int:
+        """Wait until the bell has rung since; return how often it has."""
+        async with self._changed:
+            try:
+                await asyncio.wait_for(self._changed.wait_for(lambda: self.closing or self.rings > rings), KEEP_ALIVE)
+            except TimeoutError:
+                return rings
+        return self.rings
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """The state at the last look, and what is wrong with the ledger."""
+        return {**self._state, "problem": self.problem}
+
+    async def close(self) -> None:
+        """Let all streams of events end."""
+        self.closing = True
+        await self.ring()
+        for _ in range(100):
+            if not self.streams:
+                break
+            await asyncio.sleep(0.01)
+        for some in (self._reading, self._answering, self._sampling):
+            some.shutdown(wait=False, cancel_futures=True)
