@@ -15,9 +15,15 @@ from strandline.testing.studies import write_study
 QUICK = {"design": {"sobol": {"runs": 24}}, "sampler": {"smc": {"particles": 500, "rejuvenation_steps": 2}}}
 
 
+def without_figures(*given: object, folder: Path, **others: object) -> Path:
+    (folder / "figures").mkdir(exist_ok=True)
+    (folder / "report.html").write_text("a report")
+    return folder / "report.html"
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("strandline.studies.run.write_report", lambda *given, folder, **others: folder / "report.html")
+    monkeypatch.setattr("strandline.studies.run.write_report", without_figures)
     return write_study(tmp_path / "beam", **QUICK)
 
 
@@ -27,7 +33,9 @@ def test_run_prints_its_summary_as_json(folder: Path, capsys: pytest.CaptureFixt
     assert json.loads(first.out) == json.loads((folder / "summary.json").read_text("utf-8"))
     assert first.err == ""
     main(["run", str(folder), "--json"])
-    assert capsys.readouterr().out == first.out
+    again = json.loads(capsys.readouterr().out)
+    assert again["inputs"] == json.loads(first.out)["inputs"]
+    assert again["runs"]["new"] == 0
 
 
 def test_the_log_has_the_time_of_each_step(folder: Path, tmp_path: Path) -> None:

@@ -118,6 +118,10 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("ask", {"assumptions": {"priors": {"F": {"normal": [1, 2]}}}}, "input: got F; expected one of E, tilt"),
     ("ask", {"assumptions": {"fixed": {"E": 400}}}, "at least one calibrated input left"),
     ("flow", {"inputs": {"E": 400, "tilt": 0.01}}, "expected a model that offers its fields"),
+    ("predict", {"inputs": [1, 2]}, "inputs: got [1, 2]; expected a JSON object"),
+    ("ask", {"assumptions": {"measure": ["x"]}}, "measure: got ['x']"),
+    ("ask", {"assumptions": {"priors": [1]}}, "priors and fixed: got something else"),
+    ("save", {"name": "ünï"}, "name of the new study: got ünï"),
     ("save", {"name": "../there"}, "name of the new study: got ../there"),
     ("save", {"name": "beam"}, "expected no such folder yet"),
 ]
@@ -139,7 +143,7 @@ def test_what_makes_no_sense_is_refused_in_a_line(
     [
         ("/api/nothing", 404), ("/nothing", 404), ("/page/x/../../server.py", 404), ("/page/%2e%2e/server.py", 403),
         ("/page/..%2fserver.py", 403), ("/api/run?row=999", 404), ("/api/run?row=-1", 400), ("/api/runs?since=x", 400),
-        ("/api/picture", 404), ("/page/app.js", 200), ("/page/vendor/plotly-cartesian.min.js", 200),
+        ("/api/picture", 404), ("/page/", 403), ("/page/app.js", 200), ("/page/vendor/plotly-cartesian.min.js", 200),
     ],
 )  # fmt: skip
 def test_paths(path: str, status: int, client: httpx.Client) -> None:
@@ -240,6 +244,52 @@ def test_a_study_that_was_edited_is_noticed(folder: Path, client: httpx.Client) 
         raise AssertionError("it was not noticed")
 
 
+def test_a_result_that_was_made_again_is_shown(
+    folder: Path, client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The study is run again without one of its runs while the page is open."""
+    monkeypatch.setattr("strandline.studies.run.write_report", lambda *given, folder, **others: folder / "report.html")
+    before = settled(client)
+    study = sl.load_study(folder)
+    with study.runs.ledger() as ledger:
+        ledger.exclude(study.runs.design_keys[3], "looks wrong")
+    sl.run_study(study, executor=sl.InProcess())
+    for _ in range(200):
+        after = client.get("/api/posterior").json()
+        if len(after["history"]) > len(before["history"]) and after["source"] == "stored":
+            break
+        threading.Event().wait(0.1)
+    summary = json.loads((folder / "summary.json").read_text("utf-8"))
+    assert after["mean"]["E"] == pytest.approx(summary["inputs"]["E"]["mean"], rel=2e-3)
+    assert after["history"][-1]["runs"] == 23
+    rows = client.get("/api/runs").json()
+    run = client.get("/api/run", params={"row": rows["state"].index("excluded")}).json()
+    assert run["excluded"] == "looks wrong"
+
+
+def test_an_error_leaves_the_page_when_its_cause_has_gone(folder: Path, client: httpx.Client) -> None:
+    settled(client)
+    with client.stream("GET", "/events") as stream:
+        states = (json.loads(line[6:]) for line in stream.iter_lines() if line.startswith("data: "))
+        assert next(states)["problem"] == ""
+        (folder / "ledger.sqlite").rename(folder / "away.sqlite")
+        assert "ledger.sqlite" in next(one for one in states if one["problem"])["problem"]
+        (folder / "away.sqlite").rename(folder / "ledger.sqlite")
+        assert next(one for one in states if not one["problem"])["ok"] == 24
+
+
+def test_draws_sampled_again_are_judged_by_all_of_them(folder: Path, client: httpx.Client) -> None:
+    """Letting go of a slider gives what `what-if` gives, by weights or new draws alike."""
+    settled(client)
+    asked = {"priors": {"E": {"normal": [380.0, 12.0]}}}
+    found = client.post("/api/ask", json={"assumptions": asked, "again": True}).json()
+    (answer,) = sl.what_if(sl.load_study(folder), [{"prior": asked["priors"]}]).answers
+    assert found["by"] == answer.by
+    assert found["k_hat"] == pytest.approx(answer.k_hat)
+    assert found["mean"]["E"] == pytest.approx(float(answer.draws.mean[0]))  # type: ignore[union-attr]
+    assert len(found["draws"]["E"]) == 2000
+
+
 def test_a_damaged_ledger_is_told(folder: Path, client: httpx.Client) -> None:
     settled(client)
     (folder / "ledger.sqlite").write_bytes(b"rubbish" * 1000)
@@ -256,7 +306,7 @@ def test_a_study_without_runs(folder: Path) -> None:
     (folder / "summary.json").unlink()
     with serving(sl.load_study(folder)) as server, httpx.Client(base_url=server.url) as client:
         posterior = client.get("/api/posterior").json()
-        assert posterior["why_none"] == "no forward run has ended yet"
+        assert posterior["why_none"] == "too few forward runs have ended yet"
         assert client.get("/api/runs").json()["total"] == 0
         refused = client.post("/api/ask", json={"assumptions": {"noise": 2.0}})
-        assert "no forward run has ended yet" in refused.json()["error"]
+        assert "too few forward runs have ended yet" in refused.json()["error"]

@@ -18,7 +18,7 @@ from strandline.runs import Progress as Runs
 from strandline.runs import RunRecord
 from strandline.smc import StepInfo
 
-__all__ = ["observing"]
+__all__ = ["observing", "require_log"]
 
 STAGES = {
     "observation": "observation",
@@ -63,16 +63,30 @@ def observing(*, quiet: bool = False, log: Path | None = None) -> Iterator[Obser
         yield shown if log is None else _both(shown, _lines(opened.enter_context(_timed(log))))
 
 
+def require_log(path: Path | None) -> None:
+    """Refuse a file for the log that cannot be written to; None is no log.
+
+    Raises:
+        InvalidInput: It cannot be written to.
+    """
+    if path is None:
+        return
+    try:
+        path.open("a", encoding="utf-8").close()
+    except OSError as error:
+        raise InvalidInput(
+            "--log",
+            value=f"{path}: {error.strerror}",
+            expected="a file that can be written to",
+            remedy="Correct the path, or make its folder.",
+        ) from None
+
+
 @contextmanager
 def _timed(path: Path) -> Iterator[Console]:
     """Yield a console that adds lines with the time to a file."""
-    try:
-        file = path.open("a", encoding="utf-8", buffering=1)
-    except OSError as error:
-        raise InvalidInput(
-            "--log", value=f"{path}: {error.strerror}", expected="a file that can be written to", remedy="Correct it."
-        ) from None
-    with file:
+    require_log(path)
+    with path.open("a", encoding="utf-8", buffering=1) as file:
         yield Console(file=cast(TextIO, _Timed(file)), no_color=True, width=10_000)
 
 

@@ -57,7 +57,7 @@ def show(summary: Mapping[str, Any], report: Path, *, as_json: bool = False) -> 
         if summary["certificate"].get("fidelities"):
             click.echo(summary["certificate"]["fidelities"]["statement"])
     for warning in summary["warnings"]:
-        click.secho(f"warning: {warning}", fg=_warning_colour())
+        click.echo(_warned(f"warning: {warning}"))
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     click.echo(f"seconds: {seconds}")
     if report.name not in summary["missing"]:
@@ -66,9 +66,9 @@ def show(summary: Mapping[str, Any], report: Path, *, as_json: bool = False) -> 
         click.echo(summary["nearest"]["message"])
 
 
-def _warning_colour() -> str | None:
-    """Return the colour of warnings; none if NO_COLOR is set (no-color.org)."""
-    return None if os.environ.get("NO_COLOR") else "yellow"
+def _warned(text: str) -> str:
+    """Return a warning in its colour, or as it is if NO_COLOR is set (no-color.org)."""
+    return text if os.environ.get("NO_COLOR") else click.style(text, fg="yellow")
 
 
 def _certified(certificate: Mapping[str, Any]) -> str:

@@ -29,7 +29,7 @@ def command(
     devices.use(device)
     from strandline.cli.detached import submit, told_what_goes_on
     from strandline.cli.journal import say_journal
-    from strandline.cli.progress import observing
+    from strandline.cli.progress import observing, require_log
     from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.runs.executors import with_workers
     from strandline.studies import load_study, run_study
@@ -37,6 +37,7 @@ def command(
     from strandline.studies.unchanged import results_at_hand
 
     loaded = load_study(study)
+    require_log(log)
     if (found := results_at_hand(loaded)) is not None:
         show(found, loaded.folder / REPORT, as_json=as_json)
         if not quiet and not as_json:

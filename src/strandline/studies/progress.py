@@ -20,7 +20,16 @@ from strandline.studies.question_keys import digest_of
 if TYPE_CHECKING:
     from strandline.studies.study import Study
 
-__all__ = ["Failures", "RunReported", "StudyProgress", "progress_in", "progress_of", "recorded_plan", "results_of"]
+__all__ = [
+    "Failures",
+    "RunReported",
+    "StudyProgress",
+    "progress_as_planned",
+    "progress_in",
+    "progress_of",
+    "recorded_plan",
+    "results_of",
+]
 
 Results = Literal["none", "current", "outdated"]
 RATE_RUNS = 50
@@ -147,6 +156,17 @@ def progress_of(study: "Study") -> StudyProgress:
     """Return the progress of `study`; reads the ledger without the lock of its driver."""
 
     return _progress(study.folder, study.runs.plan)
+
+
+def progress_as_planned(study: "Study") -> StudyProgress:
+    """Return the progress of `study` as it was loaded, by the plan that its driver has noted, if there is one."""
+    path = study.ledger_path
+    if path.is_file():
+        with Overview(path) as ledger:
+            plan = ledger.plan(study.text_digest)
+        if plan is not None:
+            return _progress(study.folder, plan)
+    return progress_of(study)
 
 
 def recorded_plan(folder: Path) -> Plan | None:

@@ -93,9 +93,11 @@ def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
     length = given.get("length_um")
     length = None if length is None else _number("length_um", length, *LENGTH)
     measure = given.get("measure")
-    if measure is not None and measure not in study.discrepancies:
+    if measure is not None and (not isinstance(measure, str) or measure not in study.discrepancies):
         raise _refused("measure", measure, f"one of {', '.join(study.discrepancies)}")
-    priors, fixed = given.get("priors") or {}, given.get("fixed") or {}
+    priors, fixed = (given.get(name) or {} for name in ("priors", "fixed"))
+    if not (isinstance(priors, dict) and isinstance(fixed, dict)):
+        raise _refused("priors and fixed", "something else", "JSON objects by name of the input")
     for name in (*priors, *fixed):
         if name not in study.space.names:
             raise _refused("input", name, f"one of {', '.join(study.space.names)}")
@@ -146,7 +148,9 @@ def _likelihood(asked: Asked, study: Study, present: FieldLikelihood) -> FieldLi
         noise = scaled_noise(one.noise, asked.noise)
         if noise is None:
             raise _refused("noise", "another standard deviation", "a study that states it")
-        if asked.length_um is not None and isinstance(noise, PointErrors):
+        if asked.length_um is not None:
+            if not isinstance(noise, PointErrors):
+                raise _refused("length_um", asked.length_um, "a study that states the errors of its points")
             noise = replace(noise, length=asked.length_um / TO_UM)
         seen.append(Observation(one.interface, noise, one.condition))
     return replace(present, observations=tuple(seen), discrepancy=measure)

@@ -58,13 +58,14 @@ class Desk:
 
     def _look(self) -> bool:
         """Read what is new; return whether there is anything. A large ledger is not counted all the time."""
+        self.viewed.require_ledger()
         self.viewed.feed.update()
         stamp, begun = self.viewed.stamp, time.monotonic()
         if (stamp == self._stamp and not self.problem) or begun < self._rest_until:
             return False
         state = self.viewed.state
         self._rest_until = time.monotonic() + time.monotonic() - begun
-        new, self._state, self._stamp, self.problem = state != self._state, state, stamp, ""
+        new, self._state, self._stamp, self.problem = state != self._state or bool(self.problem), state, stamp, ""
         return new
 
     async def watch_posterior(self) -> None:

@@ -24,9 +24,13 @@ class Shown:
     height: int
 
     def __repr__(self) -> str:
+        if not self.server.is_serving:
+            return f"<page of {self.server.viewed.study.name}, closed>"
         return f"<page of {self.server.viewed.study.name}: {self.server.url}>"
 
     def _repr_html_(self) -> str:
+        if not self.server.is_serving:
+            return f"<p>{html.escape(repr(self))}</p>"
         url, name = html.escape(self.server.url), html.escape(self.server.viewed.study.name)
         style = "border: 1px solid #8884; border-radius: 8px"
         return f'<iframe src="{url}" title="{name}" width="100%" height="{self.height}" style="{style}"></iframe>'

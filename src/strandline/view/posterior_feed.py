@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,11 @@ from strandline.numerics.precision import use_double
 from strandline.posterior import systematic_indices
 from strandline.questions.knowledge import field_knowledge
 from strandline.studies.check import finished_posterior
+from strandline.studies.folder import SUMMARY
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
 
-__all__ = ["DRAWS", "SEED", "PosteriorFeed"]
+__all__ = ["DRAWS", "SEED", "PosteriorFeed", "changed_at"]
 
 DRAWS = 2000
 """Draws of the posterior that the page gets."""
@@ -33,6 +35,7 @@ class PosteriorFeed:
     Args:
         study: The study.
         now: The newest posterior; None if there is none.
+        few: Some of its draws, few enough to be weighted again while a slider moves.
         source: Where it comes from: ``none``, ``so far`` or ``stored``.
         why_none: Why there is none.
         history: Runs, means and standard deviations of each posterior, the newest last.
@@ -41,9 +44,11 @@ class PosteriorFeed:
     study: Study
     now: Present | None = None
     source: str = "none"
-    why_none: str = "no forward run has ended yet"
+    why_none: str = "too few forward runs have ended yet"
     history: list[dict[str, Any]] = field(default_factory=list)
+    few: Present | None = None
     _tried: int = 0
+    _stored: int = 0
 
     def due(self, succeeded: int) -> bool:
         """Return whether there is a newer posterior than this one: stored, or worth computing.
@@ -51,10 +56,8 @@ class PosteriorFeed:
         Args:
             succeeded: Number of runs that have succeeded.
         """
-        if self.source != "stored" and results_of(self.study) == "current":
-            return True
-        if self.source == "stored":
-            return False
+        if results_of(self.study) == "current":
+            return self._stored != changed_at(self.study.folder / SUMMARY)
         return succeeded - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
 
     def refresh(self, succeeded: int) -> None:
@@ -64,7 +67,7 @@ class PosteriorFeed:
             succeeded: Number of runs that have succeeded.
         """
         use_double()
-        self._tried = succeeded
+        self._tried, self._stored = succeeded, changed_at(self.study.folder / SUMMARY)
         with one_thread():
             try:
                 found, source = self._posterior()
@@ -72,8 +75,9 @@ class PosteriorFeed:
                 self.why_none = f"no posterior yet: {error}"
                 return
         moved = None if self.now is None else _moved(self.now, found)
-        self.now, self.source = found, source
-        space, used = self.study.space, self._tried
+        self.now, self.few, self.source = found, _thinned(found), source
+        space = self.study.space
+        used = succeeded if found.knowledge is None else found.knowledge.surrogate.runs
         self.history.append(
             {
                 "runs": used,
@@ -92,7 +96,7 @@ class PosteriorFeed:
                 knowledge, why_not = field_knowledge(study, measure, purpose="the page"), ""
             except (InvalidStudy, TooFewRuns) as error:
                 knowledge, why_not = None, f"there is no surrogate of the interface ({error.value})"
-            return _thinned(present(stored, knowledge, why_not=why_not)), "stored"
+            return present(stored, knowledge, why_not=why_not), "stored"
         knowledge = field_knowledge(study, measure, purpose="the page")
         return posterior_so_far(knowledge, study.space, seed=SEED), "so far"
 
@@ -107,6 +111,14 @@ def _thinned(now: Present) -> Present:
         log_likelihood=now.log_likelihood[chosen],
         log_prior=now.log_prior[chosen],
     )
+
+
+def changed_at(path: Path) -> int:
+    """Return when a file has changed last, in nanoseconds; 0 if there is none."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _moved(before: Present, after: Present) -> float:

@@ -18,6 +18,12 @@ from strandline.view.shapes import picture_png
 
 __all__ = ["application"]
 
+ERRORS = {
+    403: "there is no such page",
+    404: "there is no such page",
+    405: "such requests are not answered",
+    413: "the request is too long",
+}
 PAGE = Path(__file__).parent / "page"
 
 
@@ -42,7 +48,7 @@ class _Guarded(RequestHandler):
             self.finish({"error": why})
 
     def write_error(self, status_code: int, **given: Any) -> None:
-        self.finish({"error": "there is no such page" if status_code == 404 else "the page has a fault; see the log"})
+        self.finish({"error": ERRORS.get(status_code, "the page has a fault; see the terminal of `strandline view`")})
 
     async def told(self, task: Callable[[], Awaitable[Any]]) -> None:
         """Send the result of a task, or why there is none."""
@@ -89,6 +95,13 @@ class _Page(_Guarded):
         self.finish((PAGE / "index.html").read_bytes())
 
 
+class _WithoutSlash(_Guarded):
+    """The address of the page without its last slash."""
+
+    def get(self) -> None:
+        self.redirect(f"{self.request.path}/")
+
+
 class _Static(_Guarded, StaticFileHandler):
     """Scripts and styles of the page."""
 
@@ -117,9 +130,9 @@ class _Ask(_Guarded):
     async def post(self, name: str) -> None:
         viewed = self.desk.viewed
         tasks: dict[str, Callable[[dict[str, Any]], Any]] = {
-            "predict": lambda given: viewed.predict(given.get("inputs") or {}),
-            "ask": lambda given: viewed.ask(given.get("assumptions") or {}, again=bool(given.get("again"))),
-            "flow": lambda given: viewed.flow(given.get("inputs") or {}, str(given.get("condition") or "")),
+            "predict": lambda given: viewed.predict(_part(given, "inputs")),
+            "ask": lambda given: viewed.ask(_part(given, "assumptions"), again=bool(given.get("again"))),
+            "flow": lambda given: viewed.flow(_part(given, "inputs"), str(given.get("condition") or "")),
             "save": lambda given: _saved(viewed.study, given),
         }
         if name not in tasks:
@@ -168,13 +181,25 @@ class _Events(_Guarded):
             desk.streams -= 1
 
 
+def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a part of a request, a JSON object; empty if it is missing.
+
+    Raises:
+        InvalidInput: It is something else.
+    """
+    found = given.get(name)
+    if found is not None and not isinstance(found, dict):
+        raise InvalidInput(name, value=found, expected="a JSON object", remedy="Use the page.")
+    return found or {}
+
+
 async def _now(value: Any) -> Any:
     return value
 
 
 def _saved(study: Study, given: dict[str, Any]) -> dict[str, Any]:
     """Write a new study with the assumptions that were sent."""
-    folder = save_as(study, str(given.get("name") or ""), asked_by(given.get("assumptions") or {}, study))
+    folder = save_as(study, str(given.get("name") or ""), asked_by(_part(given, "assumptions"), study))
     return {"folder": str(folder), "command": f"strandline run {folder}"}
 
 
@@ -188,6 +213,7 @@ def application(desk: Desk) -> Application:
     return Application(
         [
             (r"/[^/]+/", _Page, shared),
+            (r"/[^/]+", _WithoutSlash, shared),
             (r"/[^/]+/api/picture", _Picture, shared),
             (r"/[^/]+/api/([a-z]+)", _Ask, shared),
             (r"/[^/]+/events", _Events, shared),

@@ -17,7 +17,7 @@ from strandline.view.assumptions import Asked
 
 __all__ = ["save_as"]
 
-NAME = re.compile(r"[\w][\w.-]{0,62}")
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,62}")
 TO_UM = 1e3
 RESULTS = {value for name, value in vars(files).items() if name.isupper() and isinstance(value, str)} - {STUDY}
 """Names of result files, which are not copied."""
@@ -50,7 +50,9 @@ def save_as(study: Study, name: str, asked: Asked) -> Path:
     present = study.folder.resolve()
     target = present.parent / name
     if target.exists():
-        raise InvalidInput("name of the new study", value=name, expected="no such folder yet", remedy="Choose another.")
+        raise InvalidInput(
+            "name of the new study", value=name, expected="no such folder yet", remedy="Choose another one."
+        )
     content = _changed(study, name, asked, present)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
     with told_if_unwritable(present.parent):

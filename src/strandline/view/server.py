@@ -1,6 +1,7 @@
 """The web server of the page: it answers on the loopback address, to whoever has the token."""
 
 import asyncio
+import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -46,21 +47,27 @@ class Server:
         self.viewed, self.door = ViewedStudy(study), door or Door()
         try:
             self._socket = socket.create_server((ADDRESS, port))
-        except OSError as error:
+        except (OSError, OverflowError) as error:
             raise InvalidInput(
                 "port",
-                value=f"{port}: {error.strerror}",
+                value=f"{port}: {os.strerror(error.errno) if isinstance(error, OSError) and error.errno else error}",
                 expected="a port that no other program uses",
                 remedy="Choose another one, or leave out --port.",
             ) from None
         self._socket.setblocking(False)
         self.port: int = self._socket.getsockname()[1]
         self._stop: Callable[[], object] = lambda: None
+        self._serving = False
 
     @property
     def url(self) -> str:
         """Address of the page, with its token."""
         return f"http://{ADDRESS}:{self.port}/{self.door.token}/"
+
+    @property
+    def is_serving(self) -> bool:
+        """Whether the page answers."""
+        return self._serving
 
     def run(self, started: Callable[[], None] = lambda: None) -> None:
         """Serve until `stop` is called, or Ctrl-C."""
@@ -68,6 +75,7 @@ class Server:
 
     def stop(self) -> None:
         """End `run`, from any thread."""
+        self._serving = False
         self._stop()
 
     async def _serve(self, started: Callable[[], None]) -> None:
@@ -77,11 +85,12 @@ class Server:
         server = HTTPServer(application(desk), max_body_size=LARGEST_BODY)
         server.add_socket(self._socket)
         watching = [asyncio.create_task(desk.watch_runs()), asyncio.create_task(desk.watch_posterior())]
+        self._serving = True
         started()
         try:
             await ended.wait()
         finally:
-            self._stop = lambda: None
+            self._stop, self._serving = lambda: None, False
             for task in watching:
                 task.cancel()
             server.stop()

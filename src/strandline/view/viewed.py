@@ -15,8 +15,9 @@ from jaxtyping import Float
 from strandline.calibration.alternative import Present
 from strandline.calibration.usual_alternatives import prior_in_words
 from strandline.calibration.what_if import Answer
-from strandline.errors import InvalidInput
+from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models.offers import DrawsFields, undeformed_interface
+from strandline.models.protocol import declared_conditions
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
 from strandline.posterior import systematic_indices
@@ -25,19 +26,19 @@ from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY
-from strandline.studies.progress import progress_in
+from strandline.studies.progress import progress_as_planned
 from strandline.studies.question_keys import digest_of
 from strandline.studies.study import Study
 from strandline.view.assumptions import answer_to, asked_by, knobs_of
 from strandline.view.flow import flow_on_grid
-from strandline.view.posterior_feed import DRAWS, SEED, PosteriorFeed
+from strandline.view.posterior_feed import DRAWS, SEED, PosteriorFeed, changed_at
 from strandline.view.predictions import predicted, predictive_band
 from strandline.view.runs_feed import RunsFeed
 from strandline.view.shapes import offsets_um, outline, picture_behind
 
 __all__ = ["ViewedStudy"]
 
-OF_SUMMARY = ("misfit", "certificate", "nearest", "log_evidence", "seconds", "version", "provenance")
+OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest", "log_evidence", "seconds", "version", "provenance")
 DIGITS = 6
 
 
@@ -105,6 +106,21 @@ class ViewedStudy:
             for name in names
         ]
 
+    def require_ledger(self) -> None:
+        """Refuse a ledger that is gone although the study has results or the page has shown runs.
+
+        Raises:
+            InvalidStudy: It is gone.
+        """
+        if self.study.ledger_path.is_file() or not (self.feed.version or (self.study.folder / SUMMARY).is_file()):
+            return
+        raise InvalidStudy(
+            "the study's ledger",
+            value=f"no file {self.study.ledger_path}",
+            expected="the runs behind what is shown",
+            remedy="Copy it back from a backup, or run the study again.",
+        )
+
     @property
     def stamp(self) -> tuple[Any, ...]:
         """What the state depends on, cheap to read: the ledger, the driver, the files of the study."""
@@ -113,13 +129,13 @@ class ViewedStudy:
         if ledger.is_file():
             with Overview(ledger) as overview:
                 driver = overview.driver()
-        files = tuple(_changed_at(folder / name) for name in (STUDY, SUMMARY, REFINEMENT))
+        files = tuple(changed_at(folder / name) for name in (STUDY, SUMMARY, REFINEMENT))
         return self.feed.version, driver, files, len(self.newest.history)
 
     @property
     def state(self) -> dict[str, Any]:
         """How far the study has got."""
-        progress = progress_in(self.study.folder)
+        progress = progress_as_planned(self.study)
         summary = _read(self.study.folder / SUMMARY) if progress.results == "current" else {}
         return {
             **progress.as_dict(),
@@ -145,6 +161,7 @@ class ViewedStudy:
             return None
         key, attempt = found
         with Overview(self.study.ledger_path) as overview:
+            exclusion = overview.exclusions().get(key)
             details = overview.details([attempt.number]).get(attempt.number)
         out: dict[str, Any] = {
             "row": place,
@@ -153,6 +170,8 @@ class ViewedStudy:
             "inputs": json.loads(attempt.inputs),
             "state": attempt.state,
             "kind": attempt.kind,
+            "excluded": None if exclusion is None else exclusion.why,
+            "observes": self.study.truth is not None and key == self.study.runs.key(self.study.truth),
             "seconds": attempt.seconds,
             "message": "" if details is None else details.message,
             "log": "" if details is None else details.log,
@@ -179,20 +198,20 @@ class ViewedStudy:
     @property
     def posterior(self) -> dict[str, Any]:
         """The posterior now, with its history, what it predicts, and what may be changed."""
-        now = self.newest.now
+        now, few = self.newest.now, self.newest.few
         out: dict[str, Any] = {
             "source": self.newest.source,
             "why_none": "" if now is not None else self.newest.why_none,
             "history": self.newest.history,
             "knobs": knobs_of(self.study, now),
         }
-        if now is None:
+        if now is None or few is None:
             return out
         quality = now.quality
         return {
             **out,
             **_moments(self.study.space.names, now.weighted.draws, np.exp(now.log_weights)),
-            "draws": self._columns(now.draws),
+            "draws": self._columns(few.draws),
             "bands": predictive_band(now),
             "surrogate": None
             if quality is None
@@ -230,13 +249,14 @@ class ViewedStudy:
             InvalidInput: The assumptions cannot be used, or there is no posterior yet.
         """
         asked = asked_by(given, self.study)
-        if self.newest.now is None:
+        now = self.newest.now if again else self.newest.few
+        if now is None:
             raise InvalidInput("posterior", value=self.newest.why_none, expected="a posterior", remedy="Wait for runs.")
         use_double()
         with one_thread():
-            return self._answered(answer_to(asked, self.study, self.newest.now, again=again), self.newest.now)
+            return self._answered(answer_to(asked, self.study, now, again=again), now, again=again)
 
-    def _answered(self, answer: Answer, now: Present) -> dict[str, Any]:
+    def _answered(self, answer: Answer, now: Present, *, again: bool) -> dict[str, Any]:
         threshold = reliability_threshold(len(now.draws))
         out: dict[str, Any] = {
             "by": answer.by,
@@ -249,13 +269,13 @@ class ViewedStudy:
         if answer.draws is None:
             return out
         weights, draws = answer.draws.weights, answer.draws.draws
-        if answer.by != "reweighting":
+        if again or answer.by != "reweighting":
             draws = draws[systematic_indices(weights, DRAWS, np.random.default_rng(SEED))]
             out["draws"] = self._columns(draws)
         return {
             **out,
             **_moments(self.study.space.names, answer.draws.draws, answer.draws.weights),
-            "weights": np.round(weights * len(weights), 5).tolist() if answer.by == "reweighting" else None,
+            "weights": None if "draws" in out else np.round(weights * len(weights), 5).tolist(),
             "shift": dict(zip(self.study.space.names, _finite_list(answer.shift), strict=True)),
             "sd_ratio": dict(zip(self.study.space.names, _finite_list(answer.sd_ratio), strict=True)),
         }
@@ -269,7 +289,15 @@ class ViewedStudy:
         """
         if not isinstance(self.study.model, DrawsFields):
             raise InvalidInput(
-                "flow", value=type(self.study.model).__name__, expected="a model that offers its fields", remedy="None."
+                "flow",
+                value=type(self.study.model).__name__,
+                expected="a model that offers its fields",
+                remedy="Use the other panels.",
+            )
+        known = declared_conditions(self.study.model)
+        if condition and condition not in known:
+            raise InvalidInput(
+                "condition", value=condition, expected=f"one of {', '.join(known)}", remedy="Choose one."
             )
         inputs = {**self.study.fixed, **self.study.space.as_mapping(self._inputs(given))}
         with self._solving:
@@ -312,13 +340,6 @@ def _finite(values: Mapping[str, float]) -> dict[str, float]:
 
 def _finite_list(values: Float[np.ndarray, " dim"]) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values.tolist()]
-
-
-def _changed_at(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        return 0
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -29,7 +29,7 @@ const ask = newest(async (again) => {
   shared.asked = found;
   const seconds = (performance.now() - begun) / 1000;
   note.textContent = found.mean
-    ? `${figure(found.effective, 3)} effective draws, ${HOW[found.by]}${found.reliable ? "" : ": too few count, let go to sample again"} (${figure(seconds, 2)} s).`
+    ? `${figure(found.effective, 3)} effective draws, ${HOW[found.by]}${found.reliable ? "" : ": too few draws are effective; let go to sample again"} (${figure(seconds, 2)} s).`
     : `No answer without new runs: ${found.why_not}.`;
   tell("asked");
 });
@@ -65,7 +65,7 @@ function range(words, { low, high, value, logarithmic = false, shown = figure, i
 
 function noiseKnob(knob) {
   const shown = (factor) => (knob.now.sd === null ? `× ${figure(factor, 3)}` : `× ${figure(factor, 3)} = ${figure(factor * knob.now.sd, 3)} ${knob.now.unit === "µm" ? "µm" : ""}`);
-  const words = knob.now.unit === "σ_N" ? "noise σ_N" : "noise, sd of a point";
+  const words = knob.now.unit === "µm" ? "noise, sd of a point" : "noise, standard deviation";
   return range(words, { low: knob.range[0], high: knob.range[1], value: 1, logarithmic: true, shown, id: "noise" }, (factor) => set("noise", factor === 1 ? null : factor));
 }
 

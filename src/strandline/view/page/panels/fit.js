@@ -14,6 +14,7 @@ function show() {
   const { summary = {} } = shared.state;
   const parts = [];
   const { misfit, nearest } = summary;
+  for (const warning of summary.warnings || []) parts.push(element("p", `Warning: ${warning}`, { class: "problem" }));
   if (nearest && nearest.message) parts.push(element("p", nearest.message, { class: "problem" }));
   if (misfit) {
     parts.push(element("p", misfit.verdict, misfit.flagged ? { class: "problem" } : {}));
@@ -22,6 +23,7 @@ function show() {
       parts.push(element("p", words, { class: "note" }));
     }
   }
+  for (const note of (misfit && misfit.notes) || []) parts.push(element("p", note, { class: "note" }));
   if (summary.certificate) parts.push(element("h3", "Certificate"), ...certificate(summary.certificate));
   if (!parts.length) parts.push(element("p", "The fit is judged when the study has ended.", { class: "note" }));
   document.getElementById("fit-text").replaceChildren(...parts);

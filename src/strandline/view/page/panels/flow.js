@@ -13,7 +13,7 @@ function show() {
   if (!field) return;
   const scale = name === "pressure" ? "Cividis" : "Viridis";
   const trace = { type: "heatmap", x: found.x, y: found.y, z: field.values, colorscale: scale, hoverongaps: false, zsmooth: "best", colorbar: { title: { text: field.unit } }, hovertemplate: `x %{x:.3f} mm, y %{y:.3f} mm<br>${name} %{z:.4g} ${field.unit}<extra></extra>` };
-  const layout = { xaxis: { title: { text: "x [mm]" } }, yaxis: { title: { text: "y [mm]" }, scaleanchor: "x" } };
+  const layout = { xaxis: { title: { text: "x [mm]" }, constrain: "domain" }, yaxis: { title: { text: "y [mm]" }, scaleanchor: "x", constrain: "domain" } };
   const values = field.values.flat().filter((one) => one !== null);
   const most = values.reduce((a, b) => Math.max(a, b), -Infinity);
   document.getElementById("flow-plot").hidden = false;

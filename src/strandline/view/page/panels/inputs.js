@@ -24,21 +24,23 @@ function show() {
   const [x, y] = axes.map((one) => facts.inputs[Number(one.value)]);
   const alone = x === y;
   const traces = [];
-  const draws = (shared.asked && shared.asked.draws) || (posterior && posterior.draws);
-  if (draws && document.getElementById("pair-draws").checked && !alone) {
-    traces.push({
-      type: "histogram2dcontour", x: draws[x.name], y: draws[y.name], ncontours: 6, showscale: false, hoverinfo: "skip",
-      name: "posterior", colorscale: [[0, "rgba(0,0,0,0)"], [1, colour("band")]], contours: { coloring: "fill" },
-      line: { color: colour("ok"), width: 0.7 },
-    });
+  const contours = (draws, name, shade) => draws && traces.push({
+    type: "histogram2dcontour", x: draws[x.name], y: draws[y.name], ncontours: 6, showscale: false, hoverinfo: "skip",
+    name, colorscale: [[0, "rgba(0,0,0,0)"], [1, colour("band")]], contours: { coloring: shade === "ok" ? "fill" : "none" },
+    line: { color: colour(shade), width: 0.7 },
+  });
+  if (document.getElementById("pair-draws").checked && !alone) {
+    contours(posterior && posterior.draws, "posterior", "ok");
+    contours(shared.asked && shared.asked.draws, "as asked", "asked");
   }
   let shown = 0;
   for (const kind of KINDS) {
+    const name = kind.name === "under way" && !shared.state.open ? "lost" : kind.name;
     const rows = some([...runs.state.keys()].filter((k) => kind.states.includes(runs.state[k])));
     if (!rows.length) continue;
     shown += rows.length;
     traces.push({
-      type: "scatter", mode: "markers", name: kind.name, customdata: rows,
+      type: "scatter", mode: "markers", name, customdata: rows, cliponaxis: false,
       x: rows.map((k) => runs.inputs[x.name][k]), y: rows.map((k) => (alone ? runs.seconds[k] : runs.inputs[y.name][k])),
       text: rows.map((k) => `run ${k + 1}${runs.kind[k] ? `: ${runs.kind[k]}` : ""}`), hovertemplate: "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>",
       marker: { symbol: kind.symbol, size: kind.size, color: colour(kind.colour) },
@@ -67,7 +69,7 @@ export function mountInputs() {
   axes[1].value = String(Math.min(1, shared.facts.inputs.length - 1));
   axes.forEach((one) => one.addEventListener("change", show));
   document.getElementById("pair-draws").addEventListener("change", show);
-  for (const name of ["runs", "posterior", "asked", "run"]) listen(name, show);
+  for (const name of ["state", "runs", "posterior", "asked", "run"]) listen(name, show);
   show();
   document.getElementById("pair-plot").on("plotly_click", (event) => {
     const row = event.points[0].customdata;

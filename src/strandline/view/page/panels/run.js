@@ -23,8 +23,9 @@ function show() {
   const parts = [];
   const inputs = Object.entries(run.inputs).map(([name, value]) => `${name} = ${figure(value, 6)}`);
   parts.push(element("p", inputs.join(", ")));
+  if (run.observes) parts.push(element("p", "This run makes the synthetic observation.", { class: "note" }));
   const ended = run.state === "open" ? "under way, or lost with its driver" : `${run.state}${run.kind ? ` (${run.kind.replaceAll("_", " ")})` : ""} after ${duration(run.seconds)}`;
-  parts.push(element("p", ended));
+  parts.push(element("p", run.excluded === null ? ended : `excluded by hand (${run.excluded}); it ended ${ended}`));
   if (run.message) parts.push(element("pre", run.message, { tabindex: "0", "aria-label": "message" }));
   if (run.log && !run.message.includes(run.log)) parts.push(element("pre", run.log, { tabindex: "0", "aria-label": "log" }));
   const figures = Object.entries(run.diagnostics);
@@ -39,7 +40,7 @@ function show() {
 
 function go(row) {
   const last = shared.runs.state.length - 1;
-  if (last >= 0 && Number.isFinite(row)) fetchRun(Math.min(Math.max(row, 0), last));
+  if (last >= 0 && Number.isFinite(row)) fetchRun(Math.min(Math.max(Math.round(row), 0), last));
 }
 
 export function mountRun() {

@@ -20,7 +20,7 @@ function driver(state) {
   if (!found) return "No forward run has been started yet.";
   const where = `process ${found.pid} on ${found.host}`;
   if (found.at_work === null) return `Driver: ${where}; whether it is at work cannot be seen from here.`;
-  if (!found.at_work) return state.results === "current" ? "" : `The driver (${where}) has ended. Start it again: strandline run`;
+  if (!found.at_work) return state.results === "current" ? "" : `The driver (${where}) has ended. Start it again: strandline run ${shared.facts.folder}`;
   return `Driver: ${where}, at work${state.runs_per_minute ? `, ${figure(state.runs_per_minute, 3)} runs a minute` : ""}.`;
 }
 
@@ -34,7 +34,7 @@ function failures(state) {
       details.open = open.has(kind);
       details.append(element("summary", `${some.count} × ${kind.replaceAll("_", " ")}`));
       const inputs = Object.entries(some.example.inputs).map(([name, value]) => `${name} = ${figure(value)}`);
-      details.append(element("p", `The first one: ${inputs.join(", ")}. ${some.example.message}`, { class: "note" }));
+      details.append(element("p", `The first one: ${inputs.join(", ")}: ${some.example.message}`, { class: "note" }));
       if (some.example.log.length) details.append(element("pre", some.example.log.join("\n"), { tabindex: "0" }));
       return details;
     }),
