@@ -4,7 +4,7 @@
 
 Seconds from the request until something is painted, until the counts of the runs are there, and until the runs are
 drawn; then from a click on a run until it is shown, and from a slider's move until the interface or the posterior has
-followed. Each time, the page is opened again. Times depend on the machine: 2 cores, which the server and the browser share.
+followed. Each time, the page is opened again. Times depend on the machine; the server and the browser share its cores.
 """
 
 import argparse
