@@ -33,7 +33,7 @@ FIGURES = [
     "tempering",
 ]
 """Of a model of two inputs that has no fields to show."""
-SECTIONS = ["asked", "fit", "answer", "data", "runs", "surrogate", "sampler", "provenance"]
+SECTIONS = ["asked", "fit", "answer", "data", "runs", "surrogate", "sampler", "paper", "provenance"]
 VOID = {"meta", "br", "img", "link", "hr", "input"}
 
 
