@@ -10,6 +10,7 @@ import io
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import threading
 import warnings
@@ -127,6 +128,18 @@ def _subsets_of_fonts_made_once() -> Iterator[None]:
         patch.setattr(_backend_pdf_ps, "get_glyphs_subset", kept)
         patch.setattr(_backend_pdf_ps, "font_as_file", io.BytesIO)
         yield
+
+
+@pytest.fixture(autouse=True)
+def _written_modules_go_with_their_test(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Forget what a test imported from its own folder: another test may write a module of the same name."""
+    written = str(request.getfixturevalue("tmp_path")) if "tmp_path" in request.fixturenames else None
+    yield
+    if written is None:
+        return
+    for name, module in list(sys.modules.items()):
+        if (getattr(module, "__file__", None) or "").startswith(written):
+            del sys.modules[name]
 
 
 @pytest.fixture(scope="session", autouse=True)
