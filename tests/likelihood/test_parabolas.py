@@ -112,6 +112,17 @@ def test_nothing_gains_more_than_its_distance_from_the_top() -> None:
     assert -3 + log_gain(far, variance, np.array([-3.0]))[0] < 0
 
 
+def test_a_parabola_far_below_the_likelihood_gains_nothing() -> None:
+    """Where log L is -800 and the parabola -60000 and -1300 on average, 98 % of 800 would be more than the best fit."""
+    slope = np.sqrt(2 * 60000.0)
+    far = Parabolas(np.array([60000.0]), np.array([[slope]]), np.ones((1, 1, 1)))
+    variance = np.array([[58700.0 / 1300.0]])  # of which the mean over fields gains 58700
+    shrinks = 0.5 * np.log1p(variance[0, 0])
+    np.testing.assert_allclose(log_gain(far, variance)[0] + shrinks, 58700.0)
+    np.testing.assert_allclose(log_gain(far, variance, np.array([-800.0]))[0], -shrinks)
+    np.testing.assert_allclose(log_gain(far, variance, np.array([-2000.0]))[0] + shrinks, 700.0)
+
+
 @pytest.mark.parametrize("errors", ALL)
 def test_residuals_near_the_best_fit_give_the_same_as_matrices(errors: PointErrors) -> None:
     """N(r; 0, C + JVJᵀ + TTᵀ) / N(0; 0, C), with n × n matrices and numerical derivatives."""

@@ -227,11 +227,16 @@ def log_gain(parabolas: Parabolas, variance: Modes, log_likelihood: Values | Non
         parabolas: Parabolas around the mean fields.
         variance: Variances of the coefficients.
         log_likelihood: log L of the mean fields, if it is known better than by the parabolas. The gain is then the same
-            share of how far it lies below `Parabolas.top`, so that log E[L] never exceeds that.
+            share of how far it lies below `Parabolas.top`, so that log E[L] never exceeds that; but where a parabola
+            lies far below log L, it is wrong there, and log E[L] exceeds log L no further than the parabola's own mean.
     """
     tilted = _Tilted.of(parabolas, variance)
-    below = parabolas.below if log_likelihood is None else np.maximum(parabolas.top - log_likelihood, 0.0)
-    return np.asarray(_share(tilted, parabolas) * below - tilted.log_root + parabolas.rest)
+    share = _share(tilted, parabolas)
+    gained = share * parabolas.below
+    if log_likelihood is not None:
+        below, left = np.maximum(parabolas.top - log_likelihood, 0.0), parabolas.below - gained
+        gained = np.minimum(share * below, np.maximum(below - left, 0.0))
+    return np.asarray(gained - tilted.log_root + parabolas.rest)
 
 
 def share_gained(parabolas: Parabolas, variance: Modes) -> Values:
