@@ -90,6 +90,14 @@ def with_halves(calibration: Calibration, difference: float) -> Calibration:
     return replace(calibration, sampler_check=check)
 
 
+def of_one_draw(calibration: Calibration) -> Calibration:
+    """The last weighting leaves one of many particles."""
+    posterior = calibration.posterior
+    log_weights = np.full(posterior.number, -1000.0)
+    log_weights[posterior.map_index] = 0.0
+    return replace(calibration, quadrature=None, posterior=replace(posterior, log_weights=log_weights))
+
+
 CASES: dict[str, tuple[Callable[[Calibration], Calibration], str]] = {
     "failures": (lambda c: with_failures(c, 20), "20 of 64 forward runs failed"),
     "prior": (with_cut_prior, "prior of E was truncated to the design box [300, 560] Pa: 11"),
@@ -99,6 +107,7 @@ CASES: dict[str, tuple[Callable[[Calibration], Calibration], str]] = {
     ),
     "surrogate": (lambda c: with_validation(c, loo_rms_near_mode=0.6), "leave-one-out error near the mode is 0.6"),
     "samples": (lambda c: replace(c, sampling=replace(c.sampling, ess=39.0)), "Only 39 effective samples among 400"),
+    "weights": (of_one_draw, "Only 1 effective samples among 400"),
     "not converged": (lambda c: with_quadrature(c, converged=False), "has not converged"),
     "means": (
         lambda c: with_quadrature(c, mean=c.posterior.mean + np.array([0.06, 0.0]) * c.posterior.sd),

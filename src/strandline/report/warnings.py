@@ -187,9 +187,9 @@ def _surrogate(calibration: Calibration) -> Iterator[str]:
 
 
 def _sampler(calibration: Calibration) -> Iterator[str]:
-    particles = calibration.settings.particles
-    if calibration.sampling.ess < ESS_SHARE * particles:
-        yield f"Only {calibration.sampling.ess:.0f} effective samples among {particles} particles."
+    particles, effective = calibration.settings.particles, min(calibration.sampling.ess, calibration.posterior.ess)
+    if effective < ESS_SHARE * particles:
+        yield f"Only {effective:.0f} effective samples among {particles} particles."
     halves = calibration.sampler_check
     if halves is not None and not halves.agree:
         yield halves.verdict
