@@ -1,5 +1,6 @@
 """Parameters with names, units, priors and a design box; the map between the unit cube and physical values."""
 
+import html
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from strandline.errors import InvalidInput
 from strandline.priors import Prior, Truncated, require_span, truncate
 from strandline.text import require_label, require_name
-from strandline.typeset import figure_text, unit_text
+from strandline.typeset import figure_text, html_table, html_text, unit_text
 
 __all__ = ["RESERVED", "Parameter", "ParameterSpace"]
 
@@ -131,6 +132,13 @@ class ParameterSpace:
                 expected="at least one input that is not nuisance",
                 remedy="Remove `nuisance` from the inputs to calibrate.",
             )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (html_text(p.name), html.escape(unit_text(p.unit)), html.escape(repr(p.prior)), "yes" if p.nuisance else "")
+            for p in self
+        ]
+        return html_table(("input", "unit", "prior", "nuisance"), rows)
 
     def __iter__(self) -> Iterator[Parameter]:
         return iter(self.parameters)

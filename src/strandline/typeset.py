@@ -2,8 +2,9 @@
 
 import html
 import re
+from collections.abc import Iterable, Sequence
 
-__all__ = ["RAISED", "figure_text", "html_text", "unit_text"]
+__all__ = ["RAISED", "figure_text", "html_table", "html_text", "unit_text"]
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEVEL = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -59,3 +60,11 @@ def html_text(symbol: str) -> str:
     if not base or not index:
         return html.escape(symbol)
     return f"{html.escape(base)}<sub>{html.escape(index)}</sub>"
+
+
+def html_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str = "") -> str:
+    """Return a plain HTML table; cells are HTML, head and caption are text."""
+    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    above = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+    return f"<table>{above}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"

@@ -5,8 +5,8 @@ import pytest
 
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import Posterior
-from strandline.posterior.shown import html_table
 from strandline.priors import Uniform
+from strandline.typeset import html_table
 
 
 def posterior(dim: int) -> Posterior:

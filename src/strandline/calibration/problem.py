@@ -28,7 +28,6 @@ from strandline.posterior import (
     UnderUncertainty,
 )
 from strandline.posterior.quadrature import QuadratureResult
-from strandline.posterior.shown import html_table
 from strandline.runs import (
     FailurePolicy,
     Progress,
@@ -41,6 +40,7 @@ from strandline.smc import (
 )
 from strandline.surrogate import LogLikelihoodSurrogate, fit_named
 from strandline.surrogate.kernels import kernel_named
+from strandline.typeset import html_table
 
 __all__ = ["Calibration", "Observer", "Problem", "Settings", "Stopwatch"]
 

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from strandline.errors import InvalidInterface
 from strandline.interface import triangles
+from strandline.interface.drawing import drawn
 
 __all__ = ["Interface", "Oriented", "oriented_like"]
 
@@ -40,6 +41,16 @@ class Interface:
 
     points: Float[np.ndarray, "point xyz"]
     cells: Int[np.ndarray, "cell corner"]
+
+    def __repr__(self) -> str:
+        kind = "polyline" if self.dim == 2 else "surface"
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        extent = " × ".join(f"{side:.3g}" for side in (high - low).tolist())
+        return f"<Interface: {kind} of {len(self.points)} points, {extent} mm>"
+
+    def _repr_svg_(self) -> str | None:
+        """Return a drawing of a polyline for a notebook; a surface has none."""
+        return drawn(self.points) if self.dim == 2 else None
 
     def __post_init__(self) -> None:
         if len(self.points) < self.cells.shape[1] or len(self.cells) == 0:

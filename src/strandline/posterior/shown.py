@@ -1,16 +1,16 @@
 """Display of a posterior at a prompt and in a notebook: one line or one table."""
 
 import html
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.parameters import ParameterSpace
 from strandline.text import with_sd
-from strandline.typeset import html_text, unit_text
+from strandline.typeset import html_table, html_text, unit_text
 
-__all__ = ["html_table", "moments_line", "moments_table"]
+__all__ = ["moments_line", "moments_table"]
 
 MOST_SHOWN = 8
 """Inputs named in one line."""
@@ -31,11 +31,3 @@ def moments_table(space: ParameterSpace, columns: Mapping[str, Float[np.ndarray,
         for i, parameter in enumerate(space)
     ]
     return html_table(("input", "unit", *columns), rows)
-
-
-def html_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str = "") -> str:
-    """Return a plain HTML table; cells are HTML, head and caption are text."""
-    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    above = f"<caption>{html.escape(caption)}</caption>" if caption else ""
-    return f"<table>{above}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"

@@ -15,7 +15,6 @@ from strandline.interface import Interface, Noise, Observation, PointErrors, Unk
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
 from strandline.planning.candidate import Candidate
-from strandline.posterior.shown import html_table
 from strandline.runs import Executor
 from strandline.smc import SMCSettings
 from strandline.studies import build
@@ -37,7 +36,7 @@ from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, with_errors_of
 from strandline.studies.question_keys import digest_of
 from strandline.studies.study_runs import StudyRuns
-from strandline.typeset import html_text
+from strandline.typeset import html_table, html_text
 
 __all__ = ["Study", "load_study", "study_of"]
 

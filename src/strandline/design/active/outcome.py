@@ -11,7 +11,7 @@ from strandline.design.active.elsewhere import SURE
 from strandline.design.active.fidelities import FidelityReport
 from strandline.design.active.scatter import NONE, Scatter
 from strandline.design.active.state import Knowledge
-from strandline.posterior.shown import html_table
+from strandline.typeset import html_table
 
 __all__ = ["Certificate", "FieldOutcome", "VarianceEffect"]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from strandline.calibration import Observer
 from strandline.calibration.evidence import Evidence, log_evidence
@@ -24,7 +25,9 @@ from strandline.questions.compare.comparable import labels_of, may_err, require_
 from strandline.questions.compare.results import Compared, describe_comparison
 from strandline.questions.compare.separation import Shown, candidates_of, require_settable, shown_by_models
 from strandline.questions.knowledge import field_knowledge
+from strandline.questions.shown import figures_of, html_answer
 from strandline.report import write_comparison
+from strandline.report.comparison import draw_comparison
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of
@@ -57,6 +60,18 @@ class StudyComparison:
 
     def __repr__(self) -> str:
         return f"<StudyComparison of {', '.join(self.found.evidences)}: {self.found.verdict}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, f"{one['log_evidence']:.2f} ± {one['error']:.2f}", f"{one['probability']:.3g}", str(one["runs"]))
+            for name, one in self.content["models"].items()
+        ]
+        return html_answer(self.content["verdict"], ("model", "log-evidence", "probability", "runs"), rows)
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures of compare.html by name."""
+        return figures_of(draw_comparison(self.content))
 
 
 def compare(

@@ -11,6 +11,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from strandline.calibration import Observer
 from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
 from strandline.calibration.experiment import Experiment
@@ -26,7 +28,9 @@ from strandline.questions.coverage.replicate_file import ReplicateFile
 from strandline.questions.coverage.results import TO_MICROMETRES, describe_coverage
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.line_file import LineFile
+from strandline.questions.shown import figures_of, html_answer, input_label
 from strandline.report import write_coverage
+from strandline.report.coverage import draw_coverage
 from strandline.runs import Progress
 from strandline.runs.soundness import outcome_digest
 from strandline.studies.check import finished_posterior
@@ -59,6 +63,25 @@ class StudyCoverage:
 
     def __repr__(self) -> str:
         return f"<StudyCoverage of {self.content['study']}: {self.found.verdict}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (
+                input_label(name, item),
+                f"{one['level']:.0%}",
+                f"{one['found']:.0%}",
+                f"{one['low']:.0%}–{one['high']:.0%}",
+            )
+            for name, item in self.content["inputs"].items()
+            for one in item["intervals"]
+        ]
+        head = ("input", "interval", "truths inside", "95 % confidence")
+        return html_answer(self.found.verdict, head, rows)
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures of coverage.html by name."""
+        return figures_of(draw_coverage(self.content))
 
 
 def coverage(

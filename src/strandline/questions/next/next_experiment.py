@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from strandline.calibration import Observer
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.numerics.one_thread import one_thread
@@ -15,7 +17,9 @@ from strandline.questions.next.answers import Answers
 from strandline.questions.next.from_posterior import answers_from_posterior
 from strandline.questions.next.from_prior import answers_from_prior
 from strandline.questions.next.results import describe_next
+from strandline.questions.shown import figures_of, html_answer, input_label
 from strandline.report import write_next
+from strandline.report.next import draw_next
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import NEXT, POSTERIOR, require_writable, told_if_unwritable, write_json
@@ -44,6 +48,25 @@ class NextExperiment:
 
     def __repr__(self) -> str:
         return f"<NextExperiment after {self.content['study']}: {self.content['advice']}>"
+
+    def _repr_html_(self) -> str:
+        inputs = self.content["inputs"]
+        ratios = [f"sd of {input_label(name, item)}, share of now" for name, item in inputs.items()]
+        rows = [
+            (
+                one["label"],
+                f"{one['gain']:.2f} ± {one['error']:.2f}",
+                *(f"{one['sd_ratio'][name]:.2f}" for name in inputs),
+            )
+            for one in self.content["candidates"]
+            if one["gain"] is not None
+        ]
+        return html_answer(self.content["advice"], ("experiment", "gain [nats]", *ratios), rows)
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures of next.html by name."""
+        return figures_of(draw_next(self.content))
 
 
 def next_experiment(

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from strandline.calibration import Observer
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError
 from strandline.numerics.one_thread import one_thread
@@ -25,11 +27,13 @@ from strandline.population import (
     shrunk,
 )
 from strandline.population.refinement import runs_for
+from strandline.questions.shown import figures_of, html_answer, input_label
 from strandline.questions.specimens.files import SpecimenFiles, specimen_files
 from strandline.questions.specimens.lines import lines_of
 from strandline.questions.specimens.opened import Specimens, open_specimens
 from strandline.questions.specimens.results import describe_specimens, write_table
 from strandline.report import write_specimens
+from strandline.report.specimens import draw_specimens
 from strandline.runs import Executor, Ledger, Progress, run_campaign
 from strandline.studies.check import plain_model
 from strandline.studies.folder import (
@@ -42,6 +46,7 @@ from strandline.studies.folder import (
 )
 from strandline.studies.study import Study
 from strandline.studies.study_runs import report_backup
+from strandline.text import with_sd
 
 __all__ = ["StudySpecimens", "posteriors_of_files", "specimens"]
 
@@ -73,6 +78,26 @@ class StudySpecimens:
             f"<StudySpecimens of {self.content['study']}: {counts['analysed']} specimens, {counts['good']} good, "
             f"{counts['set_aside']} set aside>"
         )
+
+    def _repr_html_(self) -> str:
+        counts, population = self.content["counts"], self.content["population"]
+        sentence = f"{counts['analysed']} specimens, {counts['good']} good, {counts['set_aside']} set aside"
+        if population is None:
+            return html_answer(sentence, (), ())
+        rows = [
+            (input_label(name, item), *(_with_sd(population["inputs"][name][part]) for part in ("mean", "spread")))
+            for name, item in self.content["inputs"].items()
+        ]
+        return html_answer(sentence, ("input", "population mean", "spread"), rows)
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures of specimens.html by name."""
+        return figures_of(draw_specimens(self.content))
+
+
+def _with_sd(moments: dict[str, float]) -> str:
+    return with_sd(moments["mean"], moments["sd"])
 
 
 def specimens(

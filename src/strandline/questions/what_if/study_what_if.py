@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from strandline.calibration import Observer
 from strandline.calibration.alternative import Alternative, Present, present
 from strandline.calibration.usual_alternatives import usual_alternatives
@@ -16,9 +18,11 @@ from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
 from strandline.questions.arguments import require_seed
 from strandline.questions.knowledge import field_knowledge
+from strandline.questions.shown import figures_of, html_answer, input_label
 from strandline.questions.what_if.alternatives import alternative_of, asked_in, require_asked
 from strandline.questions.what_if.results import describe_what_if, in_order
 from strandline.report import write_what_if
+from strandline.report.what_if import draw_what_if
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import WHAT_IF, require_writable, told_if_unwritable, write_json
@@ -44,6 +48,23 @@ class StudyWhatIf:
 
     def __repr__(self) -> str:
         return f"<StudyWhatIf of {self.content['study']}: {self.content['conclusion']}>"
+
+    def _repr_html_(self) -> str:
+        inputs = self.content["present"]["inputs"]
+        head = [
+            f"{input_label(name, item)}: {what}" for name, item in inputs.items() for what in ("shift/sd", "sd ratio")
+        ]
+        rows = []
+        for one in self.content["alternatives"]:
+            known = [one["inputs"].get(name) for name in inputs]
+            cells = [f"{item[key]:.2f}" if item else "–" for item in known for key in ("shift", "sd_ratio")]
+            rows.append((one["name"], *cells))
+        return html_answer(self.content["conclusion"], ("other assumption", *head), rows)
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figure of what-if.html by name."""
+        return figures_of([draw_what_if(self.content)])
 
 
 def what_if(

@@ -4,6 +4,7 @@ from strandline.report.plots.candidates import plot_candidates, plot_directions
 from strandline.report.plots.check import OffsetBand, plot_check, plot_offsets
 from strandline.report.plots.comparison import ModelMarginals, plot_averaged, plot_model_marginals, plot_predictions
 from strandline.report.plots.convergence import plot_convergence
+from strandline.report.plots.corner import plot_corner
 from strandline.report.plots.coverage import IntervalCoverage, plot_intervals, plot_rank_band, plot_rank_bands
 from strandline.report.plots.failed_runs import plot_failed_runs
 from strandline.report.plots.field import FieldGrid, plot_field, plot_profile, three_measures
@@ -51,6 +52,7 @@ __all__ = [
     "plot_check",
     "plot_conditions",
     "plot_convergence",
+    "plot_corner",
     "plot_directions",
     "plot_failed_runs",
     "plot_field",

@@ -37,7 +37,7 @@ from strandline.report.plots.style import (
 )
 from strandline.report.plots.view import shown_interval
 
-__all__ = ["plot_hexagons", "plot_joint", "plot_pairs", "plot_selected_pairs"]
+__all__ = ["plot_hexagons", "plot_joint", "plot_pairs", "plot_selected_pairs", "thinned"]
 
 PERCENTILES = (0.1, 0.5, 0.9)
 _GRID = 71
@@ -127,10 +127,10 @@ def plot_hexagons(
         mass: Any = drawn.get_array()
         drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
         drawn.set_clim(vmin=0.0)
-        thinned = _thinned(values, posterior.weights, particles)
+        few = thinned(values, posterior.weights, particles)
         bounds = x.interval, y.interval
         judged = max(particles // 5, 200)
-        _draw_kde(ax, *thinned, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
+        _draw_kde(ax, *few, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
         ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
         if colour_bar:
             figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
@@ -243,7 +243,7 @@ def _layout(figure: Figure | SubFigure) -> tuple[Axes, Axes, Axes]:
     return main, top, right
 
 
-def _thinned(
+def thinned(
     values: Float[np.ndarray, "particle 2"], weights: Float[np.ndarray, " particle"], number: int
 ) -> tuple[Float[np.ndarray, "draw 2"], Float[np.ndarray, " draw"]]:
     """Return at most `number` draws and their weights; the same ones at every call."""

@@ -5,6 +5,7 @@ from typing import Any
 
 from strandline.errors import InvalidInput
 from strandline.posterior import Posterior
+from strandline.report.plots.corner import plot_corner
 from strandline.report.plots.joint import plot_hexagons, plot_pairs
 from strandline.report.plots.marginals import plot_marginal, plot_marginals
 from strandline.report.plots.particles import plot_particles
@@ -23,7 +24,11 @@ class PosteriorPlots:
     posterior: Posterior
 
     def __repr__(self) -> str:
-        return "<plots: joint, marginal, marginals, pairs, particles>"
+        return "<plots: corner, joint, marginal, marginals, pairs, particles>"
+
+    def corner(self, **options: Any) -> Any:
+        """Draw all marginals and the regions with 68 and 95 % of each pair of inputs; options of `plot_corner`."""
+        return plot_corner(self.posterior, **options)
 
     def joint(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
         """Draw the joint density of two inputs, by default the first two; options of `plot_hexagons`."""

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.legend import Legend
 
 from strandline.errors import InvalidInput
+from strandline.report.plots.shown import ShownAxes, ShownFigure
 
 __all__ = [
     "BLACK",
@@ -75,7 +76,7 @@ def styled() -> AbstractContextManager[None]:
 
 def axes_or_new(ax: Axes | None, size: tuple[float, float] = (SINGLE, 2.7)) -> Axes:
     """Return `ax`, or the axes of a new figure of `size` inches."""
-    return new_figure(size).add_subplot() if ax is None else ax
+    return new_figure(size).add_subplot(axes_class=ShownAxes) if ax is None else ax
 
 
 def figure_or_new(figure: Figure | SubFigure | None, size: tuple[float, float]) -> Figure | SubFigure:
@@ -85,7 +86,7 @@ def figure_or_new(figure: Figure | SubFigure | None, size: tuple[float, float]) 
 
 def new_figure(size: tuple[float, float]) -> Figure:
     """Return an empty figure whose parts are laid out so that nothing overlaps."""
-    return Figure(figsize=size, layout="constrained")
+    return ShownFigure(figsize=size, layout="constrained")
 
 
 def figure_of(ax: Axes) -> Figure | SubFigure:
