@@ -1,19 +1,25 @@
 """Sphinx configuration; neither the build nor the pages need a network."""
 
 import re
+import sys
 from importlib import metadata
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.ext.napoleon import GoogleDocstring
+
+sys.path.insert(0, str(Path(__file__).parent))
+from drawn import drawn
+from studies import run_studies
 
 project = "strandline"
 author = "strandline contributors"
 copyright = "2026, strandline contributors"
 release = metadata.version("strandline")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
+exclude_patterns = ["_build", "gallery", "built/gallery/**/*.ipynb"]
 html_theme = "furo"
 html_title = f"strandline {release}"
 html_copy_source = False
@@ -22,6 +28,24 @@ default_role = "code"
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
+
+nb_execution_mode = "force"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "built/gallery",
+    "ignore_pattern": r"studies/",
+    "image_scrapers": (drawn,),
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_memory": False,
+    "show_signature": False,
+    "min_reported_time": 1000,
+    "remove_config_comments": True,
+}
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
@@ -64,6 +88,7 @@ def after_napoleon(app, what, name, obj, options, lines):
 
 
 def setup(app):
+    app.connect("builder-inited", run_studies, priority=100)
     app.add_html_math_renderer("mathml", (inline_math, None), (block_math, None))
     app.connect("autodoc-process-docstring", before_napoleon, priority=300)
     app.connect("autodoc-process-docstring", after_napoleon, priority=700)

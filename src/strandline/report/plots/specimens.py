@@ -80,7 +80,7 @@ def plot_caterpillar(found: SpecimenIntervals, label: str, *, ax: Axes | None = 
         else:
             ax.set_xticks(places, [found.names[i] for i in order], rotation=90, fontsize=6)
         ax.set(ylabel=label, xlim=(-1, len(order)))
-        below(ax)
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)  # above: names of any length stand below
     return ax
 
 
