@@ -25,6 +25,7 @@ __all__ = ["command"]
 @click.option("--detach", is_flag=True, help="Submit the runs of a SLURM array and leave; `run` again collects them.")
 @click.option("--json", "as_json", is_flag=True, help="Print the content of summary.json as one JSON object.")
 @click.option("--log", type=click.Path(path_type=Path, dir_okay=False), help="Add the progress, with times, to a file.")
+@click.option("--verbose", is_flag=True, help="Also show each run and step as it ends, and the settings of each stage.")
 @click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(
     study: Path,
@@ -35,6 +36,7 @@ def command(
     detach: bool,
     as_json: bool,
     log: Path | None,
+    verbose: bool,
     quiet: bool,
 ) -> None:
     """Do the whole of STUDY (a folder): forward runs, surrogate, posterior, figures, report.
@@ -45,8 +47,12 @@ def command(
     With --set it leaves STUDY as it is and runs a copy beside it, named after the settings, which takes over all runs
     that fit; the same command again goes on there.
     """
+    _require_one(verbose=verbose, quiet=quiet)
     devices.use(device)
+    from functools import partial
+
     from strandline.cli.detached import submit, told_what_goes_on
+    from strandline.cli.details import detailed, set_aside_lines
     from strandline.cli.journal import say_journal
     from strandline.cli.progress import observing, require_log
     from strandline.cli.results import show, shown_also_if_incomplete
@@ -65,13 +71,30 @@ def command(
         return
     say_journal(loaded, quiet=quiet)
     executor = with_workers(loaded.executor, workers)
-    with shown_also_if_incomplete(as_json=as_json), observing(quiet=quiet, log=log) as observer:
+    details = partial(detailed, loaded, executor) if verbose else None
+    with shown_also_if_incomplete(as_json=as_json), observing(quiet=quiet, log=log, details=details) as observer:
         if detach:
             submit(loaded, executor, observer)
             return
         with told_what_goes_on(loaded, executor):
             outcome = run_study(loaded, executor=executor, observer=observer)
+        if verbose:
+            for line in set_aside_lines(outcome.summary):
+                observer.note(line)
     show(outcome.summary, outcome.report, as_json=as_json)
+
+
+def _require_one(*, verbose: bool, quiet: bool) -> None:
+    """Refuse `--verbose` with `--quiet`."""
+    from strandline.errors import InvalidInput
+
+    if verbose and quiet:
+        raise InvalidInput(
+            "--verbose shows more, --quiet shows less",
+            value="both",
+            expected="at most one of them",
+            remedy="Leave one out; with --quiet, --log FILE still keeps the progress.",
+        )
 
 
 def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *, quiet: bool) -> Path:
