@@ -4,8 +4,8 @@ import dataclasses
 import importlib
 import importlib.util
 import json
-import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -213,7 +213,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     study = next(block for block in blocks("how-to/own-simulator.md", "yaml") if "{python:" in block)
     smaller = "sampler: {smc: {particles: 400, rejuvenation_steps: 3, zeta: 0.8}}\n"
     (folder / "study.yaml").write_text(study + smaller, encoding="utf-8")
-    example("own_model")
+    shutil.copy(ROOT / "examples" / "own_model.py", folder)
     sl.run_study(sl.load_study(folder), executor=sl.InProcess())
     return home
 
@@ -342,11 +342,9 @@ def test_the_programs_that_read_results_run(finished: Path) -> None:
 @pytest.mark.long
 def test_the_program_that_checks_a_posterior_runs(finished: Path) -> None:
     (program,) = blocks("how-to/check-the-posterior.md", "python")
-    paths = [str(ROOT / "examples"), *filter(None, [os.environ.get("PYTHONPATH")])]
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", program],
         cwd=finished,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         capture_output=True,
         text=True,
         timeout=120,

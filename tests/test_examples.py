@@ -13,7 +13,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
+from scipy.integrate import solve_bvp, solve_ivp
 
 from strandline.runs import LocalProcesses
 from strandline.studies import load_study, run_study
@@ -156,3 +156,28 @@ def test_the_beam_of_the_command_example_is_an_elastica(ratio: float) -> None:
         max_nodes=10_000,
     )
     np.testing.assert_allclose(states[:, :2], solved.sol(s)[2:].T, atol=1e-6)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1.0])
+def test_a_stiff_strip_of_the_python_example_is_a_linear_beam(tilt: float, tmp_path: Path) -> None:
+    """The end of a cantilever under its own weight sinks by w L⁴ / 8 B."""
+    overhang = module_of(ROOT / "examples" / "strip" / "strip.py").overhang
+    points = overhang({"B": 1e5, "w": 1e-3, "L": 60.0, "tilt": tilt}, tmp_path).points
+    slope = np.radians(tilt)
+    assert points[-1, 1] == pytest.approx(-60 * np.sin(slope) - 1e-3 * 60**4 / 8e5 * np.cos(slope) ** 2, rel=1e-4)
+
+
+def test_the_strip_of_the_python_example_is_in_balance(tmp_path: Path) -> None:
+    """Integrated from the free end by another method, it has the same shape."""
+    B, w, length = 40.0, 7.85e-4, 60.0
+    overhang = module_of(ROOT / "examples" / "strip" / "strip.py").overhang
+    points = overhang({"B": B, "w": w, "L": length, "tilt": 1.0}, tmp_path).points
+    end = points[-1] - points[-2]
+
+    def slope(t: float, state: np.ndarray) -> list[float]:
+        return [state[1], -w / B * t * np.cos(state[0]), np.cos(state[0]), np.sin(state[0])]
+
+    start = np.arctan2(-end[1], end[0])
+    solved = solve_ivp(slope, (0.0, length), [start, 0.0, 0.0, 0.0], rtol=1e-9, atol=1e-12).y[:, -1]
+    assert np.degrees(solved[0]) == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_allclose(solved[2:], points[-1, :2] * [1, -1], atol=0.03)

@@ -62,3 +62,13 @@ def test_nothing_is_left_of_a_study_that_cannot_be_written(folder: Path) -> None
     with pytest.raises(InvalidInput):
         save_as(study, "wrong", wrong)
     assert not (folder.parent / "wrong").exists()
+
+
+def test_comments_stay(folder: Path) -> None:
+    text = (folder / "study.yaml").read_text()
+    inner = text.strip().removeprefix("{").removesuffix("}").strip().removesuffix(",")
+    (folder / "study.yaml").write_text(f"{{  # by hand\n  {inner}  # the last\n}}\n")
+    asked = asked_by({"noise": 2.0, "priors": {"E": {"normal": [420.0, 30.0]}}}, sl.load_study(folder))
+    new = (save_as(sl.load_study(folder), "commented", asked) / "study.yaml").read_text()
+    assert new.startswith("# commented: beam with other assumptions\n{  # by hand\n")
+    assert "# the last" in new

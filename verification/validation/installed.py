@@ -2,7 +2,8 @@
 
 Builds the source distribution and the wheel, compares their files with those under version control, builds the wheel
 from the source distribution too, and installs it without extras for the Python that runs this and for the newest one
-on the machine. In each it makes a study, a few runs and a report, and reads the posterior with ArviZ as documented.
+on the machine. In each it makes a study, a few runs and a report, checks an example, and reads the posterior with ArviZ
+as documented.
 
 Run it with:  python -m verification.validation.installed
 """
@@ -82,6 +83,7 @@ def wheel_files(wheel: Path) -> Mapping[str, bytes]:
 def compare_wheel(files: Mapping[str, bytes], known: set[str]) -> None:
     """Require a wheel to have exactly the package, its licence and its metadata, and no links that lead nowhere."""
     package = {name.removeprefix("src/") for name in known if name.startswith("src/")}
+    package |= {f"strandline/{name}" for name in known if re.match("examples/[^/]+/", name)}
     (folder,) = {name.partition("/")[0] for name in files if ".dist-info/" in name}
     information = {"METADATA", "WHEEL", "entry_points.txt", "licenses/LICENSE", "licenses/NOTICE.md"}
     wanted = package | {f"{folder}/{name}" for name in information}
@@ -151,6 +153,14 @@ def study(programs: Path, folder: Path) -> None:
         shutil.rmtree(folder / STUDY / "figures")
 
 
+def example(programs: Path, folder: Path) -> None:
+    """Write an example that comes with the wheel, with its picture and its simulator, and make a run of it."""
+    home = {"XDG_CACHE_HOME": str(folder / "cache")}
+    command(programs / "strandline", "init", "drop", "--example", "pendant-drop", folder=folder)
+    printed = command(programs / "strandline", "check", "drop", folder=folder, **home)
+    require("study.yaml is sound" in printed, f"the check of the example: {printed}")
+
+
 def documented(importing: str) -> str:
     """Return the program of the page on results that imports a package."""
     page = (ROOT / "docs" / "how-to" / "read-results.md").read_text("utf-8")
@@ -176,6 +186,7 @@ def job(python: Interpreter, wheel: Path, folder: Path) -> str:
     programs = environment(python, wheel, folder)
     marks.append(time.monotonic())
     study(programs, folder)
+    example(programs, folder)
     marks.append(time.monotonic())
     version = arviz(python, programs, folder)
     marks.append(time.monotonic())

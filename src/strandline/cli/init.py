@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from strandline.registry import suggestion
+from strandline.studies.examples import EXAMPLES, write_example
+
 if TYPE_CHECKING:
     from strandline.studies.template import Observed
 
@@ -29,8 +32,25 @@ def _size(ctx: click.Context | None, param: click.Parameter | None, value: Any) 
     return float(NOT_NEGATIVE.convert(value, param, ctx))
 
 
-@click.command("init")
+class _Init(click.Command):
+    """The command, whose help lists the examples."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Examples"):
+            formatter.write_dl(list(EXAMPLES.items()))
+
+
+class _Example(click.Choice[str]):
+    """The name of an example; for an unknown one, the nearest is suggested."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the message for an unknown example."""
+        return f"{super().get_invalid_choice_message(value, ctx)} {suggestion(str(value), EXAMPLES, '')}".rstrip()
+
+
+@click.command("init", cls=_Init)
 @click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--example", type=_Example(list(EXAMPLES)), help="Which example to write; by default the first.")
 @click.option("--observed", type=click.Path(path_type=Path), help="Your interface: a file with a point x, y per line.")
 @click.option("--unit", type=click.Choice(["mm", "um", "m"]), help="Unit of its coordinates.")
 @click.option("--sd", callback=_size, help="Standard deviation of one of its points, in µm, or `unknown`.")
@@ -41,19 +61,38 @@ def _size(ctx: click.Context | None, param: click.Parameter | None, value: Any) 
 @click.option("--rotation", type=NOT_NEGATIVE, help="Standard deviation of its rotation, in degrees.")
 @click.option("--scale", type=NOT_NEGATIVE, help="Standard deviation of its scale, as a share.")
 @click.option("--offset", type=NOT_NEGATIVE, help="Standard deviation of a common offset along the normals, in µm.")
-def command(folder: Path, observed: Path | None, **stated: Any) -> None:
+def command(folder: Path, example: str | None, observed: Path | None, **stated: Any) -> None:
     """Write FOLDER/study.yaml, a commented study that runs as it is (a biofilm, at most 80 forward runs).
 
-    With --observed it is a study of your own interface; what you do not state about its errors, it asks.
+    With --example it writes all files of another example. With --observed it is a study of your own interface; what you
+    do not state about its errors, it asks.
     """
     import shlex
 
     from strandline.studies.template import write_template
 
+    _require_example_alone(example, {"observed": observed, **stated})
     _require_observed(observed, stated)
-    path = write_template(folder, None if observed is None else _asked(observed, stated))
+    if example is not None:
+        path = write_example(example, folder)
+    else:
+        path = write_template(folder, None if observed is None else _asked(observed, stated))
     name = shlex.quote(str(folder))
     click.echo(f"wrote {path}\nnext: strandline check {name}, then strandline run {name}")
+
+
+def _require_example_alone(example: str | None, others: dict[str, Any]) -> None:
+    """Refuse options about an observed interface beside an example, which has its own."""
+    from strandline.errors import InvalidStudy
+
+    given = [f"--{name}" for name, value in others.items() if value is not None]
+    if example is not None and given:
+        raise InvalidStudy(
+            f"--example {example} comes with its own observation",
+            value=", ".join(given),
+            expected="--example alone",
+            remedy=f"Leave out --example, or {' and '.join(given)}.",
+        )
 
 
 def _require_observed(observed: Path | None, stated: dict[str, Any]) -> None:

@@ -42,12 +42,19 @@ SECONDS_BETWEEN_LINES = 15.0
 
 
 @contextmanager
-def observing(*, quiet: bool = False, log: Path | None = None) -> Iterator[Observer]:
+def observing(
+    *,
+    quiet: bool = False,
+    log: Path | None = None,
+    details: Callable[[Callable[[str], None]], Observer] | None = None,
+) -> Iterator[Observer]:
     """Yield an observer that shows the progress of the study on standard error, nothing if `quiet`.
 
     Args:
         quiet: Whether to show nothing.
         log: File to which the progress is added, a line with its time for each step.
+        details: Function that takes a function to show a line and returns an observer, which then adds its lines to
+            all that is shown and logged.
 
     Raises:
         InvalidInput: The file cannot be written to.
@@ -60,7 +67,9 @@ def observing(*, quiet: bool = False, log: Path | None = None) -> Iterator[Obser
             shown = opened.enter_context(_bars(console))
         else:
             shown = _lines(console)
-        yield shown if log is None else _both(shown, _lines(opened.enter_context(_timed(log))))
+        if log is not None:
+            shown = _both(shown, _lines(opened.enter_context(_timed(log))))
+        yield shown if details is None else _both(shown, details(shown.note))
 
 
 def require_log(path: Path | None) -> None:

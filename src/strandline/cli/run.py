@@ -12,22 +12,47 @@ __all__ = ["command"]
 
 @click.command("run")
 @click.argument("study", type=STUDY)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Run a copy of the study with another value, e.g. noise.sd=3; can be repeated.",
+)
+@click.option("--into", type=click.Path(path_type=Path, file_okay=False), help="Folder of that copy.")
 @click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
 @devices.option
 @click.option("--detach", is_flag=True, help="Submit the runs of a SLURM array and leave; `run` again collects them.")
 @click.option("--json", "as_json", is_flag=True, help="Print the content of summary.json as one JSON object.")
 @click.option("--log", type=click.Path(path_type=Path, dir_okay=False), help="Add the progress, with times, to a file.")
+@click.option("--verbose", is_flag=True, help="Also show each run and step as it ends, and the settings of each stage.")
 @click.option("--quiet", is_flag=True, help="Print only the result.")
 def command(
-    study: Path, workers: int | None, device: str | None, detach: bool, as_json: bool, log: Path | None, quiet: bool
+    study: Path,
+    settings: tuple[str, ...],
+    into: Path | None,
+    workers: int | None,
+    device: str | None,
+    detach: bool,
+    as_json: bool,
+    log: Path | None,
+    verbose: bool,
+    quiet: bool,
 ) -> None:
     """Do the whole of STUDY (a folder): forward runs, surrogate, posterior, figures, report.
 
     Finished runs are kept: started again, it goes on where it was stopped. A finished study is computed again only if
     its study.yaml, model, observation or runs have changed.
+
+    With --set it leaves STUDY as it is and runs a copy beside it, named after the settings, which takes over all runs
+    that fit; the same command again goes on there.
     """
+    _require_one(verbose=verbose, quiet=quiet)
     devices.use(device)
+    from functools import partial
+
     from strandline.cli.detached import submit, told_what_goes_on
+    from strandline.cli.details import detailed, set_aside_lines
     from strandline.cli.journal import say_journal
     from strandline.cli.progress import observing, require_log
     from strandline.cli.results import show, shown_also_if_incomplete
@@ -36,8 +61,9 @@ def command(
     from strandline.studies.folder import REPORT
     from strandline.studies.unchanged import results_at_hand
 
-    loaded = load_study(study)
     require_log(log)
+    study = _with_settings(study, settings, into, quiet=quiet)
+    loaded = load_study(study)
     if (found := results_at_hand(loaded)) is not None:
         show(found, loaded.folder / REPORT, as_json=as_json)
         if not quiet and not as_json:
@@ -45,10 +71,57 @@ def command(
         return
     say_journal(loaded, quiet=quiet)
     executor = with_workers(loaded.executor, workers)
-    with shown_also_if_incomplete(as_json=as_json), observing(quiet=quiet, log=log) as observer:
+    details = partial(detailed, loaded, executor) if verbose else None
+    with shown_also_if_incomplete(as_json=as_json), observing(quiet=quiet, log=log, details=details) as observer:
         if detach:
             submit(loaded, executor, observer)
             return
         with told_what_goes_on(loaded, executor):
             outcome = run_study(loaded, executor=executor, observer=observer)
+        if verbose:
+            for line in set_aside_lines(outcome.summary):
+                observer.note(line)
     show(outcome.summary, outcome.report, as_json=as_json)
+
+
+def _require_one(*, verbose: bool, quiet: bool) -> None:
+    """Refuse `--verbose` with `--quiet`."""
+    from strandline.errors import InvalidInput
+
+    if verbose and quiet:
+        raise InvalidInput(
+            "--verbose shows more, --quiet shows less",
+            value="both",
+            expected="at most one of them",
+            remedy="Leave one out; with --quiet, --log FILE still keeps the progress.",
+        )
+
+
+def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *, quiet: bool) -> Path:
+    """Return the folder of the study with other values, or `study` itself if there are none.
+
+    Raises:
+        InvalidStudy: A setting cannot be used, the folder holds another study, or there is a folder but no setting.
+    """
+    from strandline.errors import InvalidStudy
+    from strandline.studies.changed_copy import changed_study
+
+    if settings:
+        folder = _shortest(changed_study(study, settings, into))
+        if not quiet:
+            click.echo(f"{', '.join(settings)}: the study in {folder}", err=True)
+        return folder
+    if into is not None:
+        raise InvalidStudy(
+            "--into is the folder of a study with other values",
+            value=str(into),
+            expected="--set KEY=VALUE too",
+            remedy="Add --set, or leave out --into.",
+        )
+    return study
+
+
+def _shortest(folder: Path) -> Path:
+    """Return the path from the current folder if `folder` lies below it, else `folder`."""
+    here = Path.cwd()
+    return folder.relative_to(here) if folder.is_relative_to(here) and folder != here else folder

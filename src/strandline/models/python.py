@@ -2,7 +2,7 @@
 
 import importlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
+from strandline.models.beside import lies_in, modules_of
 from strandline.models.protocol import (
     ModelInput,
     Simulation,
@@ -40,9 +41,11 @@ class PythonModel:
     calls can change unnoticed.
 
     Args:
-        function: ``module:name``; the module must be importable (installed, or on PYTHONPATH).
+        function: ``module:name``; the module must be in `folder`, installed, or on PYTHONPATH.
         sensitivities: Whether to compute sensitivities too; the callable is then a dataclass with a field of that name.
         function_alone: Whether the fingerprint covers only the function's own source, as in ledgers of version 0.1.
+        folder: Folder of the study. If the module lies there, it and the modules beside it are imported from there;
+            else this becomes None. Modules of two folders may have the same names.
 
     Raises:
         InvalidInput: there is no such module, or no such callable in it, or it offers no sensitivities.
@@ -51,30 +54,33 @@ class PythonModel:
     function: str
     sensitivities: bool = False
     function_alone: bool = False
+    folder: Path | None = field(default=None, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", _holding(self.folder, self.function))
         self._target()
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
         """The inputs that the function declares; empty if it declares none."""
-        return declared_inputs(_found(self.function))
+        return declared_inputs(self._function())
 
     @property
     def conditions(self) -> tuple[str, ...]:
         """The conditions that the function declares; a single unnamed one if it declares none."""
-        return declared_conditions(_found(self.function))
+        return declared_conditions(self._function())
 
     @property
     def failure_kinds(self) -> tuple[str, ...] | None:
         """The kinds of failure that the function declares; None if it declares none."""
-        return declared_failure_kinds(_found(self.function))
+        return declared_failure_kinds(self._function())
 
     @property
     def fingerprint(self) -> str:
         """The function's own ``fingerprint``, or a text that changes with the source of its file and package."""
         try:
-            return (earlier_fingerprint if self.function_alone else fingerprint)(_found(self.function))
+            with modules_of(self.folder):
+                return (earlier_fingerprint if self.function_alone else fingerprint)(self._function())
         except (OSError, TypeError):
             raise InvalidInput(
                 f"the source of {self.function} cannot be read",
@@ -85,11 +91,16 @@ class PythonModel:
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Return the function's result, with points as an `Interface`; any other result makes the run invalid."""
-        result = self._target()(inputs, workdir)
+        with modules_of(self.folder):
+            result = self._target()(inputs, workdir)
         return result if isinstance(result, Simulation | Interface) else _polyline(result)
 
+    def _function(self) -> Any:
+        with modules_of(self.folder):
+            return _found(self.function)
+
     def _target(self) -> Any:
-        found = _found(self.function)
+        found = self._function()
         return with_sensitivities(found) if self.sensitivities else found
 
 
@@ -100,6 +111,13 @@ def _polyline(points: Any) -> Any:
     except (TypeError, ValueError):
         array = np.empty(0)
     return Interface.polyline(array) if array.ndim == 2 and array.shape[1] == 2 else points
+
+
+def _holding(folder: Path | None, target: object) -> Path | None:
+    """Return the absolute path of `folder` if the module of ``module:name`` lies in it, else None."""
+    if folder is None or not isinstance(target, str) or not lies_in(folder, target.partition(":")[0]):
+        return None
+    return folder.resolve()
 
 
 def _found(target: object) -> Any:
@@ -127,5 +145,6 @@ def _refused(target: object, expected: str) -> InvalidInput:
         "function of the Python model",
         value=target,
         expected=expected,
-        remedy="Correct the name, install the module, or put its folder on PYTHONPATH.",
+        remedy="Correct the name. If the module is missing, put it beside study.yaml, install it, or put its folder on "
+        "PYTHONPATH.",
     )

@@ -30,6 +30,7 @@ __all__ = [
     "STUDY",
     "SUMMARY",
     "WHAT_IF",
+    "is_result",
     "require_temporary",
     "require_writable",
     "told_if_unwritable",
@@ -55,6 +56,15 @@ SPECIMENS = "specimens.json"
 SPECIMENS_LINES = "specimens.jsonl"
 SPECIMENS_TABLE = "specimens.csv"
 SPECIMENS_LEDGER = "specimens.sqlite"
+RESULTS = frozenset(value for key, value in globals().copy().items() if key.isupper() and isinstance(value, str))
+"""Names of result files, and that of the study file."""
+RESULT_FOLDERS = frozenset({"figures", "runs", "slurm", "comparison", "__pycache__"})
+RESULT_SUFFIXES = (".lock", "-wal", "-shm", ".html", ".log", ".sqlite")
+
+
+def is_result(name: str) -> bool:
+    """Return whether a file or folder of this name in a study folder holds results, which a copy leaves out."""
+    return name != STUDY and (name in RESULTS or name in RESULT_FOLDERS or name.endswith(RESULT_SUFFIXES))
 
 
 def require_writable(folder: Path) -> None:

@@ -13,7 +13,7 @@ from strandline.studies.keys import SCHEMA_VERSION, StudyFile, annotation_of, ke
 from strandline.studies.keys.observation import KNOWN, ONE, RANGE, SEVERAL, UNKNOWN, ConditionFile
 from strandline.studies.yaml_text import load_yaml
 
-__all__ = ["first_problem", "parse_study"]
+__all__ = ["first_problem", "parse_study", "parsed"]
 
 WORDS = {
     "missing": "this key",
@@ -46,7 +46,16 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
         InvalidStudy: The folder or the file does not exist, or its content is not YAML or does not fit the schema.
     """
     text = _read(folder)
-    content = _load(folder / STUDY, text)
+    return parsed(text), text
+
+
+def parsed(text: str) -> StudyFile:
+    """Return the validated content of the text of a study file.
+
+    Raises:
+        InvalidStudy: It is not YAML or does not fit the schema.
+    """
+    content = _load(text)
     version = content.get("version")
     if type(version) is not int or version != SCHEMA_VERSION:
         raise InvalidStudy(
@@ -56,7 +65,7 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
             remedy=f"Put `version: {SCHEMA_VERSION}` on its first line, or use a matching strandline.",
         )
     try:
-        return StudyFile.model_validate(content), text
+        return StudyFile.model_validate(content)
     except ValidationError as error:
         raise first_problem(error) from None
 
@@ -84,11 +93,11 @@ def _read(folder: Path) -> str:
         ) from None
 
 
-def _load(path: Path, text: str) -> dict[Any, Any]:
+def _load(text: str) -> dict[Any, Any]:
     content = load_yaml(text)
     if not isinstance(content, dict):
         raise InvalidStudy(
-            f"{path.name} holds no keys",
+            f"{STUDY} holds no keys",
             value=content,
             expected="keys such as version, name, model, inputs",
             remedy="See `strandline init`, which writes a commented example.",

@@ -3,6 +3,8 @@
 import json
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,7 @@ from typing import Any
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
 
-__all__ = ["Observed", "write_template"]
+__all__ = ["Observed", "made_folder", "study_name", "write_template"]
 
 TEMPLATE = """\
 # A strandline study. Run it with:  strandline run {folder}
@@ -120,17 +122,33 @@ def write_template(folder: Path, observed: Observed | None = None) -> Path:
         InvalidStudy: There is one already, or the folder cannot be created.
     """
     path = folder / STUDY
-    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", folder.resolve().name).strip("-._") or "study"
+    about = SYNTHETIC if observed is None else observed.section(folder)
+    with made_folder(folder), path.open("x", encoding="utf-8") as file:
+        file.write(TEMPLATE.format(name=study_name(folder), folder=folder, observation=about))
+    return path
+
+
+def study_name(folder: Path) -> str:
+    """Return the name of a new study in `folder`."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "-", folder.resolve().name).strip("-._") or "study"
+
+
+@contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make the folder of a new study, in which the block creates files.
+
+    Raises:
+        InvalidStudy: One of the files exists, or the folder cannot be created.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with path.open("x", encoding="utf-8") as file:
-            about = SYNTHETIC if observed is None else observed.section(folder)
-            file.write(TEMPLATE.format(name=name, folder=folder, observation=about))
-    except FileExistsError:
+        yield
+    except FileExistsError as error:
+        is_study = str(error.filename).endswith(STUDY)
         raise InvalidStudy(
-            "there is a study already",
-            value=str(path),
-            expected="a new folder, or one without study.yaml",
+            "there is a study already" if is_study else "there is such a file already",
+            value=str(error.filename),
+            expected=f"a new folder, or one without {STUDY}" if is_study else "a new folder",
             remedy="Choose another folder.",
         ) from None
     except OSError as error:
@@ -140,4 +158,3 @@ def write_template(folder: Path, observed: Observed | None = None) -> Path:
             expected="a place with write permission",
             remedy="Choose another folder.",
         ) from None
-    return path

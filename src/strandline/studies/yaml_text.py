@@ -9,7 +9,7 @@ import yaml
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY
 
-__all__ = ["load_yaml"]
+__all__ = ["compose_yaml", "load_yaml"]
 
 DEEPEST = 40
 """Largest depth of nested lists and mappings."""
@@ -41,6 +41,11 @@ def load_yaml(text: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or error
         raise _not_yaml(mark, f"a mistake in its syntax: {problem}") from None
+
+
+def compose_yaml(text: str) -> yaml.Node | None:
+    """Return the nodes of `text`, which `load_yaml` accepts, with their places in it."""
+    return yaml.compose(text, Loader=_Loader)
 
 
 class _Loader(yaml.SafeLoader):

@@ -1,17 +1,14 @@
 """Other assumptions → a new study beside the present one, which takes over its runs."""
 
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, PointErrors
-from strandline.studies import folder as files
-from strandline.studies.folder import STUDY, told_if_unwritable
-from strandline.studies.study import Study, load_study
+from strandline.studies.changed_copy import reuse_from, write_copy
+from strandline.studies.study import Study
+from strandline.studies.yaml_edit import REMOVED, changed_text
 from strandline.studies.yaml_text import load_yaml
 from strandline.view.assumptions import Asked
 
@@ -19,11 +16,6 @@ __all__ = ["save_as"]
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,62}")
 TO_UM = 1e3
-RESULTS = {value for name, value in vars(files).items() if name.isupper() and isinstance(value, str)} - {STUDY}
-"""Names of result files, which are not copied."""
-LEFT_OUT = ("figures", "runs", "slurm", "comparison", "__pycache__")
-"""Folders of results."""
-SUFFIXES = (".lock", "-wal", "-shm", ".html", ".log", ".sqlite")
 
 
 def save_as(study: Study, name: str, asked: Asked) -> Path:
@@ -53,46 +45,27 @@ def save_as(study: Study, name: str, asked: Asked) -> Path:
         raise InvalidInput(
             "name of the new study", value=name, expected="no such folder yet", remedy="Choose another one."
         )
-    content = _changed(study, name, asked, present)
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-    with told_if_unwritable(present.parent):
-        try:
-            shutil.copytree(present, target, ignore=_ignored)
-            (target / STUDY).write_text(f"# {name}: {study.name} with other assumptions\n{text}", encoding="utf-8")
-            load_study(target)
-        except (InvalidStudy, InvalidInput, OSError):
-            shutil.rmtree(target, ignore_errors=True)
-            raise
+    text = changed_text(study.text, _changes(study, name, asked, present, target))
+    write_copy(present, target, f"# {name}: {study.name} with other assumptions\n{text}")
     return target
 
 
-def _ignored(folder: str, names: list[str]) -> set[str]:
-    """Return the names of results in a folder."""
-    return {name for name in names if name in RESULTS or name in LEFT_OUT or name.endswith(SUFFIXES)}
-
-
-def _changed(study: Study, name: str, asked: Asked, present: Path) -> dict[str, Any]:
-    """Return the content of study.yaml with the assumptions, and with the runs of the present study."""
-    content: dict[str, Any] = dict(load_yaml(study.text))
-    content["name"] = name
-    inputs = {key: dict(value) for key, value in content["inputs"].items()}
+def _changes(study: Study, name: str, asked: Asked, present: Path, target: Path) -> dict[tuple[str, ...], Any]:
+    """Return the values that differ in the new study, which takes over the runs of the present one."""
+    content = load_yaml(study.text)
+    changes: dict[tuple[str, ...], Any] = {("name",): name}
     for key, prior in asked.priors.items():
-        box = list(study.space[key].interval)
-        inputs[key] = {**inputs[key], "prior": dict(prior), "box": inputs[key].get("box", box)}
-    fixed = dict(content.get("fixed") or {})
+        changes["inputs", key, "prior"] = dict(prior)
+        changes["inputs", key, "box"] = content["inputs"][key].get("box", list(study.space[key].interval))
     for key, value in asked.fixed.items():
-        inputs.pop(key)
-        fixed[key] = value
-    content["inputs"] = inputs
-    if fixed:
-        content["fixed"] = fixed
+        changes["inputs", key] = REMOVED
+        changes["fixed", key] = value
     if asked.noise != 1 or asked.length_um is not None:
-        content["noise"] = _noise(study, asked)
+        changes["noise",] = _noise(study, asked)
     if asked.measure is not None:
-        content["discrepancy"] = _measures(content["discrepancy"], asked.measure)
-    others = [str(Path("..") / present.name), *(content.get("reuse") or [])]
-    content["reuse"] = list(dict.fromkeys(others))
-    return content
+        changes["discrepancy",] = _measures(content["discrepancy"], asked.measure)
+    changes["reuse",] = reuse_from(present, target, content.get("reuse"))
+    return changes
 
 
 def _noise(study: Study, asked: Asked) -> dict[str, Any]:

@@ -1,0 +1,188 @@
+"""A study with other values, in a folder of its own that takes over the runs of the original."""
+
+import filecmp
+import os
+import re
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.studies.folder import STUDY, is_result, told_if_unwritable
+from strandline.studies.parse import parse_study, parsed
+from strandline.studies.study import load_study
+from strandline.studies.template import study_name
+from strandline.studies.yaml_edit import Changes, changed_text, flow
+from strandline.studies.yaml_text import load_yaml
+
+__all__ = ["changed_study", "reuse_from", "write_copy"]
+
+LONGEST = 63
+"""Most characters in the name of a folder that is made up from settings."""
+
+
+def changed_study(folder: Path, settings: Sequence[str], into: Path | None = None) -> Path:
+    """Return the folder of the study in `folder` with other values; it is written unless it is there already.
+
+    Args:
+        folder: Folder of the study, which stays as it is.
+        settings: The other values, each as ``KEY=VALUE``, with a dotted key and a value in YAML.
+        into: Folder of the copy; by default one beside `folder`, named after it and the settings.
+
+    Raises:
+        InvalidStudy: A setting cannot be used, or the folder holds another study; nothing is written.
+    """
+    content, text = parse_study(folder)
+    present, raw = folder.resolve(), load_yaml(text)
+    changes = _changes(settings, raw)
+    target = (present.parent / _named(present.name, changes) if into is None else into).resolve()
+    if present == target or present in target.parents or target in present.parents:
+        raise InvalidStudy(
+            "--into", value=str(into), expected="a folder apart from the study's", remedy="Choose another one."
+        )
+    reuse = reuse_from(present, target, changes.get(("reuse",), raw.get("reuse")))
+    changed: Changes = {("name",): study_name(target), **changes, ("reuse",): reuse}
+    shown = ", ".join(f"{'.'.join(keys)}={flow(value)}" for keys, value in changes.items())
+    new = f"# {content.name} with {shown}\n{changed_text(text, changed)}"
+    with _told_as_setting():
+        parsed(new)
+    if target.exists():
+        _require_same(present, target, new)
+        return target
+    with _told_as_setting():
+        write_copy(present, target, new)
+    return target
+
+
+def write_copy(present: Path, target: Path, text: str) -> None:
+    """Copy the files of a study, but not its results, into a new folder with another study.yaml.
+
+    Raises:
+        InvalidInput: The copy is no sound study; then nothing is written.
+        InvalidStudy: The folder cannot be written to.
+    """
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    with told_if_unwritable(target.parent):
+        try:
+            shutil.copytree(present, partial, ignore=lambda _, names: {name for name in names if is_result(name)})
+            (partial / STUDY).write_text(text, encoding="utf-8")
+            load_study(partial)
+            partial.rename(target)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def reuse_from(present: Path, target: Path, others: Sequence[str] | None) -> list[str]:
+    """Return the key `reuse` of a copy: the original and the studies whose runs this takes over.
+
+    Args:
+        present: Folder of the original, absolute.
+        target: Folder of the copy, absolute.
+        others: The key `reuse` of the original.
+    """
+    folders = [present, *(present / str(other) for other in others or [])]
+    return list(dict.fromkeys(Path(os.path.relpath(one, target)).as_posix() for one in folders))
+
+
+@contextmanager
+def _told_as_setting() -> Iterator[None]:
+    """Name the option `--set` in the error about a study file that is sound without it."""
+    try:
+        yield
+    except InvalidInput as error:
+        what = f"--set: {error.what}"
+        raise InvalidStudy(what, value=error.value, expected=error.expected, remedy=error.remedy) from None
+
+
+def _changes(settings: Sequence[str], content: dict[Any, Any]) -> dict[tuple[str, ...], Any]:
+    """Return the changes that the settings ask for, sorted by key."""
+    found: dict[tuple[str, ...], Any] = {}
+    for setting in settings:
+        name, sign, value = setting.partition("=")
+        name = name.strip()
+        if not (sign and value.strip()) or not all(name.split(".")):
+            raise InvalidStudy(
+                "--set",
+                value=setting,
+                expected="KEY=VALUE, e.g. noise.sd=3 or inputs.E.prior.uniform=[100,800]",
+                remedy="Write the keys of study.yaml with dots between them, = and the value.",
+            )
+        keys = _keys(name, content)
+        if keys in found:
+            raise InvalidStudy("--set", value=name, expected="each key once", remedy="Remove one of them.")
+        found[keys] = _value(name, value)
+    return dict(sorted(found.items()))
+
+
+def _keys(name: str, content: Any) -> tuple[str, ...]:
+    """Return the keys that a dotted name consists of; keys in the file may have dots themselves.
+
+    Raises:
+        InvalidStudy: The name leads through a value that has no keys.
+    """
+    parts, keys = name.split("."), list[str]()
+    while parts:
+        if content is not None and not isinstance(content, dict):
+            raise InvalidStudy(
+                f"--set {name}: {'.'.join(keys)} has no keys below it",
+                value=content,
+                expected="keys with values",
+                remedy=f"Set {'.'.join(keys)} as a whole.",
+            )
+        known = content or {}
+        number = next((n for n in range(len(parts), 0, -1) if ".".join(parts[:n]) in known), 1)
+        keys.append(".".join(parts[:number]))
+        content, parts = known.get(keys[-1]), parts[number:]
+    return tuple(keys)
+
+
+def _value(name: str, text: str) -> Any:
+    try:
+        return load_yaml(text)
+    except InvalidStudy as error:
+        raise InvalidStudy(
+            f"--set {name}: the value is not valid YAML",
+            value=text,
+            expected="a number, a text, a list such as [1, 2], or keys such as {a: 1}",
+            remedy=f"Put quotes around it for the shell: --set '{name}=…'.",
+        ) from error
+
+
+def _named(name: str, changes: Changes) -> str:
+    """Return the name of the folder for a study with these changes."""
+    words = "-".join(f"{'.'.join(keys)}-{flow(value)}" for keys, value in changes.items())
+    full = re.sub(r"-+", "-", re.sub(r"[^A-Za-z0-9_.-]+", "-", f"{name}-{words}")).rstrip("-.")
+    if len(full) <= LONGEST:
+        return full
+    digest = sha256(words.encode()).hexdigest()[:8]
+    return f"{full[: LONGEST - len(digest) - 1].rstrip('-.')}-{digest}"
+
+
+def _require_same(present: Path, target: Path, text: str) -> None:
+    """Refuse a folder that does not hold the study that would be written there."""
+    differing = next(_differing(present, target, text), None)
+    if differing is not None:
+        raise InvalidStudy(
+            "there is another study already",
+            value=f"{target}, where {differing} differs",
+            expected="a new folder, or the same study with the same settings, which would go on",
+            remedy="Choose another folder with --into, or move this one away.",
+        )
+
+
+def _differing(present: Path, target: Path, text: str) -> Iterator[str]:
+    """Yield the names of files that are not as they would be written."""
+    written = target / STUDY
+    if not written.is_file() or written.read_text(encoding="utf-8") != text:
+        yield STUDY
+    for folder, folders, names in os.walk(present):
+        folders[:] = [name for name in folders if not is_result(name)]
+        for name in names:
+            one = (Path(folder) / name).relative_to(present)
+            if is_result(name) or one == Path(STUDY):
+                continue
+            if not (target / one).is_file() or not filecmp.cmp(present / one, target / one):
+                yield str(one)

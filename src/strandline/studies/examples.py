@@ -1,0 +1,61 @@
+"""The examples that `strandline init --example` writes."""
+
+import re
+from pathlib import Path
+
+from strandline.studies.folder import STUDY, is_result
+from strandline.studies.template import made_folder, study_name, write_template
+
+__all__ = ["EXAMPLES", "write_example"]
+
+EXAMPLES = {
+    "biofilm": "A biofilm in a flow cell, the built-in simulator.",
+    "python": "A Python function: a strip of paper that bends under its weight.",
+    "command": "A command with input and result files: a beam that bends far.",
+    "calculix": "CalculiX (needs ccx): a gel membrane, inflated.",
+    "pendant-drop": "A photograph: the surface tension of a hanging drop.",
+    "oct": "Two OCT scans: the stiffness of a biofilm.",
+}
+"""Name of each example and what it shows."""
+FOLDERS = {"python": "strip", "oct": "oct-biofilm"}
+"""Folders of the examples that are not called by their names."""
+PACKAGE = Path(__file__).parents[1]
+SUFFIXES = {".yaml", ".py", ".j2", ".csv", ".png"}
+
+
+def write_example(name: str, folder: Path) -> Path:
+    """Write the files of an example into `folder`, created if needed; return the path of its study.yaml.
+
+    Args:
+        name: One of `EXAMPLES`.
+        folder: Folder of the study.
+
+    Raises:
+        InvalidStudy: There is a study or one of the files already, or the folder cannot be created.
+    """
+    if name == "biofilm":
+        return write_template(folder)
+    source = _source(name)
+    files = {path.name: path.read_bytes() for path in source.iterdir() if _belongs(path)}
+    text = files.pop(STUDY).decode("utf-8").replace(f"examples/{source.name}", str(folder))
+    text = re.sub(r"^name: .*$", f"name: {study_name(folder)}", text, count=1, flags=re.MULTILINE)
+    with made_folder(folder):
+        for one in (STUDY, *files):
+            if (folder / one).exists():
+                raise FileExistsError(None, None, str(folder / one))
+        for one, content in files.items():
+            (folder / one).write_bytes(content)
+        (folder / STUDY).write_text(text, encoding="utf-8")
+    return folder / STUDY
+
+
+def _source(name: str) -> Path:
+    """Return the folder of an example: in the installed package, or in the checkout that the package is used from."""
+    folder = FOLDERS.get(name, name)
+    places = (PACKAGE / "examples", PACKAGE.parents[1] / "examples")
+    return next(place / folder for place in places if (place / folder / STUDY).is_file())
+
+
+def _belongs(path: Path) -> bool:
+    """Return whether a file is one of the example, not of its results."""
+    return path.suffix in SUFFIXES and not is_result(path.name)
