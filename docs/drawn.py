@@ -1,5 +1,8 @@
 """Keep the figure that the last line of an example returns, for the gallery."""
 
+import ast
+from pathlib import Path
+
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
@@ -15,5 +18,6 @@ def drawn(block, block_vars, gallery_conf):
         return ""
     path = next(block_vars["image_path_iterator"])
     figure.savefig(path, dpi=DOTS_PER_INCH)
-    title = block_vars["example_globals"]["__doc__"].strip().splitlines()[0]
+    words = ast.get_docstring(ast.parse(Path(block_vars["src_file"]).read_text("utf-8")))
+    title = words.splitlines()[0]
     return figure_rst([path], gallery_conf["src_dir"], title)
