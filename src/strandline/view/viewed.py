@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from strandline.calibration.alternative import Present
 from strandline.calibration.misfit import by_field
-from strandline.calibration.usual_alternatives import prior_in_words
 from strandline.calibration.what_if import Answer
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models.offers import DrawsFields, undeformed_interface
@@ -23,6 +22,7 @@ from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.pareto_smoothing import reliability_threshold
+from strandline.report.explore import inputs_as_json
 from strandline.report.outlines import offsets_um, outline, predictive_band
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
@@ -75,19 +75,7 @@ class ViewedStudy:
             "name": study.name,
             "folder": str(study.folder),
             "model": type(study.model).__name__,
-            "inputs": [
-                {
-                    "name": p.name,
-                    "label": p.shown,
-                    "unit": "" if p.unit == "1" else p.unit,
-                    "low": p.interval[0],
-                    "high": p.interval[1],
-                    "nuisance": p.nuisance,
-                    "prior": prior_in_words(p.prior),
-                    "middle": float(p.truncated_prior.quantile(0.5)),
-                }
-                for p in study.space
-            ],
+            "inputs": inputs_as_json(study.space),
             "fixed": dict(study.fixed),
             "truth": study.truth,
             "measures": list(study.discrepancies),
