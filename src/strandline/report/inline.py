@@ -16,7 +16,7 @@ __all__ = ["PANELS", "PLOTLY", "bundled", "embedded", "script_hash"]
 PANELS = Path(__file__).parent / "panels"
 """Scripts and style of the panels that the report and the page of `strandline view` share."""
 PLOTLY = PANELS / "vendor" / "plotly-cartesian.min.js"
-IMPORT = re.compile(r'^import \{ ([\w, ]+) \} from "\./([\w-]+)\.js";$', re.MULTILINE)
+IMPORT = re.compile(r'^import \{ (\w+(?:, \w+)*) \} from "\./([\w-]+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?function (\w+)|const (\w+))", re.MULTILINE)
 LEFT = re.compile(r"^\s*(?:import|export)\b.*", re.MULTILINE)
 

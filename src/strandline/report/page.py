@@ -96,8 +96,8 @@ def write_report(
         failed.append(f"{name} could not be written: {type(error).__name__}: {error}")
         on_failure(name, error)
 
-    shown = _all_saved(groups, folder / FIGURES, note)
     section = _explored(calibration, truth, note)
+    shown = _all_saved(groups, folder / FIGURES, note)
     shown = _fitted(shown, MOST_CHARACTERS - TEXT - (section.size if section else 0))
     picture = next((item for item in shown if item["name"] == "check"), None)
     page = template("report.html.j2").render(

@@ -43,12 +43,13 @@ function show() {
     if (found.band) traces.push(band(found.band, "surrogate, ± 2 sd", "rgba(0,150,110,.3)"));
     traces.push(line(found.line, "sliders", "asked", { dash: "dash" }));
   }
-  const layout = { showlegend: true, uirevision: one.name, xaxis: { title: { text: "x [mm]" } }, yaxis: { title: { text: "y [mm]" }, scaleanchor: "x" } };
+  const fixed = { automargin: false }; // with equal scales, margins that follow the labels may never settle
+  const layout = { showlegend: true, uirevision: one.name, margin: { l: 64, r: 12, t: 8, b: 46 }, xaxis: { title: { text: "x [mm]" }, ...fixed }, yaxis: { title: { text: "y [mm]" }, scaleanchor: "x", ...fixed } };
   if (one.picture) {
     const { width, height, pixel, source } = one.picture;
     layout.images = [{ source, x: -0.5, y: -0.5, sizex: width, sizey: height, xref: "x", yref: "y", yanchor: "top", sizing: "stretch", layer: "below", opacity: 0.9 }];
-    layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5] };
-    layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0] };
+    layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5], ...fixed };
+    layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0], ...fixed };
   }
   draw("shape-plot", traces, layout, `Interfaces: ${traces.map((trace) => trace.name).join(", ")}`);
   showOffsets(run, found);
