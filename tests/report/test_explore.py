@@ -19,10 +19,13 @@ from strandline.interface import Interface
 from strandline.report import explore as section
 from strandline.report import write_report
 from strandline.report.explore import explore
+from strandline.report.figures import figure_groups
 from strandline.report.inline import PLOTLY, script_hash
 from strandline.report.lighter import fitted
-from strandline.runs import RunRecord
+from strandline.runs import InProcess, RunRecord
 from strandline.runs.tables import LOG_TITLE
+from strandline.studies import load_study, run_study
+from strandline.testing.studies import write_study
 
 LONG = "x" * 10_000
 
@@ -152,6 +155,7 @@ def test_a_report_of_a_thousand_runs_can_be_sent(
 ) -> None:
     """With figures for print; the files beside the page keep their resolution."""
     monkeypatch.setattr("strandline.report.page.DOTS_PER_INCH", 300)
+    monkeypatch.setattr("strandline.report.page.figure_groups", lambda *given: figure_groups(calibration, None))
     summary = reported.outcome.summary
     page = write_report(many(calibration, 1000), summary, study_text="", truth=None, folder=tmp_path)
     assert page.stat().st_size < 5_000_000
@@ -159,6 +163,17 @@ def test_a_report_of_a_thousand_runs_can_be_sent(
     for path in (tmp_path / "figures").glob("*.png"):
         with Image.open(path) as picture:
             assert picture.info["dpi"] == pytest.approx((300, 300), abs=0.1)
+
+
+@pytest.mark.long
+def test_a_study_of_a_thousand_runs_can_be_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own figures show all runs, and have more colours and lines than those of a small study."""
+    monkeypatch.setattr("strandline.report.page.DOTS_PER_INCH", 300)
+    measures: list[dict[str, Any]] = [{"normal_offset": {}}, {"tracked_points": {}}]
+    folder = write_study(tmp_path / "beam", design={"sobol": {"runs": 1000}}, discrepancy=measures)
+    page = run_study(load_study(folder), executor=InProcess()).report
+    assert page.stat().st_size < 5_000_000
+    assert len(data_in(page.read_text("utf-8"))["runs"]["row"]) == 1000
 
 
 def test_the_largest_pictures_become_smaller_until_all_fit() -> None:
