@@ -31,7 +31,10 @@ SUMMARY: dict[str, Any] = {
     "refinement": [],
     "surrogate": {"kind": "log_likelihood"},
     "measures": {"currents": {"n_train": 24}},
-    "sampler": {"particles": 5000, "ess": 4733.7},
+    "sampler": {
+        "particles": 5000, "ess": 4733.7, "rejuvenation_steps": 15, "zeta": 0.5, "tempering_steps": 6,
+    },
+    "quadrature_check": None,
     "certificate": None,
     "nearest": {"message": None},
     "misfit": {"flagged": False, "p": 0.43},
@@ -50,7 +53,7 @@ def test_it_has_the_numbers_of_the_study() -> None:
         "the RKHS norm of the difference of their surface currents (width 0.005), with Gaussian noise of variance",
         "We made 26 forward runs, 2 of which failed (2 × continuation stalled), from a Sobol design.",
         "surrogate of the log-likelihood (24 runs)",
-        "5000 particles (4734 effective)",
+        "5000 particles (4734 effective), 15 rejuvenation steps and ζ = 0.5, in 6 tempering steps.",
         "The model explains the observation within the noise (p = 0.43).",
         "Posterior means and standard deviations are E = 396 ± 30 Pa.",
     ):
@@ -75,6 +78,10 @@ def test_it_has_the_numbers_of_the_study() -> None:
             "that were inferred from the residuals.",
         ),
         ({"fixed": {}}, "Simulated and observed"),
+        (
+            {"quadrature_check": {"converged": True, "max_mean_error_sd": 0.0123}},
+            "Means by quadrature of the same surrogate differ by at most 0.012 standard deviations.",
+        ),
         ({"runs": {"ok": 24, "failed": 0, "by_kind": {}}}, "We made 24 forward runs, from a Sobol design."),
     ],
 )
@@ -102,3 +109,5 @@ def test_the_page_has_both(reported: Any) -> None:
     assert paragraph is not None
     assert paragraph[1].replace("&#39;", "'") == methods_paragraph(summary)
     assert "@article{willmann2022bayesian," in page
+    for digest in ("study_sha256", "ledger_sha256"):
+        assert summary[digest] in page

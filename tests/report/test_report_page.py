@@ -33,7 +33,7 @@ FIGURES = [
     "tempering",
 ]
 """Of a model of two inputs that has no fields to show."""
-SECTIONS = ["asked", "fit", "answer", "data", "runs", "surrogate", "sampler", "paper", "provenance"]
+SECTIONS = ["asked", "fit", "answer", "data", "runs", "surrogate", "sampler", "paper", "provenance", "explore"]
 VOID = {"meta", "br", "img", "link", "hr", "input"}
 
 
@@ -70,18 +70,22 @@ def page(reported: Any) -> Page:
 
 def test_nothing_is_loaded_from_outside(page: Page) -> None:
     names = {tag for tag, _ in page.tags}
-    assert names.isdisjoint({"script", "link", "iframe", "object", "embed", "video", "audio"})
+    assert names.isdisjoint({"link", "iframe", "object", "embed", "video", "audio"})
     for _, attributes in page.tags:
         for name in ("src", "href", "srcset", "data", "poster", "background"):
             assert re.match(r"#|data:image/png;base64,", attributes.get(name) or "#")
     assert not page.open
 
 
-def test_the_policy_allows_the_pages_own_style_and_pictures_and_nothing_else(page: Page) -> None:
+def test_the_policy_allows_the_pages_own_style_pictures_and_scripts_and_nothing_else(page: Page) -> None:
     (policy,) = [a["content"] for a in page.attributes("meta") if a.get("http-equiv") == "Content-Security-Policy"]
     rules = dict(rule.strip().split(" ", 1) for rule in (policy or "").split(";"))
     assert (rules["default-src"], rules["img-src"], rules["style-src"]) == ("'none'", "data:", "'unsafe-inline'")
-    assert "script-src" not in rules
+    data, shown = {"application/json", "application/gzip"}, page.attributes("script")
+    assert [one.get("type") in data for one in shown] == [True, True, False]
+    hashes = rules["script-src"].split()
+    assert len(hashes) == 2
+    assert all(re.fullmatch(r"'sha256-[A-Za-z0-9+/]{43}='", one) for one in hashes)
     tags = [tag for tag, _ in page.tags]
     assert tags.index("meta") < tags.index("style")
 

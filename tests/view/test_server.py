@@ -143,7 +143,7 @@ def test_what_makes_no_sense_is_refused_in_a_line(
     [
         ("/api/nothing", 404), ("/nothing", 404), ("/page/x/../../server.py", 404), ("/page/%2e%2e/server.py", 403),
         ("/page/..%2fserver.py", 403), ("/api/run?row=999", 404), ("/api/run?row=-1", 400), ("/api/runs?since=x", 400),
-        ("/api/picture", 404), ("/page/", 403), ("/page/app.js", 200), ("/page/vendor/plotly-cartesian.min.js", 200),
+        ("/api/picture", 404), ("/page/", 403), ("/page/app.js", 200), ("/panels/vendor/plotly-cartesian.min.js", 200),
     ],
 )  # fmt: skip
 def test_paths(path: str, status: int, client: httpx.Client) -> None:
@@ -155,7 +155,9 @@ def test_a_body_that_is_no_object_is_refused(client: httpx.Client) -> None:
         assert client.post("/api/ask", content=body).status_code == 400
 
 
-@pytest.mark.parametrize("path", ["/", "/api/study", "/events", "/page/app.js", "/api/picture", "/nothing"])
+@pytest.mark.parametrize(
+    "path", ["/", "/api/study", "/events", "/page/app.js", "/panels/charts.js", "/api/picture", "/nothing"]
+)
 def test_nobody_gets_in_without_the_token(path: str, server: Server) -> None:
     for token in ("", "/wrong", "/" + server.door.token + "x"):
         assert httpx.get(f"http://127.0.0.1:{server.port}{token}{path}").status_code == 403
@@ -165,7 +167,7 @@ def test_nobody_gets_in_without_the_token(path: str, server: Server) -> None:
 
 
 def test_nothing_is_loaded_from_elsewhere(client: httpx.Client) -> None:
-    for path in ("", "/page/app.js", "/api/study"):
+    for path in ("", "/page/app.js", "/panels/charts.js", "/api/study"):
         headers = client.get(path).headers
         assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'self'")
         assert headers["X-Content-Type-Options"] == "nosniff"

@@ -1,5 +1,6 @@
 """A finished study as one self-contained HTML page."""
 
+from strandline.report.inline import PANELS
 from strandline.report.page import (
     FIGURES,
     add_check,
@@ -14,6 +15,7 @@ from strandline.report.page import (
 
 __all__ = [
     "FIGURES",
+    "PANELS",
     "add_check",
     "template",
     "write_comparison",

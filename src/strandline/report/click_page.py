@@ -1,11 +1,8 @@
 """The page on which a person marks a picture: one HTML file that needs no server and loads nothing."""
 
 import base64
-import hashlib
-import json
 from importlib.resources import files
 from pathlib import Path, PurePath
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +11,7 @@ from markupsafe import Markup
 from strandline.imaging.clicks import Clicks
 from strandline.imaging.clicks_file import as_json
 from strandline.report.click_picture import shown
+from strandline.report.inline import embedded, script_hash
 from strandline.report.page import template
 
 __all__ = ["click_page", "write_click_page"]
@@ -88,9 +86,9 @@ def click_page(
             factor=factor,
             tools=TOOLS,
             shortcuts=SHORTCUTS,
-            given=_embedded(given),
+            given=embedded(given),
             script=Markup(script),
-            script_hash=Markup(_hash(script)),
+            script_hash=Markup(script_hash(script)),
         )
     )
 
@@ -132,13 +130,3 @@ def _script() -> str:
     folder = files("strandline.report") / "templates" / "clicks"
     parts = ((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
     return '\n"use strict";\n' + "\n".join(parts)
-
-
-def _hash(script: str) -> str:
-    """Return the script's entry in the page's security policy, so that no other script can run."""
-    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode('utf-8')).digest()).decode('ascii')}"
-
-
-def _embedded(data: dict[str, Any]) -> Markup:
-    """Return JSON that cannot end the element that it is in."""
-    return Markup(json.dumps(data, allow_nan=False).replace("<", "\\u003c"))

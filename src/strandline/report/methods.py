@@ -69,7 +69,8 @@ def _sentences(s: Mapping[str, Any]) -> Iterator[str]:
     yield _surrogate(s)
     yield (
         f"The posterior was sampled by adaptive tempered sequential Monte Carlo with {s['sampler']['particles']} "
-        f"particles ({s['sampler']['ess']:.0f} effective)."
+        f"particles ({s['sampler']['ess']:.0f} effective), {s['sampler']['rejuvenation_steps']} rejuvenation steps and "
+        f"ζ = {s['sampler']['zeta']:g}, in {s['sampler']['tempering_steps']} tempering steps."
     )
     yield from _checks(s)
     yield f"Posterior means and standard deviations are {listed([_result(s['inputs'][name]) for name in calibrated])}."
@@ -130,7 +131,12 @@ def _surrogate(s: Mapping[str, Any]) -> str:
 
 
 def _checks(s: Mapping[str, Any]) -> Iterator[str]:
-    certificate, misfit = s["certificate"], s["misfit"]
+    certificate, misfit, quadrature = s["certificate"], s["misfit"], s["quadrature_check"]
+    if quadrature is not None and quadrature["converged"]:
+        yield (
+            "Means by quadrature of the same surrogate differ by at most "
+            f"{quadrature['max_mean_error_sd']:.2g} standard deviations."
+        )
     if certificate is not None:
         check = certificate.get("check")
         if certificate["converged"] and check is not None:

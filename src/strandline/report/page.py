@@ -17,7 +17,9 @@ from strandline.report.captioned import Captioned
 from strandline.report.check import draw_check
 from strandline.report.comparison import draw_comparison
 from strandline.report.coverage import draw_coverage
+from strandline.report.explore import Explore, explore
 from strandline.report.figures import figure_groups
+from strandline.report.lighter import fitted
 from strandline.report.methods import BIBTEX, methods_paragraph
 from strandline.report.next import draw_next
 from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
@@ -44,6 +46,8 @@ FILE_NAME = "report.html"
 FIGURES = "figures"
 PAGE_PIXELS_PER_INCH = 138
 """Pixels on the page per inch of a figure: two columns of a journal fill the page."""
+MOST_CHARACTERS, TEXT = 5_000_000, 200_000
+"""Size of a report above which its largest pictures get half their resolution; the part of it that is for text."""
 ANSWERS = ("coverage_*", "next_*", "specimens_*", "what_if*")
 """Figures that other commands draw; a new report leaves them in place."""
 OF_POSTERIOR = ("posterior", "uncertainty")
@@ -64,7 +68,8 @@ def write_report(
 ) -> Path:
     """Write `folder`/figures (PNG and PDF) and `folder`/report.html; return the page's path.
 
-    The page is self-contained: pictures are embedded, and it loads no script and no link.
+    The page is self-contained: pictures and scripts are embedded, and it loads nothing. Without scripts, and on paper,
+    it is the same but for the section that they make.
 
     Args:
         calibration: Result of the calibration.
@@ -91,7 +96,9 @@ def write_report(
         failed.append(f"{name} could not be written: {type(error).__name__}: {error}")
         on_failure(name, error)
 
+    section = _explored(calibration, truth, note)
     shown = _all_saved(groups, folder / FIGURES, note)
+    shown = _fitted(shown, MOST_CHARACTERS - TEXT - (section.size if section else 0))
     picture = next((item for item in shown if item["name"] == "check"), None)
     page = template("report.html.j2").render(
         s={**summary, "warnings": [*failed, *summary["warnings"]]},
@@ -102,8 +109,20 @@ def write_report(
         fit=calibration.settings.fit,
         check=check,
         picture=picture,
+        explore=section,
     )
     return _replaced(folder, page)
+
+
+def _explored(
+    calibration: Calibration, truth: Mapping[str, float] | None, note: Callable[[str, Exception], None]
+) -> Explore | None:
+    """Return the section that scripts make; an error costs the page no more than this section."""
+    try:
+        return explore(calibration, truth)
+    except Exception as error:
+        note("the section Explore", error)
+        return None
 
 
 def _all_saved(
@@ -121,6 +140,12 @@ def _all_saved(
     except OSError as error:
         note(FIGURES, error)
     return shown
+
+
+def _fitted(shown: list[dict[str, str]], room: int) -> list[dict[str, str]]:
+    """Return what the page needs of each figure, with pictures that fit into so many characters."""
+    data = fitted([item["data"] for item in shown], room)
+    return [{**item, "data": one} for item, one in zip(shown, data, strict=True)]
 
 
 def _check(check: Mapping[str, Any]) -> Iterator[Captioned]:

@@ -9,12 +9,13 @@ from tornado.iostream import StreamClosedError
 from tornado.web import Application, RequestHandler, StaticFileHandler
 
 from strandline.errors import ForwardModelError, InvalidInput, StrandlineError
+from strandline.report import PANELS, template
 from strandline.studies.study import Study
 from strandline.view.assumptions import asked_by
 from strandline.view.desk import Desk
 from strandline.view.door import HEADERS
+from strandline.view.pictures import picture_png
 from strandline.view.saving import save_as
-from strandline.view.shapes import picture_png
 
 __all__ = ["application"]
 
@@ -92,7 +93,7 @@ class _Page(_Guarded):
 
     def get(self) -> None:
         self.set_header("Content-Type", "text/html; charset=utf-8")
-        self.finish((PAGE / "index.html").read_bytes())
+        self.finish(template("index.html.j2", package="strandline.view").render())
 
 
 class _WithoutSlash(_Guarded):
@@ -218,6 +219,7 @@ def application(desk: Desk) -> Application:
             (r"/[^/]+/api/([a-z]+)", _Ask, shared),
             (r"/[^/]+/events", _Events, shared),
             (r"/[^/]+/page/(.*)", _Static, {**shared, "path": str(PAGE)}),
+            (r"/[^/]+/panels/(.*)", _Static, {**shared, "path": str(PANELS)}),
         ],
         default_handler_class=_Missing,
         default_handler_args=shared,

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.alternative import Present
-from strandline.calibration.usual_alternatives import prior_in_words
+from strandline.calibration.misfit import by_field
 from strandline.calibration.what_if import Answer
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.models.offers import DrawsFields, undeformed_interface
@@ -22,6 +22,8 @@ from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.pareto_smoothing import reliability_threshold
+from strandline.report.explore import inputs_as_json
+from strandline.report.outlines import offsets_um, outline, predictive_band
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
@@ -31,15 +33,17 @@ from strandline.studies.question_keys import digest_of
 from strandline.studies.study import Study
 from strandline.view.assumptions import answer_to, asked_by, knobs_of
 from strandline.view.flow import flow_on_grid
+from strandline.view.pictures import picture_behind
 from strandline.view.posterior_feed import DRAWS, SEED, PosteriorFeed, changed_at
-from strandline.view.predictions import predicted, predictive_band
+from strandline.view.predictions import predicted
 from strandline.view.runs_feed import RunsFeed
-from strandline.view.shapes import offsets_um, outline, picture_behind
 
 __all__ = ["ViewedStudy"]
 
 OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest", "log_evidence", "seconds", "version", "provenance")
 DIGITS = 6
+BAND_DRAWS = 200
+"""Draws of the posterior whose interfaces make the predictive band."""
 
 
 @dataclass
@@ -71,19 +75,7 @@ class ViewedStudy:
             "name": study.name,
             "folder": str(study.folder),
             "model": type(study.model).__name__,
-            "inputs": [
-                {
-                    "name": p.name,
-                    "label": p.shown,
-                    "unit": "" if p.unit == "1" else p.unit,
-                    "low": p.interval[0],
-                    "high": p.interval[1],
-                    "nuisance": p.nuisance,
-                    "prior": prior_in_words(p.prior),
-                    "middle": float(p.truncated_prior.quantile(0.5)),
-                }
-                for p in study.space
-            ],
+            "inputs": inputs_as_json(study.space),
             "fixed": dict(study.fixed),
             "truth": study.truth,
             "measures": list(study.discrepancies),
@@ -212,7 +204,7 @@ class ViewedStudy:
             **out,
             **_moments(self.study.space.names, now.weighted.draws, np.exp(now.log_weights)),
             "draws": self._columns(few.draws),
-            "bands": predictive_band(now),
+            "bands": _bands(now),
             "surrogate": None
             if quality is None
             else {
@@ -321,6 +313,14 @@ class ViewedStudy:
     def _columns(self, draws: Float[np.ndarray, "draw dim"]) -> dict[str, list[float]]:
         names = self.study.space.names
         return {name: [float(f"{v:.{DIGITS}g}") for v in draws[:, i].tolist()] for i, name in enumerate(names)}
+
+
+def _bands(now: Present) -> dict[str, dict[str, Any]]:
+    """Return the posterior's predictive bands by condition; nothing without a surrogate of the interface."""
+    if now.knowledge is None:
+        return {}
+    chosen = np.random.default_rng(0).choice(len(now.draws), BAND_DRAWS, p=np.exp(now.log_weights))
+    return predictive_band(by_field(now.knowledge.surrogate), now.mean, now.draws[chosen])
 
 
 def _moments(

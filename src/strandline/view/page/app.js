@@ -1,15 +1,18 @@
-// The page of a study: it asks the server what is new whenever the server says that there is something.
+// The page of a study: it asks the server what is new whenever the server says that there is something. The panels in
+// `../panels` are those of the report too.
 
+import { mountInputs } from "../panels/inputs.js";
+import { mountPosterior } from "../panels/posterior.js";
+import { mountRun } from "../panels/run.js";
+import { mountShapes } from "../panels/shapes.js";
+import { listen, shared, tell } from "../panels/store.js";
 import { get } from "./api.js";
-import { listen, shared, tell } from "./store.js";
 import { mountAssumptions } from "./panels/assumptions.js";
 import { mountFit } from "./panels/fit.js";
 import { mountFlow } from "./panels/flow.js";
-import { mountInputs } from "./panels/inputs.js";
-import { mountPosterior } from "./panels/posterior.js";
-import { mountRun } from "./panels/run.js";
+import { mountHistory } from "./panels/history.js";
 import { mountRuns } from "./panels/runs.js";
-import { mountShapes } from "./panels/shapes.js";
+import { mountSliders } from "./panels/sliders.js";
 
 const EDITED = "study.yaml has changed since this page was opened. Start `strandline view` again to see the study as it is now.";
 const status = document.getElementById("status");
@@ -74,7 +77,8 @@ async function start() {
   document.getElementById("name").textContent = facts.name;
   for (const one of document.querySelectorAll(".with-flow")) one.hidden = !facts.flow;
   for (const input of facts.inputs) shared.chosen[input.name] = input.middle;
-  for (const mount of [mountRuns, mountInputs, mountRun, mountShapes, mountPosterior, mountAssumptions, mountFit, mountFlow]) mount();
+  for (const mount of [mountRuns, mountInputs, mountShapes, mountSliders, mountPosterior, mountHistory, mountAssumptions, mountFit, mountFlow]) mount();
+  mountRun((row) => get("run", { row }));
   connect();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => tell("colours"));
 }

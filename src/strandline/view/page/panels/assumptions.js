@@ -1,8 +1,9 @@
 // Sliders for noise, measure, priors and nuisance inputs: the posterior follows by other weights.
 
-import { newest, post } from "../api.js";
-import { listen, shared, tell } from "../store.js";
-import { element, figure, withUnit } from "../text.js";
+import { newest } from "../../panels/newest.js";
+import { listen, shared, tell } from "../../panels/store.js";
+import { element, figure, withUnit } from "../../panels/text.js";
+import { post } from "../api.js";
 
 const HOW = { reweighting: "by other weights of the same draws", importance: "sampled again", smc: "sampled again, by tempering" };
 let asked = {}; // assumptions that differ from the study's

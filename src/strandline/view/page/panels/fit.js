@@ -1,7 +1,7 @@
 // Whether the model explains the observation, and whether the surrogate was good enough.
 
-import { listen, shared } from "../store.js";
-import { element, figure } from "../text.js";
+import { listen, shared } from "../../panels/store.js";
+import { element, figure } from "../../panels/text.js";
 
 function certificate(found) {
   const words = found.statement || found.verdict || (found.converged ? "The design has converged." : "The design has not converged.");

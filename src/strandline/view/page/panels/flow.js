@@ -1,9 +1,9 @@
 // Speed, pressure and displacement of the built-in model; the value at the cursor.
 
+import { draw } from "../../panels/charts.js";
+import { listen, shared } from "../../panels/store.js";
+import { figure } from "../../panels/text.js";
 import { post } from "../api.js";
-import { draw } from "../charts.js";
-import { listen, shared } from "../store.js";
-import { figure } from "../text.js";
 
 let found = null;
 

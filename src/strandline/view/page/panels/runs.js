@@ -1,7 +1,7 @@
 // How many runs are done, how the others ended, and how long it may still take.
 
-import { listen, shared } from "../store.js";
-import { duration, element, figure } from "../text.js";
+import { listen, shared } from "../../panels/store.js";
+import { duration, element, figure } from "../../panels/text.js";
 
 const WORDS = { current: "finished", outdated: "study.yaml has changed since its results", none: "" };
 

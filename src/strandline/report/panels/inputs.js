@@ -1,10 +1,11 @@
 // Two inputs of all runs, with failures, over the draws of the posterior.
 
-import { colour, draw } from "../charts.js";
-import { listen, shared, tell } from "../store.js";
-import { element, withUnit } from "../text.js";
+import { colour, draw } from "./charts.js";
+import { listen, shared, tell } from "./store.js";
+import { element, withUnit } from "./text.js";
 
 const MOST = 3000; // Points of one kind that are drawn.
+const MANY = 500; // Points of one kind above which they are drawn small.
 const KINDS = [
   { name: "ok", states: ["ok"], symbol: "circle", size: 6, colour: "ok" },
   { name: "failed", states: ["failed", "timeout", "killed", "invalid"], symbol: "x", size: 7, colour: "failed" },
@@ -42,8 +43,8 @@ function show() {
     traces.push({
       type: "scatter", mode: "markers", name, customdata: rows, cliponaxis: false,
       x: rows.map((k) => runs.inputs[x.name][k]), y: rows.map((k) => (alone ? runs.seconds[k] : runs.inputs[y.name][k])),
-      text: rows.map((k) => `run ${k + 1}${runs.kind[k] ? `: ${runs.kind[k]}` : ""}`), hovertemplate: "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>",
-      marker: { symbol: kind.symbol, size: kind.size, color: colour(kind.colour) },
+      text: rows.map((k) => `run ${runs.row[k] + 1}${runs.kind[k] ? `: ${runs.kind[k]}` : ""}`), hovertemplate: "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>",
+      marker: { symbol: kind.symbol, size: rows.length > MANY ? kind.size / 2 : kind.size, color: colour(kind.colour) },
     });
   }
   if (shared.run) {

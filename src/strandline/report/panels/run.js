@@ -1,14 +1,15 @@
 // One run: its inputs, how it ended, its log.
 
-import { get, newest } from "../api.js";
-import { listen, shared, tell } from "../store.js";
-import { duration, element, figure } from "../text.js";
+import { newest } from "./newest.js";
+import { listen, shared, tell } from "./store.js";
+import { duration, element, figure } from "./text.js";
 
 const field = () => document.getElementById("run-row");
+let read = null; // returns what is known of the run in a row
 
 const fetchRun = newest(async (row) => {
   try {
-    shared.run = await get("run", { row });
+    shared.run = await read(row);
   } catch (error) {
     document.getElementById("run-text").replaceChildren(element("p", error.message, { class: "note" }));
     return;
@@ -26,6 +27,7 @@ function show() {
   if (run.observes) parts.push(element("p", "This run makes the synthetic observation.", { class: "note" }));
   const ended = run.state === "open" ? "under way, or lost with its driver" : `${run.state}${run.kind ? ` (${run.kind.replaceAll("_", " ")})` : ""} after ${duration(run.seconds)}`;
   parts.push(element("p", run.excluded === null ? ended : `excluded by hand (${run.excluded}); it ended ${ended}`));
+  if (run.note) parts.push(element("p", run.note, { class: "note" }));
   if (run.message) parts.push(element("pre", run.message, { tabindex: "0", "aria-label": "message" }));
   if (run.log && !run.message.includes(run.log)) parts.push(element("pre", run.log, { tabindex: "0", "aria-label": "log" }));
   const figures = Object.entries(run.diagnostics);
@@ -38,16 +40,29 @@ function show() {
   document.getElementById("run-text").replaceChildren(...parts);
 }
 
-function go(row) {
-  const last = shared.runs.state.length - 1;
-  if (last >= 0 && Number.isFinite(row)) fetchRun(Math.min(Math.max(Math.round(row), 0), last));
+// Show the run in this place of the list, or the nearest one.
+function go(place) {
+  const rows = shared.runs.row;
+  if (rows.length && Number.isFinite(place)) fetchRun(rows[Math.min(Math.max(place, 0), rows.length - 1)]);
 }
 
-export function mountRun() {
-  field().addEventListener("change", () => go(field().valueAsNumber - 1));
-  document.getElementById("run-back").addEventListener("click", () => go((shared.run ? shared.run.row : 1) - 1));
-  document.getElementById("run-on").addEventListener("click", () => go((shared.run ? shared.run.row : -1) + 1));
-  document.getElementById("run-last").addEventListener("click", () => go(shared.runs.state.length - 1));
+// The place of the first run from this row on; some rows may be missing.
+function placeOf(row) {
+  const found = shared.runs.row.findIndex((one) => one >= row);
+  return found < 0 ? shared.runs.row.length - 1 : found;
+}
+
+function type() {
+  const row = field().valueAsNumber - 1;
+  if (Number.isFinite(row)) go(placeOf(row));
+}
+
+export function mountRun(reading) {
+  read = reading;
+  field().addEventListener("change", type);
+  document.getElementById("run-back").addEventListener("click", () => go((shared.run ? placeOf(shared.run.row) : 1) - 1));
+  document.getElementById("run-on").addEventListener("click", () => go((shared.run ? placeOf(shared.run.row) : -1) + 1));
+  document.getElementById("run-last").addEventListener("click", () => go(shared.runs.row.length - 1));
   listen("wanted", () => go(shared.wanted));
   listen("runs", () => {
     if (shared.run && shared.runs.number[shared.run.row] !== undefined && shared.run.state === "open") go(shared.run.row);

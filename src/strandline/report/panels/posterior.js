@@ -1,8 +1,8 @@
-// The posterior now, beside the one under other assumptions, and how it took shape.
+// The posterior now, beside the one under other assumptions.
 
-import { colour, draw, histogram } from "../charts.js";
-import { listen, shared } from "../store.js";
-import { element, figure, withSd, withUnit } from "../text.js";
+import { colour, draw, histogram } from "./charts.js";
+import { listen, shared } from "./store.js";
+import { element, figure, withSd, withUnit } from "./text.js";
 
 const SOURCES = { stored: "The study's own result.", "so far": "From the runs so far, through the surrogate of the interface." };
 
@@ -27,7 +27,7 @@ function table() {
 }
 
 function marginals() {
-  const place = document.getElementById("marginals");
+  const place = document.getElementById("densities");
   const { facts, posterior, asked } = shared;
   if (!posterior || !posterior.draws) return;
   while (place.children.length < facts.inputs.length) place.append(element("div", null, { class: "plot" }));
@@ -45,25 +45,6 @@ function marginals() {
   });
 }
 
-function history() {
-  const steps = (shared.posterior && shared.posterior.history) || [];
-  const input = shared.facts.inputs[Number(document.getElementById("history-input").value)];
-  const note = document.getElementById("history-note");
-  if (!steps.length) return;
-  const last = steps[steps.length - 1];
-  note.textContent = last.moved === null ? "" : `The last step moved a mean by ${figure(last.moved, 2)} standard deviations.`;
-  const x = steps.map((one) => one.runs);
-  const mean = steps.map((one) => one.mean[input.name]);
-  const sd = steps.map((one) => one.sd[input.name]);
-  const edge = [...mean.map((m, k) => m + sd[k]), ...mean.map((m, k) => m - sd[k]).reverse()];
-  const traces = [
-    { type: "scatter", mode: "lines", x: [...x, ...[...x].reverse()], y: edge, fill: "toself", fillcolor: colour("band"), line: { width: 0 }, hoverinfo: "skip" },
-    { type: "scatter", mode: "lines+markers", x, y: mean, error_y: x.length === 1 ? { array: sd } : undefined, line: { color: colour("ok") }, marker: { size: 5 }, hovertemplate: "%{x} runs: %{y:.4g}<extra></extra>" },
-  ];
-  const layout = { xaxis: { title: { text: "runs that succeeded" } }, yaxis: { title: { text: `${withUnit(input)}, ± 1 sd` } } };
-  draw("history-plot", traces, layout, `${input.label} after ${x.length} steps: ${withSd(mean[mean.length - 1], sd[sd.length - 1])}`);
-}
-
 function show() {
   const { posterior } = shared;
   const surrogate = posterior && posterior.surrogate;
@@ -72,13 +53,9 @@ function show() {
   document.getElementById("truth-note").hidden = !shared.facts.truth || !posterior || !posterior.mean;
   table();
   marginals();
-  history();
 }
 
 export function mountPosterior() {
-  const choice = document.getElementById("history-input");
-  shared.facts.inputs.forEach((input, k) => choice.append(element("option", input.label, { value: k })));
-  choice.addEventListener("change", history);
   listen("posterior", show);
   listen("asked", () => {
     table();

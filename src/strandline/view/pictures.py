@@ -1,46 +1,25 @@
-"""Interfaces as the page draws them: polylines in millimetres, and the picture behind them."""
+"""The picture behind the interfaces of the page."""
 
 import io
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib import image
 
-from strandline.discrepancy.normal_offset import signed_distances
-from strandline.interface import Interface
 from strandline.studies.study import Study
 
-__all__ = ["offsets_um", "outline", "picture_behind", "picture_png"]
+__all__ = ["picture_behind", "picture_png"]
 
-DECIMALS = 6
-"""Of coordinates in mm: a nanometre."""
 DARKEST = 0.5, 99.5
 """Percentiles of the grey values that are shown black and white."""
 MOST_PIXELS = 1600
 """Longest side of a picture on the page, pixels."""
 
 
-def outline(interface: Interface) -> list[list[float]]:
-    """Return the points of a polyline in order, [[x, …], [y, …]], mm; the first one again at the end if it is closed.
-
-    A surface is shown by its points.
-    """
-    if interface.dim != 2:
-        return [np.round(column, DECIMALS).tolist() for column in interface.points.T]
-    order = [*interface.cells[:, 0], interface.cells[-1, 1]]
-    return [np.round(column, DECIMALS).tolist() for column in interface.points[order].T]
-
-
-def offsets_um(observed: Interface, predicted: Interface) -> list[float] | None:
-    """Return the signed distances of the observed points from a prediction, µm; None if they cannot be compared."""
-    if observed.dim != predicted.dim:
-        return None
-    return [float(f"{1e3 * one:.4g}") for one in signed_distances(observed.points, predicted)]
-
-
 def picture_behind(study: Study, condition: str) -> dict[str, Any] | None:
-    """Return size and place of a condition's picture; None if it has none.
+    """Return size, place and address of a condition's picture; None if it has none.
 
     A point m in mm lies at the pixel `matrix` m + `origin`.
     """
@@ -56,6 +35,7 @@ def picture_behind(study: Study, condition: str) -> dict[str, Any] | None:
         "origin": list(frame.origin),
         "pixel": list(frame.pixel),
         "name": found.name,
+        "source": f"api/picture?{urlencode({'condition': condition})}",
     }
 
 

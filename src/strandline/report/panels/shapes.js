@@ -1,9 +1,8 @@
-// The observed interface, what the posterior, a run and the surrogate say of it, and how far apart they are.
+// The observed interface, what the posterior, a run and a prediction say of it, and how far apart they are.
 
-import { newest, post } from "../api.js";
-import { colour, draw } from "../charts.js";
-import { listen, shared, tell } from "../store.js";
-import { element, figure, percent, withUnit } from "../text.js";
+import { colour, draw } from "./charts.js";
+import { listen, shared } from "./store.js";
+import { element, figure } from "./text.js";
 
 const condition = () => shared.facts.conditions[shared.condition];
 
@@ -44,13 +43,13 @@ function show() {
     if (found.band) traces.push(band(found.band, "surrogate, ± 2 sd", "rgba(0,150,110,.3)"));
     traces.push(line(found.line, "sliders", "asked", { dash: "dash" }));
   }
-  const layout = { showlegend: true, uirevision: one.name, xaxis: { title: { text: "x [mm]" } }, yaxis: { title: { text: "y [mm]" }, scaleanchor: "x" } };
+  const fixed = { automargin: false }; // with equal scales, margins that follow the labels may never settle
+  const layout = { showlegend: true, uirevision: one.name, margin: { l: 64, r: 12, t: 8, b: 46 }, xaxis: { title: { text: "x [mm]" }, ...fixed }, yaxis: { title: { text: "y [mm]" }, scaleanchor: "x", ...fixed } };
   if (one.picture) {
-    const { width, height, pixel } = one.picture;
-    const source = `api/picture?${new URLSearchParams({ condition: one.name })}`;
+    const { width, height, pixel, source } = one.picture;
     layout.images = [{ source, x: -0.5, y: -0.5, sizex: width, sizey: height, xref: "x", yref: "y", yanchor: "top", sizing: "stretch", layer: "below", opacity: 0.9 }];
-    layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5] };
-    layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0] };
+    layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5], ...fixed };
+    layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0], ...fixed };
   }
   draw("shape-plot", traces, layout, `Interfaces: ${traces.map((trace) => trace.name).join(", ")}`);
   showOffsets(run, found);
@@ -68,49 +67,10 @@ function showOffsets(run, found) {
   add(run && run.offsets, `run ${shared.run ? shared.run.row + 1 : ""}`, "failed");
   add(found && found.offsets, "sliders", "asked");
   document.getElementById("offset-plot").hidden = !traces.length;
-  document.getElementById("shape-note").textContent = told.length ? `Normal offset of the observed points from ${told.join("; from ")}.` : "Click on a run or move a slider to see the normal offset in µm.";
+  document.getElementById("shape-note").textContent = told.length ? `Normal offset of the observed points from ${told.join("; from ")}.` : "Click on a run to see how far the observed points lie from it, in µm along the normal.";
   if (!traces.length) return;
   const layout = { xaxis: { title: { text: "observed point" } }, yaxis: { title: { text: "normal offset [µm]" } }, showlegend: true };
   draw("offset-plot", traces, layout, told.join("; "));
-}
-
-const predict = newest(async () => {
-  const note = document.getElementById("predict-note");
-  try {
-    shared.prediction = await post("predict", { inputs: shared.chosen });
-  } catch (error) {
-    note.textContent = error.message;
-    return;
-  }
-  const parts = Object.entries(shared.prediction.conditions).map(([name, one]) => `${name ? `${name}: ` : ""}error of the surrogate ${figure(one.sd_um, 2)} µm`);
-  note.textContent = `${parts.join("; ")}; a run here succeeds with probability ${percent(shared.prediction.success)}.`;
-  tell("prediction");
-});
-
-function slider(input) {
-  const label = element("label");
-  const shown = element("output", figure(shared.chosen[input.name]));
-  const range = element("input", null, { type: "range", min: input.low, max: input.high, step: "any", "data-input": input.name, "aria-label": withUnit(input) });
-  range.value = shared.chosen[input.name];
-  range.addEventListener("input", () => {
-    shared.chosen[input.name] = range.valueAsNumber;
-    shown.textContent = figure(range.valueAsNumber);
-    predict();
-  });
-  label.append(`${withUnit(input)} `, shown, range);
-  return label;
-}
-
-function moveTo(inputs) {
-  for (const input of shared.facts.inputs) {
-    const value = inputs[input.name];
-    if (value === undefined) continue;
-    shared.chosen[input.name] = Math.min(Math.max(value, input.low), input.high);
-    const range = document.querySelector(`#sliders input[data-input="${CSS.escape(input.name)}"]`);
-    range.value = shared.chosen[input.name];
-    range.parentElement.querySelector("output").textContent = figure(shared.chosen[input.name]);
-  }
-  predict();
 }
 
 export function mountShapes() {
@@ -121,9 +81,6 @@ export function mountShapes() {
     shared.condition = Number(choice.value);
     show();
   });
-  document.getElementById("sliders").append(...shared.facts.inputs.map(slider));
-  document.getElementById("to-mean").addEventListener("click", () => shared.posterior && shared.posterior.mean && moveTo(shared.posterior.mean));
-  document.getElementById("to-run").addEventListener("click", () => shared.run && moveTo(shared.run.inputs));
   for (const name of ["facts", "posterior", "run", "prediction"]) listen(name, show);
   show();
 }

@@ -1,0 +1,157 @@
+"""A person opens report.html from the disk, at both widths, light and dark, with and without scripts, and prints it.
+
+Nothing is asked of a machine, the console stays empty, and axe-core finds no fault in the section.
+"""
+
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs the package axe-playwright-python")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+
+SCREENS = [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")]
+POINTS = "#pair-plot .scatterlayer .points path"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=CHROMIUM)
+        yield launched
+        launched.close()
+
+
+class Reader:
+    """Somebody who reads a report, and notices what a page must not do."""
+
+    def __init__(self, browser: Any, path: Any, *, width: int = 1280, colours: str = "light", scripts: bool = True):
+        self.context = browser.new_context(
+            viewport={"width": width, "height": 900}, color_scheme=colours, java_script_enabled=scripts
+        )
+        self.page, self.faults = self.context.new_page(), []
+        self.page.on("console", lambda message: self.faults.append(message.text))
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("request", lambda request: self._note(request.url))
+        self.page.goto(path.as_uri())
+
+    def _note(self, url: str) -> None:
+        if not re.match(r"(file|data|blob):", url):
+            self.faults.append(f"asked elsewhere: {url}")
+
+    def text(self, selector: str) -> str:
+        return str(self.page.inner_text(selector))
+
+    def waits_for(self, what: Callable[[], bool], seconds: float = 10.0) -> None:
+        end = time.monotonic() + seconds
+        while not what():
+            assert time.monotonic() < end, "it did not happen"
+            self.page.wait_for_timeout(50)
+
+    def leaves(self) -> None:
+        assert self.faults == []
+        self.context.close()
+
+
+def clicked_row(reader: Reader, number: int) -> int:
+    """Click on a point of the plot, and return the row of its run."""
+    reader.page.locator("#pair-plot").scroll_into_view_if_needed()
+    box = reader.page.locator(POINTS).nth(number).bounding_box()
+    reader.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    reader.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    reader.waits_for(lambda: reader.page.input_value("#run-row") != "")
+    return int(reader.page.input_value("#run-row")) - 1
+
+
+@pytest.mark.parametrize(("width", "colours"), SCREENS)
+def test_a_click_on_a_run_shows_its_inputs_and_its_interface(
+    width: int, colours: str, browser: Any, reported: Any
+) -> None:
+    reader = Reader(browser, reported.outcome.report, width=width, colours=colours)
+    reader.page.wait_for_selector(POINTS)
+    records = reported.outcome.calibration.all_runs
+    assert reader.page.locator(POINTS).count() == len(records)
+    assert reader.page.locator("#pair-plot .contourlayer path, #pair-plot .contour path").count() > 0
+    assert reader.page.locator("#densities .plot").count() == 2
+    row = clicked_row(reader, 5)
+    record = records[row]
+    reader.waits_for(lambda: f"run {row + 1}" in reader.text("#shape-note"))
+    for name, value in record.inputs.items():
+        shown = re.search(rf"\b{name} = (\S+?)(,|$)", reader.text("#run-text"), re.M)
+        assert shown is not None
+        assert float(shown[1]) == pytest.approx(value, rel=1e-5)
+    drawn = reader.page.locator("#shape-plot").evaluate(f"(e) => e.data.find((t) => t.name === 'run {row + 1}').y")
+    assert np.allclose(drawn, record.interfaces[""].points[:, 1], atol=1e-6)
+    assert reader.page.evaluate("document.documentElement.scrollWidth") <= width
+    found = axe.Axe().run(reader.page, context=".explore").response["violations"]
+    assert [(one["id"], [node["html"] for node in one["nodes"]][:2]) for one in found] == []
+    reader.leaves()
+
+
+def test_the_posterior_is_that_of_the_summary(browser: Any, reported: Any) -> None:
+    reader = Reader(browser, reported.outcome.report)
+    reader.page.wait_for_selector("#moments td")
+    shown = [text.split("±") for text in reader.page.locator("#moments tbody td:nth-child(3)").all_inner_texts()]
+    for (mean, sd), item in zip(shown, reported.outcome.summary["inputs"].values(), strict=True):
+        assert float(mean) == pytest.approx(item["mean"], abs=0.05 * item["sd"])
+        assert float(sd) == pytest.approx(item["sd"], rel=0.05)
+    reader.leaves()
+
+
+def test_the_keyboard_goes_through_the_runs(browser: Any, reported: Any) -> None:
+    reader = Reader(browser, reported.outcome.report)
+    reader.page.wait_for_selector(POINTS)
+    for key, number in (("9999", 64), ("0", 1), ("7", 7)):
+        reader.page.fill("#run-row", key)
+        reader.page.press("#run-row", "Enter")
+        reader.waits_for(lambda number=number: reader.page.input_value("#run-row") == str(number))
+    reader.page.press("#run-on", "Enter")
+    reader.waits_for(lambda: reader.page.input_value("#run-row") == "8")
+    reader.page.press("#run-back", "Enter")
+    reader.waits_for(lambda: reader.page.input_value("#run-row") == "7")
+    reader.page.select_option("#pair-y", label="E")
+    reader.waits_for(lambda: "time [s]" in str(reader.page.text_content("#pair-plot")))
+    reader.leaves()
+
+
+def test_without_scripts_the_rest_is_there(browser: Any, reported: Any) -> None:
+    reader = Reader(browser, reported.outcome.report, scripts=False)
+    assert not reader.page.is_visible(".explore")
+    assert not reader.page.is_visible("#pair-x")
+    assert not reader.page.is_visible("nav a[href='#explore']")
+    assert reader.page.locator("figure img").count() == 12
+    for section in ("asked", "fit", "answer", "data", "runs", "surrogate", "sampler", "paper", "provenance"):
+        assert reader.page.is_visible(f"h2#{section}")
+    assert "Permission is hereby granted" not in reader.text("body")
+    reader.leaves()
+
+
+def test_paper_shows_the_figures_alone(browser: Any, reported: Any) -> None:
+    reader = Reader(browser, reported.outcome.report)
+    reader.page.wait_for_selector(POINTS)
+    assert reader.page.is_visible(".explore")
+    assert reader.page.is_visible("nav a[href='#explore']")
+    reader.page.emulate_media(media="print")
+    assert not reader.page.is_visible(".explore")
+    assert reader.page.is_visible("h2#provenance")
+    assert reader.page.is_visible("figure img")
+    reader.leaves()
+
+
+def test_another_script_cannot_run(browser: Any, reported: Any, tmp_path: Any) -> None:
+    """Somebody adds a script to the page: the page's policy refuses it."""
+    path = tmp_path / "report.html"
+    page = reported.outcome.report.read_text("utf-8")
+    path.write_text(page.replace("</main>", "<script>document.title = 'changed';</script></main>"), encoding="utf-8")
+    reader = Reader(browser, path)
+    reader.page.wait_for_selector(POINTS)
+    assert reader.page.title() != "changed"
+    assert any("Content Security Policy" in fault for fault in reader.faults)
+    reader.context.close()
