@@ -1,5 +1,8 @@
 """Sphinx configuration; neither the build nor the pages need a network."""
 
+import functools
+import importlib
+import logging
 import re
 import sys
 from importlib import metadata
@@ -10,8 +13,9 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.ext.napoleon import GoogleDocstring
 
 sys.path.insert(0, str(Path(__file__).parent))
-from drawn import drawn
 from studies import run_studies
+
+logging.getLogger().setLevel(logging.WARNING)  # the style of the code has it at INFO
 
 project = "strandline"
 author = "strandline contributors"
@@ -41,13 +45,14 @@ sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "built/gallery",
     "ignore_pattern": r"studies/",
-    "image_scrapers": (drawn,),
+    "image_scrapers": ("drawn.drawn",),
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_memory": False,
     "show_signature": False,
     "min_reported_time": 1000,
     "remove_config_comments": True,
+    "write_computation_times": False,
 }
 
 autodoc_typehints = "signature"
@@ -74,13 +79,29 @@ ATTRIBUTES = ("attribute", "data", "property")
 kept = {}
 
 
+def linked(piece):
+    """Return a public name in backticks as a link to where it is described; anything else as it is."""
+    full = public_names().get(piece.strip("`"))
+    return f":py:obj:`~{full}`" if full and re.fullmatch("`[^`]+`", piece) else piece
+
+
+@functools.cache
+def public_names():
+    """Return the full name of everything that the pages of the API describe."""
+    modules = sorted(path.stem for path in (Path(__file__).parent / "reference" / "api").glob("*.md"))
+    found = {}
+    for module in (importlib.import_module(f"strandline.{name}") for name in modules):
+        found.update({name: f"{module.__name__}.{name}" for name in module.__all__})
+    return found
+
+
 def before_napoleon(app, what, name, obj, options, lines):
     """Escape what RST would read as markup (|x|, a trailing _, a lone *): docstrings are prose with `code`.
 
     Napoleon takes the first words of a property's docstring, up to a colon, for a type; so it gets none to see.
     """
     for number, line in enumerate(lines):
-        pieces = re.split(r"(``.*?``|`.*?`)", line)
+        pieces = [linked(piece) for piece in re.split(r"(``.*?``|`.*?`)", line)]
         pieces[::2] = [re.sub(r"([|*]|_(?=\W|$))", r"\\\1", piece) for piece in pieces[::2]]
         lines[number] = "".join(pieces)
     if what in ATTRIBUTES:

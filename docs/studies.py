@@ -16,7 +16,9 @@ SPECIMENS, SEED, NOISE = 12, 5, 0.003  # outlines; mm, standard deviation
 
 def run_studies(app):
     """Run the studies that were not run yet, or whose study.yaml has changed since."""
-    shutil.copytree(EXAMPLES / "pendant-drop", STUDIES / "drop", dirs_exist_ok=True, ignore=shutil.ignore_patterns("image"))
+    shutil.copytree(
+        EXAMPLES / "pendant-drop", STUDIES / "drop", dirs_exist_ok=True, ignore=shutil.ignore_patterns("image")
+    )
     write_specimens(STUDIES / "biofilm" / "specimens")
     for folder in sorted(STUDIES.iterdir()):
         if is_finished(folder):
