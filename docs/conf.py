@@ -15,7 +15,7 @@ from sphinx.ext.napoleon import GoogleDocstring
 sys.path.insert(0, str(Path(__file__).parent))
 from studies import run_studies
 
-logging.getLogger().setLevel(logging.WARNING)  # the style of the code has it at INFO
+logging.getLogger().addHandler(logging.NullHandler())  # or the style of the code would have all of INFO printed
 
 project = "strandline"
 author = "strandline contributors"

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.studies.test_pictures import height, written
 from tests.view.conftest import SMALL
 
 import strandline as sl
@@ -131,6 +132,27 @@ def test_a_campaign_while_it_runs(browser: Any, tmp_path: Path, monkeypatch: pyt
         person.page.click("#failures summary")
         assert "too stiff" in person.text("#failures")
         assert len(server.viewed.newest.history) >= 3
+        person.leaves()
+
+
+DATA_OF_PLOT = "() => document.getElementById('shape-plot').data.map(({ name, x, y }) => ({ name, x, y }))"
+
+
+def test_the_edge_lies_on_the_picture_behind_it(browser: Any, tmp_path: Path) -> None:
+    """The observed line is drawn in pixels, where the picture is bright on one side and dark on the other."""
+    with serving(sl.load_study(written(tmp_path / "hump"))) as server:
+        person = Person(browser, server.url)
+        person.page.wait_for_selector("#shape-plot .layer-below image, #shape-plot image")
+        (edge,) = (one for one in person.page.evaluate(DATA_OF_PLOT) if one["name"] == "observed")
+        x, y = np.array(edge["x"]), np.array(edge["y"])
+        assert np.abs(y - height(x)).max() < 1.5
+        assert np.sqrt(np.mean((y - height(x)) ** 2)) < 0.4
+        assert np.abs(y + 5 - height(x)).max() > 1.5  # planted: five pixels lower
+        size = (
+            "() => new Promise((done) => { const i = new Image(); i.onload = () => done([i.width, i.height]); i.src = "
+        )
+        source = person.page.evaluate("() => document.getElementById('shape-plot').layout.images[0].source")
+        assert person.page.evaluate(f"{size}{source!r}; }})") == [220, 160]
         person.leaves()
 
 

@@ -43,11 +43,6 @@ class Asked:
     priors: Mapping[str, Mapping[str, list[float]]]
     fixed: Mapping[str, float]
 
-    @property
-    def nothing(self) -> bool:
-        """Whether this is the study as it is."""
-        return self.noise == 1 and self.length_um is None and not (self.measure or self.priors or self.fixed)
-
 
 def knobs_of(study: Study, now: Present | None) -> dict[str, Any]:
     """Return what the page may change, with the present values.

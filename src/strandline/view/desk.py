@@ -31,6 +31,7 @@ class Desk:
     problem: str = ""
     _reading: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "ledger"))
     _answering: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(2, "answers"))
+    _solving: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "flow"))
     _sampling: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "posterior"))
     _changed: asyncio.Condition = field(default_factory=asyncio.Condition)
     _state: dict[str, Any] = field(default_factory=dict)
@@ -44,6 +45,10 @@ class Desk:
     async def answer(self, task: Callable[[], Any]) -> Any:
         """Do a task that computes."""
         return await asyncio.get_running_loop().run_in_executor(self._answering, task)
+
+    async def solve(self, task: Callable[[], Any]) -> Any:
+        """Do a task that runs the model; one at a time."""
+        return await asyncio.get_running_loop().run_in_executor(self._solving, task)
 
     async def watch_runs(self) -> None:
         """Look at the ledger again and again, and ring when something is new."""
@@ -110,5 +115,5 @@ class Desk:
             if not self.streams:
                 break
             await asyncio.sleep(0.01)
-        for some in (self._reading, self._answering, self._sampling):
+        for some in (self._reading, self._answering, self._solving, self._sampling):
             some.shutdown(wait=False, cancel_futures=True)

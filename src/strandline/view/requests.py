@@ -8,7 +8,7 @@ from typing import Any
 from tornado.iostream import StreamClosedError
 from tornado.web import Application, RequestHandler, StaticFileHandler
 
-from strandline.errors import ForwardModelError, InvalidInput, StrandlineError
+from strandline.errors import InvalidInput, StrandlineError
 from strandline.report import PANELS, template
 from strandline.studies.study import Study
 from strandline.view.assumptions import asked_by
@@ -32,15 +32,18 @@ class _Guarded(RequestHandler):
     """A request that is answered only to whoever has the token."""
 
     def initialize(self, desk: Desk) -> None:
+        """Keep what all requests share."""
         self.desk = desk
 
     def set_default_headers(self) -> None:
+        """Forbid the browser to keep an answer, or to load anything from elsewhere."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
         self.set_header("Cache-Control", "no-store")
         self.clear_header("Server")
 
     def prepare(self) -> None:
+        """Refuse a request without the token, or from another page."""
         request = self.request
         token = request.path.split("/")[1]
         why = self.desk.door.refusal(request.host, request.headers.get("Origin"), token)
@@ -49,13 +52,14 @@ class _Guarded(RequestHandler):
             self.finish({"error": why})
 
     def write_error(self, status_code: int, **given: Any) -> None:
+        """Answer an error in words, without a traceback."""
         self.finish({"error": ERRORS.get(status_code, "the page has a fault; see the terminal of `strandline view`")})
 
     async def told(self, task: Callable[[], Awaitable[Any]]) -> None:
         """Send the result of a task, or why there is none."""
         try:
             found = await task()
-        except (InvalidInput, ForwardModelError, StrandlineError) as error:
+        except StrandlineError as error:
             self.set_status(400)
             found = {"error": str(error)}
         if found is None:
@@ -83,6 +87,7 @@ class _Missing(_Guarded):
     """Any other path."""
 
     def prepare(self) -> None:
+        """Refuse it."""
         super().prepare()
         if not self._finished:
             self.send_error(404)
@@ -92,6 +97,7 @@ class _Page(_Guarded):
     """The page itself; what it asks for lies below its own address, so that all requests carry the token."""
 
     def get(self) -> None:
+        """Send the page."""
         self.set_header("Content-Type", "text/html; charset=utf-8")
         self.finish(template("index.html.j2", package="strandline.view").render())
 
@@ -100,6 +106,7 @@ class _WithoutSlash(_Guarded):
     """The address of the page without its last slash."""
 
     def get(self) -> None:
+        """Send the browser there."""
         self.redirect(f"{self.request.path}/")
 
 
@@ -107,6 +114,7 @@ class _Static(_Guarded, StaticFileHandler):
     """Scripts and styles of the page."""
 
     def initialize(self, desk: Desk, path: str) -> None:  # type: ignore[override]
+        """Keep what all requests share, and the folder of the files."""
         _Guarded.initialize(self, desk)
         StaticFileHandler.initialize(self, path)
 
@@ -115,6 +123,7 @@ class _Ask(_Guarded):
     """Questions to the study, by name."""
 
     async def get(self, name: str) -> None:
+        """Answer a question that only reads."""
         desk, viewed = self.desk, self.desk.viewed
         tasks: dict[str, Callable[[], Awaitable[Any]]] = {
             "study": lambda: desk.read(lambda: viewed.facts),
@@ -129,6 +138,7 @@ class _Ask(_Guarded):
         await self.told(tasks[name])
 
     async def post(self, name: str) -> None:
+        """Answer a question that computes or saves; a solution of the flow does not hold up the others."""
         viewed = self.desk.viewed
         tasks: dict[str, Callable[[dict[str, Any]], Any]] = {
             "predict": lambda given: viewed.predict(_part(given, "inputs")),
@@ -139,7 +149,8 @@ class _Ask(_Guarded):
         if name not in tasks:
             self.send_error(404)
             return
-        await self.told(lambda: self.desk.answer(lambda: tasks[name](self.body())))
+        work = self.desk.solve if name == "flow" else self.desk.answer
+        await self.told(lambda: work(lambda: tasks[name](self.body())))
 
     def _integer(self, name: str) -> int:
         text = self.get_query_argument(name, "0")
@@ -152,6 +163,7 @@ class _Picture(_Guarded):
     """The picture of a condition."""
 
     async def get(self) -> None:
+        """Send it as PNG."""
         condition = self.get_query_argument("condition", "")
         found = await self.desk.answer(lambda: picture_png(self.desk.viewed.study, condition))
         if found is None:
@@ -166,6 +178,7 @@ class _Events(_Guarded):
     """A stream of server-sent events: the state, whenever something is new."""
 
     async def get(self) -> None:
+        """Send events until the page or the server closes."""
         self.set_header("Content-Type", "text/event-stream")
         desk, rings = self.desk, -1
         desk.streams += 1

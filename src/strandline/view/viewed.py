@@ -40,7 +40,7 @@ from strandline.view.runs_feed import RunsFeed
 
 __all__ = ["ViewedStudy"]
 
-OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest", "log_evidence", "seconds", "version", "provenance")
+OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest", "log_evidence", "seconds", "version")
 DIGITS = 6
 BAND_DRAWS = 200
 """Draws of the posterior whose interfaces make the predictive band."""

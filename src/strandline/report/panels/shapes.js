@@ -33,7 +33,13 @@ function show() {
   if (bands && bands.band) traces.push(band(bands.band, "posterior, ± 2 sd", colour("band")));
   if (one.observed) {
     const [x, y] = placed(one.observed);
-    traces.push({ type: "scatter", mode: "lines+markers", x, y, name: "observed", marker: { size: 4, color: colour("ink") }, line: { color: colour("ink"), width: 1 } });
+    if (one.picture) {
+      // a dark rim: seen on bright and on dark pictures
+      traces.push({ type: "scatter", mode: "lines", x, y, name: "observed, rim", showlegend: false, hoverinfo: "skip", line: { color: "rgba(0,0,0,.7)", width: 4 } });
+      traces.push({ type: "scatter", mode: "lines", x, y, name: "observed", line: { color: "#ffd21f", width: 2 } });
+    } else {
+      traces.push({ type: "scatter", mode: "lines+markers", x, y, name: "observed", marker: { size: 4, color: colour("ink") }, line: { color: colour("ink"), width: 1 } });
+    }
   }
   if (bands) traces.push(line(bands.line, "posterior mean", "ok"));
   const run = shared.run && shared.run.interfaces[one.name];
@@ -51,7 +57,7 @@ function show() {
     layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5], ...fixed };
     layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0], ...fixed };
   }
-  draw("shape-plot", traces, layout, `Interfaces: ${traces.map((trace) => trace.name).join(", ")}`);
+  draw("shape-plot", traces, layout, `Interfaces: ${traces.filter((trace) => trace.showlegend !== false).map((trace) => trace.name).join(", ")}`);
   showOffsets(run, found);
 }
 

@@ -65,8 +65,8 @@ function range(words, { low, high, value, logarithmic = false, shown = figure, i
 }
 
 function noiseKnob(knob) {
-  const shown = (factor) => (knob.now.sd === null ? `× ${figure(factor, 3)}` : `× ${figure(factor, 3)} = ${figure(factor * knob.now.sd, 3)} ${knob.now.unit === "µm" ? "µm" : ""}`);
-  const words = knob.now.unit === "µm" ? "noise, sd of a point" : "noise, standard deviation";
+  const shown = (factor) => (knob.now.sd === null ? `× ${figure(factor, 3)}` : `× ${figure(factor, 3)} = ${figure(factor * knob.now.sd, 3)} ${knob.now.unit === "µm" ? "µm" : ""}`.trim());
+  const words = knob.now.unit === "µm" ? "noise, sd of a point" : "noise σ_N, in the unit of the measure";
   return range(words, { low: knob.range[0], high: knob.range[1], value: 1, logarithmic: true, shown, id: "noise" }, (factor) => set("noise", factor === 1 ? null : factor));
 }
 
