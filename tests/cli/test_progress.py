@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from strandline.calibration import progress_text
 from strandline.cli import progress
 from strandline.cli.progress import observing
 from strandline.design.active import BatchReport
@@ -103,7 +104,7 @@ def test_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     [(0.4, "0 s"), (59.4, "59 s"), (60.0, "1 min 00 s"), (3599.9, "1 h 00 min"), (7265.0, "2 h 01 min")],
 )
 def test_durations(seconds: float, text: str) -> None:
-    assert progress._duration(seconds) == text
+    assert progress_text._duration(seconds) == text
 
 
 def test_bars_fit_a_terminal_of_80_columns() -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.cut_posterior import LARGEST_DIM, under_uncertainty
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.learning import Given, Learning
 from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
 from strandline.calibration.sampler_check import compare_halves
@@ -69,7 +70,7 @@ def calibrate(
             return calibrate(problem, settings, ledger=opened, executor=executor, observer=observer, given=given)
     use_double()
     require_conditions((o.condition for o in problem.observations), problem.model)
-    settings, executor, tell = settings or Settings(), executor or InProcess(), observer or Observer()
+    settings, executor, tell = settings or Settings(), executor or InProcess(), observer_or_default(observer)
     measure = next(iter(problem.discrepancies.values()))
     require_inferable(problem.observations, measure, by_field=settings.surrogate == "field")
     watch, space = Stopwatch(), problem.space

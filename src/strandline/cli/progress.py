@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from strandline.calibration import Observer
+from strandline.calibration.progress_text import STAGES, part_note, run_note, step_note
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidInput
 from strandline.runs import Progress as Runs
@@ -20,24 +21,6 @@ from strandline.smc import StepInfo
 
 __all__ = ["observing", "require_log"]
 
-STAGES = {
-    "observation": "observation",
-    "forward": "forward runs",
-    "draws": "runs at draws",
-    "surrogate": "surrogate",
-    "refinement": "draws for a round",
-    "choice": "next batch",
-    "sampling": "sampling",
-    "cut": "cut reading",
-    "check": "checks",
-    "replicates": "replicates",
-    "candidates": "runs of candidates",
-    "gains": "information gains",
-    "alternatives": "alternatives",
-    "specimens": "specimens",
-    "population": "population",
-    "report": "figures and report",
-}
 SECONDS_BETWEEN_LINES = 15.0
 
 
@@ -146,13 +129,13 @@ def _bars(console: Console) -> Iterator[Observer]:
             tasks.append(progress.add_task(STAGES.get(name, name), total=None, note=""))
 
         def run(record: RunRecord, state: Runs) -> None:
-            progress.update(tasks[-1], total=state.total, completed=state.finished, note=_run_note(state))
+            progress.update(tasks[-1], total=state.total, completed=state.finished, note=run_note(state))
 
         def step(info: StepInfo) -> None:
-            progress.update(tasks[-1], total=1.0, completed=float(info.temperature), note=_step_note(info))
+            progress.update(tasks[-1], total=1.0, completed=float(info.temperature), note=step_note(info))
 
         def part(state: Runs) -> None:
-            progress.update(tasks[-1], total=state.total, completed=state.finished, note=_part_note(state))
+            progress.update(tasks[-1], total=state.total, completed=state.finished, note=part_note(state))
 
         def batch(report: BatchReport) -> None:
             _say(progress.console, report.line)
@@ -182,15 +165,15 @@ def _lines(console: Console) -> Observer:
 
     def run(record: RunRecord, state: Runs) -> None:
         if due(state.finished == state.total):
-            say(f"  {state.finished}/{state.total} {_run_note(state)}")
+            say(f"  {state.finished}/{state.total} {run_note(state)}")
 
     def step(info: StepInfo) -> None:
         if due(current[0] == "sampling" and float(info.temperature) >= 1.0):
-            say(f"  {_step_note(info)}")
+            say(f"  {step_note(info)}")
 
     def part(state: Runs) -> None:
         if due(state.finished == state.total):
-            say(f"  {_part_note(state)}")
+            say(f"  {part_note(state)}")
 
     def batch(report: BatchReport) -> None:
         say(f"  {report.line}")
@@ -200,26 +183,3 @@ def _lines(console: Console) -> Observer:
 
 def _say(console: Console, text: str) -> None:
     console.print(text, highlight=False, soft_wrap=True, markup=False)
-
-
-def _run_note(state: Runs) -> str:
-    return f"{state.ok} ok, {state.failed} failed{_left(state)}"
-
-
-def _part_note(state: Runs) -> str:
-    return f"{state.finished} of {state.total}{_left(state)}"
-
-
-def _left(state: Runs) -> str:
-    remaining = state.remaining_seconds
-    return "" if remaining is None or state.finished == state.total else f", {_duration(remaining)} left"
-
-
-def _step_note(info: StepInfo) -> str:
-    return f"γ {info.temperature:.4f}, ESS {info.ess:.0f}, accepted {info.acceptance:.0%}"
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

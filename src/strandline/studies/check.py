@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration import Observer
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.discrepancy import oriented_like_runs
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.interface import Observation
@@ -68,7 +69,7 @@ def check_posterior(
     posterior = finished_posterior(study)
     _require_number(draws, posterior.number)
     require_writable(study.folder)
-    tell, begun = observer or Observer(), time.perf_counter()
+    tell, begun = observer_or_default(observer), time.perf_counter()
     observations = _observations(study)
     require_stated((seen.noise for seen in observations), "strandline posterior check")
     chosen = subset(posterior.weights, draws, study.settings.seed)

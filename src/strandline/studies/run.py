@@ -11,6 +11,7 @@ from typing import Any
 from xarray import DataTree
 
 from strandline.calibration import Calibration, Observer, Problem, calibrate
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidStudy, NumericsError
 from strandline.interface import Interface
@@ -74,7 +75,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     require_writers()
     require_writable(study.folder)
     study.runs.require_sound_ledgers()
-    executor, observer, made = executor or study.executor, observer or Observer(), _Made()
+    executor, observer, made = executor or study.executor, observer_or_default(observer), _Made()
     with study.runs.ledger() as ledger:
         report_backup(ledger, observer.note)
         given = study.runs.begin_active(ledger)
@@ -115,7 +116,7 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
     require_writers()
     require_writable(study.folder)
     study.runs.require_sound_ledgers()
-    tell = observer or Observer()
+    tell = observer_or_default(observer)
     inputs = [*([] if study.truth is None else [study.truth]), *study.runs.design]
     with study.runs.ledger() as ledger:
         report_backup(ledger, tell.note)

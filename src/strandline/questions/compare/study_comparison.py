@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from strandline.calibration import Observer
 from strandline.calibration.evidence import Evidence, log_evidence
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.model_comparison import ModelComparison, averaged, require_odds
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
@@ -118,7 +119,7 @@ def compare(
     folder = Path(to)
     _require_free(folder)
     use_double()
-    tell = observer or Observer()
+    tell = observer_or_default(observer)
     tell.stage("surrogate")
     compared = {
         name: Compared(study, posteriors[name], _learnt(study), summaries[name], constants[name])

@@ -17,6 +17,7 @@ from strandline.calibration import Observer
 from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
 from strandline.calibration.experiment import Experiment
 from strandline.calibration.field_quality import TOLERATED, TOLERATED_SHARE, FieldQuality, field_quality
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.source import Source, posterior_source, prior_source
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
@@ -121,7 +122,7 @@ def coverage(
     posterior = finished_posterior(study, purpose="draw from") if source == "posterior" else None
     require_writable(study.folder)
     use_double()
-    tell = observer or Observer()
+    tell = observer_or_default(observer)
     with one_thread():
         tell.stage("surrogate")
         origin, quality = _origin(study, name, source, posterior)

@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from strandline.calibration import Observer
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
@@ -104,7 +105,7 @@ def next_experiment(
         TooFewRuns: The planned experiment failed at every draw of the prior.
     """
     _require_arguments(source, draws, runs, seed)
-    begun, tell = time.perf_counter(), observer or Observer()
+    begun, tell = time.perf_counter(), observer_or_default(observer)
     executor = executor or study.executor
     after = source == "posterior" or (source is None and _has_posterior(study))
     if source == "posterior":

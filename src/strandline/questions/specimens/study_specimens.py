@@ -13,6 +13,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from strandline.calibration import Observer
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError
 from strandline.numerics.one_thread import one_thread
 from strandline.population import (
@@ -133,7 +134,7 @@ def specimens(
         TooFewRuns: Too few runs succeeded to learn the interface.
     """
     _require_arguments(refine, processes)
-    tell = observer or Observer()
+    tell = observer_or_default(observer)
     require_writable(study.folder)
     files = specimen_files(study)
     paths = _paths(files)

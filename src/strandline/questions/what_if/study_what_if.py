@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from strandline.calibration import Observer
 from strandline.calibration.alternative import Alternative, Present, present
+from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.usual_alternatives import usual_alternatives
 from strandline.calibration.what_if import Answer, answered
 from strandline.design.active import Knowledge
@@ -99,7 +100,7 @@ def what_if(
     posterior = finished_posterior(study, purpose="compare with")
     require_writable(study.folder)
     use_double()
-    tell = observer or Observer()
+    tell = observer_or_default(observer)
     with one_thread():
         tell.stage("surrogate")
         knowledge, why_not = _known(study)
