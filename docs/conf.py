@@ -29,6 +29,7 @@ html_title = f"strandline {release}"
 html_copy_source = False
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_js_files = ["site.js"]
 html_math_renderer = "mathml"
 default_role = "code"
 
@@ -91,7 +92,8 @@ def public_names():
     modules = sorted(path.stem for path in (Path(__file__).parent / "reference" / "api").glob("*.md"))
     found = {}
     for module in (importlib.import_module(f"strandline.{name}") for name in modules):
-        found.update({name: f"{module.__name__}.{name}" for name in module.__all__})
+        names = getattr(module, "__all__", None) or [name for name in vars(module) if name[0].isupper()]
+        found.update({name: f"{module.__name__}.{name}" for name in names})
     return found
 
 
