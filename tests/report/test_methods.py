@@ -111,3 +111,21 @@ def test_the_page_has_both(reported: Any) -> None:
     assert "@article{willmann2022bayesian," in page
     for digest in ("study_sha256", "ledger_sha256"):
         assert summary[digest] in page
+
+
+def test_a_model_error_and_the_errors_of_the_whole_interface_are_said() -> None:
+    error = {"probability": 1.0, "amplitude_um": 4.09}
+    inferred = {"stated": True, "prior": {"sd_um": 1.26, "length_um": 38.6}, "model_error": error}
+    whole = {"shift_sd": 0.1, "rotation_sd": 3.0, "scale_sd": 0.01, "offset_sd": 0.0}
+    likelihood = {**SUMMARY["likelihood"], "inferred_noise": inferred, **whole}
+    misfit = {"flagged": False, "p": 0.4, "region_p": 0.3}
+    text = methods_paragraph({**SUMMARY, "misfit": misfit, "likelihood": likelihood})
+    assert "with errors of the observed points of 1.26 µm, correlated over 38.6 µm along the interface, and a" in text
+    assert "a model error of 4.1 µm that was inferred from the residuals" in text
+    assert "marginalised: 100 µm in position, 3° in rotation and 1 % in scale (standard deviations)" in text
+    assert "The model explains the observation within the noise and the model error (p = 0.4)." in text
+
+
+def test_the_smallest_p_value_is_that_of_a_model_that_does_not_fit() -> None:
+    text = methods_paragraph({**SUMMARY, "misfit": {"flagged": True, "p": 1.0, "region_p": 0.006, "smooth_p": None}})
+    assert "The model does not explain the observation within the noise (p = 0.006)." in text

@@ -19,8 +19,9 @@ from strandline.errors import InvalidInput
 from strandline.imaging import Clicks, ScaleBar, write_clicks
 from strandline.interface import PointErrors, UnknownErrors
 from strandline.report.plots.picture import off_smooth, plot_picture
-from strandline.runs import InProcess
+from strandline.runs import InProcess, RunRecord
 from strandline.studies import Study, load_study, run_study
+from strandline.studies.measure_doubts import measure_lines
 from strandline.studies.pictures.picture_files import described, write_pictures
 from strandline.studies.read_how import read_how
 from strandline.testing.studies import write_study
@@ -65,6 +66,23 @@ def written(folder: Path, *, noise: Any = None, **changes: Any) -> Path:
 
 def loaded(folder: Path, **changes: Any) -> Study:
     return load_study(written(folder, **changes))
+
+
+@pytest.mark.parametrize(
+    ("unknown", "warned"),
+    [({"shift": 2, "scale": 0.01}, "by 11.4 µm, but shift allows 2 µm"), ({"shift": 20, "scale": 0.01}, None),
+     ({"shift": 2, "rotation": 1}, "an error of rotation about the origin"), ({"shift": 10, "rotation": 1}, None)],
+)  # fmt: skip
+def test_check_warns_of_a_shift_that_holds_a_wrong_scale_in_place(
+    unknown: dict[str, float], warned: str | None, tmp_path: Path
+) -> None:
+    """The middle of the hump is 1.14 mm from the clicked origin."""
+    study = loaded(tmp_path / "hump", noise={"sd": "image", "unit": "um", "unknown": unknown})
+    record = RunRecord("key", {}, "ok", {"": study.observed[""]})
+    (seen,) = study.observations(study.observed)
+    np.testing.assert_allclose(np.hypot(*seen.interface.points.mean(axis=0)), 1.14, atol=0.01)
+    lines = [line for line in measure_lines(study, record) if "contradict" in line]
+    assert [warned is not None and warned in line for line in lines] == ([] if warned is None else [True])
 
 
 def off(study: Study) -> np.ndarray:

@@ -95,14 +95,40 @@ def _likelihood(found: Mapping[str, Any]) -> str:
     measure = MEASURES.get(found["discrepancy"], f"the measure {found['discrepancy']}")
     options = found["options"].partition(": ")[2]
     compared = f"Simulated and observed interfaces were compared by {measure}{f' ({options})' if options else ''}"
-    if found.get("inferred_noise") is not None:
-        return f"{compared}, with errors of the observed points that were inferred from the residuals."
-    if found.get("point_sd") is not None:
-        length = found.get("correlation_length")
+    inferred, sd, length = found.get("inferred_noise"), found.get("point_sd"), found.get("correlation_length")
+    if inferred is not None and inferred.get("stated"):
+        sd, length = (inferred["prior"][name] / TO_UM for name in ("sd_um", "length_um"))
+    if inferred is not None and not inferred.get("stated"):
+        errors = "errors of the observed points that were inferred from the residuals"
+    elif sd is not None:
         along = f", correlated over {TO_UM * length:.3g} µm along the interface" if length else ""
-        return f"{compared}, with errors of the observed points of {TO_UM * found['point_sd']:.3g} µm{along}."
-    unit = unit_text(found["unit"] or "")
-    return f"{compared}, with Gaussian noise of variance {found['noise_variance']:.4g}{f' {unit}' if unit else ''}."
+        errors = f"errors of the observed points of {TO_UM * sd:.3g} µm{along}"
+    else:
+        unit = unit_text(found["unit"] or "")
+        errors = f"Gaussian noise of variance {found['noise_variance']:.4g}{f' {unit}' if unit else ''}"
+    allowed = _model_error(found)
+    model = f", and a model error of {allowed:.2g} µm that was inferred from the residuals" if allowed else ""
+    return f"{compared}, with {errors}{model}.{_of_the_whole(found)}"
+
+
+def _model_error(found: Mapping[str, Any]) -> float | None:
+    """Return the amplitude of the inferred model error, µm; None if there is none."""
+    error = (found.get("inferred_noise") or {}).get("model_error")
+    return None if error is None else float(error["amplitude_um"])
+
+
+def _of_the_whole(found: Mapping[str, Any]) -> str:
+    """Return a sentence about the errors that all points share."""
+    sizes = {
+        "position": f"{TO_UM * (found.get('shift_sd') or 0.0):.3g} µm",
+        "rotation": f"{found.get('rotation_sd') or 0.0:.3g}°",
+        "scale": f"{100 * (found.get('scale_sd') or 0.0):.3g} %",
+        "a common offset along the normals": f"{TO_UM * (found.get('offset_sd') or 0.0):.3g} µm",
+    }
+    stated = [f"{size} in {name}" for name, size in sizes.items() if not size.startswith(("0 ", "0°"))]
+    return (
+        f" Errors of the whole interface were marginalised: {listed(stated)} (standard deviations)." if stated else ""
+    )
 
 
 def _runs(s: Mapping[str, Any]) -> str:
@@ -147,5 +173,8 @@ def _checks(s: Mapping[str, Any]) -> Iterator[str]:
         yield "No forward run comes near the observation, so the posterior must not be used."
     elif misfit is not None:
         does = "does not explain" if misfit["flagged"] else "explains"
-        p = "" if misfit["p"] is None else f" (p = {misfit['p']:.2g})"
-        yield f"The model {does} the observation within the noise{p}."
+        known = [misfit[name] for name in ("p", "region_p", "smooth_p", "predictive_p") if misfit.get(name) is not None]
+        least = (min(known) if misfit["flagged"] else misfit["p"]) if known else None
+        p = "" if least is None else f" (p = {least:.2g})"
+        allowed = " and the model error" if _model_error(s["likelihood"]) else ""
+        yield f"The model {does} the observation within the noise{allowed}{p}."

@@ -10,7 +10,7 @@ from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, 
 from strandline.discrepancy.contours.paths import path_of
 from strandline.discrepancy.normal_offset import BEYOND as BEYOND_END
 from strandline.discrepancy.search.nearest import closest_points
-from strandline.interface import Interface, Observation, PointErrors
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.compared import adapted
 from strandline.runs import RunRecord
 from strandline.studies.first_run import observations_of
@@ -32,6 +32,9 @@ BEYOND = 3.0
 """Spacings by which the simulated interface may reach beyond the observed one."""
 LONG = 0.1
 """Correlation length, as a share of the observed interface, from which the noise is overstated."""
+LEAST_SHARE = {"scale": 1.0, "rotation": 0.3}
+"""Share of the motion by a wrong scale or angle that the stated shift must allow; sizes are known less than angles."""
+TO_UM = 1e3
 _END = 0.1
 """Share of the observed points that show in which direction an end points."""
 
@@ -44,6 +47,8 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
         if seen.dim != 2 or run.dim != 2:
             continue
         yield from _long(observation, of)
+        if condition in study.pictures:
+            yield from _held(observation, of)
         for chosen in study.discrepancies.values():
             measure = adapted(chosen, observation)
             yield from _gap(measure, seen, of)
@@ -53,6 +58,27 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
                 yield from _unseen(measure, seen, run, of)
             elif isinstance(measure, NormalOffset):
                 yield from _past_the_end(seen, run, of)
+
+
+def _held(observation: Observation, of: str) -> Iterator[str]:
+    """Yield a warning if the outline may shift less than a wrong pixel size or a tilted camera shifts it.
+
+    Scale and rotation act about the middle of the observed points. The origin of the frame was clicked: about it, they
+    also move this middle.
+    """
+    errors = observation.noise
+    if not isinstance(errors, PointErrors | UnknownErrors):
+        return
+    away = float(np.hypot(*observation.interface.points.mean(axis=0)))
+    moved = {"scale": errors.scale * away, "rotation": math.radians(errors.rotation) * away}
+    name = max(moved, key=lambda one: LEAST_SHARE[one] * moved[one])
+    if errors.shift < LEAST_SHARE[name] * moved[name]:
+        yield (
+            f"warning: the errors of the outline{of} contradict each other: an error of {name} about the origin of the "
+            f"picture's frame moves its middle, {away:.3g} mm away, by {TO_UM * moved[name]:.3g} µm, but "
+            f"shift allows {TO_UM * errors.shift:.3g} µm; the posterior becomes too narrow. State a shift of at least "
+            f"{TO_UM * moved[name]:.2g} µm"
+        )
 
 
 def _long(observation: Observation, of: str) -> Iterator[str]:

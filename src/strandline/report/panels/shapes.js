@@ -73,7 +73,8 @@ function showOffsets(run, found) {
   add(run && run.offsets, `run ${shared.run ? shared.run.row + 1 : ""}`, "failed");
   add(found && found.offsets, "sliders", "asked");
   document.getElementById("offset-plot").hidden = !traces.length;
-  document.getElementById("shape-note").textContent = told.length ? `Normal offset of the observed points from ${told.join("; from ")}.` : "Click on a run to see how far the observed points lie from it, in µm along the normal.";
+  const hint = run ? "How far the observed points lie from this run is not known here." : "Click on a run to see how far the observed points lie from it, in µm along the normal.";
+  document.getElementById("shape-note").textContent = told.length ? `Normal offset of the observed points from ${told.join("; from ")}.` : hint;
   if (!traces.length) return;
   const layout = { xaxis: { title: { text: "observed point" } }, yaxis: { title: { text: "normal offset [µm]" } }, showlegend: true };
   draw("offset-plot", traces, layout, told.join("; "));
