@@ -325,7 +325,7 @@ def generic(tree: Mapping[str, Any], place: str = "") -> list[str]:
 
 def test_the_programs_that_read_results_run(finished: Path) -> None:
     pieces = blocks("how-to/read-results.md", "python")
-    assert len(pieces) == 4
+    assert len(pieces) == 5
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", "\n".join(pieces)],
         cwd=finished,

@@ -153,3 +153,11 @@ def test_a_missing_module_says_where_to_put_it(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput) as caught:
         PythonModel("nowhere_beside:f", folder=tmp_path)
     assert "put it beside study.yaml, install it, or put its folder on PYTHONPATH" in caught.value.remedy
+
+
+def test_nothing_is_written_beside_the_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    (tmp_path / "quiet_beam.py").write_text("def beam(inputs, workdir):\n    return None\n")
+    assert PythonModel("quiet_beam:beam", folder=tmp_path).conditions
+    assert [path.name for path in tmp_path.iterdir()] == ["quiet_beam.py"]
+    assert sys.dont_write_bytecode is False

@@ -60,8 +60,8 @@ def lies_in(folder: Path, module: str) -> bool:
 def modules_of(folder: Path | None) -> Iterator[None]:
     """Let imports find the modules in `folder` first; None changes nothing.
 
-    Each module is executed once per process and folder. One thread at a time can be inside. Afterwards `sys.modules`
-    and `sys.path` are as before.
+    Each module is executed once per process and folder; nothing is written into the folder. One thread at a time can be
+    inside. Afterwards `sys.modules` and `sys.path` are as before.
 
     Args:
         folder: Absolute path of the folder.
@@ -78,11 +78,13 @@ def modules_of(folder: Path | None) -> Iterator[None]:
         others = own.taken()
         sys.modules.update(own.loaded)
         sys.path.insert(0, str(folder))
+        sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
         _CURRENT.append(folder)
         try:
             yield
         finally:
             _CURRENT.pop()
+            sys.dont_write_bytecode = kept
             with suppress(ValueError):  # the model may have removed it
                 sys.path.remove(str(folder))
             own.loaded = own.taken()
