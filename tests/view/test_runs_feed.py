@@ -1,14 +1,17 @@
 """The rows of the page are those of the ledger, however it grew between two looks."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from strandline.interface import Interface
 from strandline.runs import Ledger, RunRecord, RunRequest
 from strandline.runs.overview import OPEN, Overview
-from strandline.view.runs_feed import RunsFeed
+from strandline.view.runs_feed import RunsFeed, rounded
 
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
 ENDS = ("ok", "failed", "timeout", "killed", "invalid")
@@ -75,6 +78,17 @@ def _runs(path: Path) -> list[object]:
 def _starts(path: Path) -> list[tuple[str, object]]:
     with Overview(path) as ledger:
         return ledger.changes(0, ())  # type: ignore[return-value]
+
+
+@given(st.lists(st.none() | st.floats().filter(lambda one: one == 0.0 or not abs(one) < 1e-290)))
+def test_numbers_keep_six_digits(values: list[float | None]) -> None:
+    for value, short in zip(values, rounded(values), strict=True):
+        if value is None or not math.isfinite(value):
+            assert short is None
+        else:
+            if 1e-15 < abs(value) < 1e20:
+                assert short == float(f"{short:.6g}")
+            assert short == pytest.approx(value, rel=5.001e-6)
 
 
 def test_a_quiet_ledger_says_nothing_new(tmp_path: Path) -> None:

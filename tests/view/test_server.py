@@ -33,7 +33,8 @@ def client(server: Server) -> Iterator[httpx.Client]:
 
 
 def settled(client: httpx.Client) -> dict[str, Any]:
-    """Return the posterior, once there is one."""
+    """Return the posterior, once there is one; as a page does, ask for the runs first."""
+    client.get("/api/runs")
     for _ in range(600):
         found: dict[str, Any] = client.get("/api/posterior").json()
         if "mean" in found:
@@ -231,6 +232,32 @@ def test_events_tell_of_new_runs_within_a_second(folder: Path, client: httpx.Cli
         changed = next(json.loads(line[6:]) for line in lines if json.loads(line[6:])["version"] > first["version"])
         assert time.monotonic() - at < 1.5
         assert (changed["ok"], changed["failed"]) == (23, 1)
+
+
+def posterior_within(seconds: float, client: httpx.Client) -> bool:
+    """Return whether there is a posterior before the time is over."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if "mean" in client.get("/api/posterior").json():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_the_posterior_waits_until_a_page_has_the_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("strandline.view.desk.PATIENCE", 1000.0)
+    with serving(sl.load_study(folder)) as server, httpx.Client(base_url=server.url, timeout=60) as client:
+        assert client.get("").status_code == 200
+        assert not posterior_within(2.0, client)
+        assert client.get("/api/runs").json()["total"] == 25
+        assert posterior_within(60.0, client)
+
+
+def test_the_posterior_comes_without_a_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("strandline.view.desk.PATIENCE", 0.1)
+    with serving(sl.load_study(folder)) as server, httpx.Client(base_url=server.url, timeout=60) as client:
+        assert client.get("").status_code == 200
+        assert posterior_within(60.0, client)
 
 
 def test_a_study_that_was_edited_is_noticed(folder: Path, client: httpx.Client) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import NamedTuple
 
 from strandline.runs import tables
 from strandline.runs.exclusions import Exclusion, read_exclusions
@@ -26,8 +27,7 @@ NUMBERS_PER_QUERY = 500
 STATES = ("ok", "failed", "timeout", "killed", "invalid", OPEN)
 
 
-@dataclass(frozen=True)
-class Attempt:
+class Attempt(NamedTuple):
     """One start of a run and how it ended; `seconds` and `finished_at` are None if it has not ended.
 
     Args:

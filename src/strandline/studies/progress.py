@@ -223,8 +223,8 @@ class _Counted:
     def _count(self, run: Run) -> None:
         if run.last.state == OPEN and self._may_be_under_way(run.last):
             self.open += 1
-        elif run.outcome is not None and run.settled(sensitivities=self.plan.sensitivities):
-            ended = run.outcome if run.exclusion is None else replace(run.outcome, state=EXCLUDED, kind=EXCLUDED)
+        elif (outcome := run.outcome) is not None and run.settled(sensitivities=self.plan.sensitivities):
+            ended = outcome if run.exclusion is None else outcome._replace(state=EXCLUDED, kind=EXCLUDED)
             (self.ok if ended.state == "ok" else self.failed).append(ended)
         elif run.last.state == OPEN:
             self.lost += 1

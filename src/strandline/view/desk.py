@@ -1,9 +1,11 @@
 """What all requests share: the study, the threads that do the work, and a bell that rings when something is new."""
 
 import asyncio
+import gc
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +17,8 @@ __all__ = ["Desk"]
 
 PAUSE = 0.5
 """Seconds between two looks at the ledger."""
+PATIENCE = 5.0
+"""Seconds for which the first posterior waits until a page has got the runs: both need the same processor."""
 KEEP_ALIVE = 15.0
 """Seconds after which a silent stream of events says that it is alive."""
 
@@ -34,13 +38,20 @@ class Desk:
     _solving: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "flow"))
     _sampling: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "posterior"))
     _changed: asyncio.Condition = field(default_factory=asyncio.Condition)
+    _runs_given: asyncio.Event = field(default_factory=asyncio.Event)
     _state: dict[str, Any] = field(default_factory=dict)
     _stamp: tuple[Any, ...] = ()
     _rest_until: float = 0.0
 
     async def read(self, task: Callable[[], Any]) -> Any:
         """Do a task that reads the ledger; one at a time."""
-        return await asyncio.get_running_loop().run_in_executor(self._reading, task)
+        return await asyncio.get_running_loop().run_in_executor(self._reading, _without_collection(task))
+
+    async def runs_since(self, version: int) -> dict[str, Any]:
+        """Return the runs that changed after a version of the feed."""
+        found: dict[str, Any] = await self.read(lambda: self.viewed.feed.since(version))
+        self._runs_given.set()
+        return found
 
     async def answer(self, task: Callable[[], Any]) -> Any:
         """Do a task that computes."""
@@ -76,6 +87,8 @@ class Desk:
     async def watch_posterior(self) -> None:
         """Compute the posterior again when there are enough new runs, or read it when the study has ended."""
         loop, newest = asyncio.get_running_loop(), self.viewed.newest
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._runs_given.wait(), PATIENCE)
         while True:
             made = self.viewed.feed.succeeded
             try:
@@ -117,3 +130,16 @@ class Desk:
             await asyncio.sleep(0.01)
         for some in (self._reading, self._answering, self._solving, self._sampling):
             some.shutdown(wait=False, cancel_futures=True)
+
+
+def _without_collection(task: Callable[[], Any]) -> Callable[[], Any]:
+    """Return the task with garbage collection paused: the many objects that it makes for a large ledger all stay."""
+
+    def paused() -> Any:
+        gc.disable()
+        try:
+            return task()
+        finally:
+            gc.enable()
+
+    return paused

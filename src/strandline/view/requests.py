@@ -128,7 +128,7 @@ class _Ask(_Guarded):
         tasks: dict[str, Callable[[], Awaitable[Any]]] = {
             "study": lambda: desk.read(lambda: viewed.facts),
             "state": lambda: _now(desk.state),
-            "runs": lambda: desk.read(lambda: viewed.feed.since(self._integer("since"))),
+            "runs": lambda: desk.runs_since(self._integer("since")),
             "run": lambda: desk.read(lambda: viewed.run(self._integer("row"))),
             "posterior": lambda: desk.answer(lambda: viewed.posterior),
         }

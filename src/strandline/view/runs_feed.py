@@ -1,19 +1,22 @@
 """The runs of a study as rows for the page, kept up to date from its ledger; no interface is read."""
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from strandline.runs.overview import OPEN, Attempt, Overview
 from strandline.runs.tables import EXCLUDED
 
-__all__ = ["RunsFeed"]
+__all__ = ["RunsFeed", "rounded"]
 
 DIGITS = 6
 """Significant digits of the numbers that the page gets."""
+LARGEST_STEP = 300
+"""Decimals that a number may have at most; a power of ten must not overflow."""
 
 
 @dataclass
@@ -79,7 +82,7 @@ class RunsFeed:
     def since(self, version: int) -> dict[str, Any]:
         """Return the rows that changed after a version, as columns; `row` is the place of each among all runs."""
         rows = [(place, row) for place, row in enumerate(self._rows.values()) if row.version > version]
-        inputs = [json.loads(row.attempt.inputs) for _, row in rows]
+        inputs = json.loads(f"[{','.join(row.attempt.inputs for _, row in rows)}]")
         return {
             "version": self.version,
             "total": len(self._rows),
@@ -87,9 +90,9 @@ class RunsFeed:
             "number": [row.attempt.number for _, row in rows],
             "state": [EXCLUDED if row.excluded is not None else row.attempt.state for _, row in rows],
             "kind": [row.attempt.kind for _, row in rows],
-            "seconds": [_short(row.attempt.seconds) for _, row in rows],
-            "ended": [_short(row.attempt.finished_at, 13) for _, row in rows],
-            "inputs": {name: [_short(one.get(name)) for one in inputs] for name in self.inputs},
+            "seconds": rounded([row.attempt.seconds for _, row in rows]),
+            "ended": rounded([row.attempt.finished_at for _, row in rows], 13),
+            "inputs": {name: rounded([one.get(name) for one in inputs]) for name in self.inputs},
         }
 
     def key_at(self, place: int) -> tuple[str, Attempt] | None:
@@ -103,6 +106,12 @@ class RunsFeed:
         return sum(row.attempt.state == "ok" and row.excluded is None for row in self._rows.values())
 
 
-def _short(value: float | None, digits: int = DIGITS) -> float | None:
-    """Return a number with few digits; None if it is not finite."""
-    return None if value is None or not math.isfinite(value) else float(f"{value:.{digits}g}")
+def rounded(values: Sequence[float | None], digits: int = DIGITS) -> list[float | None]:
+    """Return numbers with so many significant digits; None for those that are not finite."""
+    given = np.array(values, dtype=float)
+    finite = np.isfinite(given)
+    size = np.floor(np.log10(np.abs(given), where=finite & (given != 0.0), out=np.zeros_like(given)))
+    step = np.minimum(digits - 1 - size, LARGEST_STEP)
+    up, down = 10.0 ** np.maximum(step, 0.0), 10.0 ** np.maximum(-step, 0.0)
+    short = np.where(step >= 0, np.round(given * up) / up, np.round(given / down) * down).tolist()
+    return short if finite.all() else [one if good else None for one, good in zip(short, finite, strict=True)]
