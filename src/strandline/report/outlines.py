@@ -66,4 +66,4 @@ def band(interface: Interface, width: Float[np.ndarray, " point"]) -> list[list[
     order = [*interface.cells[:, 0], interface.cells[-1, 1]]
     off = width[:, None] * point_normals(interface)
     ends = np.concatenate([(interface.points + off)[order], (interface.points - off)[order][::-1]])
-    return [np.round(column, 6).tolist() for column in ends.T]
+    return [np.round(column, DECIMALS).tolist() for column in ends.T]
