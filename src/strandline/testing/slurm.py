@@ -24,6 +24,9 @@ NODES = ("n1", "n2", "n3")
 CPUS = 2
 SAVING = 0.5
 """Longest time in seconds that the controller takes to write its state after copying it."""
+NODE_TIMEOUT = 30
+"""Seconds after which a silent node is down. A node registers every 20 pings, of which there are three in this time; a
+controller that comes back may take runs that have ended for running ones until then (by default for 33 minutes)."""
 SETTINGS = """
 ClusterName=strandline
 SlurmctldHost={host}(127.0.0.1)
@@ -48,6 +51,7 @@ MpiDefault=none
 ReturnToService=2
 SwitchType=switch/none
 KillWait=2
+SlurmdTimeout={timeout}
 SchedulerParameters=sched_interval=1,bf_interval=1
 PartitionName=debug Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
@@ -138,7 +142,7 @@ def _write_settings(slurm: TemporarySlurm) -> None:
     (base / "munge.key").write_bytes(os.urandom(1024))
     (base / "munge.key").chmod(0o600)
     host = socket.gethostname().partition(".")[0]
-    text = SETTINGS.format(host=host, user=getpass.getuser(), base=base, port=ports[0])
+    text = SETTINGS.format(timeout=NODE_TIMEOUT, host=host, user=getpass.getuser(), base=base, port=ports[0])
     for node, port in zip(NODES, ports[1:], strict=True):
         text += (
             f"NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={CPUS} RealMemory=1000 "
