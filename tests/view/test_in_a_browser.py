@@ -5,7 +5,6 @@ empty, and axe-core finds no fault of contrast, labels or structure at either wi
 """
 
 import re
-import shutil
 import subprocess
 import sys
 import time
@@ -24,10 +23,7 @@ from strandline.studies.first_run import observations_of
 from strandline.testing.studies import beam, write_study
 from strandline.view import serving
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs the package axe-playwright-python")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
 SLOW = """
 import time
@@ -43,14 +39,6 @@ def beam(inputs, workdir):
 """
 """A model with a quarter of a second for a run, and failures."""
 SCREENS = [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started:
-        launched = started.chromium.launch(executable_path=CHROMIUM)
-        yield launched
-        launched.close()
 
 
 class Person:
