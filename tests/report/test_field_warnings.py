@@ -124,5 +124,5 @@ def test_a_cut_reading_where_the_surrogate_knows_nothing_is_told(calibration: Ca
     unsure = replace(found, knowledge=replace(found.knowledge, likelihood=likelihood))
     (line,) = told(calibration, unsure)
     assert line.startswith("The cut reading is a guess for 4 of its 4 values")
-    assert "the noise hides 2.4 µm" in line
+    assert "the local noise hides 2.4 µm" in line
     assert told(replace(calibration, under_uncertainty=None), unsure) == []

@@ -69,5 +69,5 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
         yield (
             f"The cut reading is a guess for {int(unsure.sum())} of its {len(cut.values)} values of the nuisance "
             f"inputs: runs are rare there, and the interface is uncertain by up to {1e3 * of_value.max():.2g} µm where "
-            f"the noise hides {1e3 * hidden:.2g} µm. The joint reading does not depend on them."
+            f"the local noise hides {1e3 * hidden:.2g} µm. The joint reading does not depend on them."
         )
