@@ -78,8 +78,8 @@ def test_what_has_not_converged_is_told_first(calibration: Calibration, found: F
 def test_a_region_that_may_have_been_overlooked_is_told(calibration: Calibration, found: FieldOutcome) -> None:
     certificate = Certificate(True, (), (), (), None, 0.3, overlooks=True)
     (line,) = told(calibration, replace(found, certificate=certificate))
-    assert "(design.active.unseen)" in line
-    assert "a compact region with 30% or more" in line.lower()
+    assert "as design.active.unseen asks" in line
+    assert "if it holds 30% or more of the prior's mass" in line
 
 
 @pytest.mark.parametrize(

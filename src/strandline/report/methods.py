@@ -41,7 +41,7 @@ TO_UM = 1e3
 def methods_paragraph(summary: Mapping[str, Any]) -> str:
     """Return a paragraph for the methods section of a paper, with the numbers of a study.
 
-    It says what does not speak for the result as well: runs that failed, a design that did not converge, a model that
+    It also says what speaks against the result: runs that failed, a design that did not converge, a model that
     does not explain the observation.
 
     Args:
