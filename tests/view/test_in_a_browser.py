@@ -120,6 +120,7 @@ def test_a_campaign_while_it_runs(browser: Any, tmp_path: Path, monkeypatch: pyt
         person.page.click("#failures summary")
         assert "too stiff" in person.text("#failures")
         assert len(server.viewed.newest.history) >= 3
+        assert person.page.is_visible("#history-plot")
         person.leaves()
 
 
@@ -220,6 +221,11 @@ def test_sliders_of_the_assumptions_move_the_posterior(person: Person, folder: P
     person.waits_for(lambda: person.page.locator("[data-knob='mean E']").count() == 1)
     person.page.click("#as-stated")
     person.waits_for(lambda: person.page.locator("#moments td.asked").count() == 0)
+
+
+def test_a_single_posterior_makes_no_history(person: Person) -> None:
+    person.waits_for(lambda: "was finished when the page opened" in person.text("#history-note"))
+    assert not person.page.is_visible("#history-plot")
 
 
 def test_the_assumptions_become_a_new_study(person: Person, folder: Path) -> None:
