@@ -130,6 +130,19 @@ def _subsets_of_fonts_made_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium without a window; a test that asks for it is skipped where it or Playwright is missing."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        pytest.skip("needs Chromium")
+    with playwright.sync_playwright() as started:
+        launched = started.chromium.launch(executable_path=chromium)
+        yield launched
+        launched.close()
+
+
 @pytest.fixture(autouse=True)
 def _written_modules_go_with_their_test(request: pytest.FixtureRequest) -> Iterator[None]:
     """Forget what a test imported from its own folder: another test may write a module of the same name."""

@@ -439,7 +439,7 @@ def test_each_kind_of_test_alone_can_flag_a_model(conditions: int) -> None:
     assert verdict_on(0.5, 1 / (1 + DRAWS), 0.5, (), run_alone=False).flagged
 
 
-@pytest.mark.parametrize(("size", "said"), [(0.0, ""), (0.01 * S, ""), (S, "Allowing for a model error of 2 µm, ")])
+@pytest.mark.parametrize(("size", "said"), [(0.0, ""), (0.01 * S, ""), (S, "With an error of the model allowed for, ")])
 def test_a_model_error_is_mentioned_unless_it_is_negligible(size: float, said: str) -> None:
     seen = (Observation(drawn(LOCAL, 1), LOCAL),)
     explained = np.full((len(INNER), 1), size)

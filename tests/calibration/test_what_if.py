@@ -1,6 +1,7 @@
 """Posteriors under other assumptions against quadrature of the true model, with planted bugs that must show."""
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -284,6 +285,7 @@ def test_a_coarse_surrogate_gives_no_answer(monkeypatch: pytest.MonkeyPatch) -> 
     without = present(posterior, known())
     assert without.knowledge is None
     assert without.why_not.startswith("the surrogate of the interface is too coarse at 100 %")
+    assert re.search(r"draws: it errs by \S+ µm, and the local noise hides \S+ µm$", without.why_not)
 
 
 def test_a_posterior_of_another_likelihood_is_not_compared() -> None:

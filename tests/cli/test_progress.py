@@ -52,7 +52,7 @@ def test_plain_lines(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
         "  50/100 49 ok, 1 failed, 1 min 10 s left",
         "  100/100 99 ok, 1 failed",
         "sampling …",
-        "  γ 1.0000, ESS 1234, accepted 25%",
+        "  tempering exponent 1.0000, ESS 1234, accepted 25%",
     ]
 
 
@@ -70,7 +70,7 @@ def test_a_choice_that_takes_long_says_how_far_it_is(
         observer.step(StepInfo(0.01, 1000.0, 0.3, False, 0.0, 1.0))
         observer.step(STEP)
     lines = capsys.readouterr().err.splitlines()
-    assert lines == ["next batch …", "next batch …", "  γ 0.0100, ESS 1000, accepted 30%"]
+    assert lines == ["next batch …", "next batch …", "  tempering exponent 0.0100, ESS 1000, accepted 30%"]
 
 
 def test_each_batch_of_an_active_design_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,7 +35,7 @@ def test_each_run_step_and_setting_is_shown_and_logged(
     assert "  12 runs by LocalProcesses: workers 1, timeout 60.0\n" in shown
     assert "  of the log-likelihood, kernel matern32\n" in shown
     assert "  300 particles, seed 1, SMCSettings: " in shown
-    assert len(re.findall(r"^  step to γ \S+: ESS \d+, accepted ", shown, re.MULTILINE)) >= 2
+    assert len(re.findall(r"^  step to tempering exponent \S+: ESS \d+, accepted ", shown, re.MULTILINE)) >= 2
     logged = (tmp_path / "log").read_text()
     assert len(re.findall(r" run [0-9a-f]{12} ", logged)) == 12
     assert "12 runs by LocalProcesses" in logged
@@ -49,7 +49,7 @@ def test_without_it_runs_are_counted_only(
     main(["run", str(tmp_path / "beam")])
     shown = capsys.readouterr().err
     assert "12/12" in shown
-    assert not re.search(r"run [0-9a-f]{12} |step to γ|SMCSettings", shown)
+    assert not re.search(r"run [0-9a-f]{12} |step to tempering exponent|SMCSettings", shown)
 
 
 def test_folders_origins_and_reasons(tmp_path: Path) -> None:

@@ -142,10 +142,28 @@ def test_what_is_not_json_is_refused(content: bytes, tmp_path: Path) -> None:
         read_clicks(path)
 
 
+@pytest.mark.parametrize(
+    ("there", "said"),
+    [
+        ((), "the folder has no file of clicks; expected the file that the page of clicks saves, PICTURE.path.json"),
+        (("IMG_1.path.json", "notes.txt"), "has IMG_1.path.json; expected .* Did you mean IMG_1.path.json"),
+        (("other.path.json", "scans.path.json"), "has other.path.json, scans.*; .* Did you mean scans.path.json"),
+        (("IMG_20260817.path.json", "IMG_20260818.path.json"), "has IMG_2.* Move it there"),
+    ],
+)
+def test_a_missing_file_is_looked_for_beside(tmp_path: Path, there: tuple[str, ...], said: str) -> None:
+    for name in there:
+        (tmp_path / name).touch()
+    with pytest.raises(InvalidInput, match=f"^scan.path.json: cannot be read: .*{said}"):
+        read_clicks(tmp_path / "scan.path.json")
+
+
 def test_files_that_cannot_hold_clicks_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "scan.path.json"
-    with pytest.raises(InvalidInput, match="cannot be read: got No such file"):
+    path.mkdir()
+    with pytest.raises(InvalidInput, match="cannot be read: got Is a directory"):
         read_clicks(path)
+    path.rmdir()
     path.write_text("[1]")
     with pytest.raises(InvalidInput, match="is no file of clicks: got a list"):
         read_clicks(path)

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, TrackedPoints
-from strandline.interface import Interface, Observation
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset, TrackedPoints
+from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood, OnHost, noise_length
 from strandline.likelihood.parabolas import numbers
 from strandline.smc import SMCSettings, sample
@@ -175,6 +175,20 @@ LINE = Interface.polyline(np.stack([np.linspace(0, 2, 21), np.zeros(21)], axis=1
 def test_the_noise_length_of_tracked_points() -> None:
     """A shift δ of n nodes has d² = n δ², so that d² = σ_N² at δ = σ_N/√n along any axis."""
     assert noise_length(Observation(LINE, 0.01**2), TrackedPoints()) == pytest.approx(0.01 / np.sqrt(21), rel=1e-5)
+
+
+def test_the_noise_length_is_that_of_the_local_noise_however_small() -> None:
+    """A stated shift leaves the shape as well known; 1e-9 mm is far below the first shift that is tried."""
+    angle = np.linspace(0.0, np.pi, 41)
+    arc = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    lengths = [
+        noise_length(Observation(arc, PointErrors(sd, shift=shift)), NormalOffset())
+        for sd in (1e-9, 1e-3)
+        for shift in (0.0, 0.1)
+    ]
+    assert lengths[0] == lengths[1]
+    assert lengths[2] == lengths[3]
+    assert lengths[0] == pytest.approx(1e-6 * lengths[2], rel=0.01)
 
 
 def test_the_noise_length_of_currents() -> None:

@@ -240,7 +240,7 @@ def test_a_coarse_surrogate_is_refused(
     monkeypatch.setattr("strandline.questions.coverage.study_coverage.field_quality", lambda source: coarse)
     words = (
         f"is not accurate enough over the {source}: got errors above 0.5 µm at 62 % of the draws (median 2 µm; at "
-        "left-out runs 3 µm); expected at most 5 %, since the noise hides shifts of 1 µm only. Make more runs"
+        "left-out runs 3 µm); expected at most 5 %, since the local noise hides shifts of 1 µm only. Make more runs"
     )
     refused(["coverage", str(folder), "--quiet", "--from", source], words, folder)
     with pytest.raises(InvalidInput, match=remedy):

@@ -7,7 +7,6 @@ conversion between screen and picture is used, and clicks there.
 import io
 import json
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,8 +26,6 @@ from strandline.report.click_page import write_click_page
 from strandline.studies import load_study
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
 SHA = "0123456789abcdef" * 4
 WIDTH, HEIGHT = 640, 480
@@ -46,14 +43,6 @@ def picture() -> Any:
     for column, row in DOTS:
         values += np.exp(-((x - column) ** 2 + (y - row) ** 2) / (2 * 1.5**2))
     return values
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started:
-        launched = started.chromium.launch(executable_path=CHROMIUM)
-        yield launched
-        launched.close()
 
 
 class Person:

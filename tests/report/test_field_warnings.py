@@ -78,8 +78,8 @@ def test_what_has_not_converged_is_told_first(calibration: Calibration, found: F
 def test_a_region_that_may_have_been_overlooked_is_told(calibration: Calibration, found: FieldOutcome) -> None:
     certificate = Certificate(True, (), (), (), None, 0.3, overlooks=True)
     (line,) = told(calibration, replace(found, certificate=certificate))
-    assert "(design.active.unseen)" in line
-    assert "a compact region with 30% or more" in line.lower()
+    assert "as design.active.unseen asks" in line
+    assert "if it holds 30% or more of the prior's mass" in line
 
 
 @pytest.mark.parametrize(
@@ -124,5 +124,5 @@ def test_a_cut_reading_where_the_surrogate_knows_nothing_is_told(calibration: Ca
     unsure = replace(found, knowledge=replace(found.knowledge, likelihood=likelihood))
     (line,) = told(calibration, unsure)
     assert line.startswith("The cut reading is a guess for 4 of its 4 values")
-    assert "the noise hides 2.4 µm" in line
+    assert "the local noise hides 2.4 µm" in line
     assert told(replace(calibration, under_uncertainty=None), unsure) == []

@@ -74,6 +74,12 @@ def test_a_model_that_does_not() -> None:
     )
 
 
+def test_a_place_that_another_test_found_says_so() -> None:
+    found = verdict(condition(FINE, BAD), waves=1e-5)
+    assert "(p < 0.001; the place is from another test): near s = 0.9–1.1 mm" in found.text
+    assert "another test" not in verdict(condition(FINE, BAD), p=0.004).text
+
+
 @pytest.mark.parametrize(("length", "smooth"), [(0.05, False), (0.07, False), (0.1, True)])
 def test_noise_that_was_fitted_to_the_residuals_explains_them_unless_they_are_smooth(
     length: float, smooth: bool
@@ -275,13 +281,20 @@ def of_noise(reported: Any, stated: bool, sd: tuple[float, ...], length: tuple[f
 
 
 def test_noise_that_is_stated_has_no_quantiles(reported: Any) -> None:
-    error = {"probability": 0.97, "amplitude_um": 2.04, "spread": 0.0}
+    amplitude = {"q05": 1.0, "median": 2.31, "q95": 4.0}
+    error = {"probability": 0.97, "amplitude_um": 2.04, "spread": 0.0, "amplitude_quantiles_um": amplitude}
     without = {"E": {"mean": 401.0, "sd": 2.0}}
     stated = {"model_error": error, "without_model_error": without}
     text = of_noise(reported, True, (3.0, 3.0, 3.0), (1e-9, 1e-9, 1e-9), **stated)
     assert "<p>Noise: standard deviation of a point 3 µm, correlation length 0 µm." in text
-    assert "The model has an error with probability 0.97: a smooth offset of 2 µm." in text
+    assert "with probability 0.97; if it has one, this is a smooth offset of 2.31 µm (amplitude, median)." in text
     assert "It allows for model error. Without it: " in text
+
+
+def test_the_evidence_says_which_constant_it_leaves_out(reported: Any) -> None:
+    said = "leaves out another constant than that of a study with stated noise"
+    assert said in of_noise(reported, False, (2.0, 3.0, 4.0), (15.0, 15.0, 15.0))
+    assert said not in (reported.folder / "report.html").read_text("utf-8")
 
 
 def test_inferred_noise_has_quantiles(reported: Any) -> None:
@@ -299,7 +312,7 @@ def test_inferred_noise_stands_beside_what_was_stated(reported: Any) -> None:
     row = '<td class="text">log-uniform from 1 to 10</td><td>3</td><td>2</td><td>4</td>'
     assert f"<tr><td>sd of a point</td>{row}</tr>" in alone
     assert '<td class="text">unknown: log-uniform over a wide range</td><td>15</td><td>10</td><td>21</td>' in alone
-    assert "if it errs" not in alone
+    assert "if there is one" not in alone
     ends = {"q05": 60.0, "median": 170.0, "q95": 600.0}
     error = {"probability": 0.9, "amplitude_um": 2.0, "spread": 0.0, "amplitude_quantiles_um": ends, "length_um": ends}
     both = {"sd_um": 3.0, "length_um": 0.0}
@@ -307,6 +320,7 @@ def test_inferred_noise_stands_beside_what_was_stated(reported: Any) -> None:
     assert '<td>sd of a point</td><td class="text">3, known</td><td>3</td>' in text
     assert '<td>correlation length</td><td class="text">0, known</td><td>0</td>' in text
     assert text.count("<td>170</td><td>60</td><td>600</td>") == 2
+    assert "a smooth offset of 170 µm (amplitude, median)" in text
 
 
 def test_the_report_says_how_each_picture_was_read(reported: Any) -> None:

@@ -114,14 +114,14 @@ def test_the_page_has_both(reported: Any) -> None:
 
 
 def test_a_model_error_and_the_errors_of_the_whole_interface_are_said() -> None:
-    error = {"probability": 1.0, "amplitude_um": 4.09}
+    error = {"probability": 0.98, "amplitude_um": 3.9, "amplitude_quantiles_um": {"median": 4.09}}
     inferred = {"stated": True, "prior": {"sd_um": 1.26, "length_um": 38.6}, "model_error": error}
     whole = {"shift_sd": 0.1, "rotation_sd": 3.0, "scale_sd": 0.01, "offset_sd": 0.0}
     likelihood = {**SUMMARY["likelihood"], "inferred_noise": inferred, **whole}
     misfit = {"flagged": False, "p": 0.4, "region_p": 0.3}
     text = methods_paragraph({**SUMMARY, "misfit": misfit, "likelihood": likelihood})
     assert "with errors of the observed points of 1.26 µm, correlated over 38.6 µm along the interface, and a" in text
-    assert "a model error of 4.1 µm that was inferred from the residuals" in text
+    assert "a model error of probability 0.98 and median amplitude 4.09 µm, both inferred" in text
     assert "marginalised: 100 µm in position, 3° in rotation and 1 % in scale (standard deviations)" in text
     assert "The model explains the observation within the noise and the model error (p = 0.4)." in text
 

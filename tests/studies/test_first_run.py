@@ -89,12 +89,12 @@ def points(tmp_path: Path) -> np.ndarray:
     return np.asarray(beam(TRUTH, tmp_path).interface.points)
 
 
-def test_the_residual_is_in_micrometres(tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray) -> None:
+def test_the_distance_is_in_micrometres(tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray) -> None:
     straight = np.stack([np.linspace(0, 1, 17), 0.0 * np.linspace(0, 1, 17)], axis=1)
     folder = observe(tmp_path / "s", points + np.array([0.0, 0.0021]))
     shown = checked(folder, capsys, observation=OBSERVED, discrepancy=CLOSEST)
     slope = np.gradient(points[:, 1], points[:, 0]).max()
-    (line,) = [line for line in shown.splitlines() if "residual:" in line]
+    (line,) = [line for line in shown.splitlines() if "distance of the two:" in line]
     rms, largest = (float(word) for word in line.split() if word[0].isdigit())
     assert 2.1 / np.hypot(1, slope) - 0.01 < rms <= largest <= 2.11
     assert line.count("µm") == 2

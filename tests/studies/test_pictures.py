@@ -85,6 +85,17 @@ def test_check_warns_of_a_shift_that_holds_a_wrong_scale_in_place(
     assert [warned is not None and warned in line for line in lines] == ([] if warned is None else [True])
 
 
+@pytest.mark.parametrize("solid", ["dark", "bright"])
+def test_check_warns_if_the_body_is_said_to_be_on_the_other_side(
+    solid: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The beam runs from left to right, with the body on its right, below."""
+    main(["check", str(written(tmp_path / "hump", solid=solid))])
+    shown = capsys.readouterr().out
+    assert ("warning: `solid` says that the body in hump.png lies on the other side" in shown) is (solid == "bright")
+    assert "run opposite" not in shown
+
+
 def off(study: Study) -> np.ndarray:
     """Return how far the observed points are from the true edge, in pixels along the vertical."""
     points = study.observed[""].points

@@ -134,7 +134,7 @@ def test_a_rough_surrogate_of_the_cut_is_told(outcome: Outcome) -> None:
     surrogate = calibration.surrogate
     validation = replace(surrogate.validation, residuals=surrogate.validation.residuals + 3.0)
     rough = replace(calibration, surrogates={"tracked_points": replace(surrogate, validation=validation)})
-    assert any("less sure than the joint one" in warning for warning in find_warnings(rough))
+    assert any("less certain than the joint one" in warning for warning in find_warnings(rough))
     parts = calibration.cut_quadrature
     assert parts is not None
     moved = replace(calibration, cut_quadrature=tuple(replace(part, mean=part.mean + 10.0) for part in parts))

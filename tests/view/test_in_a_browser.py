@@ -5,7 +5,6 @@ empty, and axe-core finds no fault of contrast, labels or structure at either wi
 """
 
 import re
-import shutil
 import subprocess
 import sys
 import time
@@ -24,10 +23,7 @@ from strandline.studies.first_run import observations_of
 from strandline.testing.studies import beam, write_study
 from strandline.view import serving
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs the package axe-playwright-python")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
 SLOW = """
 import time
@@ -43,14 +39,6 @@ def beam(inputs, workdir):
 """
 """A model with a quarter of a second for a run, and failures."""
 SCREENS = [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started:
-        launched = started.chromium.launch(executable_path=CHROMIUM)
-        yield launched
-        launched.close()
 
 
 class Person:
@@ -132,6 +120,7 @@ def test_a_campaign_while_it_runs(browser: Any, tmp_path: Path, monkeypatch: pyt
         person.page.click("#failures summary")
         assert "too stiff" in person.text("#failures")
         assert len(server.viewed.newest.history) >= 3
+        assert person.page.is_visible("#history-plot")
         person.leaves()
 
 
@@ -232,6 +221,11 @@ def test_sliders_of_the_assumptions_move_the_posterior(person: Person, folder: P
     person.waits_for(lambda: person.page.locator("[data-knob='mean E']").count() == 1)
     person.page.click("#as-stated")
     person.waits_for(lambda: person.page.locator("#moments td.asked").count() == 0)
+
+
+def test_a_single_posterior_makes_no_history(person: Person) -> None:
+    person.waits_for(lambda: "was finished when the page opened" in person.text("#history-note"))
+    assert not person.page.is_visible("#history-plot")
 
 
 def test_the_assumptions_become_a_new_study(person: Person, folder: Path) -> None:

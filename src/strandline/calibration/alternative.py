@@ -174,5 +174,8 @@ def present(posterior: Posterior, knowledge: Knowledge | None, *, why_not: str =
 
 
 def _too_coarse(quality: FieldQuality) -> str:
-    share = 100 * quality.beyond
-    return f"the surrogate of the interface is too coarse at {share:.0f} % of the posterior's draws for its noise"
+    error, hidden = 1e3 * quality.median, 1e3 * quality.hidden
+    return (
+        f"the surrogate of the interface is too coarse at {100 * quality.beyond:.0f} % of the posterior's draws: it "
+        f"errs by {error:.2g} µm, and the local noise hides {hidden:.2g} µm"
+    )

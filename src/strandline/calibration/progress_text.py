@@ -42,8 +42,8 @@ def _left(state: Progress) -> str:
 
 
 def step_note(info: StepInfo) -> str:
-    """Return the exponent of the likelihood, the effective sample size and the share of accepted moves."""
-    return f"γ {info.temperature:.4f}, ESS {info.ess:.0f}, accepted {info.acceptance:.0%}"
+    """Return the tempering exponent, the effective sample size and the share of accepted moves."""
+    return f"tempering exponent {info.temperature:.4f}, ESS {info.ess:.0f}, accepted {info.acceptance:.0%}"
 
 
 def _duration(seconds: float) -> str:

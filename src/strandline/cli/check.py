@@ -58,6 +58,7 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
 def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     """Yield what the study states: inputs, conditions, how pictures were read."""
     from strandline.report.warnings import small_share
+    from strandline.studies.first_run import turned_lines
     from strandline.studies.read_how import read_lines
 
     for parameter in study.space:
@@ -67,9 +68,7 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     conditions = tuple(study.observed or record.interfaces)
     if any(conditions):
         yield f"observed conditions: {', '.join(conditions)}"
-    for condition in study.turned:
-        of = f" of {condition}" if condition else ""
-        yield f"the observed points{of} run opposite to the model's interface and will be turned round"
+    yield from turned_lines(study)
     yield from read_lines(study)
 
 
@@ -113,7 +112,7 @@ def _as_dict(
 
 
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
-    """Yield what the run shows: shapes, residual, log-likelihoods, displacement, error of the mesh."""
+    """Yield what the run shows: shapes, their distance, log-likelihoods, displacement, error of the mesh."""
     from strandline.cli.forward import attempted
     from strandline.studies.cheaper import cheaper_lines
     from strandline.studies.first_run import batch_lines, displacement_lines, known_range, mesh_lines, shape_lines

@@ -38,7 +38,7 @@ def detailed(study: Study, executor: Executor, say: Callable[[str], None]) -> Ob
             say(f"  {line}")
 
     def step(info: StepInfo) -> None:
-        say(f"  step to γ {info.temperature:.4f}: ESS {info.ess:.0f}, accepted {info.acceptance:.0%}")
+        say(f"  step to tempering exponent {info.temperature:.4f}: ESS {info.ess:.0f}, accepted {info.acceptance:.0%}")
 
     return Observer(stage=stage, run=run, step=step)
 

@@ -18,6 +18,8 @@ VERSION = 1
 NEEDED = ("version", "image", "sha256", "size", "path")
 OPTIONAL = ("closed", "scale", "origin", "exclude", "fixed")
 OF_SCALE = ("from", "to", "length_mm")
+SUFFIX = ".path.json"
+"""End of the names under which the page of clicks saves."""
 LARGEST = 1 << 23
 """Bytes of a file that is read."""
 
@@ -73,6 +75,8 @@ def _contents(path: Path) -> Mapping[str, Any]:
         if len(text) > LARGEST:
             raise _refused("size of the file", f"more than {LARGEST} bytes", "a file of clicks")
         found = json.loads(text.decode("utf-8-sig"))
+    except FileNotFoundError:
+        raise _missing(path) from None
     except OSError as error:
         raise _refused("cannot be read", error.strerror or str(error), "a file of clicks, NAME.path.json") from None
     except json.JSONDecodeError as error:
@@ -87,6 +91,18 @@ def _contents(path: Path) -> Mapping[str, Any]:
         remedy = "Update strandline, or click again."
         raise _refused("version of the file", found["version"], f"{VERSION}", remedy)
     return found
+
+
+def _missing(path: Path) -> InvalidInput:
+    """Return the error for a file that is not there, with the files of clicks that are."""
+    there = sorted(one.name for one in path.parent.glob(f"*{SUFFIX}"))
+    only = f"Did you mean {there[0]}?" if len(there) == 1 else "Move it there, or correct its name."
+    return _refused(
+        "cannot be read",
+        f"no such file; the folder has {', '.join(there) or 'no file of clicks'}",
+        f"the file that the page of clicks saves, PICTURE{SUFFIX}, where the study says",
+        suggestion(path.name, there, only),
+    )
 
 
 def _clicks(found: Mapping[str, Any]) -> Clicks:

@@ -29,8 +29,10 @@ STARTS, SHARES = 256, (1.0, 0.3, 0.1)
 TRIED, LIKELY, TOLERATED = 8, 10.0, 0.2
 """Points at which `nearby` is compared with the measure; how much less likely than the best one they may be, in log L;
 largest difference of log E[L]."""
-ROUNDS, SHIFTS = 5, 16
+ROUNDS, SHIFTS = 6, 16
 """Rounds of the search for the shift that the noise hides, and shifts tried in each."""
+LEAST_SHIFT = 1e-12
+"""Least shift of an interface that is tried, as a share of its extent."""
 _BLOCK = 8192  # interfaces predicted together
 
 
@@ -240,7 +242,7 @@ def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     """Return the shift of the observed interface, mm, that costs half a unit of log-likelihood: d² = σ_N².
 
     This is the mean over shifts along the axes; half the interface's extent if no shift costs as much. Of stated errors
-    of points, only the local ones count.
+    of points, only the local ones count: a stated shift is marginalised and leaves the shape as well known.
     """
     errors, noise = errors_of(observation), cast(Hashable, observation.noise)
     known = MeasureKey.of(discrepancy), Snapshot.of(observation.interface)
@@ -271,7 +273,7 @@ def _shift(
     observation: Observation, discrepancy: Discrepancy, direction: Float[np.ndarray, " xyz"], extent: float
 ) -> float:
     """Search in the logarithm: d² grows with small shifts."""
-    seen, low, high = observation.interface, 1e-7 * extent, 0.5 * extent
+    seen, low, high = observation.interface, LEAST_SHIFT * extent, 0.5 * extent
     one = compared(observation, discrepancy, len(seen.points))
     for _ in range(ROUNDS):
         tried = np.geomspace(low, high, SHIFTS)

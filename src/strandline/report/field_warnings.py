@@ -27,13 +27,13 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
         yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{advice}"
     if certificate is not None and certificate.overlooks:
         yield (
-            "The runs were too few to look for other regions that fit as thoroughly as asked (design.active.unseen). "
-            f"{certificate.statement} Allow more runs: design.active.runs."
+            "There were too few runs to search for other regions that fit as thoroughly as design.active.unseen "
+            f"asks. {certificate.statement} Allow more runs: design.active.runs."
         )
     shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
     if max(shift, ratio) > EFFECT:
         yield (
-            f"The surrogate's uncertainty of the interface moves means by up to {shift:.2f} standard deviations "
+            f"The surrogate's uncertainty about the interface moves means by up to {shift:.2f} standard deviations "
             f"and changes standard deviations by up to {np.expm1(ratio):.0%}. More runs will lower it."
         )
     if 1.0 - found.feasible > TOUCHED:
@@ -69,5 +69,5 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
         yield (
             f"The cut reading is a guess for {int(unsure.sum())} of its {len(cut.values)} values of the nuisance "
             f"inputs: runs are rare there, and the interface is uncertain by up to {1e3 * of_value.max():.2g} µm where "
-            f"the noise hides {1e3 * hidden:.2g} µm. The joint reading does not depend on them."
+            f"the local noise hides {1e3 * hidden:.2g} µm. The joint reading does not depend on them."
         )

@@ -260,7 +260,7 @@ def _sampler(calibration: Calibration) -> Iterator[Captioned]:
         particles=calibration.settings.particles if halves is None else len(halves[0].positions),
     )
     whose = "The sampler's steps" if halves is None else "The steps of the first half of the particles"
-    caption = f"{whose}: exponent γ of the likelihood, effective sample size, share of accepted moves."
+    caption = f"{whose}: tempering exponent (of the likelihood), effective sample size, share of accepted moves."
     yield Captioned("tempering", "sampler", caption, whole(figure))
 
 

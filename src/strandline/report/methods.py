@@ -41,7 +41,7 @@ TO_UM = 1e3
 def methods_paragraph(summary: Mapping[str, Any]) -> str:
     """Return a paragraph for the methods section of a paper, with the numbers of a study.
 
-    It says what does not speak for the result as well: runs that failed, a design that did not converge, a model that
+    It also says what speaks against the result: runs that failed, a design that did not converge, a model that
     does not explain the observation.
 
     Args:
@@ -107,14 +107,17 @@ def _likelihood(found: Mapping[str, Any]) -> str:
         unit = unit_text(found["unit"] or "")
         errors = f"Gaussian noise of variance {found['noise_variance']:.4g}{f' {unit}' if unit else ''}"
     allowed = _model_error(found)
-    model = f", and a model error of {allowed:.2g} µm that was inferred from the residuals" if allowed else ""
+    model = ""
+    if allowed:
+        chance = found["inferred_noise"]["model_error"]["probability"]
+        model = f", and a model error of probability {chance:.2g} and median amplitude {allowed:.3g} µm, both inferred"
     return f"{compared}, with {errors}{model}.{_of_the_whole(found)}"
 
 
 def _model_error(found: Mapping[str, Any]) -> float | None:
-    """Return the amplitude of the inferred model error, µm; None if there is none."""
-    error = (found.get("inferred_noise") or {}).get("model_error")
-    return None if error is None else float(error["amplitude_um"])
+    """Return the median amplitude of the inferred model error if there is one, µm; None if no offset was allowed."""
+    quantiles = ((found.get("inferred_noise") or {}).get("model_error") or {}).get("amplitude_quantiles_um")
+    return None if quantiles is None else float(quantiles["median"])
 
 
 def _of_the_whole(found: Mapping[str, Any]) -> str:

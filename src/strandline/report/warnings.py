@@ -42,16 +42,17 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
         yield f"The observed points{where} ran opposite to the model's interface and were turned round."
     if calibration.no_field is not None:
         yield (
-            f"NO FIELD could be made of the runs' interfaces: {calibration.no_field}. The surrogate is one of the "
-            "log-likelihood instead, and nothing was checked on the true model: `strandline posterior check` does that."
+            f"NO FIELD surrogate could be built from the runs' interfaces: {calibration.no_field}. The surrogate "
+            "learns the log-likelihood instead, and nothing was checked with the true model: `strandline posterior "
+            "check` does that."
         )
     if calibration.misfit is not None and calibration.misfit.flagged:
         yield calibration.misfit.verdict
     inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
     if inferred is not None and inferred.posterior.probability_of_model_error > ERRS:
         yield (
-            f"The model is wrong with probability {inferred.posterior.probability_of_model_error:.2g}. The posterior "
-            "allows for this error, but says nothing about other loads."
+            f"The model has an error with probability {inferred.posterior.probability_of_model_error:.2g}. The "
+            "posterior allows for it, but the error at other loads is not known."
         )
     yield from _inferred_noise(calibration)
     if calibration.field is None:
@@ -104,8 +105,9 @@ def _impossible(calibration: Calibration) -> Iterator[str]:
     highest = float(calibration.posterior.log_likelihood.max())
     if highest > ABOVE_ZERO:
         yield (
-            f"DO NOT TRUST THIS POSTERIOR: the surrogate predicts log-likelihoods up to {highest:.3g}, and "
-            "none above 0 is possible. The noise is small for so few runs: make many more, or state a larger noise."
+            f"DO NOT TRUST THIS POSTERIOR: the surrogate predicts log-likelihoods up to {highest:.3g}, "
+            "although none above 0 is possible. There are too few runs for such small noise: make many more, or state "
+            "a larger noise."
         )
 
 
@@ -219,9 +221,9 @@ def _cut(calibration: Calibration) -> Iterator[str]:
     error = float(np.sqrt(np.mean(validation.residuals[above] ** 2)))
     if error > max(LOO_LIMIT, validation.loo_rms_near_mode):
         yield (
-            f"The cut reading uses log-likelihoods down to {lowest:.3g}, and over the {int(above.sum())} runs from "
-            f"there up the surrogate's {calibration.surrogate.left_out} error is {error:.2g}: it is less sure than the "
-            "joint one."
+            f"The cut reading uses log-likelihoods down to {lowest:.3g}. Over the {int(above.sum())} runs above that, "
+            f"the surrogate's {calibration.surrogate.left_out} error is {error:.2g}, so that the cut reading is less "
+            "certain than the joint one."
         )
     if calibration.cut_quadrature is None:
         return

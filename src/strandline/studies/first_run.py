@@ -29,6 +29,7 @@ __all__ = [
     "observations_of",
     "require_same_size",
     "shape_lines",
+    "turned_lines",
 ]
 
 FAR_APART = 0.05
@@ -103,6 +104,25 @@ def facing(study: Study, record: RunRecord) -> Study:
     return replace(study, observed=observed, noises={**study.noises, **noises}, turned=(*study.turned, *turned))
 
 
+def turned_lines(study: Study) -> Iterator[str]:
+    """Yield a line on each observed interface that runs opposite to the model's.
+
+    In a picture, the direction follows from the side on which the study says that the body is. Models keep it on the
+    right of their points, but need not.
+    """
+    for condition in study.turned:
+        of = f" of {condition}" if condition else ""
+        shown = study.pictures.get(condition) or study.stacks.get(condition)
+        if shown is None:
+            yield f"the observed points{of} run opposite to the model's interface and will be turned round"
+            continue
+        yield (
+            f"warning: `solid` says that the body in {shown.name} lies on the other side of the interface than in the "
+            "model; correct `solid`, unless the model's points run with the body on their left; the posterior is the "
+            "same, because the observed points will be turned round"
+        )
+
+
 def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield where observed interfaces and those of the run lie, how far apart they are, and doubts about that."""
     for condition, observed in study.observed.items():
@@ -111,7 +131,7 @@ def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
             yield f"{name}{of}: {_place(interface)}"
         if observed.dim == run.dim:
             rms, largest = apart(run, observed)
-            yield f"residual{of}: root mean square {_length(rms)}, largest {_length(largest)}"
+            yield f"distance of the two{of}: root mean square {_length(rms)}, largest {_length(largest)}"
         if observed.dim == run.dim == 2:
             yield from _doubts(observed, run, of)
 

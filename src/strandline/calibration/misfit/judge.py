@@ -105,10 +105,9 @@ def _judged(
     if fitted:
         verdict = with_fitted_noise(verdict, observations)
     notes = (*_notes(residuals, prediction, conditions), *failed, unseen)
-    size = _model_error(residuals, explained)
     text = verdict.text
-    if size:
-        text = f"Allowing for a model error of {1e3 * size:.2g} µm, {text[0].lower()}{text[1:]}"
+    if _model_errs(residuals, explained):
+        text = f"With an error of the model allowed for, {text[0].lower()}{text[1:]}"
     return Misfit(text, verdict.flagged, p_value, predictive.whole, smooth_p, conditions, notes)
 
 
@@ -213,11 +212,11 @@ def _removed(one: ConditionMisfit) -> str:
     return f"The most probable {listed(names, 'and')}{of} {were} removed from the residuals."
 
 
-def _model_error(residuals: Residuals, explained: Float[np.ndarray, "seen cause"] | None) -> float:
-    """Return the error of the model that was allowed for, root mean square, mm; 0 if it is negligible."""
+def _model_errs(residuals: Residuals, explained: Float[np.ndarray, "seen cause"] | None) -> bool:
+    """Return whether an error of the model was allowed for that is not negligible."""
     size = 0.0 if explained is None else float(np.sqrt(np.mean((explained**2).sum(axis=1))))
     noise = float(np.sqrt(np.mean([one.errors.sd**2 for one in residuals.stated])))
-    return size if size > NOTICED * noise else 0.0
+    return size > NOTICED * noise
 
 
 def invisible(observations: Sequence[Observation], names: Sequence[str], fixed: Sequence[str]) -> str:

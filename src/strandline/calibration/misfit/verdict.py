@@ -125,6 +125,8 @@ def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *
     if said and region is not None and p_value < DOUBTFUL:
         mine = next(one for one in conditions if one.condition == condition).regions
         everywhere = len(mine) > 1 and all(one.p_value < DOUBTFUL for one in mine)
+        if least < FAMILIES * p_value:
+            said = f" ({_said(least)}; the place is from another test)"
         return f"{said}: {_where(condition, region, everywhere=everywhere)}"
     if smooth:
         return f"{said}: the residuals vary slowly along the observed interface, as noise would not"

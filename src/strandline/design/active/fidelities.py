@@ -76,7 +76,7 @@ class FidelityReport:
         return (
             f"{cost} Corrected by {self.pairs} pairs of runs, interfaces of the cheaper model are accurate to "
             f"{1e3 * self.error:.2g} µm where the posterior lies, {self.error / self.hidden:.0%} of the shift that the "
-            "noise hides."
+            "local noise hides."
         )
 
 

@@ -63,9 +63,8 @@ class Certificate:
         if self.found >= 1:
             return "The runs are too few to say whether another region fits."
         return (
-            f"A compact region with {self.found:.0%} or more of the prior's mass that fits would have been found with "
-            f"{SURE:.0%} probability: so many of these regions hold a run. A smaller or a narrow one may have been "
-            "missed."
+            f"With {SURE:.0%} probability, the runs would have found any other compact region that fits, if it holds "
+            f"{self.found:.0%} or more of the prior's mass. A smaller or a narrow one may have been missed."
         )
 
     def __repr__(self) -> str:

@@ -59,7 +59,8 @@ class Scatter:
     def words(self) -> str:
         """The size in words."""
         return (
-            f"the simulator's own scatter: {1e3 * self.rms:.2g} µm, {self.share:.2g} of the shift that the noise hides"
+            f"the simulator's own scatter: {1e3 * self.rms:.2g} µm, {self.share:.2g} of the shift that the local noise "
+            "hides"
         )
 
     @property

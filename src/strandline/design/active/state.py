@@ -129,7 +129,7 @@ def learn(
         raise NoCommonPoints(
             "interfaces of the runs for a surrogate of the field",
             value=f"common points {surrogate.registration_error:.3g} mm away from them, root mean square",
-            expected=f"at most {hidden:.3g} mm, the shift of the interface that the noise hides",
+            expected=f"at most {hidden:.3g} mm, the shift of the interface that the local noise hides",
             remedy="Let the simulator return more nodes, or nodes that are the same in all runs.",
         )
     z = surrogate.warping.standardise(x)

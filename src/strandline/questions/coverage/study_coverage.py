@@ -200,7 +200,7 @@ def _require_good(quality: FieldQuality, source: str) -> None:
         f"the surrogate of the interface is not accurate enough over the {source}",
         value=f"errors above {TOLERATED * hidden:.3g} µm at {100 * quality.beyond:.0f} % of the draws "
         f"(median {median:.3g} µm; at left-out runs {left_out:.3g} µm)",
-        expected=f"at most {100 * TOLERATED_SHARE:.0f} %, since the noise hides shifts of {hidden:.3g} µm only",
+        expected=f"at most {100 * TOLERATED_SHARE:.0f} %, since the local noise hides shifts of {hidden:.3g} µm only",
         remedy=everywhere if source == "prior" else "Make more runs where the posterior lies: an active design does.",
     )
 

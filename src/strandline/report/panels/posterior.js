@@ -48,7 +48,7 @@ function marginals() {
 function show() {
   const { posterior } = shared;
   const surrogate = posterior && posterior.surrogate;
-  const error = surrogate ? ` The surrogate's error is ${figure(surrogate.error_um, 2)} µm where the posterior lies; the noise hides ${figure(surrogate.hidden_um, 2)} µm.` : "";
+  const error = surrogate ? ` The surrogate's error is ${figure(surrogate.error_um, 2)} µm where the posterior lies; the local noise hides ${figure(surrogate.hidden_um, 2)} µm.` : "";
   document.getElementById("posterior-source").textContent = !posterior ? "" : posterior.why_none || `${SOURCES[posterior.source]}${error}`;
   document.getElementById("truth-note").hidden = !shared.facts.truth || !posterior || !posterior.mean;
   table();

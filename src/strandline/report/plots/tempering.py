@@ -23,7 +23,7 @@ Series = Sequence[float] | Float[np.ndarray, " step"]
 
 
 def plot_tempering(
-    gamma: Series,
+    exponent: Series,
     ess: Series,
     acceptance: Series,
     *,
@@ -33,7 +33,7 @@ def plot_tempering(
     """Draw the sampler's tempering steps in three panels with a common x axis.
 
     Args:
-        gamma: exponent of the likelihood after each step (step,).
+        exponent: exponent of the likelihood after each step (step,).
         ess: effective sample size after each step.
         acceptance: share of accepted moves in each step.
         particles: number of particles; a line marks half of it, below which the sampler resamples.
@@ -44,9 +44,9 @@ def plot_tempering(
         panels = figure.subplots(3, 1, sharex=True)
         for ax, values, colour, label in zip(
             panels,
-            (gamma, ess, acceptance),
+            (exponent, ess, acceptance),
             (BLUE, GREEN, RED),
-            ("exponent γ", "effective\nsample size", "acceptance"),
+            ("tempering\nexponent", "effective\nsample size", "acceptance"),
             strict=True,
         ):
             ax.plot(np.arange(1, len(values) + 1), values, ".-", color=colour, markersize=4)

@@ -132,7 +132,7 @@ function build() {
   if (knobs.length_um) place.append(range("correlation length [µm]", { low: knobs.length_um.range[0], high: knobs.length_um.range[1], value: knobs.length_um.now, id: "length" }, (value) => set("length_um", value)));
   if (knobs.measures.length > 1) place.append(measureKnob(knobs.measures));
   place.append(...facts.inputs.map(priorKnob));
-  if (knobs.why_not) place.append(element("p", `Priors only: ${knobs.why_not}.`, { class: "note" }));
+  if (knobs.why_not) place.append(element("p", `Noise and measure cannot be changed: ${knobs.why_not}.`, { class: "note" }));
 }
 
 function follow() {
