@@ -24,6 +24,8 @@ __all__ = ["OPEN", "STATES", "Attempt", "Details", "Driver", "Overview", "Run", 
 OPEN = "open"
 """State of a run that was started and has not ended: under way, or lost with its driver."""
 NUMBERS_PER_QUERY = 500
+WITH_SENSITIVITIES = """attempt IN
+    (SELECT attempt FROM arrays INDEXED BY arrays_by_attempt WHERE role = 'sensitivity')"""
 STATES = ("ok", "failed", "timeout", "killed", "invalid", OPEN)
 
 
@@ -55,8 +57,7 @@ class Attempt(NamedTuple):
     sensitivities: bool = False
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """A run with all its starts, in order, and the exclusion if somebody has excluded it by hand."""
 
     key: str
@@ -71,6 +72,8 @@ class Run:
     @property
     def outcome(self) -> Attempt | None:
         """The last start that has ended."""
+        if self.last.state != OPEN:
+            return self.last
         return next((attempt for attempt in reversed(self.attempts) if attempt.state != OPEN), None)
 
     @property
@@ -212,23 +215,11 @@ class Overview:
     def _attempts(self, which: str = "1", given: Sequence[int] = ()) -> Iterator[tuple[str, Attempt]]:
         with_plans = tables.has_table(self._connection, "plans")
         hint = "INDEXED BY outcomes_told" if with_plans else ""  # otherwise each row is read past its interface
-        sql = f"""SELECT key, attempt, session, inputs, started_at, state, kind, seconds, origin, finished_at
-            FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""
-        slopes = self._with_sensitivities()
-        for key, number, session, inputs, start, state, kind, seconds, origin, end in self._connection.execute(
-            sql, given
-        ):
-            sensitivities = number in slopes
-            yield (
-                key,
-                Attempt(number, session, inputs, start, state or OPEN, kind, seconds, origin, end, sensitivities),
-            )
-
-    def _with_sensitivities(self) -> frozenset[int]:
-        if not tables.has_table(self._connection, "arrays"):
-            return frozenset()
-        sql = "SELECT DISTINCT attempt FROM arrays INDEXED BY arrays_by_attempt WHERE role = 'sensitivity'"
-        return frozenset(row[0] for row in self._connection.execute(sql))
+        slopes = WITH_SENSITIVITIES if tables.has_table(self._connection, "arrays") else "0"
+        sql = f"""SELECT key, attempt, session, inputs, started_at, COALESCE(state, '{OPEN}'), kind, seconds, origin,
+            finished_at, {slopes} FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""
+        for key, *rest, slopes in self._connection.execute(sql, given):
+            yield key, Attempt(*rest, bool(slopes))
 
 
 def is_at_work(pid: int, host: str, lock: Path) -> bool | None:

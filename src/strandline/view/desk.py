@@ -18,7 +18,7 @@ __all__ = ["Desk"]
 PAUSE = 0.5
 """Seconds between two looks at the ledger."""
 PATIENCE = 5.0
-"""Seconds for which the first posterior waits until a page has got the runs: both need the same processor."""
+"""Seconds for which the first counts and the first posterior wait until a page has got the runs."""
 KEEP_ALIVE = 15.0
 """Seconds after which a silent stream of events says that it is alive."""
 
@@ -39,6 +39,7 @@ class Desk:
     _sampling: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "posterior"))
     _changed: asyncio.Condition = field(default_factory=asyncio.Condition)
     _runs_given: asyncio.Event = field(default_factory=asyncio.Event)
+    _counted: asyncio.Event = field(default_factory=asyncio.Event)
     _state: dict[str, Any] = field(default_factory=dict)
     _stamp: tuple[Any, ...] = ()
     _rest_until: float = 0.0
@@ -62,12 +63,18 @@ class Desk:
         return await asyncio.get_running_loop().run_in_executor(self._solving, task)
 
     async def watch_runs(self) -> None:
-        """Look at the ledger again and again, and ring when something is new."""
+        """Look at the ledger again and again, and ring when something is new; at first, only for the runs."""
+        with suppress(StrandlineError, OSError, TimeoutError):
+            await self.read(self.viewed.feed.update)
+            self._state = {"version": self.viewed.feed.version}
+            await self.ring()
+            await asyncio.wait_for(self._runs_given.wait(), PATIENCE)
         while True:
             try:
                 new = await self.read(self._look)
             except (StrandlineError, OSError) as error:
                 new, self.problem = str(error) != self.problem, str(error)
+            self._counted.set()
             if new:
                 await self.ring()
             await asyncio.sleep(PAUSE)
@@ -87,8 +94,7 @@ class Desk:
     async def watch_posterior(self) -> None:
         """Compute the posterior again when there are enough new runs, or read it when the study has ended."""
         loop, newest = asyncio.get_running_loop(), self.viewed.newest
-        with suppress(TimeoutError):
-            await asyncio.wait_for(self._runs_given.wait(), PATIENCE)
+        await self._counted.wait()
         while True:
             made = self.viewed.feed.succeeded
             try:

@@ -126,7 +126,7 @@ class _Ask(_Guarded):
         """Answer a question that only reads."""
         desk, viewed = self.desk, self.desk.viewed
         tasks: dict[str, Callable[[], Awaitable[Any]]] = {
-            "study": lambda: desk.read(lambda: viewed.facts),
+            "study": lambda: desk.answer(lambda: viewed.facts),
             "state": lambda: _now(desk.state),
             "runs": lambda: desk.runs_since(self._integer("since")),
             "run": lambda: desk.read(lambda: viewed.run(self._integer("row"))),

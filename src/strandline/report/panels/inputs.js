@@ -4,7 +4,7 @@ import { colour, draw } from "./charts.js";
 import { listen, shared, tell } from "./store.js";
 import { element, withUnit } from "./text.js";
 
-const MOST = 3000; // Points of one kind that are drawn.
+const MOST = 1000; // Points of one kind that are drawn.
 const MANY = 500; // Points of one kind above which they are drawn small.
 const KINDS = [
   { name: "ok", states: ["ok"], symbol: "circle", size: 6, colour: "ok" },

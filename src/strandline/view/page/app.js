@@ -43,11 +43,11 @@ async function follow(state) {
   const words = state.problem || (state.edited ? EDITED : "");
   problem.hidden = !words;
   problem.textContent = words;
+  if (state.version !== undefined && state.version !== version) await readRuns();
   if (state.planned === undefined) return;
   const had = shared.state.ok || 0;
   shared.state = state;
   tell("state");
-  if (state.version !== version) await readRuns();
   if (!had && state.ok && shared.facts.conditions.some((one) => !one.observed)) {
     shared.facts = await get("study");
     tell("facts");
