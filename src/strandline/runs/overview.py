@@ -217,7 +217,8 @@ class Overview:
         hint = "INDEXED BY outcomes_told" if with_plans else ""  # otherwise each row is read past its interface
         slopes = WITH_SENSITIVITIES if tables.has_table(self._connection, "arrays") else "0"
         sql = f"""SELECT key, attempt, session, inputs, started_at, COALESCE(state, '{OPEN}'), kind, seconds, origin,
-            finished_at, {slopes} FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""
+            finished_at, {slopes}
+            FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""
         for key, *rest, slopes in self._connection.execute(sql, given):
             yield key, Attempt(*rest, bool(slopes))
 
