@@ -14,12 +14,12 @@ from strandline.models.biofilm import newton
 from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.distortion import jacobian_bound, on_elements, quadratic_nodes
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
-from strandline.models.biofilm.materials import Law
+from strandline.models.biofilm.materials import Law, further_parameters
 from strandline.models.biofilm.steady import steady_state
 from strandline.models.biofilm.strain import Strain, StrainProbe
 from strandline.models.biofilm.stress import stress_at_nodes
 from strandline.models.biofilm.subdivision import Partition
-from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
+from strandline.models.biofilm.system import BoundaryNames, CoupledSystem, typical
 
 __all__ = ["STRESS_SCALE", "VELOCITY_SCALE", "VISCOSITY", "FlowCell", "FlowFields", "Solution"]
 
@@ -27,6 +27,7 @@ VELOCITY_SCALE = 100.0
 """U in mm/s; with lengths in mm and ρ = 1e3 kg/m³ the stress scale ρU² is 10 Pa and the scaled viscosity 0.01."""
 STRESS_SCALE = 10.0
 VISCOSITY = 0.01
+_SCALES = {"Pa": STRESS_SCALE, "1": 1.0}
 NORM_WEIGHTS = (1.0, 0.1, 10.0, 0.1)
 """Newton corrections of v, p, d, pₛ are weighted so that all count alike."""
 BALANCE = 1e-6
@@ -92,6 +93,7 @@ class FlowCell:
 
     def __init__(self, outline: Interface, size: MeshSize, *, channel: Channel, partition: Partition, law: Law) -> None:
         _, self.parts = subdivide(outline, channel, partition)
+        self._material_scales = (STRESS_SCALE, 1.0, *(_SCALES[item.unit] for item in further_parameters(law)))
         self.outline, self.channel = outline, channel
         self.mesh = mesh_flow_cell(outline, size, channel, partition)
         number = {"fluid": 0} | {name: k for k, name in enumerate(self.parts, 1)}
@@ -114,7 +116,7 @@ class FlowCell:
         young: Sequence[float],
         poisson: Sequence[float],
         rate: float,
-        *,
+        *further: Sequence[float],
         budget: int = 0,
     ) -> Solution:
         """Return the steady state at Young's moduli [Pa] and Poisson's ratios of the parts, and inflow [mm²/s].
@@ -123,6 +125,7 @@ class FlowCell:
             young: Young's modulus of each part, Pa.
             poisson: Poisson's ratio of each part.
             rate: Inflow rate V_in, mm²/s.
+            further: Values of each further parameter of the law, one for each part.
             budget: Number of Jacobians after which the search is given up; 0: no limit.
 
         Raises:
@@ -130,7 +133,8 @@ class FlowCell:
                 ``inverted_elements``, ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``; loads in the evidence
                 are inflow rates in mm²/s.
         """
-        self.system.set_material([E / STRESS_SCALE for E in young], poisson)
+        values = zip(self._material_scales, (young, poisson, *further), strict=True)
+        self.system.set_material(*([value / scale for value in given] for scale, given in values))
         load = rate / VELOCITY_SCALE
         try:
             found = steady_state(self, load, budget=budget)
@@ -186,16 +190,20 @@ class FlowCell:
         return bounds
 
     def sensitivities(self, solution: Solution) -> list[Points]:
-        """Return d(interface)/dE of each part [mm/Pa], d/dν of each part [mm], d/dV_in [mm per mm²/s].
+        """Return d(interface)/dE of each part [mm/Pa], d/dν of each part [mm], …, d/dV_in [mm per mm²/s].
+
+        The derivatives by the law's further parameters follow those by ν.
 
         One back-substitution each with a fresh Jacobian at the solution that `solve` has just returned.
         """
         system = self.system
         jacobian = system.factorise(solution.unknowns)
         by_inflow = system.by_prescribed(self.inflow / VELOCITY_SCALE)
-        by_material = [system.by_parameter(p) for p in system.young + system.poisson]
-        scales = [1.0 / STRESS_SCALE] * len(self.parts) + [1.0] * len(self.parts)
-        derivatives = [scale * jacobian.solve(-r) for scale, r in zip(scales, by_material, strict=True)]
+        derivatives = [
+            1.0 / scale * jacobian.solve(-system.by_parameter(parameter))
+            for scale, parameters in zip(self._material_scales, system.material, strict=True)
+            for parameter in parameters
+        ]
         derivatives.append(jacobian.solve(-by_inflow))
         return [self._interface_values(self._with_unknowns(d)) for d in derivatives]
 
@@ -253,7 +261,8 @@ class FlowCell:
     def _flow_past_rigid_body(self) -> Vector:
         """Return velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
         parts = len(self.parts)
-        self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts)
+        further = (typical(item) for item in further_parameters(self.system.law))
+        self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts, *([value] * parts for value in further))
         self.system.values[:] = self.inflow
         start = np.array(self.system.values[self.system.free])
         settings = newton.NewtonSettings(tolerance=1e-6, maximum_jacobians=30)

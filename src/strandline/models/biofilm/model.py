@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -17,11 +17,12 @@ from strandline.models.biofilm.cell import FlowCell, FlowFields
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
 from strandline.models.biofilm.geometry import subdivide
 from strandline.models.biofilm.linear import linear_solver
-from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.materials import LAWS, further_parameters, law_named
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.sizes import FINER, MESHES, MeshSize, is_adapted
 from strandline.models.biofilm.subdivision import Partition, check_partition
 from strandline.models.protocol import ModelInput, Simulation
+from strandline.models.protocol import fingerprint as fingerprint_of
 
 __all__ = ["Biofilm", "FlowFields"]
 
@@ -41,7 +42,8 @@ class Biofilm:
 
     Args:
         mesh: ``coarse`` (488 elements with the study's outline), ``default`` (1194) or ``fine`` (3454).
-        material: ``saint_venant_kirchhoff`` or ``neo_hookean``.
+        material: A law of `LAWS`: ``saint_venant_kirchhoff``, ``neo_hookean``, ``mooney_rivlin``, ``yeoh`` or ``fung``;
+            or ``module:name`` of your own.
         channel: A `Channel`; by default 2 mm × 1 mm, inlet left, horizontal outflow.
         outline: An `Outline`; the study's by default.
         partition: A `Partition` of the solid into parts, each with its own E and ν.
@@ -82,7 +84,7 @@ class Biofilm:
 
     def __post_init__(self) -> None:
         _one_of("mesh", self.mesh, MESHES)
-        _one_of("material", self.material, LAWS)
+        law_named(self.material)
         _check_budget(self.failure_budget)
         for name, rate in self.inflow_rates:
             _check_rate(name, rate)
@@ -107,11 +109,20 @@ class Biofilm:
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """E and nu, or E1, nu1, E2, … of the parts, and V_in if no inflow rates are given."""
-        count = max(1, len(self.partition.markers))
-        numbers = [""] if count == 1 else [str(k) for k in range(1, count + 1)]
-        solids = [item for number in numbers for item in _solid_inputs(number)]
+        """E, nu and the law's further parameters, or E1, nu1, …, E2, … of the parts; V_in without inflow rates."""
+        solids = [_of_part(item, number) for number in self._numbers for item in self._material]
         return tuple(solids) if self.inflow_rates else (*solids, _INFLOW)
+
+    @property
+    def _material(self) -> tuple[ModelInput, ...]:
+        """Parameters of the law."""
+        return (*_SMALL_STRAIN, *further_parameters(law_named(self.material)))
+
+    @property
+    def _numbers(self) -> list[str]:
+        """Numbers of the parts as the inputs' names end with them; nothing for a single part."""
+        count = max(1, len(self.partition.markers))
+        return [""] if count == 1 else [str(k) for k in range(1, count + 1)]
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -132,22 +143,24 @@ class Biofilm:
         ]
         if _is_adapted(self.outline, self.mesh, self.channel):
             chosen.append(f"sizes={SIZES}")
+        if self.material not in LAWS:
+            chosen.append(f"law={fingerprint_of(cast(Any, law_named(self.material)))}")
         digest = ":" + hashlib.sha256("|".join(chosen).encode()).hexdigest()[:16] if chosen else ""
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
         """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; with several inflow rates, one for each."""
         cell = _flow_cell(self._geometry)
-        young, poisson = self._material_values(inputs)
+        young, poisson, *further = self._material_values(inputs)
         interfaces, sensitivities = {}, {}
         figures: dict[str, float] = {}
         for name, rate in self._rates(inputs):
-            solution = cell.solve(young, poisson, rate, budget=self.failure_budget)
+            solution = cell.solve(young, poisson, rate, *further, budget=self.failure_budget)
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
             figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
             if self.sensitivities:
-                names = [item.name for item in _sorted_like_cell(self.inputs)]
-                sensitivities[name] = dict(zip(names, cell.sensitivities(solution), strict=False))
+                found = cell.sensitivities(solution)
+                sensitivities[name] = dict(zip(self._names_like_cell(), found, strict=False))
         return Simulation(interfaces, figures, sensitivities)
 
     def undeformed(self) -> Interface:
@@ -164,7 +177,8 @@ class Biofilm:
         cell = _flow_cell(self._geometry)
         rates = dict(self._rates(inputs))
         rate = rates[condition or next(reversed(rates))]
-        cell.solve(*self._material_values(inputs), rate)
+        young, poisson, *further = self._material_values(inputs)
+        cell.solve(young, poisson, rate, *further)
         return cell.fields()
 
     def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
@@ -175,8 +189,9 @@ class Biofilm:
         """
         cell = _new_cell(self._geometry, FINER[self.mesh])
         found = {}
+        young, poisson, *further = self._material_values(inputs)
         for name, rate in self._rates(inputs):
-            solution = cell.solve(*self._material_values(inputs), rate, budget=self.failure_budget)
+            solution = cell.solve(young, poisson, rate, *further, budget=self.failure_budget)
             found[name] = Interface.polyline(cell.outline.points + solution.displacement)
         return found
 
@@ -189,10 +204,14 @@ class Biofilm:
         """Return the conditions with their inflow rates."""
         return self.inflow_rates or (("", float(inputs[_INFLOW.name])),)
 
-    def _material_values(self, inputs: Mapping[str, float]) -> tuple[list[float], list[float]]:
-        """Return Young's moduli and Poisson's ratios of the parts."""
-        solids = [item.name for item in self.inputs if item.name != _INFLOW.name]
-        return [float(inputs[n]) for n in solids[::2]], [float(inputs[n]) for n in solids[1::2]]
+    def _material_values(self, inputs: Mapping[str, float]) -> list[list[float]]:
+        """Return Young's moduli, Poisson's ratios and further parameters, each for every part."""
+        return [[float(inputs[item.name + number]) for number in self._numbers] for item in self._material]
+
+    def _names_like_cell(self) -> list[str]:
+        """Return the inputs' names in the order of `FlowCell.sensitivities`."""
+        material = [item.name + number for item in self._material for number in self._numbers]
+        return [*material] if self.inflow_rates else [*material, _INFLOW.name]
 
 
 _SMALLEST_BUDGET = 3
@@ -201,19 +220,17 @@ _FROM_FILE = {"outline": "; in a study file also file with its unit in place of 
 _INFLOW = ModelInput("V_in", "mm^2/s", 0.0, np.inf, high_included=False, meaning="inflow volume rate per depth")
 
 
-def _solid_inputs(number: str) -> tuple[ModelInput, ModelInput]:
-    of = f" of part {number}" if number else ""
-    return (
-        ModelInput(
-            f"E{number}", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning=f"Young's modulus{of}"
-        ),
-        ModelInput(f"nu{number}", "1", -1.0, 0.5, low_included=False, meaning=f"Poisson's ratio{of}"),
-    )
+_SMALL_STRAIN = (
+    ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),
+    ModelInput("nu", "1", -1.0, 0.5, low_included=False, meaning="Poisson's ratio"),
+)
 
 
-def _sorted_like_cell(inputs: tuple[ModelInput, ...]) -> list[ModelInput]:
-    """Return the inputs in the order of `FlowCell.sensitivities`: all E, all nu, V_in."""
-    return sorted(inputs, key=lambda item: ("E", "n", "V").index(item.name[0]))
+def _of_part(item: ModelInput, number: str) -> ModelInput:
+    """Return a parameter of the law as an input of part `number`; empty if there is one part."""
+    if not number:
+        return item
+    return dataclasses.replace(item, name=item.name + number, meaning=f"{item.meaning} of part {number}")
 
 
 def _figure(key: str, condition: str) -> str:
@@ -317,7 +334,7 @@ def _new_cell(model: Biofilm, size: MeshSize) -> FlowCell:
         size,
         channel=model.channel,
         partition=model.partition,
-        law=LAWS[model.material],
+        law=law_named(model.material),
     )
 
 

@@ -19,9 +19,10 @@ from ngsolve import la
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
 from strandline.models.biofilm.linear import Factorisation
-from strandline.models.biofilm.materials import Law, saint_venant_kirchhoff
+from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
+from strandline.models.protocol import ModelInput
 
-__all__ = ["BoundaryNames", "CoupledSystem"]
+__all__ = ["BoundaryNames", "CoupledSystem", "typical"]
 
 Vector = Float[np.ndarray, " unknown"]
 
@@ -46,7 +47,7 @@ class CoupledSystem:
         density: Scaled density of the fluid.
         order: Polynomial order of velocity and displacement; pressures have one less.
         law: Law of the solid, from `materials`.
-        solids: Names of the solid's regions; each has its own Young's modulus and Poisson's ratio.
+        solids: Names of the solid's regions; each has its own Young's modulus, Poisson's ratio and further parameters.
         body_force: Scaled force per volume of the undeformed solid.
     """
 
@@ -63,8 +64,8 @@ class CoupledSystem:
         body_force: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.mesh, self.solids = mesh, solids
-        self.young = tuple(ng.Parameter(1.0) for _ in solids)
-        self.poisson = tuple(ng.Parameter(0.25) for _ in solids)
+        starts = (1.0, 0.25, *(typical(item) for item in further_parameters(law)))
+        self.material = tuple(tuple(ng.Parameter(start) for _ in solids) for start in starts)
         self.space = _spaces(mesh, boundaries, order, solids)
         self.state = ng.GridFunction(self.space)
         self._residual = self.state.vec.CreateVector()
@@ -87,10 +88,15 @@ class CoupledSystem:
         part = self.space.Range(component)
         return np.asarray((self.free >= part.start) & (self.free < part.stop))
 
-    def set_material(self, young: Sequence[float], poisson: Sequence[float]) -> None:
-        """Set scaled Young's modulus and Poisson's ratio of each solid region."""
-        for parameter, value in zip(self.young + self.poisson, (*young, *poisson), strict=True):
-            parameter.Set(value)
+    def set_material(self, *values: Sequence[float]) -> None:
+        """Set scaled Young's moduli, Poisson's ratios and further parameters of the law, each by solid region."""
+        for parameters, given in zip(self.material, values, strict=True):
+            for parameter, value in zip(parameters, given, strict=True):
+                parameter.Set(value)
+
+    def of_region(self, k: int) -> tuple[Any, ...]:
+        """Return the material parameters of solid region k: Young's modulus, Poisson's ratio, further ones."""
+        return tuple(parameters[k] for parameters in self.material)
 
     def set_unknowns(self, x: Vector) -> None:
         """Write the unknowns into the state."""
@@ -125,7 +131,7 @@ class CoupledSystem:
         return Factorisation(self._pattern.fill(self._assemble()), len(self.free))
 
     def by_parameter(self, parameter: Any) -> Vector:
-        """Return the derivative of the residual with respect to one of `young` or `poisson` at the current state."""
+        """Return the derivative of the residual with respect to one of `material` at the current state."""
         if parameter not in self._derivatives:
             self._derivatives[parameter] = _solid_form(self, derivative_by=parameter)
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
@@ -151,12 +157,13 @@ class CoupledSystem:
     def _pattern(self) -> "_Pattern":
         """Structural nonzeros of the reduced Jacobian, found at a random state."""
         kept = np.array(self.values)
-        young, poisson = ([p.Get() for p in group] for group in (self.young, self.poisson))
+        material = [[p.Get() for p in group] for group in self.material]
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
-        self.set_material([1.0] * len(young), [0.23] * len(poisson))
+        generic = (1.0, 0.23, *(typical(item) for item in further_parameters(self.law)))
+        self.set_material(*([value] * len(self.solids) for value in generic))
         pattern = _Pattern.find(self._assemble(), self._balance.mat, self._motion.mat, self._is_motion, self.free)
         self.values[:] = kept
-        self.set_material(young, poisson)
+        self.set_material(*material)
         return pattern
 
 
@@ -217,6 +224,14 @@ def _reduced_entries(
     return number[rows[chosen]], number[columns[chosen]], chosen, np.array(values[chosen])
 
 
+def typical(parameter: ModelInput) -> float:
+    """Return a value well inside the range of a law's parameter."""
+    low, high = parameter.low, parameter.high
+    if np.isfinite(low) and np.isfinite(high):
+        return 0.5 * (low + high)
+    return low + 1.0 if np.isfinite(low) else min(high - 1.0, 0.0)
+
+
 def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]) -> Any:
     """Return v × p × d × pₛ: the solid's pressure jumps between regions of different stiffness, so each has its own."""
     stuck = "|".join([names.no_slip, names.inlet, "interface"])
@@ -232,13 +247,14 @@ def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
     """Return momentum and constitutive constraint of the solid, or their derivative with respect to a parameter."""
     (_, _, d, *solid_pressures), (_, _, phi, *solid_tests) = system.space.TnT()
     form = ng.BilinearForm(system.space)
+    same_quadrature = ng.Parameter(0.0)  # without pₛ and qₛ in a derivative NGSolve would take fewer points than before
     for k, region in enumerate(system.solids):
-        mixed = system.law(d, solid_pressures[k], system.young[k], system.poisson[k])
+        mixed = system.law(d, solid_pressures[k], *system.of_region(k))
         solid = forms.solid_stress_power(d, mixed.second_piola, phi) + solid_tests[k] * mixed.constraint
         if derivative_by is None:
             solid = solid - ng.InnerProduct(ng.CF(system.body_force), phi)
-        elif derivative_by in (system.young[k], system.poisson[k]):
-            solid = solid.Diff(derivative_by)
+        elif any(parameter is derivative_by for parameter in system.of_region(k)):
+            solid = solid.Diff(derivative_by) + same_quadrature * solid_pressures[k] * solid_tests[k]
         else:
             continue
         form += solid.Compile() * ng.dx(region, bonus_intorder=2)
