@@ -6,18 +6,18 @@ from typing import Any
 
 import ngsolve as ng
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.distortion import jacobian_bound, on_elements, quadratic_nodes
+from strandline.models.biofilm.distortion import jacobian_bound
+from strandline.models.biofilm.flow_fields import FlowFields, flow_fields
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
 from strandline.models.biofilm.materials import Law, further_parameters
 from strandline.models.biofilm.steady import steady_state
 from strandline.models.biofilm.strain import Strain, StrainProbe
-from strandline.models.biofilm.stress import stress_at_nodes
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem, typical
 
@@ -35,29 +35,6 @@ BALANCE = 1e-6
 
 Vector = Float[np.ndarray, " unknown"]
 Points = Float[np.ndarray, "point 2"]
-
-
-@dataclass(frozen=True, eq=False)
-class FlowFields:
-    """The solved state for pictures: corners and edge midpoints of the mesh, four flat triangles per element.
-
-    Args:
-        points: Deformed node positions, mm.
-        triangles: Node numbers.
-        cell_part: Number of the solid's part, from 1, for each triangle (cell,); 0 in the fluid.
-        velocity: Fluid velocity, mm/s; zero in the solid.
-        pressure: Fluid pressure, Pa, zero in the solid.
-        displacement: Node displacements, mm; in the fluid, those of the mesh.
-        stress: Cauchy stress of the solid per triangle, (σxx, σyy, σxy, σzz), Pa, zero in the fluid.
-    """
-
-    points: Points
-    triangles: Int[np.ndarray, "cell 3"]
-    cell_part: Int[np.ndarray, " cell"]
-    velocity: Points
-    pressure: Float[np.ndarray, " point"]
-    displacement: Points
-    stress: Float[np.ndarray, "cell 4"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,28 +202,7 @@ class FlowCell:
 
     def fields(self) -> FlowFields:
         """Return velocity, pressure, displacement and stress of the current state."""
-        velocity, pressure, displacement, *_ = self.system.state.components
-        nodes, count = quadratic_nodes(self.mesh)
-        fluid, everywhere = ~self.is_solid, np.ones(self.mesh.ne, bool)
-
-        def nodal(function: Any, cells: Bool[np.ndarray, " element"]) -> Float[np.ndarray, "point component"]:
-            values = on_elements(self.mesh, function)[cells]
-            result = np.zeros((count, values.shape[2]))
-            result[nodes[cells].ravel()] = values.reshape(-1, values.shape[2])
-            return result
-
-        d = nodal(displacement, everywhere)
-        rest = nodal(ng.CF((ng.x, ng.y)), everywhere)
-        split = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
-        return FlowFields(
-            points=rest + d,
-            triangles=nodes[:, split].reshape(-1, 3),
-            cell_part=np.repeat(self.part, 4),
-            velocity=nodal(velocity, fluid) * VELOCITY_SCALE,
-            pressure=nodal(pressure, fluid)[:, 0] * STRESS_SCALE,
-            displacement=d,
-            stress=stress_at_nodes(self.system, self.part)[:, split].mean(axis=2).reshape(-1, 4) * STRESS_SCALE,
-        )
+        return flow_fields(self.system, self.part, velocity=VELOCITY_SCALE, stress=STRESS_SCALE)
 
     def _prescribe_inflow(self) -> None:
         """Write the parabola of volume rate 1 over the free height of the inlet into the velocity."""
