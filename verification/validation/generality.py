@@ -59,7 +59,7 @@ def _scale(name: str, value: float) -> float:
     """
     if name == "nu":
         return 0.05
-    return abs(value) if name in ("E", "V_in") else 8 * abs(value)
+    return abs(value) if name in ("E", "V_in", "p_drop", "viscosity", "density") else 8 * abs(value)
 
 
 def tables(mesh: str = "coarse") -> list[Table]:

@@ -13,6 +13,7 @@ __all__ = ["ON_WALL", "Channel", "check_inside", "check_outline"]
 
 SIDES = ("left", "right")
 OUTLETS = ("horizontal", "traction_free")
+TOPS = ("no_slip", "slip", "symmetry")
 ON_WALL = 1e-9
 
 
@@ -25,19 +26,33 @@ class Channel:
         height: height, mm.
         inlet: the side where the fluid enters with a parabolic profile; it leaves on the other side.
         outlet: ``horizontal``: no vertical velocity, as in the study; ``traction_free``: open.
+        top: ``no_slip``: a wall; ``slip``: a wall without friction; ``symmetry``: the middle of a channel of twice this
+            height. The last two are the same equations: no vertical velocity, no shear stress.
     """
 
     length: float = 2.0
     height: float = 1.0
     inlet: str = "left"
     outlet: str = "horizontal"
+    top: str = "no_slip"
+
+    def __repr__(self) -> str:
+        """Return the fields; a top wall that is no exception stays out, for the sake of earlier fingerprints."""
+        top = "" if self.top == "no_slip" else f", top={self.top!r}"
+        names = ("length", "height", "inlet", "outlet")
+        return f"Channel({', '.join(f'{name}={getattr(self, name)!r}' for name in names)}{top})"
+
+    @property
+    def is_frictionless(self) -> bool:
+        """Whether the top exerts no shear stress."""
+        return self.top != "no_slip"
 
     def __post_init__(self) -> None:
         for name in ("length", "height"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 _refuse(f"{name} of the channel", value, "a length in mm above 0", "Correct it.")
-        for name, choices in (("inlet", SIDES), ("outlet", OUTLETS)):
+        for name, choices in (("inlet", SIDES), ("outlet", OUTLETS), ("top", TOPS)):
             if getattr(self, name) not in choices:
                 _refuse(f"{name} of the channel", getattr(self, name), f"one of {', '.join(choices)}", "Choose one.")
 

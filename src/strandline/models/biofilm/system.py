@@ -22,7 +22,7 @@ from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
 from strandline.models.protocol import ModelInput
 
-__all__ = ["BoundaryNames", "CoupledSystem", "typical"]
+__all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "typical"]
 
 Vector = Float[np.ndarray, " unknown"]
 
@@ -37,6 +37,23 @@ class BoundaryNames:
     vertical_velocity_zero: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class FluidLoad:
+    """A load on the fluid that is proportional to a parameter: a force per volume, and a pressure from outside.
+
+    Args:
+        parameter: NGSolve parameter that it is proportional to, scaled.
+        force: Force per volume at a parameter of 1, along x and y.
+        pressure: External pressure on `boundary` at a parameter of 1, a form.
+        boundary: Regular expression for the boundaries under pressure.
+    """
+
+    parameter: Any
+    force: tuple[float, float] = (0.0, 0.0)
+    pressure: Any = None
+    boundary: str = ""
+
+
 class CoupledSystem:
     """Residual and Jacobian of the coupled problem on a mesh with a region ``fluid`` and one or more solid ones.
 
@@ -49,6 +66,7 @@ class CoupledSystem:
         law: Law of the solid, from `materials`.
         solids: Names of the solid's regions; each has its own Young's modulus, Poisson's ratio and further parameters.
         body_force: Scaled force per volume of the undeformed solid.
+        loads: Further loads on the fluid.
     """
 
     def __init__(
@@ -62,6 +80,7 @@ class CoupledSystem:
         law: Law = saint_venant_kirchhoff,
         solids: tuple[str, ...] = ("solid",),
         body_force: tuple[float, float] = (0.0, 0.0),
+        loads: Sequence[FluidLoad] = (),
     ) -> None:
         self.mesh, self.solids = mesh, solids
         starts = (1.0, 0.25, *(typical(item) for item in further_parameters(law)))
@@ -72,7 +91,8 @@ class CoupledSystem:
         self.law, self.body_force = law, body_force
         self._derivatives: dict[Any, Any] = {}
         self._balance = _solid_form(self)
-        _add_fluid(self._balance, self, viscosity=viscosity, density=density)
+        self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
+        _add_fluid(self._balance, self)
         self._motion = _motion_form(self.space)
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
@@ -131,9 +151,14 @@ class CoupledSystem:
         return Factorisation(self._pattern.fill(self._assemble()), len(self.free))
 
     def by_parameter(self, parameter: Any) -> Vector:
-        """Return the derivative of the residual with respect to one of `material` at the current state."""
+        """Return the derivative of the residual with respect to one parameter at the current state.
+
+        Args:
+            parameter: One of `material`, `viscosity`, `density` or the parameter of a load.
+        """
         if parameter not in self._derivatives:
             self._derivatives[parameter] = _solid_form(self, derivative_by=parameter)
+            _add_fluid(self._derivatives[parameter], self, derivative_by=parameter)
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
         result[self._is_motion] = 0.0
@@ -261,8 +286,8 @@ def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
     return form
 
 
-def _add_fluid(form: Any, system: CoupledSystem, *, viscosity: float, density: float) -> None:
-    """Add momentum and continuity of the fluid, the former tested with w + φ on the interface.
+def _add_fluid(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -> None:
+    """Add momentum and continuity of the fluid, the former tested with w + φ on the interface, or a derivative of them.
 
     Every term is a separate form: the cost of a Jacobian grows with the product of a form's trial and test components
     and with its length, so the sum as a single form takes twice as long to assemble.
@@ -270,13 +295,37 @@ def _add_fluid(form: Any, system: CoupledSystem, *, viscosity: float, density: f
     (v, p, d, *_), (w, q, phi, *_) = system.space.TnT()
     beside_interface = {"definedonelements": _fluid_beside_interface(system.mesh)}
     for test, where in ((w, {}), (phi, beside_interface)):
-        for term, bonus in (
-            (forms.viscous(v, d, test, viscosity), 2),
-            (forms.pressure(p, d, test), 0),
-            (forms.convection(v, d, test, density), 2),
-        ):
-            form += term.Compile() * ng.dx("fluid", bonus_intorder=bonus, **where)
-    form += forms.continuity(v, d, q).Compile() * ng.dx("fluid")
+        terms = (
+            (forms.viscous(v, d, test, system.viscosity), 2, system.viscosity),
+            (forms.pressure(p, d, test), 0, None),
+            (forms.convection(v, d, test, system.density), 2, system.density),
+            *((_force_of(load, d, test), 2, load.parameter) for load in system.loads if any(load.force)),
+        )
+        for term, bonus, parameter in terms:
+            chosen = _or_derivative(term, parameter, derivative_by)
+            if chosen is not None:
+                form += chosen.Compile() * ng.dx("fluid", bonus_intorder=bonus, **where)
+    for load in system.loads:
+        pressure = _or_derivative(_pressure_of(load, w), load.parameter, derivative_by)
+        if load.boundary and pressure is not None:
+            form += pressure.Compile() * ng.ds(load.boundary)
+    if derivative_by is None:
+        form += forms.continuity(v, d, q).Compile() * ng.dx("fluid")
+
+
+def _force_of(load: FluidLoad, d: Any, test: Any) -> Any:
+    return load.parameter * forms.body_force(d, test, ng.CF(load.force))
+
+
+def _pressure_of(load: FluidLoad, test: Any) -> Any:
+    return load.parameter * forms.outer_pressure(test, 0.0 if load.pressure is None else load.pressure)
+
+
+def _or_derivative(term: Any, parameter: Any, by: Any) -> Any:
+    """Return a term that is proportional to `parameter`, or its derivative; None if it does not depend on `by`."""
+    if by is None:
+        return term
+    return term.Diff(by) if by is parameter else None
 
 
 def _motion_form(space: Any) -> Any:
