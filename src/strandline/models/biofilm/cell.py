@@ -89,11 +89,12 @@ class FlowCell:
         law: Law,
         fluid: Fluid = WATER,
         inflow: str | Pairs = PARABOLA,
+        clamped: Pairs = (),
     ) -> None:
         _, self.parts = subdivide(outline, channel, partition)
         self._material_scales = (STRESS_SCALE, 1.0, *(_SCALES[item.unit] for item in further_parameters(law)))
         self.outline, self.channel = outline, channel
-        self.mesh = mesh_flow_cell(outline, size, channel, partition)
+        self.mesh = mesh_flow_cell(outline, size, channel, partition, clamped)
         number = {"fluid": 0} | {name: k for k, name in enumerate(self.parts, 1)}
         self.part = np.array([number[element.mat] for element in self.mesh.Elements(ng.VOL)])
         self.is_solid = self.part > 0
@@ -101,7 +102,7 @@ class FlowCell:
         viscosity, density, *_ = self._fluid.values()
         self.system = CoupledSystem(
             self.mesh,
-            _boundaries(channel, pressure_driven=self.flow.pressure is not None),
+            _boundaries(channel, pressure_driven=self.flow.pressure is not None, sliding=bool(clamped)),
             viscosity=viscosity / VISCOSITY_SCALE,
             density=density / DENSITY_SCALE,
             law=law,
@@ -303,12 +304,13 @@ class FlowCell:
         return np.stack([d[self.vertices], d[half + self.vertices]], axis=1)
 
 
-def _boundaries(channel: Channel, *, pressure_driven: bool = False) -> BoundaryNames:
+def _boundaries(channel: Channel, *, pressure_driven: bool = False, sliding: bool = False) -> BoundaryNames:
     straight = {"outlet": channel.outlet == "horizontal", "inlet": pressure_driven, "top": channel.is_frictionless}
     return BoundaryNames(
         no_slip="floor" if channel.is_frictionless else "floor|top",
         inlet="" if pressure_driven else "inlet",
-        fixed="inlet|outlet|floor|top|base|side",
+        fixed="inlet|outlet|top|base|side" if sliding else "inlet|outlet|floor|top|base|side",
+        sliding="floor|loose" if sliding else "",
         vertical_velocity_zero="|".join(name for name, is_so in straight.items() if is_so),
     )
 

@@ -17,6 +17,7 @@ from strandline.models.biofilm.cell import FlowCell, FlowFields
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
 from strandline.models.biofilm.flow import inlet_bottom
 from strandline.models.biofilm.fluid import WATER, Fluid
+from strandline.models.biofilm.foot import as_stretches, check_clamped
 from strandline.models.biofilm.geometry import subdivide
 from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, PROFILES, RATE, Pairs, as_pairs, check_inflow
 from strandline.models.biofilm.linear import linear_solver
@@ -54,6 +55,8 @@ class Biofilm:
         fluid: A `Fluid`, water by default; its ``unknown`` quantities are inputs.
         inflow: Profile of the inflow over the inlet, scaled to V_in: ``parabola``, ``plug``, ``module:name`` or pairs
             (y, v), y in mm; or ``pressure``: the pressure drop `p_drop` is an input in place of V_in.
+        clamped: Stretches (from, to) of the floor, mm, where the base is held; elsewhere it slides along the floor
+            without friction and does not lift. None: all of the base is held.
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
             condition. Each experiment gives one interface, and V_in is no longer an input.
         sensitivities: Whether runs return d(interface)/d(input) as well.
@@ -76,6 +79,7 @@ class Biofilm:
     partition: Partition = Partition()
     fluid: Fluid = WATER
     inflow: str | Pairs = PARABOLA
+    clamped: Pairs = ()
     inflow_rates: tuple[tuple[str, float], ...] = ()
     sensitivities: bool = False
     failure_budget: int = 5
@@ -101,6 +105,7 @@ class Biofilm:
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
         subdivide(reference, self.channel, self.partition)
+        check_clamped(self.clamped, reference)
         check_inflow(self.inflow, inlet_bottom(reference, self.channel), self.channel.height)
         linear_solver()
 
@@ -115,6 +120,8 @@ class Biofilm:
                 options[name] = _converted(name, options[name], kind)
         if "inflow" in options:
             options["inflow"] = _inflow(options["inflow"])
+        if "clamped" in options:
+            options["clamped"] = as_stretches(options["clamped"])
         if "inflow_rates" in options:
             options["inflow_rates"] = _pairs(options["inflow_rates"])
         return cls(**options)
@@ -379,6 +386,7 @@ def _new_cell(model: Biofilm, size: MeshSize) -> FlowCell:
         law=law_named(model.material),
         fluid=model.fluid,
         inflow=model.inflow,
+        clamped=model.clamped,
     )
 
 

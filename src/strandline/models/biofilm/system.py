@@ -29,12 +29,21 @@ Vector = Float[np.ndarray, " unknown"]
 
 @dataclass(frozen=True)
 class BoundaryNames:
-    """Regular expressions for the boundaries: velocity zero, velocity prescribed, displacement zero, outflow."""
+    """Regular expressions for the boundaries where a condition holds.
+
+    Args:
+        no_slip: Velocity zero.
+        inlet: Velocity prescribed.
+        fixed: Displacement zero.
+        vertical_velocity_zero: Vertical velocity zero.
+        sliding: Vertical displacement zero.
+    """
 
     no_slip: str
     inlet: str
     fixed: str
     vertical_velocity_zero: str = ""
+    sliding: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +251,7 @@ def _reduced_entries(
     number: Int[np.ndarray, " dof"],
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return reduced row, reduced column, entry number and value of the nonzero entries in the selected free rows."""
-    _, columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR())
+    columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR()[1:])
     rows = np.repeat(np.arange(matrix.height), np.diff(pointers))
     keep = rows_wanted[rows] & (number[rows] >= 0) & (number[columns] >= 0) & (values != 0.0)
     chosen = np.flatnonzero(keep)
@@ -263,7 +272,7 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
     velocity = ng.VectorH1(
         mesh, order=order, definedon="fluid", dirichlet=stuck, dirichlety=names.vertical_velocity_zero
     )
-    displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed)
+    displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed, dirichlety=names.sliding)
     pressure, *solid_pressures = (ng.H1(mesh, order=order - 1, definedon=region) for region in ("fluid", *solids))
     return ng.FESpace([velocity, pressure, displacement, *solid_pressures])
 
