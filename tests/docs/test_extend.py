@@ -14,6 +14,7 @@ from scipy.special import ndtr
 
 import strandline as sl
 from strandline.imaging import PictureReading, PixelSize
+from strandline.models.biofilm.model import Biofilm
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study, run_study
 from strandline.testing import (
@@ -61,6 +62,18 @@ def test_its_entries_pass_the_suites(doors: ModuleType) -> None:
         check(doors.Quadratic)
     for check in criteria.CHECKS.values():
         check(doors.at_random)
+
+
+def test_its_material_law_bends_less_than_neo_hookean_and_has_exact_sensitivities(doors: ModuleType) -> None:
+    inputs = {"E": 300.0, "nu": 0.4, "V_in": 100.0}
+    neo = Biofilm(mesh="coarse", material="neo_hookean")(inputs).diagnostics["max_displacement"]
+    gent = Biofilm(mesh="coarse", material="my_doors:Gent", sensitivities=True)
+    stiffer, hardly = (gent(inputs | {"slack": slack}) for slack in (0.5, 1e6))
+    assert stiffer.diagnostics["max_displacement"] < 0.99 * neo
+    np.testing.assert_allclose(hardly.diagnostics["max_displacement"], neo, rtol=1e-5)
+    apart = [gent(inputs | {"slack": slack}).interface.points for slack in (0.51, 0.49)]
+    slope = (apart[0] - apart[1]) / 0.02
+    np.testing.assert_allclose(stiffer.sensitivities[""]["slack"], slope, atol=1e-2 * np.abs(slope).max())
 
 
 def test_its_study_runs(doors: ModuleType, tmp_path: Path, without_report: None) -> None:

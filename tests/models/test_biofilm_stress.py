@@ -3,6 +3,7 @@
 import ngsolve as ng
 import numpy as np
 import pytest
+from verification.validation.energies import FURTHER
 
 from strandline.models.biofilm.cell import FlowCell
 from strandline.models.biofilm.channel import Channel
@@ -29,7 +30,25 @@ def neo_hookean(F: np.ndarray) -> tuple[np.ndarray, float]:
     return SHEAR * (np.eye(3) - inverse) + pressure * inverse, pressure
 
 
-@pytest.mark.parametrize("written_out", [saint_venant_kirchhoff, neo_hookean])
+def mooney_rivlin(F: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return S = 2 dW/dC and pₛ = λ ln J."""
+    C, inverse, log = F.T @ F, np.linalg.inv(F.T @ F), np.log(np.linalg.det(F))
+    (share,) = FURTHER["mooney_rivlin"]
+    c2 = 0.5 * SHEAR * share
+    c1 = 0.5 * SHEAR - c2
+    first = 2 * (c1 + c2 * np.trace(C)) * np.eye(3) - 2 * c2 * C
+    return first - (2 * (c1 + 2 * c2) + 4 * c2 * log - LAME * log) * inverse, LAME * log
+
+
+def yeoh(F: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return S = μ (1 + 2 c₂/c₁ Q + 3 c₃/c₁ Q²) (I - C⁻¹) + pₛ C⁻¹ and pₛ = λ ln J."""
+    C, inverse, log = F.T @ F, np.linalg.inv(F.T @ F), np.log(np.linalg.det(F))
+    second, third = FURTHER["yeoh"]
+    Q = np.trace(C) - 3 - 2 * log
+    return SHEAR * (1 + 2 * second * Q + 3 * third * Q**2) * (np.eye(3) - inverse) + LAME * log * inverse, LAME * log
+
+
+@pytest.mark.parametrize("written_out", [saint_venant_kirchhoff, neo_hookean, mooney_rivlin, yeoh])
 def test_stress_of_a_homogeneous_deformation(written_out) -> None:
     F = np.eye(3)
     F[:2, :2] += GRADIENT
@@ -42,7 +61,7 @@ def test_stress_of_a_homogeneous_deformation(written_out) -> None:
         partition=Partition(),
         law=LAWS[written_out.__name__],
     )
-    cell.system.set_material([E / 10], [NU])
+    cell.system.set_material([E / 10], [NU], *([value] for value in FURTHER[written_out.__name__]))
     (a, b), (c, d) = GRADIENT.tolist()
     cell.system.state.components[2].Set(ng.CF((a * ng.x + b * ng.y, c * ng.x + d * ng.y)))
     cell.system.state.components[3].Set(ng.CF(pressure / 10), definedon=cell.mesh.Materials("solid"))

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from verification.validation.tables import Table, put_into_page
 
-from verification.validation import analytic, biofilm_mesh, extremes, figures, sensitivities, turek_hron
+from verification.validation import analytic, biofilm_mesh, extremes, figures, generality, sensitivities, turek_hron
 
 OUTPUT = Path(__file__).parent / "output"
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "forward-model.md"
-PARTS = (turek_hron, analytic, biofilm_mesh, sensitivities, extremes)
+PARTS = (turek_hron, analytic, biofilm_mesh, sensitivities, extremes, generality)
 
 
 def write(tables: Sequence[Table], folder: Path) -> str:

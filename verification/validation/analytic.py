@@ -1,6 +1,6 @@
 """Closed forms: homogeneous deformations, a manufactured solution, Poiseuille flow, balances of force and mass.
 
-The reference stresses are derived independently from the energies, in plain NumPy; the laws under test are the model's.
+The reference stresses are derived independently from the energies (`energies.py`); the laws under test are the model's.
 
 Run it with:  python -m verification.validation.analytic
 """
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from netgen.geom2d import SplineGeometry
 from scipy.optimize import brentq
+from verification.validation.energies import FURTHER, isochoric_piola, shear_modulus, symbolic_piola, volume_piola
 from verification.validation.tables import Table, observed_orders
 
 from strandline.models.biofilm import newton
@@ -44,11 +45,8 @@ class Homogeneous:
 
 
 def first_piola(law: str, F: Tensor, pressure: float, poisson: float) -> Tensor:
-    """Return P of a law; `pressure` is λ tr E (Saint-Venant–Kirchhoff) or λ ln J (neo-Hookean)."""
-    mu = 0.5 * YOUNG / (1 + poisson)
-    if law == "saint_venant_kirchhoff":
-        return F @ (mu * (F.T @ F - np.eye(2)) + pressure * np.eye(2))
-    return mu * F + (pressure - mu) * np.linalg.inv(F).T
+    """Return P of a law; `pressure` is λ tr E (Saint-Venant–Kirchhoff) or λ ln J (the others)."""
+    return isochoric_piola(law, F, shear_modulus(YOUNG, poisson)) + np.asarray(volume_piola(law, F, pressure))
 
 
 def homogeneous(kind: str, law: str, poisson: float, amount: float = 1.0) -> Homogeneous:
@@ -67,18 +65,28 @@ def homogeneous(kind: str, law: str, poisson: float, amount: float = 1.0) -> Hom
     else:
         F[0, 0] = 1 + amount * (STRETCH - 1)
         F[1, 1] = _free_side(law, F[0, 0], poisson)
-        mu = 0.5 * YOUNG / (1 + poisson)
-        pressure = -mu * (F[1, 1] ** 2 - 1)  # P₂₂ = 0 in both laws
+        pressure = _pressure_of_free_side(law, F, poisson)
     return Homogeneous(F, float(pressure), first_piola(law, F, float(pressure), poisson))
 
 
+def _pressure_of_free_side(law: str, F: Tensor, poisson: float) -> float:
+    """Return pₛ at P₂₂ = 0, where F is diagonal."""
+    share = F[1, 1] if law == "saint_venant_kirchhoff" else 1 / F[1, 1]
+    return float(-isochoric_piola(law, F, shear_modulus(YOUNG, poisson))[1, 1] / share)
+
+
 def _free_side(law: str, stretch: float, poisson: float) -> float:
-    """Return the other stretch at P₂₂ = 0: (1-ν) E₂₂ = -ν E₁₁, or the root of μ(s² - 1) + λ ln(stretch·s) = 0."""
+    """Return the other stretch at P₂₂ = 0: (1-ν) E₂₂ = -ν E₁₁, or the root s of ν ln(stretch·s) = pₛ ν/λ."""
     if law == "saint_venant_kirchhoff":
         return float(np.sqrt(1 - poisson / (1 - poisson) * (stretch**2 - 1)))
-    weight = (1 - 2 * poisson) / 2
-    lowest = max(1e-3, np.sqrt(-min(0.0, poisson) / (1 - 2 * min(0.0, poisson))))  # above this the left side increases
-    return float(brentq(lambda s: weight * (s**2 - 1) + poisson * np.log(stretch * s), lowest, 5.0, xtol=1e-15))
+    share = (1 + poisson) * (1 - 2 * poisson) / YOUNG  # ν/λ
+    lowest = max(0.5, np.sqrt(-min(0.0, poisson) / (1 - 2 * min(0.0, poisson))))  # above this the left side increases
+
+    def left(s: float) -> float:
+        pressure = _pressure_of_free_side(law, np.diag([stretch, s]), poisson)
+        return float(poisson * np.log(stretch * s) - share * pressure)
+
+    return float(brentq(left, lowest, 2.0, xtol=1e-15))
 
 
 def _volume_change(law: str, F: Tensor) -> float:
@@ -95,7 +103,7 @@ class LoadedSolid:
     def __init__(self, mesh: Any, law: str, poisson: float, fixed: str) -> None:
         names = BoundaryNames(no_slip="", inlet="", fixed=fixed)
         self.coupled = CoupledSystem(mesh, names, viscosity=1.0, density=1.0, law=LAWS[law])
-        self.coupled.set_material([YOUNG], [poisson])
+        self.coupled.set_material([YOUNG], [poisson], *([value] for value in FURTHER[law]))
         self.load: Float[np.ndarray, " unknown"] = np.zeros(len(self.coupled.free))
 
     def set_load(self, integrand: Callable[[Any], Any]) -> None:
@@ -147,7 +155,7 @@ def block_error(kind: str, law: str, poisson: float) -> tuple[float, float]:
         block.solve()
     d, pressure = block.coupled.state.components[2:]
     off = _largest(d - moved, block.coupled.mesh)
-    mixed = LAWS[law](d, pressure, YOUNG, poisson)
+    mixed = LAWS[law](d, pressure, YOUNG, poisson, *FURTHER[law])
     stress = (ng.Id(2) + ng.Grad(d)) * mixed.second_piola - ng.CF(tuple(exact.P.ravel()), dims=(2, 2))
     return off, _largest(stress, block.coupled.mesh) / YOUNG
 
@@ -171,14 +179,9 @@ def manufactured_errors(law: str, poisson: float, sizes: tuple[float, ...]) -> l
     exact = ng.CF((stream.Diff(ng.y), -stream.Diff(ng.x)))  # a swirl: the volume changes only to second order
     gradient = ng.CF(tuple(exact[i].Diff(s) for i in range(2) for s in (ng.x, ng.y)), dims=(2, 2))
     F = ng.Id(2) + gradient
-    mu = 0.5 * YOUNG / (1 + poisson)
-    if law == "saint_venant_kirchhoff":
-        strain = 0.5 * (F.trans * F - ng.Id(2))
-        pressure = _lame(poisson) * ng.Trace(strain)
-        P = F * (2 * mu * strain + pressure * ng.Id(2))
-    else:
-        pressure = _lame(poisson) * ng.log(ng.Det(F))
-        P = mu * F + (pressure - mu) * ng.Inv(F).trans
+    volume = 0.5 * ng.Trace(F.trans * F - ng.Id(2)) if law == "saint_venant_kirchhoff" else ng.log(ng.Det(F))
+    pressure = _lame(poisson) * volume
+    P = symbolic_piola(law, F, shear_modulus(YOUNG, poisson)) + volume_piola(law, F, pressure)
     force = -ng.CF(tuple(P[i, 0].Diff(ng.x) + P[i, 1].Diff(ng.y) for i in range(2)))
     errors = []
     for size in sizes:

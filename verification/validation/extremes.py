@@ -1,9 +1,10 @@
-"""Inputs at the limits of what the model admits: ν = ½ exactly, ν near -1, no flow, a very stiff solid; both laws.
+"""Inputs at the limits of what the model admits: ν = ½ exactly, ν near -1, no flow, a very stiff solid; all laws.
 
 Run it with:  python -m verification.validation.extremes
 """
 
 from verification.validation.biofilm_mesh import flow_cell
+from verification.validation.energies import FURTHER
 from verification.validation.tables import Table
 
 from strandline.errors import ForwardModelError
@@ -31,7 +32,7 @@ def tables(*, mesh: str = "default") -> list[Table]:
         cell = flow_cell(MESHES[mesh], law=law)
         for young, poisson, rate in CASES:
             try:
-                found = cell.solve([young], [poisson], rate).diagnostics()
+                found = cell.solve([young], [poisson], rate, *([x] for x in FURTHER[law])).diagnostics()
                 figures = (1e3 * found["max_displacement"], found["min_J_fluid"], found["min_J_solid"])
                 rows.append((law, young, poisson, rate, "solved", *figures, int(found["newton_jacobians"])))
             except ForwardModelError as error:

@@ -51,7 +51,7 @@ class DrawsFields(Protocol):
     """A model that knows velocity, pressure and displacement in its domain: the report then draws them."""
 
     def fields(self, inputs: Mapping[str, float]) -> Any:
-        """Return the fields of a run, in the form of `strandline.models.biofilm.cell.FlowFields`.
+        """Return the fields of a run, in the form of `strandline.models.biofilm.flow_fields.FlowFields`.
 
         Raises:
             ForwardModelError: The run failed.

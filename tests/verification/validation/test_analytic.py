@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from verification.validation.energies import FURTHER
 from verification.validation.tables import observed_orders
 
 from strandline.models.biofilm import materials
@@ -32,18 +33,39 @@ def test_a_wrong_law_is_noticed(monkeypatch):
 @pytest.mark.parametrize("F", [np.array([[1.2, 0.3], [-0.1, 0.9]]), np.array([[0.8, -0.2], [0.25, 1.1]])])
 @pytest.mark.parametrize("poisson", [-0.5, 0.3])
 def test_stresses_of_the_closed_forms_are_derivatives_of_the_energies(F, poisson):
-    """P = dW/dF by central differences of W = μ E:E + λ/2 (tr E)², and of μ/2 (tr C - 3 - 2 ln J) + λ/2 (ln J)²."""
+    """P = dW/dF by central differences, with the energies from the right Cauchy–Green tensor in three dimensions."""
     mu, lame = 0.5 * analytic.YOUNG / (1 + poisson), analytic._lame(poisson)
+
+    def invariants(F):
+        C = np.eye(3)
+        C[:2, :2] = F.T @ F
+        return np.trace(C), 0.5 * (np.trace(C) ** 2 - np.trace(C @ C)), np.log(np.linalg.det(F))
 
     def saint_venant_kirchhoff(F):
         E = 0.5 * (F.T @ F - np.eye(2))
         return mu * np.sum(E * E) + 0.5 * lame * np.trace(E) ** 2
 
     def neo_hookean(F):
-        log = np.log(np.linalg.det(F))
-        return 0.5 * mu * (np.trace(F.T @ F) + 1 - 3 - 2 * log) + 0.5 * lame * log**2
+        I1, _, log = invariants(F)
+        return 0.5 * mu * (I1 - 3 - 2 * log) + 0.5 * lame * log**2
 
-    for energy in (saint_venant_kirchhoff, neo_hookean):
+    def mooney_rivlin(F):
+        I1, I2, log = invariants(F)
+        (share,) = FURTHER["mooney_rivlin"]
+        second = mu * share * (0.5 * (I2 - I1) - log - log**2)
+        return neo_hookean(F) + second
+
+    def yeoh(F):
+        I1, _, log = invariants(F)
+        Q = I1 - 3 - 2 * log
+        return 0.5 * mu * np.polyval([*FURTHER["yeoh"][::-1], 1.0, 0.0], Q) + 0.5 * lame * log**2
+
+    def fung(F):
+        I1, _, log = invariants(F)
+        (b,) = FURTHER["fung"]
+        return 0.5 * mu * np.expm1(b * (I1 - 3 - 2 * log)) / b + 0.5 * lame * log**2
+
+    for energy in (saint_venant_kirchhoff, neo_hookean, mooney_rivlin, yeoh, fung):
         difference = np.zeros((2, 2))
         for i, j in np.ndindex(2, 2):
             step = np.zeros((2, 2))

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from verification.validation.tables import Table, from_json, observed_orders, put_into_page
 
+from strandline.models.biofilm.materials import LAWS
+
 EXPLANATION = Path(__file__).parents[3] / "docs" / "explanation"
 PAGE = (EXPLANATION / "forward-model.md").read_text("utf-8")
 TABLES = {
@@ -56,6 +58,15 @@ def test_biofilm_aims():
     assert default["largest, %"] < 1
     assert max(TABLES["sensitivities"].column("relative difference")) < 1e-6
     assert set(TABLES["extremes"].column("outcome")) == {"solved"}
+
+
+def test_other_flow_cells_meet_their_aims():
+    assert max(TABLES["generality_sensitivities"].column("relative difference")) < 1e-6
+    assert {row[0] for row in TABLES["generality_sensitivities"].rows} > set(LAWS)
+    assert max(TABLES["generality_flow"].column("error of the velocity / its maximum")) < 1e-5
+    assert max(TABLES["homogeneous"].column("error of stress / E")) < 1e-10
+    assert {row[1] for row in TABLES["homogeneous"].rows} == set(LAWS)
+    assert min(order for order in TABLES["manufactured"].column("order") if order is not None) > 2.8
 
 
 def test_table_as_text_and_back():

@@ -1,32 +1,44 @@
 """A flow cell with its specimen, discretised: solve it, read the interface, differentiate it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import ngsolve as ng
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.distortion import jacobian_bound, on_elements, quadratic_nodes
+from strandline.models.biofilm.distortion import jacobian_bound
+from strandline.models.biofilm.flow import (
+    DENSITY_SCALE,
+    FORCE_SCALE,
+    STRESS_SCALE,
+    VELOCITY_SCALE,
+    VISCOSITY_SCALE,
+    Flow,
+    inlet_bottom,
+    prescribe,
+)
+from strandline.models.biofilm.flow_fields import FlowFields, flow_fields
+from strandline.models.biofilm.fluid import WATER, Fluid
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
-from strandline.models.biofilm.materials import Law
+from strandline.models.biofilm.inflow import PARABOLA, Pairs
+from strandline.models.biofilm.materials import Law, further_parameters
 from strandline.models.biofilm.steady import steady_state
 from strandline.models.biofilm.strain import Strain, StrainProbe
-from strandline.models.biofilm.stress import stress_at_nodes
 from strandline.models.biofilm.subdivision import Partition
-from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
+from strandline.models.biofilm.system import BoundaryNames, CoupledSystem, typical
+from strandline.models.protocol import ModelInput
 
 __all__ = ["STRESS_SCALE", "VELOCITY_SCALE", "VISCOSITY", "FlowCell", "FlowFields", "Solution"]
 
-VELOCITY_SCALE = 100.0
-"""U in mm/s; with lengths in mm and ρ = 1e3 kg/m³ the stress scale ρU² is 10 Pa and the scaled viscosity 0.01."""
-STRESS_SCALE = 10.0
 VISCOSITY = 0.01
+"""Scaled viscosity of water."""
+_SCALES = {"Pa": STRESS_SCALE, "1": 1.0}
 NORM_WEIGHTS = (1.0, 0.1, 10.0, 0.1)
 """Newton corrections of v, p, d, pₛ are weighted so that all count alike."""
 BALANCE = 1e-6
@@ -34,29 +46,6 @@ BALANCE = 1e-6
 
 Vector = Float[np.ndarray, " unknown"]
 Points = Float[np.ndarray, "point 2"]
-
-
-@dataclass(frozen=True, eq=False)
-class FlowFields:
-    """The solved state for pictures: corners and edge midpoints of the mesh, four flat triangles per element.
-
-    Args:
-        points: Deformed node positions, mm.
-        triangles: Node numbers.
-        cell_part: Number of the solid's part, from 1, for each triangle (cell,); 0 in the fluid.
-        velocity: Fluid velocity, mm/s; zero in the solid.
-        pressure: Fluid pressure, Pa, zero in the solid.
-        displacement: Node displacements, mm; in the fluid, those of the mesh.
-        stress: Cauchy stress of the solid per triangle, (σxx, σyy, σxy, σzz), Pa, zero in the fluid.
-    """
-
-    points: Points
-    triangles: Int[np.ndarray, "cell 3"]
-    cell_part: Int[np.ndarray, " cell"]
-    velocity: Points
-    pressure: Float[np.ndarray, " point"]
-    displacement: Points
-    stress: Float[np.ndarray, "cell 4"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,21 +79,42 @@ class Solution:
 class FlowCell:
     """Mesh, spaces and forms of one geometry and material law; everything scaled inside, physical outside."""
 
-    def __init__(self, outline: Interface, size: MeshSize, *, channel: Channel, partition: Partition, law: Law) -> None:
+    def __init__(
+        self,
+        outline: Interface,
+        size: MeshSize,
+        *,
+        channel: Channel,
+        partition: Partition,
+        law: Law,
+        fluid: Fluid = WATER,
+        inflow: str | Pairs = PARABOLA,
+        clamped: Pairs = (),
+    ) -> None:
         _, self.parts = subdivide(outline, channel, partition)
+        self._material_scales = (STRESS_SCALE, 1.0, *(_SCALES[item.unit] for item in further_parameters(law)))
         self.outline, self.channel = outline, channel
-        self.mesh = mesh_flow_cell(outline, size, channel, partition)
+        self.mesh = mesh_flow_cell(outline, size, channel, partition, clamped)
         number = {"fluid": 0} | {name: k for k, name in enumerate(self.parts, 1)}
         self.part = np.array([number[element.mat] for element in self.mesh.Elements(ng.VOL)])
         self.is_solid = self.part > 0
+        self._fluid, self.flow = fluid.at({}), Flow.of(channel, inflow, fluid)
+        viscosity, density, *_ = self._fluid.values()
         self.system = CoupledSystem(
-            self.mesh, _boundaries(channel), viscosity=VISCOSITY, density=1.0, law=law, solids=tuple(self.parts)
+            self.mesh,
+            _boundaries(channel, pressure_driven=self.flow.pressure is not None, sliding=bool(clamped)),
+            viscosity=viscosity / VISCOSITY_SCALE,
+            density=density / DENSITY_SCALE,
+            law=law,
+            solids=tuple(self.parts),
+            loads=self.flow.loads,
         )
         self.vertices = _vertices_at(self.mesh, outline)
         self.weights = np.empty(len(self.system.free))
         for component in range(3 + len(self.parts)):
             self.weights[self.system.block(component)] = NORM_WEIGHTS[min(component, 3)]
-        self._prescribe_inflow()
+        if self.flow.pressure is None:
+            prescribe(self.system, inflow, channel, bottom=inlet_bottom(outline, channel))
         self.inflow = np.array(self.system.values)
         self._strains = StrainProbe(self.system)
         self.rigid_flow = self._flow_past_rigid_body()
@@ -114,7 +124,8 @@ class FlowCell:
         young: Sequence[float],
         poisson: Sequence[float],
         rate: float,
-        *,
+        *further: Sequence[float],
+        fluid: Fluid | None = None,
         budget: int = 0,
     ) -> Solution:
         """Return the steady state at Young's moduli [Pa] and Poisson's ratios of the parts, and inflow [mm²/s].
@@ -122,7 +133,9 @@ class FlowCell:
         Args:
             young: Young's modulus of each part, Pa.
             poisson: Poisson's ratio of each part.
-            rate: Inflow rate V_in, mm²/s.
+            rate: Inflow rate V_in, mm²/s, or the pressure drop, Pa.
+            further: Values of each further parameter of the law, one for each part.
+            fluid: Fluid without unknown quantities; default: that of the cell, water where unknown.
             budget: Number of Jacobians after which the search is given up; 0: no limit.
 
         Raises:
@@ -130,34 +143,37 @@ class FlowCell:
                 ``inverted_elements``, ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``; loads in the evidence
                 are inflow rates in mm²/s.
         """
-        self.system.set_material([E / STRESS_SCALE for E in young], poisson)
-        load = rate / VELOCITY_SCALE
+        values = zip(self._material_scales, (young, poisson, *further), strict=True)
+        self.system.set_material(*([value / scale for value in given] for scale, given in values))
+        load = self._set_loads(rate, fluid or self._fluid)
         try:
             found = steady_state(self, load, budget=budget)
             bounds = self.check(found.x)
             self._check_balance(found.x, load)
         except ForwardModelError as error:
-            raise _in_physical_units(error) from error
+            raise _in_physical_units(error, self.flow.drive, self._load_scale) from error
         moved = self._interface_values(np.array(self.system.values))
         return Solution(found.x, moved, bounds["min_J_fluid"], bounds["min_J_solid"], found.jacobians)
 
     def undeformed(self, load: float) -> Vector:
         """Return the flow past a rigid body, scaled: the first guess."""
-        return np.asarray(load * self.rigid_flow)
+        return np.asarray(load * self._drive * self.rigid_flow)
 
     def residual(self, x: Vector, load: float) -> Vector:
         """Return the residual at an inflow of `load`."""
-        self.system.values[:] = load * self.inflow
+        self._apply(load)
         return self.system.residual(x)
 
     def factorise(self, x: Vector, load: float) -> newton.LinearSolver:
         """Return the factorised Jacobian at an inflow of `load`."""
-        self.system.values[:] = load * self.inflow
+        self._apply(load)
         return self.system.factorise(x)
 
     def by_load(self) -> Vector:
         """Return the derivative of the residual with respect to the load, at the last factorised state."""
-        return self.system.by_prescribed(self.inflow)
+        by_inflow = self.system.by_prescribed(self._drive * self.inflow)
+        scaled = zip(self.flow.loads, self._loads, strict=True)
+        return np.asarray(sum((full * self.system.by_parameter(load.parameter) for load, full in scaled), by_inflow))
 
     def largest_compression(self, x: Vector) -> float:
         """Return the largest compressive principal strain of the solid, to first order in the displacement."""
@@ -185,18 +201,24 @@ class FlowCell:
             raise ForwardModelError("inverted_elements", message, bounds)
         return bounds
 
-    def sensitivities(self, solution: Solution) -> list[Points]:
-        """Return d(interface)/dE of each part [mm/Pa], d/dν of each part [mm], d/dV_in [mm per mm²/s].
+    def sensitivities(self, solution: Solution, fluid: Sequence[str] = ()) -> list[Points]:
+        """Return d(interface)/dE of each part [mm/Pa], d/dν of each part [mm], …, d/dV_in [mm per mm²/s].
+
+        The derivatives by the law's further parameters follow those by ν, those by the quantities of the `fluid` that
+        are named, viscosity for example, follow V_in.
 
         One back-substitution each with a fresh Jacobian at the solution that `solve` has just returned.
         """
         system = self.system
         jacobian = system.factorise(solution.unknowns)
-        by_inflow = system.by_prescribed(self.inflow / VELOCITY_SCALE)
-        by_material = [system.by_parameter(p) for p in system.young + system.poisson]
-        scales = [1.0 / STRESS_SCALE] * len(self.parts) + [1.0] * len(self.parts)
-        derivatives = [scale * jacobian.solve(-r) for scale, r in zip(scales, by_material, strict=True)]
+        by_inflow = self._by_drive()
+        derivatives = [
+            1.0 / scale * jacobian.solve(-system.by_parameter(parameter))
+            for scale, parameters in zip(self._material_scales, system.material, strict=True)
+            for parameter in parameters
+        ]
         derivatives.append(jacobian.solve(-by_inflow))
+        derivatives += [jacobian.solve(-self._by_fluid(name)) for name in fluid]
         return [self._interface_values(self._with_unknowns(d)) for d in derivatives]
 
     def _check_balance(self, x: Vector, load: float) -> None:
@@ -217,49 +239,57 @@ class FlowCell:
 
     def fields(self) -> FlowFields:
         """Return velocity, pressure, displacement and stress of the current state."""
-        velocity, pressure, displacement, *_ = self.system.state.components
-        nodes, count = quadratic_nodes(self.mesh)
-        fluid, everywhere = ~self.is_solid, np.ones(self.mesh.ne, bool)
+        return flow_fields(self.system, self.part, velocity=VELOCITY_SCALE, stress=STRESS_SCALE)
 
-        def nodal(function: Any, cells: Bool[np.ndarray, " element"]) -> Float[np.ndarray, "point component"]:
-            values = on_elements(self.mesh, function)[cells]
-            result = np.zeros((count, values.shape[2]))
-            result[nodes[cells].ravel()] = values.reshape(-1, values.shape[2])
-            return result
+    def _set_loads(self, rate: float, fluid: Fluid) -> float:
+        """Set the fluid and the loads at the end of the load path; return the load there.
 
-        d = nodal(displacement, everywhere)
-        rest = nodal(ng.CF((ng.x, ng.y)), everywhere)
-        split = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
-        return FlowFields(
-            points=rest + d,
-            triangles=nodes[:, split].reshape(-1, 3),
-            cell_part=np.repeat(self.part, 4),
-            velocity=nodal(velocity, fluid) * VELOCITY_SCALE,
-            pressure=nodal(pressure, fluid)[:, 0] * STRESS_SCALE,
-            displacement=d,
-            stress=stress_at_nodes(self.system, self.part)[:, split].mean(axis=2).reshape(-1, 4) * STRESS_SCALE,
-        )
+        A load is the scaled inflow or pressure drop, or a share of all loads if a force acts on the fluid too.
+        """
+        viscosity, density, *force = fluid.values()
+        self.system.viscosity.Set(viscosity / VISCOSITY_SCALE)
+        self.system.density.Set(density / DENSITY_SCALE)
+        scaled = rate / self.flow.scale
+        target = 1.0 if self.flow.forces and any(force) else scaled
+        self._drive = 1.0 if target == scaled else scaled
+        self._load_scale = self.flow.scale if target == scaled else rate
+        self._loads = [*(f / FORCE_SCALE for f in force[: len(self.flow.forces)])]
+        self._loads += [self._drive] if self.flow.pressure is not None else []
+        return target
 
-    def _prescribe_inflow(self) -> None:
-        """Write the parabola of volume rate 1 over the free height of the inlet into the velocity."""
-        at_left = self.channel.inlet == "left"
-        bottom = float(self.outline.points[0 if at_left else -1][1])  # 0 if the outline ends on the floor
-        free = self.channel.height - bottom
-        s = (ng.y - bottom) / free
-        profile = (1.0 if at_left else -1.0) * 6 * s * (1 - s) / free
-        inlet = self.mesh.Boundaries("inlet")
-        self.system.state.components[0].Set(ng.CF((profile, 0)), definedon=inlet)
+    def _apply(self, load: float) -> None:
+        """Write the loads at a point of the load path into the system."""
+        self.system.values[:] = load * self._drive * self.inflow
+        for one, full in zip(self.flow.loads, self._loads, strict=True):
+            one.parameter.Set(load * full)
+
+    def _by_drive(self) -> Vector:
+        """Return the derivative of the residual with respect to the inflow rate [mm²/s] or the pressure drop [Pa]."""
+        if self.flow.pressure is not None:
+            return np.asarray(self.system.by_parameter(self.flow.pressure.parameter) / self.flow.scale)
+        return self.system.by_prescribed(self.inflow / self.flow.scale)
+
+    def _by_fluid(self, name: str) -> Vector:
+        """Return the derivative of the residual with respect to a quantity of the fluid, per its unit."""
+        scales = {"viscosity": VISCOSITY_SCALE, "density": DENSITY_SCALE}
+        parameters = {"viscosity": self.system.viscosity, "density": self.system.density}
+        forces = dict(zip(("force_x", "force_y"), self.flow.forces, strict=False))
+        parameter = parameters[name] if name in parameters else forces[name].parameter
+        return np.asarray(self.system.by_parameter(parameter) / scales.get(name, FORCE_SCALE))
 
     def _flow_past_rigid_body(self) -> Vector:
         """Return velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
         parts = len(self.parts)
-        self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts)
-        self.system.values[:] = self.inflow
+        further = (typical(item) for item in further_parameters(self.system.law))
+        self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts, *([value] * parts for value in further))
+        reference = 1.0 if self.flow.pressure is None else self.flow.developed_drop(self._fluid)
+        self._set_loads(reference * self.flow.scale, replace(self._fluid, force_x=0.0, force_y=0.0))
+        self._apply(reference)
         start = np.array(self.system.values[self.system.free])
         settings = newton.NewtonSettings(tolerance=1e-6, maximum_jacobians=30)
         x = newton.solve(self.system, start, weights=self.weights, settings=settings).x
         x[~(self.system.block(0) | self.system.block(1))] = 0.0
-        return x
+        return np.asarray(x / reference)
 
     def _with_unknowns(self, x: Vector) -> Float[np.ndarray, " dof"]:
         values = np.zeros(len(self.system.values))
@@ -274,29 +304,32 @@ class FlowCell:
         return np.stack([d[self.vertices], d[half + self.vertices]], axis=1)
 
 
-def _boundaries(channel: Channel) -> BoundaryNames:
+def _boundaries(channel: Channel, *, pressure_driven: bool = False, sliding: bool = False) -> BoundaryNames:
+    straight = {"outlet": channel.outlet == "horizontal", "inlet": pressure_driven, "top": channel.is_frictionless}
     return BoundaryNames(
-        no_slip="floor|top",
-        inlet="inlet",
-        fixed="inlet|outlet|floor|top|base|side",
-        vertical_velocity_zero="outlet" if channel.outlet == "horizontal" else "",
+        no_slip="floor" if channel.is_frictionless else "floor|top",
+        inlet="" if pressure_driven else "inlet",
+        fixed="inlet|outlet|top|base|side" if sliding else "inlet|outlet|floor|top|base|side",
+        sliding="floor|loose" if sliding else "",
+        vertical_velocity_zero="|".join(name for name, is_so in straight.items() if is_so),
     )
 
 
-def _in_physical_units(error: ForwardModelError) -> ForwardModelError:
-    """Return the failure with loads as inflow rates, and with a message that states where and at which inflow rate."""
+def _in_physical_units(error: ForwardModelError, drive: ModelInput, scale: float) -> ForwardModelError:
+    """Return the failure with loads as inflow rates or pressure drops, and a message that states where and at which."""
     evidence = dict(error.evidence)
     for key in ("load_reached", "limit_load", "load_slope"):
         if key in evidence:
-            evidence[key] *= VELOCITY_SCALE
-    message = error.message
+            evidence[key] *= scale
+    message, unit = error.message, drive.unit.replace("^2", "²")
     if error.kind == "limit_point":
+        strain, x, y = (evidence[f"critical_{name}"] for name in ("strain", "x", "y"))
         message = (
-            f"no steady state beyond V_in = {evidence['limit_load']:.4g} mm²/s: the load path turns back at a strain of"
-            f" {evidence['critical_strain']:.2f} at ({evidence['critical_x']:.3f}, {evidence['critical_y']:.3f}) mm"
+            f"no steady state beyond {drive.name} = {evidence['limit_load']:.4g} {unit}: the load path turns back at a"
+            f" strain of {strain:.2f} at ({x:.3f}, {y:.3f}) mm"
         )
     elif "load_reached" in evidence:
-        message = f"{message}, at V_in = {evidence['load_reached']:.4g} mm²/s"
+        message = f"{message}, at {drive.name} = {evidence['load_reached']:.4g} {unit}"
     return ForwardModelError(error.kind, message, evidence)
 
 

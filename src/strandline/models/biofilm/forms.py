@@ -10,16 +10,25 @@ for the ALE form. The solid's laws are in `materials`.
 
 from typing import Any
 
-from ngsolve import Cof, Grad, InnerProduct, Inv, Trace, specialcf
+from ngsolve import Cof, Det, Grad, InnerProduct, Inv, Trace, specialcf
 
 from strandline.models.biofilm.materials import deformation_gradient
 
-__all__ = ["continuity", "convection", "mesh_motion", "pressure", "solid_stress_power", "viscous"]
+__all__ = [
+    "body_force",
+    "continuity",
+    "convection",
+    "mesh_motion",
+    "outer_pressure",
+    "pressure",
+    "solid_stress_power",
+    "viscous",
+]
 
 Form = Any  # an NGSolve coefficient function
 
 
-def viscous(v: Form, d: Form, test: Form, viscosity: float) -> Form:
+def viscous(v: Form, d: Form, test: Form, viscosity: Form) -> Form:
     """Return μ (∇v F⁻¹ + F⁻ᵀ ∇vᵀ) C : ∇test, the friction of a Newtonian fluid."""
     F = deformation_gradient(d)
     gradient = Grad(v) * Inv(F)
@@ -31,9 +40,19 @@ def pressure(p: Form, d: Form, test: Form) -> Form:
     return -p * InnerProduct(Cof(deformation_gradient(d)), Grad(test))
 
 
-def convection(v: Form, d: Form, test: Form, density: float) -> Form:
+def convection(v: Form, d: Form, test: Form, density: Form) -> Form:
     """Return ρ (∇v Cᵀ v) · test."""
     return density * InnerProduct(Grad(v) * (Cof(deformation_gradient(d)).trans * v), test)
+
+
+def body_force(d: Form, test: Form, force: Form) -> Form:
+    """Return -J f · test, f being the force per volume of the deformed fluid."""
+    return -Det(deformation_gradient(d)) * InnerProduct(force, test)
+
+
+def outer_pressure(test: Form, pressure: Form) -> Form:
+    """Return p n · test, for a pressure from outside on an undeformed boundary with the outward normal n."""
+    return pressure * InnerProduct(specialcf.normal(2), test)
 
 
 def continuity(v: Form, d: Form, q: Form) -> Form:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -15,13 +15,19 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, is_condition
 from strandline.models.biofilm.cell import FlowCell, FlowFields
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
+from strandline.models.biofilm.flow import inlet_bottom
+from strandline.models.biofilm.fluid import WATER, Fluid
+from strandline.models.biofilm.foot import as_stretches, check_clamped
 from strandline.models.biofilm.geometry import subdivide
+from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, PROFILES, RATE, Pairs, as_pairs, check_inflow
 from strandline.models.biofilm.linear import linear_solver
-from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.materials import LAWS, further_parameters, law_named
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.sizes import FINER, MESHES, MeshSize, is_adapted
 from strandline.models.biofilm.subdivision import Partition, check_partition
 from strandline.models.protocol import ModelInput, Simulation
+from strandline.models.protocol import fingerprint as fingerprint_of
+from strandline.registry import imported
 
 __all__ = ["Biofilm", "FlowFields"]
 
@@ -41,10 +47,16 @@ class Biofilm:
 
     Args:
         mesh: ``coarse`` (488 elements with the study's outline), ``default`` (1194) or ``fine`` (3454).
-        material: ``saint_venant_kirchhoff`` or ``neo_hookean``.
+        material: A law of `LAWS`: ``saint_venant_kirchhoff``, ``neo_hookean``, ``mooney_rivlin``, ``yeoh`` or ``fung``;
+            or ``module:name`` of your own.
         channel: A `Channel`; by default 2 mm × 1 mm, inlet left, horizontal outflow.
         outline: An `Outline`; the study's by default.
         partition: A `Partition` of the solid into parts, each with its own E and ν.
+        fluid: A `Fluid`, water by default; its ``unknown`` quantities are inputs.
+        inflow: Profile of the inflow over the inlet, scaled to V_in: ``parabola``, ``plug``, ``module:name`` or pairs
+            (y, v), y in mm; or ``pressure``: the pressure drop `p_drop` is an input in place of V_in.
+        clamped: Stretches (from, to) of the floor, mm, where the base is held; elsewhere it slides along the floor
+            without friction and does not lift. None: all of the base is held.
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
             condition. Each experiment gives one interface, and V_in is no longer an input.
         sensitivities: Whether runs return d(interface)/d(input) as well.
@@ -65,6 +77,9 @@ class Biofilm:
     channel: Channel = Channel()
     outline: Outline = Outline()
     partition: Partition = Partition()
+    fluid: Fluid = WATER
+    inflow: str | Pairs = PARABOLA
+    clamped: Pairs = ()
     inflow_rates: tuple[tuple[str, float], ...] = ()
     sensitivities: bool = False
     failure_budget: int = 5
@@ -82,14 +97,16 @@ class Biofilm:
 
     def __post_init__(self) -> None:
         _one_of("mesh", self.mesh, MESHES)
-        _one_of("material", self.material, LAWS)
+        law_named(self.material)
         _check_budget(self.failure_budget)
         for name, rate in self.inflow_rates:
-            _check_rate(name, rate)
+            _check_rate(name, rate, self.inflow)
         reference = self.outline.interface()
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
         subdivide(reference, self.channel, self.partition)
+        check_clamped(self.clamped, reference)
+        check_inflow(self.inflow, inlet_bottom(reference, self.channel), self.channel.height)
         linear_solver()
 
     @classmethod
@@ -98,20 +115,38 @@ class Biofilm:
 
         `partition` may also be ``three_parts``, the heterogeneous specimen of the study.
         """
-        for name, kind in (("channel", Channel), ("outline", Outline), ("partition", Partition)):
+        for name, kind in (("channel", Channel), ("outline", Outline), ("partition", Partition), ("fluid", Fluid)):
             if name in options:
                 options[name] = _converted(name, options[name], kind)
+        if "inflow" in options:
+            options["inflow"] = _inflow(options["inflow"])
+        if "clamped" in options:
+            options["clamped"] = as_stretches(options["clamped"])
         if "inflow_rates" in options:
             options["inflow_rates"] = _pairs(options["inflow_rates"])
         return cls(**options)
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """E and nu, or E1, nu1, E2, … of the parts, and V_in if no inflow rates are given."""
+        """E, nu and the law's further parameters, or E1, nu1, …, E2, … of the parts; V_in or p_drop; the fluid's."""
+        solids = [_of_part(item, number) for number in self._numbers for item in self._material]
+        return (*solids, *self._drive, *self.fluid.inputs)
+
+    @property
+    def _drive(self) -> tuple[ModelInput, ...]:
+        """What drives the flow, if it is an input."""
+        return () if self.inflow_rates else (DROP if self.inflow == PRESSURE else RATE,)
+
+    @property
+    def _material(self) -> tuple[ModelInput, ...]:
+        """Parameters of the law."""
+        return (*_SMALL_STRAIN, *further_parameters(law_named(self.material)))
+
+    @property
+    def _numbers(self) -> list[str]:
+        """Numbers of the parts as the inputs' names end with them; nothing for a single part."""
         count = max(1, len(self.partition.markers))
-        numbers = [""] if count == 1 else [str(k) for k in range(1, count + 1)]
-        solids = [item for number in numbers for item in _solid_inputs(number)]
-        return tuple(solids) if self.inflow_rates else (*solids, _INFLOW)
+        return [""] if count == 1 else [str(k) for k in range(1, count + 1)]
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -132,22 +167,26 @@ class Biofilm:
         ]
         if _is_adapted(self.outline, self.mesh, self.channel):
             chosen.append(f"sizes={SIZES}")
+        if self.material not in LAWS:
+            chosen.append(f"law={fingerprint_of(cast(Any, law_named(self.material)))}")
         digest = ":" + hashlib.sha256("|".join(chosen).encode()).hexdigest()[:16] if chosen else ""
+        if isinstance(self.inflow, str) and ":" in self.inflow:
+            chosen.append(f"profile={fingerprint_of(imported(self.inflow, 'inflow'))}")
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
         """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; with several inflow rates, one for each."""
         cell = _flow_cell(self._geometry)
-        young, poisson = self._material_values(inputs)
+        young, poisson, *further = self._material_values(inputs)
+        fluid = self.fluid.at(inputs)
         interfaces, sensitivities = {}, {}
         figures: dict[str, float] = {}
         for name, rate in self._rates(inputs):
-            solution = cell.solve(young, poisson, rate, budget=self.failure_budget)
+            solution = cell.solve(young, poisson, rate, *further, fluid=fluid, budget=self.failure_budget)
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
             figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
             if self.sensitivities:
-                names = [item.name for item in _sorted_like_cell(self.inputs)]
-                sensitivities[name] = dict(zip(names, cell.sensitivities(solution), strict=False))
+                sensitivities[name] = self._by_input(cell.sensitivities(solution, [q.name for q in self.fluid.inputs]))
         return Simulation(interfaces, figures, sensitivities)
 
     def undeformed(self) -> Interface:
@@ -164,7 +203,8 @@ class Biofilm:
         cell = _flow_cell(self._geometry)
         rates = dict(self._rates(inputs))
         rate = rates[condition or next(reversed(rates))]
-        cell.solve(*self._material_values(inputs), rate)
+        young, poisson, *further = self._material_values(inputs)
+        cell.solve(young, poisson, rate, *further, fluid=self.fluid.at(inputs))
         return cell.fields()
 
     def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
@@ -175,8 +215,10 @@ class Biofilm:
         """
         cell = _new_cell(self._geometry, FINER[self.mesh])
         found = {}
+        young, poisson, *further = self._material_values(inputs)
         for name, rate in self._rates(inputs):
-            solution = cell.solve(*self._material_values(inputs), rate, budget=self.failure_budget)
+            fluid = self.fluid.at(inputs)
+            solution = cell.solve(young, poisson, rate, *further, fluid=fluid, budget=self.failure_budget)
             found[name] = Interface.polyline(cell.outline.points + solution.displacement)
         return found
 
@@ -187,33 +229,34 @@ class Biofilm:
 
     def _rates(self, inputs: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
         """Return the conditions with their inflow rates."""
-        return self.inflow_rates or (("", float(inputs[_INFLOW.name])),)
+        return self.inflow_rates or (("", float(inputs[self._drive[0].name])),)
 
-    def _material_values(self, inputs: Mapping[str, float]) -> tuple[list[float], list[float]]:
-        """Return Young's moduli and Poisson's ratios of the parts."""
-        solids = [item.name for item in self.inputs if item.name != _INFLOW.name]
-        return [float(inputs[n]) for n in solids[::2]], [float(inputs[n]) for n in solids[1::2]]
+    def _material_values(self, inputs: Mapping[str, float]) -> list[list[float]]:
+        """Return Young's moduli, Poisson's ratios and further parameters, each for every part."""
+        return [[float(inputs[item.name + number]) for number in self._numbers] for item in self._material]
+
+    def _by_input(self, found: list[np.ndarray]) -> dict[str, np.ndarray]:
+        """Return the sensitivities of a `FlowCell` by the name of the input; without V_in if it is none."""
+        names = [item.name + number for item in self._material for number in self._numbers]
+        by_name = dict(zip([*names, "", *(item.name for item in self.fluid.inputs)], found, strict=True))
+        by_drive = by_name.pop("")
+        return by_name | {item.name: by_drive for item in self._drive}
 
 
 _SMALLEST_BUDGET = 3
 _FROM_FILE = {"outline": "; in a study file also file with its unit in place of points, which are in mm"}
 
-_INFLOW = ModelInput("V_in", "mm^2/s", 0.0, np.inf, high_included=False, meaning="inflow volume rate per depth")
+_SMALL_STRAIN = (
+    ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),
+    ModelInput("nu", "1", -1.0, 0.5, low_included=False, meaning="Poisson's ratio"),
+)
 
 
-def _solid_inputs(number: str) -> tuple[ModelInput, ModelInput]:
-    of = f" of part {number}" if number else ""
-    return (
-        ModelInput(
-            f"E{number}", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning=f"Young's modulus{of}"
-        ),
-        ModelInput(f"nu{number}", "1", -1.0, 0.5, low_included=False, meaning=f"Poisson's ratio{of}"),
-    )
-
-
-def _sorted_like_cell(inputs: tuple[ModelInput, ...]) -> list[ModelInput]:
-    """Return the inputs in the order of `FlowCell.sensitivities`: all E, all nu, V_in."""
-    return sorted(inputs, key=lambda item: ("E", "n", "V").index(item.name[0]))
+def _of_part(item: ModelInput, number: str) -> ModelInput:
+    """Return a parameter of the law as an input of part `number`; empty if there is one part."""
+    if not number:
+        return item
+    return dataclasses.replace(item, name=item.name + number, meaning=f"{item.meaning} of part {number}")
 
 
 def _figure(key: str, condition: str) -> str:
@@ -246,6 +289,8 @@ def _converted(name: str, value: object, kind: Any) -> Any:
             expected=f"a mapping with keys among {', '.join(sorted(known))}{_FROM_FILE.get(name, '')}",
             remedy=f"Did you mean {close[0]}?" if close else "Correct it.",
         )
+    if kind is Fluid:
+        return Fluid(**{key: float(v) if _is_number(v) else v for key, v in value.items()})
     if kind is Partition:
         check_partition(**value)
     lengths = {field.name for field in dataclasses.fields(kind) if field.type is float}
@@ -258,6 +303,20 @@ def _converted(name: str, value: object, kind: Any) -> Any:
                 remedy="Correct it.",
             )
     return kind(**{key: float(v) if key in lengths else _as_tuples(v) for key, v in value.items()})
+
+
+def _inflow(value: Any) -> Any:
+    """Return the name of a profile, or the pairs of ``{table: …}`` as tuples."""
+    if isinstance(value, Mapping) and set(value) == {"table"}:
+        return as_pairs(value["table"])
+    if isinstance(value, str | tuple):
+        return value
+    raise InvalidInput(
+        "inflow of the biofilm model",
+        value=value,
+        expected=f"one of {', '.join([*PROFILES, PRESSURE])}, module:name, or {{table: [[y, v], …]}} with y in mm",
+        remedy="Correct it.",
+    )
 
 
 def _as_tuples(value: Any) -> Any:
@@ -295,8 +354,15 @@ def _check_budget(budget: object) -> None:
         )
 
 
-def _check_rate(name: object, rate: object) -> None:
-    admitted = isinstance(rate, int | float) and _is_number(rate) and _INFLOW.admits(float(rate))
+def _check_rate(name: object, rate: object, inflow: object = PARABOLA) -> None:
+    if inflow == PRESSURE:
+        raise InvalidInput(
+            "inflow_rates of the biofilm model",
+            value=f"{name}: {rate} with inflow: {PRESSURE}",
+            expected="a profile of the inflow, or no inflow rates",
+            remedy="Remove one of the two; p_drop is an input of the model.",
+        )
+    admitted = isinstance(rate, int | float) and _is_number(rate) and RATE.admits(float(rate))
     if not admitted or not is_condition(name) or not name:
         raise InvalidInput(
             f"inflow rate {name!r} of the biofilm model",
@@ -317,7 +383,10 @@ def _new_cell(model: Biofilm, size: MeshSize) -> FlowCell:
         size,
         channel=model.channel,
         partition=model.partition,
-        law=LAWS[model.material],
+        law=law_named(model.material),
+        fluid=model.fluid,
+        inflow=model.inflow,
+        clamped=model.clamped,
     )
 
 

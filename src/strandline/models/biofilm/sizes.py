@@ -76,6 +76,7 @@ def gap_sizes(interface: Interface, size: MeshSize, channel: Channel) -> Places:
 def segment_sizes(interface: Interface, size: MeshSize) -> Float[np.ndarray, " cell"]:
     """Return the largest element on each segment of the outline, mm: finest at the feet and at sharp bends."""
     sizes = np.full(len(interface.lengths), size.interface)
+    sizes[_beside_floor(interface)] = size.foot
     sizes[[0, -1]] = size.foot
     sharp = _sharp(interface)
     return np.where(sharp, np.minimum(sizes, interface.lengths / PER_SEGMENT), sizes)
@@ -86,8 +87,21 @@ def is_adapted(interface: Interface, size: MeshSize, channel: Channel) -> bool:
     return bool(_sharp(interface).any()) or len(gap_sizes(interface, size, channel)) > 0
 
 
+def _on_floor(interface: Interface) -> np.ndarray:
+    """Return which segments lie on the floor, between two bodies, (segment,)."""
+    return np.asarray(np.maximum(np.abs(interface.starts[:, 1]), np.abs(interface.ends[:, 1])) < ON_WALL)
+
+
+def _beside_floor(interface: Interface) -> np.ndarray:
+    """Return which segments meet the floor between two bodies, (segment,)."""
+    floor = _on_floor(interface)
+    return np.asarray(np.append(floor[1:], False) | np.insert(floor[:-1], 0, False))
+
+
 def _sharp(interface: Interface) -> np.ndarray:
     """Return which segments meet a neighbour at a sharp angle, (segment,)."""
     dx, dy = (interface.ends - interface.starts).T
     turn = np.abs((np.diff(np.degrees(np.arctan2(dy, dx))) + 180.0) % 360.0 - 180.0) > SHARP
+    floor = _on_floor(interface)
+    turn &= ~(floor[1:] | floor[:-1])
     return np.asarray(np.append(turn, False) | np.insert(turn, 0, False))

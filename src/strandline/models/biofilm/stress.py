@@ -15,15 +15,14 @@ __all__ = ["cauchy_stress", "stress_at_nodes"]
 Form = Any  # an NGSolve coefficient function
 
 
-def cauchy_stress(law: Law, d: Form, solid_pressure: Form, young: Form, poisson: Form) -> Form:
-    """Return (σxx, σyy, σxy, σzz) in plane strain.
-
-    Out of the plane, where F is 1 and the strain 0, both laws reduce to S = pₛ.
-    """
+def cauchy_stress(law: Law, d: Form, solid_pressure: Form, *parameters: Form) -> Form:
+    """Return (σxx, σyy, σxy, σzz) in plane strain, where F is 1 out of the plane; `parameters` begin with E and ν."""
     F = deformation_gradient(d)
     J = ng.Det(F)
-    stress = F * law(d, solid_pressure, young, poisson).second_piola * F.trans / J
-    return ng.CF((stress[0, 0], stress[1, 1], stress[0, 1], solid_pressure / J))
+    mixed = law(d, solid_pressure, *parameters)
+    stress = F * mixed.second_piola * F.trans / J
+    across = solid_pressure if mixed.out_of_plane is None else mixed.out_of_plane
+    return ng.CF((stress[0, 0], stress[1, 1], stress[0, 1], across / J))
 
 
 def stress_at_nodes(system: CoupledSystem, part: Int[np.ndarray, " element"]) -> Float[np.ndarray, "element 6 4"]:
@@ -35,7 +34,7 @@ def stress_at_nodes(system: CoupledSystem, part: Int[np.ndarray, " element"]) ->
     """
     displacement = system.state.components[2]
     result = np.zeros((len(part), 6, 4))
-    for k, (young, poisson) in enumerate(zip(system.young, system.poisson, strict=True)):
-        stress = cauchy_stress(system.law, displacement, system.state.components[3 + k], young, poisson)
+    for k in range(len(system.solids)):
+        stress = cauchy_stress(system.law, displacement, system.state.components[3 + k], *system.of_region(k))
         result[part == k + 1] = on_elements(system.mesh, stress)[part == k + 1]
     return result

@@ -15,6 +15,9 @@ Point = tuple[float, float]
 SNAP = 0.2
 """A cut that meets an edge within this share of its length from a vertex goes through it: no tiny elements."""
 
+TOUCHING = 1e-6
+"""Points of the floor closer than this are one, mm."""
+
 
 @dataclass(frozen=True)
 class Partition:
@@ -100,6 +103,16 @@ class Subdivision:
             self.rings[name], self.rings[other] = ring[i : j + 1], ring[j:] + ring[: i + 1]
             result += [name, other]
         return result
+
+    def split_floor(self, x: float) -> None:
+        """Put a vertex at (x, 0) on the edge of a polygon that has x inside; none if a vertex is there."""
+        for ring in list(self.rings.values()):
+            for start, end in _pairs(ring):
+                (x0, y0), (x1, y1) = self.vertices[start], self.vertices[end]
+                if y0 == y1 == 0 and min(x0, x1) + TOUCHING < x < max(x0, x1) - TOUCHING:
+                    self.vertices.append((x, 0.0))
+                    self._insert(start, end, len(self.vertices) - 1)
+                    return
 
     def rename(self, names: list[str], markers: tuple[Point, ...], prefix: str) -> list[str]:
         """Name the polygons prefix1, prefix2, … by the marker that lies in each."""

@@ -19,21 +19,48 @@ from ngsolve import la
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
 from strandline.models.biofilm.linear import Factorisation
-from strandline.models.biofilm.materials import Law, saint_venant_kirchhoff
+from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
+from strandline.models.protocol import ModelInput
 
-__all__ = ["BoundaryNames", "CoupledSystem"]
+__all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "typical"]
 
 Vector = Float[np.ndarray, " unknown"]
 
 
 @dataclass(frozen=True)
 class BoundaryNames:
-    """Regular expressions for the boundaries: velocity zero, velocity prescribed, displacement zero, outflow."""
+    """Regular expressions for the boundaries where a condition holds.
+
+    Args:
+        no_slip: Velocity zero.
+        inlet: Velocity prescribed.
+        fixed: Displacement zero.
+        vertical_velocity_zero: Vertical velocity zero.
+        sliding: Vertical displacement zero.
+    """
 
     no_slip: str
     inlet: str
     fixed: str
     vertical_velocity_zero: str = ""
+    sliding: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class FluidLoad:
+    """A load on the fluid that is proportional to a parameter: a force per volume, and a pressure from outside.
+
+    Args:
+        parameter: NGSolve parameter that it is proportional to, scaled.
+        force: Force per volume at a parameter of 1, along x and y.
+        pressure: External pressure on `boundary` at a parameter of 1, a form.
+        boundary: Regular expression for the boundaries under pressure.
+    """
+
+    parameter: Any
+    force: tuple[float, float] = (0.0, 0.0)
+    pressure: Any = None
+    boundary: str = ""
 
 
 class CoupledSystem:
@@ -46,8 +73,9 @@ class CoupledSystem:
         density: Scaled density of the fluid.
         order: Polynomial order of velocity and displacement; pressures have one less.
         law: Law of the solid, from `materials`.
-        solids: Names of the solid's regions; each has its own Young's modulus and Poisson's ratio.
+        solids: Names of the solid's regions; each has its own Young's modulus, Poisson's ratio and further parameters.
         body_force: Scaled force per volume of the undeformed solid.
+        loads: Further loads on the fluid.
     """
 
     def __init__(
@@ -61,17 +89,19 @@ class CoupledSystem:
         law: Law = saint_venant_kirchhoff,
         solids: tuple[str, ...] = ("solid",),
         body_force: tuple[float, float] = (0.0, 0.0),
+        loads: Sequence[FluidLoad] = (),
     ) -> None:
         self.mesh, self.solids = mesh, solids
-        self.young = tuple(ng.Parameter(1.0) for _ in solids)
-        self.poisson = tuple(ng.Parameter(0.25) for _ in solids)
+        starts = (1.0, 0.25, *(typical(item) for item in further_parameters(law)))
+        self.material = tuple(tuple(ng.Parameter(start) for _ in solids) for start in starts)
         self.space = _spaces(mesh, boundaries, order, solids)
         self.state = ng.GridFunction(self.space)
         self._residual = self.state.vec.CreateVector()
         self.law, self.body_force = law, body_force
         self._derivatives: dict[Any, Any] = {}
         self._balance = _solid_form(self)
-        _add_fluid(self._balance, self, viscosity=viscosity, density=density)
+        self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
+        _add_fluid(self._balance, self)
         self._motion = _motion_form(self.space)
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
@@ -87,10 +117,15 @@ class CoupledSystem:
         part = self.space.Range(component)
         return np.asarray((self.free >= part.start) & (self.free < part.stop))
 
-    def set_material(self, young: Sequence[float], poisson: Sequence[float]) -> None:
-        """Set scaled Young's modulus and Poisson's ratio of each solid region."""
-        for parameter, value in zip(self.young + self.poisson, (*young, *poisson), strict=True):
-            parameter.Set(value)
+    def set_material(self, *values: Sequence[float]) -> None:
+        """Set scaled Young's moduli, Poisson's ratios and further parameters of the law, each by solid region."""
+        for parameters, given in zip(self.material, values, strict=True):
+            for parameter, value in zip(parameters, given, strict=True):
+                parameter.Set(value)
+
+    def of_region(self, k: int) -> tuple[Any, ...]:
+        """Return the material parameters of solid region k: Young's modulus, Poisson's ratio, further ones."""
+        return tuple(parameters[k] for parameters in self.material)
 
     def set_unknowns(self, x: Vector) -> None:
         """Write the unknowns into the state."""
@@ -125,9 +160,14 @@ class CoupledSystem:
         return Factorisation(self._pattern.fill(self._assemble()), len(self.free))
 
     def by_parameter(self, parameter: Any) -> Vector:
-        """Return the derivative of the residual with respect to one of `young` or `poisson` at the current state."""
+        """Return the derivative of the residual with respect to one parameter at the current state.
+
+        Args:
+            parameter: One of `material`, `viscosity`, `density` or the parameter of a load.
+        """
         if parameter not in self._derivatives:
             self._derivatives[parameter] = _solid_form(self, derivative_by=parameter)
+            _add_fluid(self._derivatives[parameter], self, derivative_by=parameter)
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
         result[self._is_motion] = 0.0
@@ -151,12 +191,13 @@ class CoupledSystem:
     def _pattern(self) -> "_Pattern":
         """Structural nonzeros of the reduced Jacobian, found at a random state."""
         kept = np.array(self.values)
-        young, poisson = ([p.Get() for p in group] for group in (self.young, self.poisson))
+        material = [[p.Get() for p in group] for group in self.material]
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
-        self.set_material([1.0] * len(young), [0.23] * len(poisson))
+        generic = (1.0, 0.23, *(typical(item) for item in further_parameters(self.law)))
+        self.set_material(*([value] * len(self.solids) for value in generic))
         pattern = _Pattern.find(self._assemble(), self._balance.mat, self._motion.mat, self._is_motion, self.free)
         self.values[:] = kept
-        self.set_material(young, poisson)
+        self.set_material(*material)
         return pattern
 
 
@@ -210,11 +251,19 @@ def _reduced_entries(
     number: Int[np.ndarray, " dof"],
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return reduced row, reduced column, entry number and value of the nonzero entries in the selected free rows."""
-    _, columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR())
+    columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR()[1:])
     rows = np.repeat(np.arange(matrix.height), np.diff(pointers))
     keep = rows_wanted[rows] & (number[rows] >= 0) & (number[columns] >= 0) & (values != 0.0)
     chosen = np.flatnonzero(keep)
     return number[rows[chosen]], number[columns[chosen]], chosen, np.array(values[chosen])
+
+
+def typical(parameter: ModelInput) -> float:
+    """Return a value well inside the range of a law's parameter."""
+    low, high = parameter.low, parameter.high
+    if np.isfinite(low) and np.isfinite(high):
+        return 0.5 * (low + high)
+    return low + 1.0 if np.isfinite(low) else min(high - 1.0, 0.0)
 
 
 def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]) -> Any:
@@ -223,7 +272,7 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
     velocity = ng.VectorH1(
         mesh, order=order, definedon="fluid", dirichlet=stuck, dirichlety=names.vertical_velocity_zero
     )
-    displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed)
+    displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed, dirichlety=names.sliding)
     pressure, *solid_pressures = (ng.H1(mesh, order=order - 1, definedon=region) for region in ("fluid", *solids))
     return ng.FESpace([velocity, pressure, displacement, *solid_pressures])
 
@@ -232,21 +281,22 @@ def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
     """Return momentum and constitutive constraint of the solid, or their derivative with respect to a parameter."""
     (_, _, d, *solid_pressures), (_, _, phi, *solid_tests) = system.space.TnT()
     form = ng.BilinearForm(system.space)
+    same_quadrature = ng.Parameter(0.0)  # without pₛ and qₛ in a derivative NGSolve would take fewer points than before
     for k, region in enumerate(system.solids):
-        mixed = system.law(d, solid_pressures[k], system.young[k], system.poisson[k])
+        mixed = system.law(d, solid_pressures[k], *system.of_region(k))
         solid = forms.solid_stress_power(d, mixed.second_piola, phi) + solid_tests[k] * mixed.constraint
         if derivative_by is None:
             solid = solid - ng.InnerProduct(ng.CF(system.body_force), phi)
-        elif derivative_by in (system.young[k], system.poisson[k]):
-            solid = solid.Diff(derivative_by)
+        elif any(parameter is derivative_by for parameter in system.of_region(k)):
+            solid = solid.Diff(derivative_by) + same_quadrature * solid_pressures[k] * solid_tests[k]
         else:
             continue
         form += solid.Compile() * ng.dx(region, bonus_intorder=2)
     return form
 
 
-def _add_fluid(form: Any, system: CoupledSystem, *, viscosity: float, density: float) -> None:
-    """Add momentum and continuity of the fluid, the former tested with w + φ on the interface.
+def _add_fluid(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -> None:
+    """Add momentum and continuity of the fluid, the former tested with w + φ on the interface, or a derivative of them.
 
     Every term is a separate form: the cost of a Jacobian grows with the product of a form's trial and test components
     and with its length, so the sum as a single form takes twice as long to assemble.
@@ -254,13 +304,37 @@ def _add_fluid(form: Any, system: CoupledSystem, *, viscosity: float, density: f
     (v, p, d, *_), (w, q, phi, *_) = system.space.TnT()
     beside_interface = {"definedonelements": _fluid_beside_interface(system.mesh)}
     for test, where in ((w, {}), (phi, beside_interface)):
-        for term, bonus in (
-            (forms.viscous(v, d, test, viscosity), 2),
-            (forms.pressure(p, d, test), 0),
-            (forms.convection(v, d, test, density), 2),
-        ):
-            form += term.Compile() * ng.dx("fluid", bonus_intorder=bonus, **where)
-    form += forms.continuity(v, d, q).Compile() * ng.dx("fluid")
+        terms = (
+            (forms.viscous(v, d, test, system.viscosity), 2, system.viscosity),
+            (forms.pressure(p, d, test), 0, None),
+            (forms.convection(v, d, test, system.density), 2, system.density),
+            *((_force_of(load, d, test), 2, load.parameter) for load in system.loads if any(load.force)),
+        )
+        for term, bonus, parameter in terms:
+            chosen = _or_derivative(term, parameter, derivative_by)
+            if chosen is not None:
+                form += chosen.Compile() * ng.dx("fluid", bonus_intorder=bonus, **where)
+    for load in system.loads:
+        pressure = _or_derivative(_pressure_of(load, w), load.parameter, derivative_by)
+        if load.boundary and pressure is not None:
+            form += pressure.Compile() * ng.ds(load.boundary)
+    if derivative_by is None:
+        form += forms.continuity(v, d, q).Compile() * ng.dx("fluid")
+
+
+def _force_of(load: FluidLoad, d: Any, test: Any) -> Any:
+    return load.parameter * forms.body_force(d, test, ng.CF(load.force))
+
+
+def _pressure_of(load: FluidLoad, test: Any) -> Any:
+    return load.parameter * forms.outer_pressure(test, 0.0 if load.pressure is None else load.pressure)
+
+
+def _or_derivative(term: Any, parameter: Any, by: Any) -> Any:
+    """Return a term that is proportional to `parameter`, or its derivative; None if it does not depend on `by`."""
+    if by is None:
+        return term
+    return term.Diff(by) if by is parameter else None
 
 
 def _motion_form(space: Any) -> Any:

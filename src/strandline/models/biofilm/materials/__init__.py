@@ -1,0 +1,66 @@
+"""Hyperelastic laws in mixed form, plane strain; a new law is one file and one line in `LAWS`.
+
+A law takes the displacement d, the solid pressure pₛ, Young's modulus E, Poisson's ratio ν and its own parameters, if
+any, and returns the second Piola–Kirchhoff stress and the residual of the constitutive constraint that defines pₛ.
+"""
+
+import re
+from typing import Any, cast
+
+from strandline.errors import InvalidInput
+from strandline.models.biofilm.materials.fung import Fung
+from strandline.models.biofilm.materials.law import Law, MixedStress, deformation_gradient, further_parameters
+from strandline.models.biofilm.materials.mooney_rivlin import MooneyRivlin
+from strandline.models.biofilm.materials.neo_hookean import neo_hookean
+from strandline.models.biofilm.materials.saint_venant_kirchhoff import saint_venant_kirchhoff
+from strandline.models.biofilm.materials.yeoh import Yeoh
+from strandline.models.protocol import ModelInput
+from strandline.registry import lookup
+
+__all__ = [
+    "LAWS",
+    "Law",
+    "MixedStress",
+    "deformation_gradient",
+    "further_parameters",
+    "law_named",
+    "neo_hookean",
+    "saint_venant_kirchhoff",
+]
+
+LAWS: dict[str, Law] = {
+    "saint_venant_kirchhoff": saint_venant_kirchhoff,
+    "neo_hookean": neo_hookean,
+    "mooney_rivlin": MooneyRivlin(),
+    "yeoh": Yeoh(),
+    "fung": Fung(),
+}
+"""Names in study files → laws."""
+
+
+def law_named(name: str) -> Law:
+    """Return a law by its name in `LAWS`, or a third party's by ``module:name``.
+
+    Raises:
+        InvalidInput: There is no such law, or it is not one.
+    """
+    found = lookup(LAWS, name, "material of the biofilm model")
+    law: Any = found() if isinstance(found, type) else found
+    parameters = further_parameters(law) if callable(law) else ()
+    if not callable(law) or not all(_is_parameter(item) for item in parameters):
+        raise InvalidInput(
+            f"material {name} of the biofilm model",
+            value=law if not callable(law) else ", ".join(getattr(item, "name", repr(item)) for item in parameters),
+            expected="a law, with `parameters` of unit 1 or Pa whose names are words without digits, not E, nu or V_in",
+            remedy="Correct the law; strandline.models.biofilm.materials.fung is an example.",
+        )
+    return cast(Law, law)
+
+
+def _is_parameter(item: object) -> bool:
+    return (
+        isinstance(item, ModelInput)
+        and item.unit in ("1", "Pa")
+        and re.fullmatch("[A-Za-z_]+", item.name) is not None
+        and item.name not in ("E", "nu", "V_in")
+    )

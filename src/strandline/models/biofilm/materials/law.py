@@ -1,0 +1,103 @@
+"""What a material law is, and the measures of strain that laws are made of.
+
+Source of notation: Holzapfel, Nonlinear Solid Mechanics (2000), chapters 2 and 6.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from ngsolve import Det, Grad, Id, Inv, Trace, log
+
+from strandline.models.protocol import ModelInput
+
+__all__ = [
+    "Form",
+    "Law",
+    "MixedStress",
+    "Strains",
+    "compliance",
+    "deformation_gradient",
+    "further_parameters",
+    "green_lagrange",
+    "shear_modulus",
+]
+
+Form = Any  # an NGSolve coefficient function
+
+
+@dataclass(frozen=True)
+class MixedStress:
+    """Stress of a law, and the constraint that defines its pressure.
+
+    Args:
+        second_piola: Second Piola–Kirchhoff stress S, a 2 × 2 form.
+        constraint: Form that vanishes where pₛ is the pressure-like stress of the law.
+        out_of_plane: S_zz; None: pₛ.
+    """
+
+    second_piola: Form
+    constraint: Form
+    out_of_plane: Form = None
+
+
+@runtime_checkable
+class Law(Protocol):
+    """A hyperelastic law in mixed form, plane strain: a function of these arguments, or an object called with them.
+
+    E and ν are those of small strains. A law with further parameters is an object with `parameters`, a tuple of
+    `ModelInput` with unit ``1`` or ``Pa``; their values follow ν in this order. The constraint should be regular for
+    every ν in (-1, ½], ν = 0 and ν = ½ included.
+    """
+
+    def __call__(self, d: Form, solid_pressure: Form, young: Form, poisson: Form, /, *further: Form) -> MixedStress:
+        """Return the stress at displacement d and solid pressure pₛ, as symbolic forms."""
+        ...
+
+
+def further_parameters(law: Law) -> tuple[ModelInput, ...]:
+    """Return the parameters that a law has in addition to E and ν."""
+    return tuple(getattr(law, "parameters", ()))
+
+
+def deformation_gradient(d: Form) -> Form:
+    """Return F = I + ∇d."""
+    return Id(2) + Grad(d)
+
+
+def green_lagrange(d: Form) -> Form:
+    """Return the strain ½ (FᵀF - I)."""
+    F = deformation_gradient(d)
+    return 0.5 * (F.trans * F - Id(2))
+
+
+def compliance(young: Form, poisson: Form) -> Form:
+    """Return (1+ν)(1-2ν)/E = ν/λ."""
+    return (1 + poisson) * (1 - 2 * poisson) / young
+
+
+def shear_modulus(young: Form, poisson: Form) -> Form:
+    """Return μ = E / 2(1+ν)."""
+    return 0.5 * young / (1 + poisson)
+
+
+class Strains:
+    """FᵀF in the plane, its inverse, ln J, and Q = I₁ - 3 - 2 ln J.
+
+    Q is zero at rest, positive elsewhere, and equals I₁ - 3 for an incompressible solid. A law whose energy is a
+    function of Q plus ½ λ (ln J)² has no stress at rest, and its λ is that of small strains.
+    """
+
+    def __init__(self, d: Form) -> None:
+        F = deformation_gradient(d)
+        self.right_cauchy_green = F.trans * F
+        self.inverse = Inv(self.right_cauchy_green)
+        self.log_volume = log(Det(F))
+        self.distortion = Trace(self.right_cauchy_green) - 2 - 2 * self.log_volume
+
+    def isotropic(self, stiffness: Form, solid_pressure: Form) -> Form:
+        """Return S = stiffness (I - C⁻¹) + pₛ C⁻¹, where stiffness is 2 dW/dQ; out of the plane this is pₛ."""
+        return stiffness * (Id(2) - self.inverse) + solid_pressure * self.inverse
+
+    def volume_constraint(self, solid_pressure: Form, young: Form, poisson: Form) -> Form:
+        """Return the form that vanishes where pₛ = λ ln J."""
+        return poisson * self.log_volume - compliance(young, poisson) * solid_pressure

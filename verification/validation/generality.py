@@ -1,0 +1,150 @@
+"""Other flow cells: sensitivities by each parameter of law and fluid, against differences; developed flow.
+
+Run it with:  python -m verification.validation.generality
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from verification.validation.energies import FURTHER
+from verification.validation.tables import Cell, Table
+
+from strandline.models.biofilm.materials import LAWS, further_parameters
+from strandline.models.biofilm.model import Biofilm
+
+__all__ = ["developed_flow_errors", "law_inputs", "layer", "sensitivity_errors", "tables", "velocities"]
+
+BOTTOM = 0.2
+"""Height of a flat layer, mm."""
+STEPS = (4e-2, 2e-2, 1e-2)
+"""Steps, as shares of a value; see `_scale`."""
+
+
+def law_inputs(law: str) -> dict[str, float]:
+    """Return inputs of the study's specimen with another law."""
+    names = (item.name for item in further_parameters(LAWS[law]))
+    return {
+        "E": 250.0 if FURTHER[law] else 400.0,
+        "nu": 0.3,
+        **dict(zip(names, FURTHER[law], strict=True)),
+        "V_in": 100.0,
+    }
+
+
+def sensitivity_errors(model: Biofilm, inputs: Mapping[str, float]) -> dict[str, float]:
+    """Return max |exact - difference| / max |exact| over the interface, by input.
+
+    The differences are central with three steps, extrapolated to sixth order.
+    """
+    exact = replace(model, sensitivities=True)(inputs).sensitivities[""]
+    return {
+        name: float(np.abs(exact[name] - _extrapolated(model, inputs, name)).max() / np.abs(exact[name]).max())
+        for name in inputs
+    }
+
+
+def _extrapolated(model: Biofilm, inputs: Mapping[str, float], name: str) -> np.ndarray:
+    d = []
+    for step in (share * _scale(name, inputs[name]) for share in STEPS):
+        moved = [model({**inputs, name: inputs[name] + sign * step}).interface.points for sign in (1, -1)]
+        d.append((moved[0] - moved[1]) / (2 * step))
+    once = [(4 * d[i + 1] - d[i]) / 3 for i in range(2)]
+    return np.asarray((16 * once[1] - once[0]) / 15)
+
+
+def _scale(name: str, value: float) -> float:
+    """Return the size that steps of an input are shares of.
+
+    It is small for ν, which the interface depends on steeply, and large for inputs that change it little: Newton's
+    tolerance would show in small differences.
+    """
+    kind = name.rstrip("0123456789")
+    if kind == "nu":
+        return 0.05
+    return abs(value) if kind in ("E", "V_in", "p_drop", "viscosity", "density") else 8 * abs(value)
+
+
+def layer(length: float = 2.0, **options: Any) -> Biofilm:
+    """Return a flat layer on the floor of a channel."""
+    channel = {"length": length} | options.pop("channel", {})
+    outline = {"points": [[0, BOTTOM], [length / 2, BOTTOM], [length, BOTTOM]], "spline": False, "nodes": 21}
+    return Biofilm.from_options(mesh="coarse", material="neo_hookean", outline=outline, channel=channel, **options)
+
+
+def velocities(model: Biofilm, drive: Mapping[str, float], x: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights and horizontal velocities [mm/s] of the fluid's nodes at x above a stiff layer."""
+    fields = model.fields({"E": 1e10, "nu": 0.3, **drive})
+    at = (np.abs(fields.points[:, 0] - x) < 1e-6) & (fields.points[:, 1] > BOTTOM - 1e-6)
+    return fields.points[at, 1], fields.velocity[at, 0]
+
+
+def developed_flow_errors() -> dict[str, float]:
+    """Return the largest error of the velocity at the outlet above a stiff layer, as a share of the largest one.
+
+    Between walls v = G (y - b) (h - y) / 2μ, below a top without friction v = G (y - b) (h - b - (y - b)/2) / μ, with
+    the pressure gradient G, the layer's height b and the channel's height h.
+    """
+    wall, free = (lambda y: 0.5 * (y - BOTTOM) * (1 - y)), (lambda y: (y - BOTTOM) * (1 - BOTTOM - 0.5 * (y - BOTTOM)))
+    rate = 20.0
+    by_rate, half_rate = 12 * 1e-3 * rate / (1 - BOTTOM) ** 3, 3 * 1e-3 * rate / (1 - BOTTOM) ** 3
+    thick = {"viscosity": 4e-3}
+    cases: dict[str, tuple[Biofilm, dict[str, float], float, float, Any]] = {
+        "pressure drop, water": (layer(inflow="pressure"), {"p_drop": 3.0}, 1.5, 1e-3, wall),
+        "pressure drop, viscosity 4e-3 Pa s": (layer(inflow="pressure", fluid=thick), {"p_drop": 3.0}, 1.5, 4e-3, wall),
+        "pressure drop and force along the channel": (
+            layer(inflow="pressure", fluid={"force_x": 500.0}), {"p_drop": 1.0}, 1.0, 1e-3, wall,
+        ),
+        "pressure drop, symmetry at the top": (
+            layer(inflow="pressure", channel={"top": "symmetry"}), {"p_drop": 1.0}, 0.5, 1e-3, free,
+        ),
+        "parabola, slip at the top": (layer(channel={"top": "slip"}), {"V_in": rate}, half_rate, 1e-3, free),
+        "plug, 4 mm downstream": (layer(4.0, inflow="plug"), {"V_in": rate}, by_rate, 1e-3, wall),
+    }  # fmt: skip
+    found = {}
+    for name, (model, drive, gradient, viscosity, profile) in cases.items():
+        y, v = velocities(model, drive, model.channel.length)
+        expected = gradient / viscosity * profile(y)
+        found[name] = float(np.abs(v - expected).max() / expected.max())
+    return found
+
+
+def _flow_cells(mesh: str) -> dict[str, tuple[Biofilm, dict[str, float]]]:
+    """Return a model and inputs for each law, and for each quantity of the fluid."""
+    cells = {law: (Biofilm(mesh=mesh, material=law), law_inputs(law)) for law in LAWS}
+    unknown = dict.fromkeys(("viscosity", "density", "force_x", "force_y"), "unknown")
+    values = {"viscosity": 1.5e-3, "density": 900.0, "force_x": 100.0, "force_y": -200.0}
+    solid = {"E": 400.0, "nu": 0.3}
+
+    def neo_hookean(**options: Any) -> Biofilm:
+        return Biofilm.from_options(mesh=mesh, material="neo_hookean", **options)
+
+    return cells | {
+        "fluid": (neo_hookean(fluid=unknown), {**solid, "V_in": 100.0, **values}),
+        "pressure drop": (neo_hookean(inflow="pressure"), {**solid, "p_drop": 10.0}),
+        "plug, slip at the top": (neo_hookean(inflow="plug", channel={"top": "slip"}), {**solid, "V_in": 100.0}),
+    }
+
+
+def tables(mesh: str = "coarse") -> list[Table]:
+    """Return the tables of sensitivities and of developed flow."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, (model, inputs) in _flow_cells(mesh).items():
+        rows += [(name, key, inputs[key], error) for key, error in sensitivity_errors(model, inputs).items()]
+    columns = ("flow cell", "derivative by", "at", "relative difference")
+    title = "Sensitivities of other flow cells"
+    sensitivities = Table("generality_sensitivities", title, columns, ("s", "s", "g", ".1e"), tuple(rows))
+    developed = tuple(developed_flow_errors().items())
+    columns = ("flow above a stiff layer", "error of the velocity / its maximum")
+    return [sensitivities, Table("generality_flow", "Developed flow", columns, ("s", ".0e"), developed)]
+
+
+def main() -> None:
+    """Print the tables."""
+    for table in tables():
+        print(f"\n{table.title}\n\n{table.markdown()}")
+
+
+if __name__ == "__main__":
+    main()
