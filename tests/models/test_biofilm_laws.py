@@ -70,7 +70,9 @@ def moved(model: Biofilm, inputs: dict[str, float]) -> np.ndarray:
 def test_results_are_those_of_earlier_versions(options, E, expected):
     model = Biofilm.from_options(mesh="coarse", **options)
     found = moved(model, {"E": E, "nu": 0.3, "V_in": 100.0})[[20, 45]]
-    np.testing.assert_allclose(found, expected, rtol=1e-11)  # identical bits on the processor that wrote them
+    np.testing.assert_allclose(
+        found, expected, rtol=0.0, atol=1e-8
+    )  # mm; the quadrature of the fluid has changed since
 
 
 def test_the_fingerprints_of_earlier_versions_stay():

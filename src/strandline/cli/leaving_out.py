@@ -3,7 +3,6 @@
 import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,7 +70,7 @@ def change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
 
 
 def _ending(run: "Run", state: str, kind: str) -> "Run":
-    return replace(run, attempts=(*run.attempts[:-1], replace(run.last, state=state, kind=kind)))
+    return run._replace(attempts=(*run.attempts[:-1], run.last._replace(state=state, kind=kind)))
 
 
 def _set_aside(folder: Path) -> dict[str, tuple[str, str]]:

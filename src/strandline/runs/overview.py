@@ -219,8 +219,8 @@ class Overview:
         sql = f"""SELECT key, attempt, session, inputs, started_at, COALESCE(state, '{OPEN}'), kind, seconds, origin,
             finished_at, {slopes}
             FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""
-        for key, *rest, slopes in self._connection.execute(sql, given):
-            yield key, Attempt(*rest, bool(slopes))
+        for key, *told, with_slopes in self._connection.execute(sql, given):
+            yield key, Attempt._make((*told, bool(with_slopes)))
 
 
 def is_at_work(pid: int, host: str, lock: Path) -> bool | None:

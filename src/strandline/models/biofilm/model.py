@@ -32,7 +32,7 @@ from strandline.registry import imported
 __all__ = ["Biofilm", "FlowFields"]
 
 REVISION = 2
-"""Raised whenever the results of the model change."""
+"""Raised whenever the results of the model change by more than 1e-4 µm."""
 SIZES = 1
 """Raised whenever the rule changes that shrinks elements in narrow gaps and at sharp bends of the outline."""
 

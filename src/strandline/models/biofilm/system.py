@@ -14,15 +14,19 @@ from typing import Any
 import ngsolve as ng
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from ngsolve import la
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
+from strandline.models.biofilm.assembly import Part, Pattern, SymbolicPart, product
+from strandline.models.biofilm.fluid_elements import FluidElements
 from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
 from strandline.models.protocol import ModelInput
 
 __all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "typical"]
+
+QUADRATIC = 2
+"""Order of velocity and displacement for which the fluid has elements of its own, ten times as fast as its form."""
 
 Vector = Float[np.ndarray, " unknown"]
 
@@ -99,9 +103,10 @@ class CoupledSystem:
         self._residual = self.state.vec.CreateVector()
         self.law, self.body_force = law, body_force
         self._derivatives: dict[Any, Any] = {}
-        self._balance = _solid_form(self)
         self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
-        _add_fluid(self._balance, self)
+        self._fluid = _fluid_elements(self) if order == QUADRATIC else None
+        self._parts: tuple[Part, ...] = _parts(self, self._fluid)
+        self._entries: Float[np.ndarray, " entry"]
         self._motion = _motion_form(self.space)
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
@@ -142,8 +147,7 @@ class CoupledSystem:
 
     def full_residual(self) -> Float[np.ndarray, " dof"]:
         """Return the residual of every row at the current state; prescribed rows hold the reactions."""
-        self._balance.Apply(self.state.vec, self._residual)
-        result = np.array(self._residual.FV().NumPy())
+        result: Float[np.ndarray, " dof"] = np.sum([part.residual(self.state) for part in self._parts], axis=0)
         self._motion.mat.Mult(self.state.vec, self._residual)
         result[self._is_motion] = self._residual.FV().NumPy()[self._is_motion]
         if not np.isfinite(result).all():
@@ -157,7 +161,8 @@ class CoupledSystem:
             ForwardModelError: ``linear_solve``.
         """
         self.set_unknowns(x)
-        return Factorisation(self._pattern.fill(self._assemble()), len(self.free))
+        pattern = self._pattern
+        return Factorisation(pattern.fill(self._assemble()), len(self.free))
 
     def by_parameter(self, parameter: Any) -> Vector:
         """Return the derivative of the residual with respect to one parameter at the current state.
@@ -166,10 +171,15 @@ class CoupledSystem:
             parameter: One of `material`, `viscosity`, `density` or the parameter of a load.
         """
         if parameter not in self._derivatives:
-            self._derivatives[parameter] = _solid_form(self, derivative_by=parameter)
-            _add_fluid(self._derivatives[parameter], self, derivative_by=parameter)
+            form = _solid_form(self, derivative_by=parameter)
+            _add_loads(form, self, derivative_by=parameter)
+            if self._fluid is None:
+                _add_fluid(form, self, derivative_by=parameter)
+            self._derivatives[parameter] = form
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
+        if self._fluid is not None:
+            result += self._fluid.by_parameter(self.state, parameter)
         result[self._is_motion] = 0.0
         return np.asarray(result[self.free])
 
@@ -177,85 +187,34 @@ class CoupledSystem:
         """Return the derivative of the residual when prescribed values change along `direction`, as last assembled."""
         moved = self.state.vec.CreateVector()
         moved.FV().NumPy()[:] = direction
-        self._balance.mat.Mult(moved, self._residual)
-        result = np.array(self._residual.FV().NumPy())
+        result = product(self._places, self._entries, direction)
         self._motion.mat.Mult(moved, self._residual)
         result[self._is_motion] = self._residual.FV().NumPy()[self._is_motion]
         return np.asarray(result[self.free])
 
     def _assemble(self) -> Float[np.ndarray, " entry"]:
-        self._balance.AssembleLinearization(self.state.vec)
-        return np.asarray(self._balance.mat.AsVector().FV().NumPy())
+        self._entries = np.concatenate([part.jacobian(self.state) for part in self._parts])
+        return self._entries
 
     @cached_property
-    def _pattern(self) -> "_Pattern":
+    def _places(self) -> tuple[Int[np.ndarray, " entry"], Int[np.ndarray, " entry"]]:
+        """Row and column of each entry that `_assemble` returns."""
+        places = [part.places() for part in self._parts]
+        return np.concatenate([rows for rows, _ in places]), np.concatenate([columns for _, columns in places])
+
+    @cached_property
+    def _pattern(self) -> Pattern:
         """Structural nonzeros of the reduced Jacobian, found at a random state."""
         kept = np.array(self.values)
         material = [[p.Get() for p in group] for group in self.material]
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
         generic = (1.0, 0.23, *(typical(item) for item in further_parameters(self.law)))
         self.set_material(*([value] * len(self.solids) for value in generic))
-        pattern = _Pattern.find(self._assemble(), self._balance.mat, self._motion.mat, self._is_motion, self.free)
+        used = self._assemble() != 0.0
+        pattern = Pattern.find(self._places, used, self._motion.mat, self._is_motion, self.free)
         self.values[:] = kept
         self.set_material(*material)
         return pattern
-
-
-@dataclass(frozen=True, eq=False)
-class _Pattern:
-    """Where the entries of the reduced matrix come from."""
-
-    matrix: Any
-    base: Float[np.ndarray, " nonzero"]
-    balance_slots: Int[np.ndarray, " slot"]
-    balance_entries: Int[np.ndarray, " slot"]
-
-    def fill(self, balance: Float[np.ndarray, " entry"]) -> Any:
-        """Write the entries of the momentum rows next to the constant ones of the mesh motion; return the matrix."""
-        values = self.matrix.AsVector().FV().NumPy()
-        values[:] = self.base
-        values[self.balance_slots] = balance[self.balance_entries]
-        return self.matrix
-
-    @classmethod
-    def find(
-        cls,
-        balance_values: Float[np.ndarray, " entry"],
-        balance: Any,
-        motion: Any,
-        is_motion: Bool[np.ndarray, " dof"],
-        free: Int[np.ndarray, " unknown"],
-    ) -> "_Pattern":
-        """Return the pattern of the nonzero entries of the given matrices, with rows chosen by `is_motion`."""
-        number = np.full(len(is_motion), -1)
-        number[free] = np.arange(len(free))
-        first = _reduced_entries(balance, balance_values, ~is_motion, number)
-        second = _reduced_entries(motion, np.asarray(motion.AsVector().FV().NumPy()), is_motion, number)
-        rows, columns = (np.concatenate([a, b]) for a, b in zip(first[:2], second[:2], strict=True))
-        order = np.lexsort((columns, rows))
-        count = len(free)
-        ones = np.ones(len(rows))
-        matrix = la.SparseMatrixd.CreateFromCOO(
-            rows[order].tolist(), columns[order].tolist(), ones.tolist(), count, count
-        )
-        entries = np.concatenate([first[2], np.full(len(second[2]), -1)])[order]
-        constants = np.concatenate([np.zeros(len(first[3])), second[3]])[order]
-        slots = np.flatnonzero(entries >= 0)
-        return cls(matrix, constants, slots, entries[slots])
-
-
-def _reduced_entries(
-    matrix: Any,
-    values: Float[np.ndarray, " entry"],
-    rows_wanted: Bool[np.ndarray, " dof"],
-    number: Int[np.ndarray, " dof"],
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return reduced row, reduced column, entry number and value of the nonzero entries in the selected free rows."""
-    columns, pointers = (np.array(a, dtype=np.int64) for a in matrix.CSR()[1:])
-    rows = np.repeat(np.arange(matrix.height), np.diff(pointers))
-    keep = rows_wanted[rows] & (number[rows] >= 0) & (number[columns] >= 0) & (values != 0.0)
-    chosen = np.flatnonzero(keep)
-    return number[rows[chosen]], number[columns[chosen]], chosen, np.array(values[chosen])
 
 
 def typical(parameter: ModelInput) -> float:
@@ -295,6 +254,23 @@ def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
     return form
 
 
+def _parts(system: CoupledSystem, fluid: FluidElements | None) -> tuple[Part, ...]:
+    """Return what adds up to the residual: the fluid by elements of its own if there are any, all else by NGSolve."""
+    form = _solid_form(system)
+    _add_loads(form, system)
+    if fluid is not None:
+        return SymbolicPart(form), fluid
+    _add_fluid(form, system)
+    return (SymbolicPart(form),)
+
+
+def _fluid_elements(system: CoupledSystem) -> FluidElements:
+    cells = np.array([element.nr for element in system.mesh.Elements(ng.VOL) if element.mat == "fluid"], dtype=int)
+    beside = np.array([bool(bit) for bit in _fluid_beside_interface(system.mesh)], dtype=bool)
+    loading = np.flatnonzero(beside[cells])
+    return FluidElements(system.space, cells, loading, viscosity=system.viscosity, density=system.density)
+
+
 def _add_fluid(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -> None:
     """Add momentum and continuity of the fluid, the former tested with w + φ on the interface, or a derivative of them.
 
@@ -304,22 +280,30 @@ def _add_fluid(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -
     (v, p, d, *_), (w, q, phi, *_) = system.space.TnT()
     beside_interface = {"definedonelements": _fluid_beside_interface(system.mesh)}
     for test, where in ((w, {}), (phi, beside_interface)):
-        terms = (
+        for term, bonus, parameter in (
             (forms.viscous(v, d, test, system.viscosity), 2, system.viscosity),
             (forms.pressure(p, d, test), 0, None),
             (forms.convection(v, d, test, system.density), 2, system.density),
-            *((_force_of(load, d, test), 2, load.parameter) for load in system.loads if any(load.force)),
-        )
-        for term, bonus, parameter in terms:
+        ):
             chosen = _or_derivative(term, parameter, derivative_by)
             if chosen is not None:
                 form += chosen.Compile() * ng.dx("fluid", bonus_intorder=bonus, **where)
+    if derivative_by is None:
+        form += forms.continuity(v, d, q).Compile() * ng.dx("fluid")
+
+
+def _add_loads(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -> None:
+    """Add the further loads on the fluid, tested with w + φ on the interface, or a derivative of them."""
+    d, (w, _, phi, *_) = system.space.TrialFunction()[2], system.space.TestFunction()
+    beside_interface = {"definedonelements": _fluid_beside_interface(system.mesh)}
     for load in system.loads:
+        for test, where in ((w, {}), (phi, beside_interface)) if any(load.force) else ():
+            force = _or_derivative(_force_of(load, d, test), load.parameter, derivative_by)
+            if force is not None:
+                form += force.Compile() * ng.dx("fluid", bonus_intorder=2, **where)
         pressure = _or_derivative(_pressure_of(load, w), load.parameter, derivative_by)
         if load.boundary and pressure is not None:
             form += pressure.Compile() * ng.ds(load.boundary)
-    if derivative_by is None:
-        form += forms.continuity(v, d, q).Compile() * ng.dx("fluid")
 
 
 def _force_of(load: FluidLoad, d: Any, test: Any) -> Any:
