@@ -68,7 +68,8 @@ class FluidElements:
     def by_parameter(self, state: Any, parameter: Any) -> Values:
         """Return the derivative of the residual, which is linear in viscosity and density, by one of them, or 0."""
         one = [1.0 if parameter is given else 0.0 for given in (self._viscosity, self._density)]
-        return np.subtract(self._residual(state, one[0], one[1]), self._residual(state, 0.0, 0.0))
+        difference: Values = self._residual(state, one[0], one[1]) - self._residual(state, 0.0, 0.0)
+        return difference
 
     def _residual(self, state: Any, viscosity: float, density: float) -> Values:
         at, rule = self._fields(state, viscosity, density), self._rule
