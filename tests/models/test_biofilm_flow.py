@@ -202,6 +202,12 @@ def test_a_soft_specimen_under_pressure_fails_with_the_pressure_it_reached():
     assert "p_drop" in caught.value.message
 
 
+def test_the_source_of_a_third_partys_profile_counts_in_the_fingerprint(own, tmp_path):
+    before = fingerprint(Biofilm(inflow=f"{own}:linear"))
+    (tmp_path / "our_profiles.py").write_text(OWN + "\n# another comment\n", "utf-8")
+    assert fingerprint(Biofilm(inflow=f"{own}:linear")) != before
+
+
 def test_known_quantities_of_the_fluid_are_no_inputs_and_count_in_the_fingerprint(own):
     models = [
         Biofilm(),

@@ -169,9 +169,9 @@ class Biofilm:
             chosen.append(f"sizes={SIZES}")
         if self.material not in LAWS:
             chosen.append(f"law={fingerprint_of(cast(Any, law_named(self.material)))}")
-        digest = ":" + hashlib.sha256("|".join(chosen).encode()).hexdigest()[:16] if chosen else ""
         if isinstance(self.inflow, str) and ":" in self.inflow:
             chosen.append(f"profile={fingerprint_of(imported(self.inflow, 'inflow'))}")
+        digest = ":" + hashlib.sha256("|".join(chosen).encode()).hexdigest()[:16] if chosen else ""
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
