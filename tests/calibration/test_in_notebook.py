@@ -25,7 +25,7 @@ def test_the_stages_and_how_far_each_has_got() -> None:
     sl.calibrate(problem, settings, observer=cell_observer(shown.append))
     last = text(shown[-1])
     assert "forward runs 12/12: 12 ok, 0 failed" in last
-    assert re.search(r"sampling γ 1\.0000, ESS \d+, accepted \d+%", last)
+    assert re.search(r"sampling tempering exponent 1\.0000, ESS \d+, accepted \d+%", last)
     assert len(shown) > 14
 
 
