@@ -104,7 +104,8 @@ class CoupledSystem:
         self.law, self.body_force = law, body_force
         self._derivatives: dict[Any, Any] = {}
         self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
-        self._fluid = _fluid_elements(self) if order == QUADRATIC else None
+        by_elements = order == QUADRATIC and "fluid" in mesh.GetMaterials()
+        self._fluid = _fluid_elements(self) if by_elements else None
         self._parts: tuple[Part, ...] = _parts(self, self._fluid)
         self._entries: Float[np.ndarray, " entry"]
         self._motion = _motion_form(self.space)
