@@ -145,6 +145,7 @@ class _Fields:
 
     @classmethod
     def of(cls, v: Vector, gradient: Tensor, M: Tensor, p: AtPoints, viscosity: float, density: float) -> "_Fields":
+        """Return the fields from v, ∇v, M and p at the points, all scaled."""
         C = _cofactor(M)
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = 1.0 / (M[0][0] * M[1][1] - M[0][1] * M[1][0])
