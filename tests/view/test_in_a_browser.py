@@ -119,7 +119,7 @@ def test_a_campaign_while_it_runs(browser: Any, tmp_path: Path, monkeypatch: pyt
         person.waits_for(lambda: "The study's own result" in person.text("#posterior-source"))
         person.page.click("#failures summary")
         assert "too stiff" in person.text("#failures")
-        assert len(server.viewed.newest.history) >= 3
+        assert len(server.viewed.newest.shown.history) >= 3
         assert person.page.is_visible("#history-plot")
         person.leaves()
 

@@ -19,9 +19,9 @@ def test_the_new_study_gives_the_posterior_that_the_page_showed(folder: Path, mo
     viewed = ViewedStudy(study)
     viewed.feed.update()
     viewed.newest.refresh(viewed.feed.succeeded)
-    assert viewed.newest.now is not None
+    assert viewed.newest.shown.now is not None
     asked = asked_by({"noise": 2.0, "length_um": 20.0, "priors": {"E": {"normal": [420.0, 30.0]}}}, study)
-    shown = answer_to(asked, study, viewed.newest.now, again=True)
+    shown = answer_to(asked, study, viewed.newest.shown.now, again=True)
     target = save_as(study, "wider", asked)
     assert target == folder.parent / "wider"
     other = sl.load_study(target)

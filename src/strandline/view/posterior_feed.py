@@ -1,7 +1,7 @@
 """The posterior that the page shows: of the runs so far, or the study's own result, and how it took shape."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from strandline.studies.folder import SUMMARY
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
 
-__all__ = ["DRAWS", "SEED", "PosteriorFeed", "changed_at"]
+__all__ = ["DRAWS", "SEED", "PosteriorFeed", "Shown", "changed_at"]
 
 DRAWS = 2000
 """Draws of the posterior that the page gets."""
@@ -28,12 +28,11 @@ GROWTH, FEWEST_NEW = 0.1, 4
 SEED = 1
 
 
-@dataclass
-class PosteriorFeed:
-    """The newest posterior of a study, and the means and standard deviations of all before it.
+@dataclass(frozen=True)
+class Shown:
+    """A posterior with all that belongs to it, replaced as a whole: another thread reads it meanwhile.
 
     Args:
-        study: The study.
         now: The newest posterior; None if there is none.
         few: Some of its draws, few enough to be weighted again while a slider moves.
         source: Where it comes from: ``none``, ``so far`` or ``stored``.
@@ -41,12 +40,24 @@ class PosteriorFeed:
         history: Runs, means and standard deviations of each posterior, the newest last.
     """
 
-    study: Study
     now: Present | None = None
+    few: Present | None = None
     source: str = "none"
     why_none: str = "too few forward runs have ended yet"
-    history: list[dict[str, Any]] = field(default_factory=list)
-    few: Present | None = None
+    history: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass
+class PosteriorFeed:
+    """The newest posterior of a study, and the means and standard deviations of all before it.
+
+    Args:
+        study: The study.
+        shown: What the page shows.
+    """
+
+    study: Study
+    shown: Shown = Shown()
     _tried: int = 0
     _stored: int = 0
 
@@ -72,21 +83,17 @@ class PosteriorFeed:
             try:
                 found, source = self._posterior()
             except (InvalidStudy, InvalidInput, TooFewRuns, NumericsError) as error:
-                self.why_none = f"no posterior yet: {error}"
+                self.shown = replace(self.shown, why_none=f"no posterior yet: {error}")
                 return
-        moved = None if self.now is None else _moved(self.now, found)
-        self.now, self.few, self.source = found, _thinned(found), source
-        space = self.study.space
-        used = succeeded if found.knowledge is None else found.knowledge.surrogate.runs
-        self.history.append(
-            {
-                "runs": used,
-                "source": source,
-                "mean": dict(zip(space.names, found.mean.tolist(), strict=True)),
-                "sd": dict(zip(space.names, found.sd.tolist(), strict=True)),
-                "moved": moved,
-            }
-        )
+        before, names = self.shown, self.study.space.names
+        told = {
+            "runs": succeeded if found.knowledge is None else found.knowledge.surrogate.runs,
+            "source": source,
+            "mean": dict(zip(names, found.mean.tolist(), strict=True)),
+            "sd": dict(zip(names, found.sd.tolist(), strict=True)),
+            "moved": None if before.now is None else _moved(before.now, found),
+        }
+        self.shown = Shown(found, _thinned(found), source, before.why_none, (*before.history, told))
 
     def _posterior(self) -> tuple[Present, str]:
         study, measure = self.study, next(iter(self.study.discrepancies))

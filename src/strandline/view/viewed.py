@@ -122,7 +122,7 @@ class ViewedStudy:
             with Overview(ledger) as overview:
                 driver = overview.driver()
         files = tuple(changed_at(folder / name) for name in (STUDY, SUMMARY, REFINEMENT))
-        return self.feed.version, driver, files, len(self.newest.history)
+        return self.feed.version, driver, files, len(self.newest.shown.history)
 
     @property
     def state(self) -> dict[str, Any]:
@@ -133,7 +133,7 @@ class ViewedStudy:
             **progress.as_dict(),
             "version": self.feed.version,
             "edited": self._edited,
-            "posterior": len(self.newest.history),
+            "posterior": len(self.newest.shown.history),
             "summary": {name: summary.get(name) for name in OF_SUMMARY if name in summary},
         }
 
@@ -190,11 +190,12 @@ class ViewedStudy:
     @property
     def posterior(self) -> dict[str, Any]:
         """The posterior now, with its history, what it predicts, and what may be changed."""
-        now, few = self.newest.now, self.newest.few
+        shown = self.newest.shown
+        now, few = shown.now, shown.few
         out: dict[str, Any] = {
-            "source": self.newest.source,
-            "why_none": "" if now is not None else self.newest.why_none,
-            "history": self.newest.history,
+            "source": shown.source,
+            "why_none": "" if now is not None else shown.why_none,
+            "history": shown.history,
             "knobs": knobs_of(self.study, now),
         }
         if now is None or few is None:
@@ -220,13 +221,14 @@ class ViewedStudy:
         Raises:
             InvalidInput: An input is missing or outside its box, or there is no surrogate yet.
         """
-        if self.newest.now is None or self.newest.now.knowledge is None:
-            why = self.newest.why_none if self.newest.now is None else self.newest.now.why_not
+        shown = self.newest.shown
+        if shown.now is None or shown.now.knowledge is None:
+            why = shown.why_none if shown.now is None else shown.now.why_not
             raise InvalidInput(
                 "prediction", value=why, expected="a surrogate of the interface", remedy="Wait for runs."
             )
         x = self._inputs(given)
-        knowledge = self.newest.now.knowledge
+        knowledge = shown.now.knowledge
         chance = float(np.exp(knowledge.log_feasibility(x[None])[0]))
         return {"conditions": predicted(knowledge, x, observations_of(self.study)), "success": chance}
 
@@ -241,9 +243,10 @@ class ViewedStudy:
             InvalidInput: The assumptions cannot be used, or there is no posterior yet.
         """
         asked = asked_by(given, self.study)
-        now = self.newest.now if again else self.newest.few
+        shown = self.newest.shown
+        now = shown.now if again else shown.few
         if now is None:
-            raise InvalidInput("posterior", value=self.newest.why_none, expected="a posterior", remedy="Wait for runs.")
+            raise InvalidInput("posterior", value=shown.why_none, expected="a posterior", remedy="Wait for runs.")
         use_double()
         with one_thread():
             return self._answered(answer_to(asked, self.study, now, again=again), now, again=again)
