@@ -23,7 +23,7 @@ from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
 from strandline.models.protocol import ModelInput
 
-__all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "typical"]
+__all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "fluid_cells", "typical"]
 
 QUADRATIC = 2
 """Order of velocity and displacement for which the fluid has elements of its own, ten times as fast as its form."""
@@ -265,10 +265,15 @@ def _parts(system: CoupledSystem, fluid: FluidElements | None) -> tuple[Part, ..
     return (SymbolicPart(form),)
 
 
+def fluid_cells(mesh: Any) -> tuple[Int[np.ndarray, " element"], Int[np.ndarray, " marked"]]:
+    """Return the numbers of the fluid's elements, and which of these touch the interface."""
+    cells = np.array([element.nr for element in mesh.Elements(ng.VOL) if element.mat == "fluid"], dtype=int)
+    beside = np.array([bool(bit) for bit in _fluid_beside_interface(mesh)], dtype=bool)
+    return cells, np.flatnonzero(beside[cells])
+
+
 def _fluid_elements(system: CoupledSystem) -> FluidElements:
-    cells = np.array([element.nr for element in system.mesh.Elements(ng.VOL) if element.mat == "fluid"], dtype=int)
-    beside = np.array([bool(bit) for bit in _fluid_beside_interface(system.mesh)], dtype=bool)
-    loading = np.flatnonzero(beside[cells])
+    cells, loading = fluid_cells(system.mesh)
     return FluidElements(system.space, cells, loading, viscosity=system.viscosity, density=system.density)
 
 

@@ -1,0 +1,220 @@
+"""Runs through time: implicit steps of second order, fixed or chosen by the error that each one makes.
+
+The scheme is BDF2 with steps of any length, started by one step of backward Euler. Fluid, solid, mesh and pressures are
+solved together at the new time. BDF2 is chosen over Crank–Nicolson and generalised-α because it damps what a step does
+not resolve (L-stable), imposes the constraints (no flow through the interface, mass, pressure) at the new time, so that
+pressures and forces are of second order too, and needs no starting values for them. Its price: an oscillation of
+circular frequency ω is slower by (ωh)²/3 and loses (ωh)⁴/4 of its amplitude per step h.
+
+Sources: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), chapters V.1 and VII.3 (multistep methods
+for constraints of index 2); Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I (1993), section II.4,
+for the choice of steps.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.errors import ForwardModelError
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.moving import MovingSystem
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
+from strandline.models.biofilm.rates import LARGEST_RATIO, Moment, extrapolated, share_of_error
+
+__all__ = ["StepSettings", "TimeCost", "march"]
+
+Vector = Float[np.ndarray, " unknown"]
+Values = Float[np.ndarray, " dof"]
+
+AS_BEFORE = 0.25
+"""A Jacobian is kept while its leading weight differs from that of the step by at most this share."""
+SLOW = 8
+"""Number of corrections in a step after which the next step begins with a new Jacobian."""
+SHARE_OF_TOLERANCE = 0.9
+SMALLEST_FACTOR, KEPT_FACTOR = 0.25, 1.2
+CORRECTOR = NewtonSettings(tolerance=1e-8, maximum_jacobians=6, smallest_damping=0.1)
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """How a run steps through time.
+
+    Args:
+        first: First step, scaled; all steps if there is no tolerance.
+        tolerance: Largest local error of a step in velocity and in displacement, each as a share of the largest value
+            in the run so far; None: steps of one length.
+        largest: Largest step, scaled.
+        smallest: Smallest step as a share of the first, below which a run fails.
+        floors: Velocity and displacement, scaled, below which the tolerance is a share of these.
+        corrector: When the iteration in a step stops.
+    """
+
+    first: float
+    tolerance: float | None = None
+    largest: float = np.inf
+    smallest: float = 1e-6
+    floors: tuple[float, float] = (1e-6, 1e-6)
+    corrector: NewtonSettings = CORRECTOR
+
+
+@dataclass
+class TimeCost:
+    """What a run has cost so far.
+
+    Args:
+        steps: Number of accepted steps.
+        rejected: Number of steps repeated with a shorter one.
+        jacobians: Number of Jacobians factorised.
+        corrections: Number of residuals with a back-substitution.
+    """
+
+    steps: int = 0
+    rejected: int = 0
+    jacobians: int = 0
+    corrections: int = 0
+
+
+def march(
+    system: MovingSystem,
+    start: Moment,
+    end: float,
+    *,
+    prescribe: Callable[[float], None],
+    weights: Vector,
+    settings: StepSettings,
+    stops: tuple[float, ...] = (),
+    cost: TimeCost | None = None,
+) -> Iterator[Moment]:
+    """Yield the moment after each step; while one is yielded, the system holds its state.
+
+    Args:
+        system: System with inertia.
+        start: State at the start, with the velocity of the solid in its rates.
+        end: Time of the last step, scaled.
+        prescribe: Function of the time that writes prescribed values and loads into the system.
+        weights: Weights of the unknowns in the norm that measures corrections (unknown,).
+        settings: How to step.
+        stops: Times between start and end that steps must not pass but meet, where loads have kinks or results are due.
+        cost: Record to add the cost to.
+
+    Raises:
+        ForwardModelError: ``time_step``: the steps became too short; or what the system raises.
+    """
+    run = _Run(system, start, prescribe, weights, settings, cost or TimeCost())
+    for target in sorted({*(time for time in stops if start.time < time < end), end}):
+        while run.last[0].time < target:
+            yield run.advance(target)
+
+
+@dataclass(eq=False)
+class _Run:
+    """A run and its last three moments, newest first."""
+
+    system: MovingSystem
+    start: Moment
+    prescribe: Callable[[float], None]
+    weights: Vector
+    settings: StepSettings
+    cost: TimeCost
+    last: list[Moment] = field(init=False)
+    step: float = field(init=False)
+    largest: Float[np.ndarray, " 2"] = field(init=False)
+    jacobian: LinearSolver | None = None
+    leading: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.last, self.step = [self.start], self.settings.first
+        self.largest = np.maximum(self._sizes(self.start.values), self.settings.floors)
+
+    def advance(self, target: float) -> Moment:
+        """Take one step towards the target, shorter until its error is small enough; return the new moment."""
+        while True:
+            time = self._next_time(target)
+            taken = time - self.last[0].time
+            try:
+                moment, error = self._solved(time)
+            except ForwardModelError as reason:
+                self._shorten(0.5 * taken, reason)
+                continue
+            if self.settings.tolerance is not None:
+                size = max(error / self.settings.tolerance, 1e-8)
+                factor = max(SMALLEST_FACTOR, SHARE_OF_TOLERANCE * size ** (-1 / (2 if len(self.last) == 1 else 3)))
+                if size > 1.0:
+                    self._shorten(min(factor, SHARE_OF_TOLERANCE) * taken, None)
+                    continue
+                if factor < 1.0 or factor > KEPT_FACTOR:
+                    self.step = max(self.step, taken) if factor > 1.0 else taken
+                    self.step = min(factor * taken, LARGEST_RATIO * taken, self.settings.largest)
+            self._accept(moment)
+            return moment
+
+    def _next_time(self, target: float) -> float:
+        """Return the end of the next step: the target itself if that is near, and no sliver left before it."""
+        now = self.last[0].time
+        step = self.step
+        if len(self.last) > 1 and self.settings.tolerance is not None:
+            step = min(step, LARGEST_RATIO * (now - self.last[1].time))
+        number = int(np.ceil((target - now) / step - 1e-6))
+        if number <= 1:
+            return target
+        equal = self.settings.tolerance is None or number == 2
+        return now + ((target - now) / number if equal else step)
+
+    def _solved(self, time: float) -> tuple[Moment, float]:
+        """Return the moment at `time`, and the local error as a share of the largest velocity and displacement."""
+        system = self.system
+        system.rates.set(time, self.last)
+        predicted = extrapolated(time, self.last)
+        self.prescribe(time)
+        x = self._corrected(predicted[system.free])
+        system.set_unknowns(x)
+        values = np.array(system.values)
+        sizes = np.maximum(self.largest, self._sizes(values))
+        off = share_of_error(time, self.last) * self._sizes(values - predicted)
+        return Moment(time, values, system.rates.first(values)), float((off / sizes).max())
+
+    def _corrected(self, guess: Vector) -> Vector:
+        """Return the solution of the step's equations; the last Jacobian is used as long as it serves."""
+        leading, corrector = self.system.rates.leading, self.settings.corrector
+        first = None
+        if self.jacobian is not None and abs(leading - self.leading) <= AS_BEFORE * self.leading:
+            correction = -self.jacobian.solve(self.system.residual(guess))
+            first = NewtonStep(self.jacobian, correction)
+        try:
+            found = newton.solve(self.system, guess, weights=self.weights, settings=corrector, first=first)
+        except ForwardModelError:
+            if first is None:
+                raise
+            found = newton.solve(self.system, guess, weights=self.weights, settings=corrector)
+        self.cost.jacobians += found.jacobians
+        self.cost.corrections += found.simplified_steps + 1
+        if found.jacobians:
+            self.leading = leading
+        self.jacobian = found.jacobian if found.jacobians or found.simplified_steps <= SLOW else None
+        return found.x
+
+    def _accept(self, moment: Moment) -> None:
+        self.last = [moment, *self.last[:2]]
+        self.largest = np.maximum(self.largest, self._sizes(moment.values))
+        self.cost.steps += 1
+
+    def _shorten(self, step: float, reason: ForwardModelError | None) -> None:
+        """Repeat with a shorter step, if that is allowed."""
+        self.cost.rejected += 1
+        self.jacobian = None
+        if self.settings.tolerance is None and reason is not None:
+            raise reason
+        if step < self.settings.smallest * self.settings.first:
+            now = {"time": self.last[0].time, "step": step}
+            message = f"the steps became too short at the scaled time {now['time']:.6g}"
+            if reason is not None:
+                message += f" ({reason})"
+            raise ForwardModelError("time_step", message, now) from reason
+        self.step = step
+
+    def _sizes(self, values: Values) -> Float[np.ndarray, " 2"]:
+        """Return the largest coefficients of velocity and displacement."""
+        parts = [values[part.start : part.stop] for part in (self.system.space.Range(k) for k in (0, 2))]
+        return np.array([np.abs(part).max(initial=0.0) for part in parts])
