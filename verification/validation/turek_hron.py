@@ -19,7 +19,18 @@ from verification.validation.turek_mesh import HEIGHT, TIP, Size, mesh_turek_hro
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
 
-__all__ = ["BENCHMARKS", "Benchmark", "Outcome", "solve", "tables"]
+__all__ = [
+    "BENCHMARKS",
+    "BOUNDARIES",
+    "COARSEST",
+    "NORM_WEIGHTS",
+    "RIGID",
+    "Benchmark",
+    "Outcome",
+    "force",
+    "solve",
+    "tables",
+]
 
 BOUNDARIES = BoundaryNames(no_slip="wall|cylinder", inlet="inlet", fixed="inlet|outlet|wall|cylinder|clamped")
 RIGID = BoundaryNames(no_slip="wall|cylinder", inlet="inlet", fixed="inlet|outlet|wall|cylinder|interface")
@@ -92,7 +103,7 @@ def solve(benchmark: Benchmark, level: int, *, order: int) -> Outcome:
     if benchmark.young:
         values |= dict(zip(("ux", "uy"), system.state.components[2](mesh(*TIP)), strict=True))
     if benchmark.fluid:
-        values |= dict(zip(("drag", "lift"), _force(system), strict=True))
+        values |= dict(zip(("drag", "lift"), force(system), strict=True))
     return Outcome(values, mesh.ne, len(system.free), time.perf_counter() - start)
 
 
@@ -113,7 +124,7 @@ def _steady_state(system: CoupledSystem, benchmark: Benchmark) -> np.ndarray:
     return x
 
 
-def _force(system: CoupledSystem) -> tuple[float, float]:
+def force(system: CoupledSystem) -> tuple[float, float]:
     """Return the force on cylinder and beam: the residual tested with a field that is 1 there, a sum over vertices."""
     part = system.space.Range(0)
     residual = system.full_residual()[part.start : part.stop]

@@ -1,0 +1,55 @@
+"""Turek and Hron's benchmarks through time on small meshes; the whole runs are in the module's own `main`."""
+
+import numpy as np
+from verification.validation.turek_hron_time import CASES, Cylinder, Stage, oscillation, rows, simulate
+
+from strandline.models.biofilm.rates import Moment
+
+
+def test_beam_under_its_weight_swings_as_published():
+    case = CASES["CSM3"]
+    stage = Stage(1, 0.01, 2.0)
+    (run,) = simulate(case, [stage])
+    published = case.reference
+    for row in rows(case, stage, run):
+        name, mean, amplitude, frequency = row[0], *row[-3:]
+        assert abs(mean / published[name][0] - 1) < 0.04
+        assert abs(amplitude / published[name][1] - 1) < 0.04
+        assert abs(frequency / published[name][2] - 1) < 0.01
+
+
+def test_flow_starts_and_moves_to_a_finer_mesh(tmp_path):
+    """The force of the flow on the finer mesh goes on where it was on the coarser one."""
+    stages = [Stage(0, 0.02, 0.3), Stage(1, 0.02, 0.34)]
+    log = tmp_path / "series.txt"
+    first, second = simulate(CASES["CFD3"], stages, log=log)
+    assert len(log.read_text().splitlines()) == 17
+    assert first.rows[-1][0] > 10
+    np.testing.assert_allclose(second.rows[-1][0], first.rows[-1][0] * 1.25, rtol=0.1)
+
+
+def test_moved_state_is_the_same_field():
+    coarse, fine = (Cylinder(CASES["FSI3"], level) for level in (0, 1))
+    rng = np.random.default_rng(0)
+    values = np.zeros(coarse.system.space.ndof)
+    values[coarse.system.free] = rng.uniform(-1e-3, 1e-3, len(coarse.system.free))
+    moved = fine.moved_from(coarse, Moment(1.0, values, values))
+    for state, cylinder in ((values, coarse), (moved.values, fine)):
+        cylinder.system.values[:] = state
+    for component in (0, 1, 2):
+        places = [(1.1, 0.3), (0.9, 0.1) if component < 2 else (0.5, 0.2)]
+        for place in places:
+            there, here = (c.system.state.components[component](c.mesh(*place)) for c in (coarse, fine))
+            np.testing.assert_allclose(here, there, atol=1e-9)
+
+
+def test_oscillation_of_a_sine():
+    t = np.arange(0.0, 3.0, 0.001)
+    found = oscillation(t.tolist(), (2 + 3 * np.sin(2 * np.pi * 4 * t)).tolist(), window=0.8)
+    np.testing.assert_allclose([found.mean, found.amplitude, found.frequency], [2, 3, 4], rtol=1e-4)
+
+
+def test_no_oscillation_has_no_frequency():
+    found = oscillation([0.0, 0.1, 0.2], [1.0, 2.0, 3.0], window=1.0)
+    assert np.isnan(found.frequency)
+    assert (found.mean, found.amplitude) == (2.0, 1.0)

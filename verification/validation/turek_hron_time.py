@@ -1,0 +1,290 @@
+"""Turek and Hron's benchmarks CFD3, CSM3 and FSI3, which change with time, with the system of the biofilm model.
+
+Reference: Turek and Hron, Proposal for numerical benchmarking of fluid–structure interaction between an elastic object
+and laminar incompressible flow, in: Fluid–Structure Interaction, LNCSE 53 (2006), tables for the three. SI units. A
+value is mean ± amplitude [frequency, Hz]; mean and amplitude are those of the extremes of the last period.
+
+Run it with:  python -m verification.validation.turek_hron_time [CSM3 | CFD3 | FSI3]
+"""
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import ngsolve as ng
+import numpy as np
+from jaxtyping import Float
+from verification.validation.tables import Cell, Table
+from verification.validation.turek_hron import BOUNDARIES, COARSEST, NORM_WEIGHTS, RIGID, force
+from verification.validation.turek_mesh import HEIGHT, TIP, mesh_turek_hron
+
+from strandline.models.biofilm.moving import MovingSystem
+from strandline.models.biofilm.newton import NewtonSettings
+from strandline.models.biofilm.rates import Moment
+from strandline.models.biofilm.transient import StepSettings, TimeCost, march
+
+__all__ = ["CASES", "Case", "Cylinder", "Oscillation", "Stage", "oscillation", "simulate", "tables"]
+
+POISSON, RAMP = 0.4, 2.0
+Series = Float[np.ndarray, " step"]
+Published = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stretch of a run on one mesh with one step.
+
+    Args:
+        level: Number of refinements of the mesh.
+        step: Step, s.
+        end: Time of its end, s.
+        shown: Whether the table shows its last period.
+    """
+
+    level: int
+    step: float
+    end: float
+    shown: bool = True
+
+
+@dataclass(frozen=True)
+class Case:
+    """One of the three benchmarks.
+
+    Args:
+        name: Published name.
+        reference: Published mean, amplitude and frequency (Hz) of displacement (m) and force (N/m).
+        runs: Runs of the table, each a list of stages that go on from one another.
+        velocity: Mean inflow velocity, m/s; 0: no fluid.
+        young: Young's modulus of the beam, Pa; None for a rigid beam.
+        gravity: Gravity, m/s², downwards.
+        density: Density of the beam, kg/m³.
+    """
+
+    name: str
+    reference: dict[str, Published]
+    runs: tuple[tuple[Stage, ...], ...]
+    velocity: float = 0.0
+    young: float | None = None
+    gravity: float = 0.0
+    density: float = 1e3
+
+
+CASES = {
+    case.name: case
+    for case in (
+        Case(
+            "CSM3",
+            {"ux": (-14.305e-3, 14.305e-3, 1.0995), "uy": (-63.607e-3, 65.160e-3, 1.0995)},
+            tuple((Stage(level, step, 2.0),) for level, step in ((0, 0.01), (1, 0.01), (1, 0.005), (2, 0.005))),
+            young=1.4e6,
+            gravity=2.0,
+        ),
+        Case(
+            "CFD3",
+            {"drag": (439.45, 5.6183, 4.3956), "lift": (-11.893, 437.81, 4.3956)},
+            ((Stage(0, 0.005, 5.0, shown=False), Stage(1, 0.005, 10.0), Stage(1, 0.0025, 11.0)),),
+            velocity=2.0,
+        ),
+        Case(
+            "FSI3",
+            {
+                "ux": (-2.69e-3, 2.53e-3, 10.9),
+                "uy": (1.48e-3, 34.38e-3, 5.3),
+                "drag": (457.3, 22.66, 10.9),
+                "lift": (2.22, 149.78, 5.3),
+            },
+            ((Stage(0, 0.005, 6.0, shown=False), Stage(1, 0.0025, 9.0), Stage(1, 0.00125, 10.0)),),
+            velocity=2.0,
+            young=5.6e6,
+        ),
+    )
+}
+
+
+class Cylinder:
+    """The cylinder with its beam in the channel, at a given refinement, on its way through time."""
+
+    def __init__(self, case: Case, level: int) -> None:
+        self.case, self.level = case, level
+        fluid, solid = case.velocity > 0, case.young is not None
+        self.mesh = mesh_turek_hron(COARSEST, level, order=2, fluid=fluid, solid=solid)
+        self.system = MovingSystem(
+            self.mesh,
+            BOUNDARIES if solid else RIGID,
+            solid_density=case.density,
+            viscosity=1.0,
+            density=1e3,
+            solids=("solid",) if solid else (),
+            body_force=(0.0, -case.density * case.gravity),
+        )
+        if case.young is not None:
+            self.system.set_material([case.young], [POISSON])
+        self.weights = np.empty(len(self.system.free))
+        for component in range(3 + len(self.system.solids)):
+            self.weights[self.system.block(component)] = NORM_WEIGHTS[component]
+        self._inflow = np.zeros(self.system.space.ndof)
+        if fluid:
+            profile = 1.5 * case.velocity * 4 * ng.y * (HEIGHT - ng.y) / HEIGHT**2
+            self.system.state.components[0].Set(ng.CF((profile, 0)), definedon=self.mesh.Boundaries("inlet"))
+            self._inflow = np.array(self.system.values)
+            self.system.values[:] = 0.0
+
+    def at_rest(self) -> Moment:
+        """Return the state at time 0."""
+        return Moment(0.0, np.zeros(self.system.space.ndof), np.zeros(self.system.space.ndof))
+
+    def prescribe(self, moment: float) -> None:
+        """Write the inflow, which grows smoothly to its final value in two seconds."""
+        share = 0.5 * (1 - np.cos(np.pi * moment / RAMP)) if moment < RAMP else 1.0
+        self.system.values[:] = share * self._inflow
+
+    def quantities(self) -> tuple[float, ...]:
+        """Return displacement of the beam's tip and force on cylinder and beam, as far as there are any."""
+        found: tuple[float, ...] = ()
+        if self.case.young:
+            found += tuple(self.system.state.components[2](self.mesh(*TIP)))
+        if self.case.velocity:
+            found += force(self.system)
+        return found
+
+    def moved_from(self, other: "Cylinder", moment: Moment) -> Moment:
+        """Return a moment of the same case on another mesh, interpolated to this one."""
+        found = []
+        for coefficients in (moment.values, moment.rates):
+            other.system.values[:] = coefficients
+            for mine, theirs in zip(self.system.state.components, other.system.state.components, strict=True):
+                mine.Set(theirs)
+            found.append(np.array(self.system.values))
+        return Moment(moment.time, found[0], found[1])
+
+
+@dataclass
+class Run:
+    """The series of a run: times, and one row of `Cylinder.quantities` each."""
+
+    cylinder: Cylinder
+    last: Moment
+    cost: TimeCost = field(default_factory=TimeCost)
+    seconds: float = 0.0
+    times: list[float] = field(default_factory=list)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+    def advance(self, stage: Stage) -> Iterator[None]:
+        """Step through a stage."""
+        settings = StepSettings(stage.step, corrector=NewtonSettings(1e-6, 12, 0.05))
+        began, cylinder = time.perf_counter(), self.cylinder
+        for moment in march(
+            cylinder.system,
+            self.last,
+            stage.end,
+            prescribe=cylinder.prescribe,
+            weights=cylinder.weights,
+            settings=settings,
+            cost=self.cost,
+        ):
+            self.last = moment
+            self.times.append(moment.time)
+            self.rows.append(cylinder.quantities())
+            yield
+        self.seconds += time.perf_counter() - began
+
+
+def simulate(case: Case, stages: Sequence[Stage], *, log: Path | None = None) -> Iterator[Run]:
+    """Yield the run of each stage; a stage on another mesh goes on from the interpolated state.
+
+    Args:
+        case: Benchmark.
+        stages: Stages in their order.
+        log: File for the series, one line for each step.
+    """
+    run: Run | None = None
+    for stage in stages:
+        cylinder = run.cylinder if run and run.cylinder.level == stage.level else Cylinder(case, stage.level)
+        if run is None:
+            run = Run(cylinder, cylinder.at_rest())
+        else:
+            same = cylinder is run.cylinder
+            run = Run(cylinder, run.last if same else cylinder.moved_from(run.cylinder, run.last))
+        for _ in run.advance(stage):
+            if log is not None:
+                with log.open("a") as file:
+                    values = " ".join(f"{value:.9g}" for value in run.rows[-1])
+                    file.write(f"{stage.level} {stage.step:g} {run.times[-1]:.6f} {values}\n")
+        yield run
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """Mean and amplitude of the extremes in the last period, and the frequency, Hz; NaN if there is no period."""
+
+    mean: float
+    amplitude: float
+    frequency: float
+
+
+def oscillation(times: Sequence[float], values: Sequence[float], *, window: float) -> Oscillation:
+    """Return the oscillation in the last part of a series of even steps.
+
+    Args:
+        times: Times, s.
+        values: Values at the times.
+        window: Length of the last part, s, more than two periods.
+    """
+    t, y = np.array(times), np.array(values)
+    chosen = t >= t[-1] - window
+    t, y = t[chosen], y[chosen]
+    y_mean = 0.5 * (y.max() + y.min())
+    rising = np.flatnonzero((y[:-1] < y_mean) & (y[1:] >= y_mean))
+    if len(rising) < 2:
+        return Oscillation(float(y_mean), float(0.5 * (y.max() - y.min())), float("nan"))
+    crossings = t[rising] + (y_mean - y[rising]) / (y[rising + 1] - y[rising]) * (t[rising + 1] - t[rising])
+    frequency = (len(crossings) - 1) / (crossings[-1] - crossings[0])
+    last = y[t >= t[-1] - 1.0 / frequency - 1e-9]
+    return Oscillation(float(0.5 * (last.max() + last.min())), float(0.5 * (last.max() - last.min())), float(frequency))
+
+
+def rows(case: Case, stage: Stage, run: Run) -> list[tuple[Cell, ...]]:
+    """Return a row of the table for each quantity."""
+    found: list[tuple[Cell, ...]] = []
+    for k, (name, published) in enumerate(case.reference.items()):
+        window = min(3.2 / published[2], run.times[-1] - run.times[0])
+        own = oscillation(run.times, [row[k] for row in run.rows], window=window)
+        size = (run.cylinder.mesh.ne, len(run.cylinder.system.free), stage.step, run.cost.jacobians, run.seconds)
+        found.append((name, *published, *size, own.mean, own.amplitude, own.frequency))
+    return found
+
+
+def tables(names: Sequence[str] = tuple(CASES), log: Path | None = None) -> list[Table]:
+    """Return a table for each case: published and own values."""
+    columns = (
+        "quantity", "published mean", "amplitude", "Hz", "elements", "unknowns", "step, s", "Jacobians", "s",
+        "mean", "own amplitude", "own Hz",
+    )  # fmt: skip
+    formats = ("s", ".5g", ".5g", ".5g", "d", "d", "g", "d", ".0f", ".5g", ".5g", ".4g")
+    found = []
+    for name in names:
+        case = CASES[name]
+        lines = [
+            row
+            for stages in case.runs
+            for stage, run in zip(stages, simulate(case, stages, log=log), strict=True)
+            if stage.shown
+            for row in rows(case, stage, run)
+        ]
+        lines.sort(key=lambda row: list(case.reference).index(str(row[0])))
+        found.append(Table(name, f"{name} of Turek and Hron", columns, formats, tuple(lines)))
+    return found
+
+
+def main() -> None:
+    """Print the tables of the cases named on the command line, or of all."""
+    for name in sys.argv[1:] or CASES:
+        for table in tables((name,)):
+            print(f"\n{table.title}\n\n{table.markdown()}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
