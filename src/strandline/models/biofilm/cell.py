@@ -100,7 +100,7 @@ class FlowCell:
         self.is_solid = self.part > 0
         self._fluid, self.flow = fluid.at({}), Flow.of(channel, inflow, fluid)
         viscosity, density, *_ = self._fluid.values()
-        self.system = CoupledSystem(
+        self.system = self.coupled(
             self.mesh,
             _boundaries(channel, pressure_driven=self.flow.pressure is not None, sliding=bool(clamped)),
             viscosity=viscosity / VISCOSITY_SCALE,
@@ -118,6 +118,10 @@ class FlowCell:
         self.inflow = np.array(self.system.values)
         self._strains = StrainProbe(self.system)
         self.rigid_flow = self._flow_past_rigid_body()
+
+    def coupled(self, *arguments: Any, **options: Any) -> CoupledSystem:
+        """Return the system of equations, made from the arguments of `CoupledSystem`."""
+        return CoupledSystem(*arguments, **options)
 
     def solve(
         self,

@@ -2,29 +2,38 @@
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from strandline.errors import InvalidInput
-from strandline.interface import Interface, is_condition
-from strandline.models.biofilm.cell import FlowCell, FlowFields
+from strandline.interface import Interface
+from strandline.models.biofilm.cell import FlowCell, FlowFields, Solution
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
+from strandline.models.biofilm.course import Course
 from strandline.models.biofilm.flow import inlet_bottom
 from strandline.models.biofilm.fluid import WATER, Fluid
 from strandline.models.biofilm.foot import as_stretches, check_clamped
 from strandline.models.biofilm.geometry import subdivide
-from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, PROFILES, RATE, Pairs, as_pairs, check_inflow
+from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, RATE, Pairs, check_inflow
 from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS, further_parameters, law_named
+from strandline.models.biofilm.options import (
+    as_inflow,
+    as_rates,
+    check_budget,
+    check_course,
+    check_rate,
+    converted,
+    one_of,
+)
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.sizes import FINER, MESHES, MeshSize, is_adapted
-from strandline.models.biofilm.subdivision import Partition, check_partition
+from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.transient_cell import TransientCell
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.protocol import fingerprint as fingerprint_of
 from strandline.registry import imported
@@ -59,6 +68,7 @@ class Biofilm:
             without friction and does not lift. None: all of the base is held.
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
             condition. Each experiment gives one interface, and V_in is no longer an input.
+        course: A `Course` of the inflow with time: V_in is scaled by it, and each time observed is a condition.
         sensitivities: Whether runs return d(interface)/d(input) as well.
         failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure
             costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
@@ -69,7 +79,8 @@ class Biofilm:
             environment requests but that is not installed.
 
     A run raises ForwardModelError with kind ``limit_point``, ``continuation_stalled``, ``inverted_elements``,
-    ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence.
+    ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence; a transient run
+    also ``time_step``, with the time reached.
     """
 
     mesh: str = "default"
@@ -81,6 +92,7 @@ class Biofilm:
     inflow: str | Pairs = PARABOLA
     clamped: Pairs = ()
     inflow_rates: tuple[tuple[str, float], ...] = ()
+    course: Course | None = None
     sensitivities: bool = False
     failure_budget: int = 5
     failure_kinds: ClassVar[tuple[str, ...]] = (
@@ -93,14 +105,16 @@ class Biofilm:
         "nonfinite_residual",
         "linear_solve",
         "mesh",
+        "time_step",
     )
 
     def __post_init__(self) -> None:
-        _one_of("mesh", self.mesh, MESHES)
+        one_of("mesh", self.mesh, MESHES)
         law_named(self.material)
-        _check_budget(self.failure_budget)
+        check_budget(self.failure_budget)
         for name, rate in self.inflow_rates:
-            _check_rate(name, rate, self.inflow)
+            check_rate(name, rate, self.inflow)
+        check_course(self.course, rates=bool(self.inflow_rates), sensitivities=self.sensitivities)
         reference = self.outline.interface()
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
@@ -117,13 +131,15 @@ class Biofilm:
         """
         for name, kind in (("channel", Channel), ("outline", Outline), ("partition", Partition), ("fluid", Fluid)):
             if name in options:
-                options[name] = _converted(name, options[name], kind)
+                options[name] = converted(name, options[name], kind)
         if "inflow" in options:
-            options["inflow"] = _inflow(options["inflow"])
+            options["inflow"] = as_inflow(options["inflow"])
         if "clamped" in options:
             options["clamped"] = as_stretches(options["clamped"])
         if "inflow_rates" in options:
-            options["inflow_rates"] = _pairs(options["inflow_rates"])
+            options["inflow_rates"] = as_rates(options["inflow_rates"])
+        if options.get("course") is not None:
+            options["course"] = Course.of(options["course"])
         return cls(**options)
 
     @property
@@ -150,8 +166,8 @@ class Biofilm:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Names of the experiments, one interface each; a single unnamed one if no inflow rates are given."""
-        return tuple(name for name, _ in self.inflow_rates) or ("",)
+        """Names of the experiments or times, one interface each; a single unnamed one if there are none."""
+        return tuple(name for name, _ in self.inflow_rates or (self.course.times if self.course else ())) or ("",)
 
     @property
     def fingerprint(self) -> str:
@@ -175,18 +191,16 @@ class Biofilm:
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
-        """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; with several inflow rates, one for each."""
-        cell = _flow_cell(self._geometry)
-        young, poisson, *further = self._material_values(inputs)
-        fluid = self.fluid.at(inputs)
+        """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; one for each condition."""
+        cell = _flow_cell(self._geometry, self._solid_density)
         interfaces, sensitivities = {}, {}
         figures: dict[str, float] = {}
-        for name, rate in self._rates(inputs):
-            solution = cell.solve(young, poisson, rate, *further, fluid=fluid, budget=self.failure_budget)
+        for name, solution in self._solutions(cell, inputs, self.failure_budget):
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
             figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
             if self.sensitivities:
-                sensitivities[name] = self._by_input(cell.sensitivities(solution, [q.name for q in self.fluid.inputs]))
+                found = cell.sensitivities(solution, [q.name for q in self.fluid.inputs])
+                sensitivities[name] = self._by_input(found, self.course.shares()[name] if self.course else 1.0)
         return Simulation(interfaces, figures, sensitivities)
 
     def undeformed(self) -> Interface:
@@ -198,13 +212,11 @@ class Biofilm:
 
         Args:
             inputs: Inputs of the run by name.
-            condition: Name of one of the inflow rates; the last one by default.
+            condition: Name of one of the inflow rates or times; the last one by default.
         """
-        cell = _flow_cell(self._geometry)
-        rates = dict(self._rates(inputs))
-        rate = rates[condition or next(reversed(rates))]
-        young, poisson, *further = self._material_values(inputs)
-        cell.solve(young, poisson, rate, *further, fluid=self.fluid.at(inputs))
+        cell = _flow_cell(self._geometry, self._solid_density)
+        wanted = condition or self.conditions[-1]
+        next(name for name, _ in self._solutions(cell, inputs, 0, wanted) if name == wanted)
         return cell.fields()
 
     def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
@@ -213,38 +225,54 @@ class Biofilm:
         Raises:
             ForwardModelError: The run fails.
         """
-        cell = _new_cell(self._geometry, FINER[self.mesh])
-        found = {}
+        cell = _new_cell(self._geometry, FINER[self.mesh], self._solid_density)
+        return {
+            name: Interface.polyline(cell.outline.points + solution.displacement)
+            for name, solution in self._solutions(cell, inputs, self.failure_budget)
+        }
+
+    def _solutions(
+        self, cell: FlowCell, inputs: Mapping[str, float], budget: int, only: str | None = None
+    ) -> Iterator[tuple[str, Solution]]:
+        """Yield each condition with its state, which the cell holds meanwhile; of steady ones, `only` that if given."""
         young, poisson, *further = self._material_values(inputs)
+        fluid = self.fluid.at(inputs)
+        if isinstance(cell, TransientCell) and self.course:
+            rate = float(inputs[self._drive[0].name])
+            yield from cell.through(self.course, young, poisson, rate, *further, fluid=fluid, budget=budget)
+            return
         for name, rate in self._rates(inputs):
-            fluid = self.fluid.at(inputs)
-            solution = cell.solve(young, poisson, rate, *further, fluid=fluid, budget=self.failure_budget)
-            found[name] = Interface.polyline(cell.outline.points + solution.displacement)
-        return found
+            if only in (None, name):
+                yield name, cell.solve(young, poisson, rate, *further, fluid=fluid, budget=budget)
 
     @property
     def _geometry(self) -> "Biofilm":
         """The model reduced to what affects mesh and forms."""
-        return dataclasses.replace(self, inflow_rates=(), sensitivities=False, failure_budget=0)
+        return dataclasses.replace(self, inflow_rates=(), course=None, sensitivities=False, failure_budget=0)
+
+    @property
+    def _solid_density(self) -> float | None:
+        """Density of the solid in a transient run; None: no inertia."""
+        return self.course.solid_density if self.course and self.course.is_transient else None
 
     def _rates(self, inputs: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
         """Return the conditions with their inflow rates."""
-        return self.inflow_rates or (("", float(inputs[self._drive[0].name])),)
+        if self.inflow_rates:
+            return self.inflow_rates
+        shares = self.course.shares() if self.course else {"": 1.0}
+        return tuple((name, share * float(inputs[self._drive[0].name])) for name, share in shares.items())
 
     def _material_values(self, inputs: Mapping[str, float]) -> list[list[float]]:
         """Return Young's moduli, Poisson's ratios and further parameters, each for every part."""
         return [[float(inputs[item.name + number]) for number in self._numbers] for item in self._material]
 
-    def _by_input(self, found: list[np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the sensitivities of a `FlowCell` by the name of the input; without V_in if it is none."""
+    def _by_input(self, found: list[np.ndarray], share: float) -> dict[str, np.ndarray]:
+        """Return the sensitivities of a `FlowCell` by the name of the input; that of V_in, if any, times its share."""
         names = [item.name + number for item in self._material for number in self._numbers]
         by_name = dict(zip([*names, "", *(item.name for item in self.fluid.inputs)], found, strict=True))
         by_drive = by_name.pop("")
-        return by_name | {item.name: by_drive for item in self._drive}
+        return by_name | {item.name: share * by_drive for item in self._drive}
 
-
-_SMALLEST_BUDGET = 3
-_FROM_FILE = {"outline": "; in a study file also file with its unit in place of points, which are in mm"}
 
 _SMALL_STRAIN = (
     ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),
@@ -263,131 +291,23 @@ def _figure(key: str, condition: str) -> str:
     return f"{key}_{condition}" if condition else key
 
 
-def _one_of(what: str, value: object, choices: Mapping[str, Any]) -> None:
-    if value not in choices:
-        raise InvalidInput(
-            f"{what} of the biofilm model",
-            value=value,
-            expected=f"one of {', '.join(choices)}",
-            remedy="Choose one of them.",
-        )
-
-
-def _converted(name: str, value: object, kind: Any) -> Any:
-    """Return `value` as the record `kind`, made from a plain mapping or a named preset."""
-    if isinstance(value, kind):
-        return value
-    if isinstance(value, str) and value in getattr(kind, "PRESETS", {}):
-        return kind.PRESETS[value]
-    known = {field.name for field in dataclasses.fields(kind)}
-    if not isinstance(value, Mapping) or not set(value) <= known:
-        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
-        close = get_close_matches(str(unknown[0]), known, n=1) if unknown else []
-        raise InvalidInput(
-            f"{name} of the biofilm model",
-            value=", ".join(map(str, unknown)) or value,
-            expected=f"a mapping with keys among {', '.join(sorted(known))}{_FROM_FILE.get(name, '')}",
-            remedy=f"Did you mean {close[0]}?" if close else "Correct it.",
-        )
-    if kind is Fluid:
-        return Fluid(**{key: float(v) if _is_number(v) else v for key, v in value.items()})
-    if kind is Partition:
-        check_partition(**value)
-    lengths = {field.name for field in dataclasses.fields(kind) if field.type is float}
-    for key in lengths & set(value):
-        if not _is_number(value[key]):
-            raise InvalidInput(
-                f"{key} of the {name}",
-                value=value[key],
-                expected="a number in mm, without a unit",
-                remedy="Correct it.",
-            )
-    return kind(**{key: float(v) if key in lengths else _as_tuples(v) for key, v in value.items()})
-
-
-def _inflow(value: Any) -> Any:
-    """Return the name of a profile, or the pairs of ``{table: …}`` as tuples."""
-    if isinstance(value, Mapping) and set(value) == {"table"}:
-        return as_pairs(value["table"])
-    if isinstance(value, str | tuple):
-        return value
-    raise InvalidInput(
-        "inflow of the biofilm model",
-        value=value,
-        expected=f"one of {', '.join([*PROFILES, PRESSURE])}, module:name, or {{table: [[y, v], …]}} with y in mm",
-        remedy="Correct it.",
-    )
-
-
-def _as_tuples(value: Any) -> Any:
-    """Return nested lists as nested tuples of numbers, which can be compared and hashed."""
-    if not isinstance(value, list | tuple):
-        return value
-    return tuple(float(item) if _is_number(item) else _as_tuples(item) for item in value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _pairs(rates: Any) -> tuple[tuple[str, float], ...]:
-    """Return a mapping name → rate as pairs."""
-    if not isinstance(rates, Mapping):
-        raise InvalidInput(
-            "inflow_rates of the biofilm model",
-            value=rates,
-            expected="rates in mm^2/s by the name of the condition, e.g. {slow: 50, fast: 100}",
-            remedy="Correct them.",
-        )
-    for name, rate in rates.items():
-        _check_rate(name, rate)
-    return tuple((name, float(rate)) for name, rate in rates.items())
-
-
-def _check_budget(budget: object) -> None:
-    if isinstance(budget, bool) or not isinstance(budget, int) or (budget != 0 and budget < _SMALLEST_BUDGET):
-        raise InvalidInput(
-            "failure_budget of the biofilm model",
-            value=budget,
-            expected=f"a whole number of Jacobians, at least {_SMALLEST_BUDGET}, or 0 for no limit",
-            remedy="Correct it.",
-        )
-
-
-def _check_rate(name: object, rate: object, inflow: object = PARABOLA) -> None:
-    if inflow == PRESSURE:
-        raise InvalidInput(
-            "inflow_rates of the biofilm model",
-            value=f"{name}: {rate} with inflow: {PRESSURE}",
-            expected="a profile of the inflow, or no inflow rates",
-            remedy="Remove one of the two; p_drop is an input of the model.",
-        )
-    admitted = isinstance(rate, int | float) and _is_number(rate) and RATE.admits(float(rate))
-    if not admitted or not is_condition(name) or not name:
-        raise InvalidInput(
-            f"inflow rate {name!r} of the biofilm model",
-            value=rate,
-            expected="the name of a condition with its rate in mm^2/s, 0 or more, e.g. slow: 50",
-            remedy="Correct the inflow rate.",
-        )
-
-
 @lru_cache(maxsize=2)
-def _flow_cell(model: Biofilm) -> FlowCell:
-    return _new_cell(model, MESHES[model.mesh])
+def _flow_cell(model: Biofilm, solid_density: float | None = None) -> FlowCell:
+    return _new_cell(model, MESHES[model.mesh], solid_density)
 
 
-def _new_cell(model: Biofilm, size: MeshSize) -> FlowCell:
-    return FlowCell(
-        model.outline.interface(),
-        size,
-        channel=model.channel,
-        partition=model.partition,
-        law=law_named(model.material),
-        fluid=model.fluid,
-        inflow=model.inflow,
-        clamped=model.clamped,
-    )
+def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None) -> FlowCell:
+    options: dict[str, Any] = {
+        "channel": model.channel,
+        "partition": model.partition,
+        "law": law_named(model.material),
+        "fluid": model.fluid,
+        "inflow": model.inflow,
+        "clamped": model.clamped,
+    }
+    if solid_density is None:
+        return FlowCell(model.outline.interface(), size, **options)
+    return TransientCell(model.outline.interface(), size, solid_density=solid_density, **options)
 
 
 @lru_cache(maxsize=16)

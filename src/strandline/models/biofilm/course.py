@@ -1,0 +1,139 @@
+"""How the inflow changes with time, and when interfaces are observed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from strandline.errors import InvalidInput
+from strandline.interface import is_condition
+from strandline.models.biofilm.inflow import Pairs
+
+__all__ = ["MOTIONS", "QUASI_STATIC", "TRANSIENT", "Course"]
+
+QUASI_STATIC, TRANSIENT = "quasi_static", "transient"
+MOTIONS = (QUASI_STATIC, TRANSIENT)
+KEYS = ("inflow", "times", "motion", "solid_density", "tolerance")
+PLACE = "course of the biofilm model"
+
+Times = tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Course:
+    """An experiment in which the inflow changes with time.
+
+    Args:
+        inflow: Pairs (time, share), s and a share of V_in or of the pressure drop, linear between; a run starts at the
+            first time, in the steady state of its share.
+        times: Times, s, at which the interface is observed, by the name of the condition.
+        motion: ``quasi_static``: the steady state of each moment's inflow; ``transient``: with inertia of fluid and
+            solid, on a moving mesh.
+        solid_density: Density of the undeformed solid, kg/m³; counts in transient runs only.
+        tolerance: Largest local error of a step in velocity and displacement, as a share of the largest value so far;
+            counts in transient runs only.
+
+    Raises:
+        InvalidInput: Times that do not increase, or lie outside the course; a share below 0; a number out of range.
+    """
+
+    inflow: Pairs
+    times: Times
+    motion: str = QUASI_STATIC
+    solid_density: float = 1e3
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.motion not in MOTIONS:
+            raise _refused("motion in the", self.motion, f"one of {', '.join(MOTIONS)}")
+        _require_increasing("times of the inflow in the", [time for time, _ in self.inflow])
+        for time, share in self.inflow:
+            if share < 0:
+                raise _refused("inflow in the", f"share {share:g} at {time:g} s", "shares of V_in, 0 or above")
+        if not self.times:
+            raise _refused("times in the", "none", "at least one time, in s, at which the interface is observed")
+        _require_increasing("times in the", [time for _, time in self.times])
+        begin, end = self.inflow[0][0], self.inflow[-1][0]
+        for name, time in self.times:
+            if not is_condition(name) or not name:
+                raise _refused("times in the", f"the name {name!r}", "names of conditions, e.g. {early: 0.1, late: 2}")
+            if not begin <= time <= end:
+                raise _refused("times in the", f"{time:g} s", f"times inside the course, from {begin:g} to {end:g} s")
+        if not 0 < self.solid_density < np.inf:
+            raise _refused("solid_density in the", self.solid_density, "a density in kg/m^3 above 0")
+        if not 0 < self.tolerance <= 0.1:
+            raise _refused("tolerance in the", self.tolerance, "a share above 0, at most 0.1")
+
+    @classmethod
+    def of(cls, value: Any) -> "Course":
+        """Return the course that a study file describes; times in a list are named t1, t2, ….
+
+        Raises:
+            InvalidInput: It is none.
+        """
+        if isinstance(value, cls):
+            return value
+        example = "{inflow: [[0, 0], [0.5, 1]], times: {early: 0.1, late: 0.5}, motion: transient}"
+        if not isinstance(value, Mapping) or not {"inflow", "times"} <= set(value) <= set(KEYS):
+            keys = ", ".join(map(str, value)) if isinstance(value, Mapping) else value
+            raise _refused("", keys, f"a mapping with inflow and times, and among {', '.join(KEYS)}: {example}")
+        numbers = {key: _number(key, value[key]) for key in ("solid_density", "tolerance") if key in value}
+        return cls(_table(value["inflow"]), _named(value["times"]), str(value.get("motion", QUASI_STATIC)), **numbers)
+
+    @property
+    def is_transient(self) -> bool:
+        """Whether inertia counts."""
+        return self.motion == TRANSIENT
+
+    @property
+    def start(self) -> float:
+        """Time of the start, s."""
+        return self.inflow[0][0]
+
+    def share(self, time: float) -> float:
+        """Return the share of the inflow at a time, s."""
+        times, shares = np.array(self.inflow).T
+        return float(np.interp(time, times, shares))
+
+    def shares(self) -> dict[str, float]:
+        """Return the share of the inflow at each time observed, by the name of the condition."""
+        return {name: self.share(time) for name, time in self.times}
+
+
+def _require_increasing(what: str, times: list[float]) -> None:
+    for before, time in pairwise(times):
+        if not time > before:
+            raise _refused(what, f"{time:g} s after {before:g} s", "times that increase")
+
+
+def _table(value: Any) -> Pairs:
+    """Return at least two pairs of finite numbers."""
+    try:
+        pairs = np.array(value, float)
+    except (TypeError, ValueError):
+        pairs = np.empty(0)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or len(pairs) < 2 or not np.isfinite(pairs).all():
+        raise _refused("inflow in the", value, "a table of at least two pairs [time in s, share of V_in]")
+    return tuple((float(time), float(share)) for time, share in pairs)
+
+
+def _named(value: Any) -> Times:
+    """Return times with their names."""
+    pairs = list(value.items()) if isinstance(value, Mapping) else None
+    if isinstance(value, list | tuple):
+        pairs = [(f"t{k}", time) for k, time in enumerate(value, 1)]
+    if pairs is None:
+        raise _refused("times in the", value, "times in s by the name of the condition, e.g. {early: 0.1, late: 2}")
+    return tuple((name, _number("times", time)) for name, time in pairs)
+
+
+def _number(key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise _refused(f"{key} in the", value, "a finite number, without a unit")
+    return float(value)
+
+
+def _refused(what: str, value: object, expected: str) -> InvalidInput:
+    return InvalidInput(f"{what} {PLACE}".strip(), value=value, expected=expected, remedy="Correct the course.")
