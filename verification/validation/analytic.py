@@ -100,9 +100,9 @@ def _lame(poisson: float) -> float:
 class LoadedSolid:
     """A block without fluid under dead loads: the coupled system, with a load vector subtracted from its residual."""
 
-    def __init__(self, mesh: Any, law: str, poisson: float, fixed: str) -> None:
+    def __init__(self, mesh: Any, law: str, poisson: float, fixed: str, *, remembers: bool = False) -> None:
         names = BoundaryNames(no_slip="", inlet="", fixed=fixed)
-        self.coupled = CoupledSystem(mesh, names, viscosity=1.0, density=1.0, law=LAWS[law])
+        self.coupled = CoupledSystem(mesh, names, viscosity=1.0, density=1.0, law=LAWS[law], remembers=remembers)
         self.coupled.set_material([YOUNG], [poisson], *([value] for value in FURTHER[law]))
         self.load: Float[np.ndarray, " unknown"] = np.zeros(len(self.coupled.free))
 

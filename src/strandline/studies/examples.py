@@ -15,6 +15,7 @@ EXAMPLES = {
     "calculix": "CalculiX (needs ccx): a gel membrane, inflated.",
     "pendant-drop": "A photograph: the surface tension of a hanging drop.",
     "oct": "Two OCT scans: the stiffness of a biofilm.",
+    "creep": "A creep test: stiffness and relaxation time of a biofilm.",
 }
 """Name of each example and what it shows."""
 FOLDERS = {"python": "strip", "oct": "oct-biofilm"}

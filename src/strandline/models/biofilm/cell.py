@@ -98,8 +98,8 @@ class FlowCell:
         number = {"fluid": 0} | {name: k for k, name in enumerate(self.parts, 1)}
         self.part = np.array([number[element.mat] for element in self.mesh.Elements(ng.VOL)])
         self.is_solid = self.part > 0
-        self._fluid, self.flow = fluid.at({}), Flow.of(channel, inflow, fluid)
-        viscosity, density, *_ = self._fluid.values()
+        self.fluid, self.flow = fluid.at({}), Flow.of(channel, inflow, fluid)
+        viscosity, density, *_ = self.fluid.values()
         self.system = self.coupled(
             self.mesh,
             _boundaries(channel, pressure_driven=self.flow.pressure is not None, sliding=bool(clamped)),
@@ -147,17 +147,36 @@ class FlowCell:
                 ``inverted_elements``, ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``; loads in the evidence
                 are inflow rates in mm²/s.
         """
-        values = zip(self._material_scales, (young, poisson, *further), strict=True)
-        self.system.set_material(*([value / scale for value in given] for scale, given in values))
-        load = self._set_loads(rate, fluid or self._fluid)
+        load = self.set(young, poisson, rate, *further, fluid=fluid)
         try:
             found = steady_state(self, load, budget=budget)
             bounds = self.check(found.x)
             self._check_balance(found.x, load)
         except ForwardModelError as error:
-            raise _in_physical_units(error, self.flow.drive, self._load_scale) from error
-        moved = self._interface_values(np.array(self.system.values))
-        return Solution(found.x, moved, bounds["min_J_fluid"], bounds["min_J_solid"], found.jacobians)
+            raise self.in_physical_units(error) from error
+        return Solution(found.x, self.displacement, bounds["min_J_fluid"], bounds["min_J_solid"], found.jacobians)
+
+    def set(
+        self,
+        young: Sequence[float],
+        poisson: Sequence[float],
+        rate: float,
+        *further: Sequence[float],
+        fluid: Fluid | None = None,
+    ) -> float:
+        """Set the material, the fluid and the loads, see `solve`; return the load at which `rate` is reached."""
+        values = zip(self._material_scales, (young, poisson, *further), strict=True)
+        self.system.set_material(*([value / scale for value in given] for scale, given in values))
+        return self.set_loads(rate, fluid or self.fluid)
+
+    @property
+    def displacement(self) -> Points:
+        """Displacements of the interface's nodes (point, 2) at the current state, mm."""
+        return self._interface_values(np.array(self.system.values))
+
+    def in_physical_units(self, error: ForwardModelError) -> ForwardModelError:
+        """Return a failure with loads as inflow rates or pressure drops, and a message that states at which."""
+        return _in_physical_units(error, self.flow.drive, self._load_scale)
 
     def undeformed(self, load: float) -> Vector:
         """Return the flow past a rigid body, scaled: the first guess."""
@@ -241,11 +260,7 @@ class FlowCell:
         """Return lower bounds of J over fluid and solid at the current state."""
         return jacobian_bound(self.mesh, self.system.state.components[2], self.is_solid)
 
-    def fields(self) -> FlowFields:
-        """Return velocity, pressure, displacement and stress of the current state."""
-        return flow_fields(self.system, self.part, velocity=VELOCITY_SCALE, stress=STRESS_SCALE)
-
-    def _set_loads(self, rate: float, fluid: Fluid) -> float:
+    def set_loads(self, rate: float, fluid: Fluid) -> float:
         """Set the fluid and the loads at the end of the load path; return the load there.
 
         A load is the scaled inflow or pressure drop, or a share of all loads if a force acts on the fluid too.
@@ -260,6 +275,10 @@ class FlowCell:
         self._loads = [*(f / FORCE_SCALE for f in force[: len(self.flow.forces)])]
         self._loads += [self._drive] if self.flow.pressure is not None else []
         return target
+
+    def fields(self) -> FlowFields:
+        """Return velocity, pressure, displacement and stress of the current state."""
+        return flow_fields(self.system, self.part, velocity=VELOCITY_SCALE, stress=STRESS_SCALE)
 
     def _apply(self, load: float) -> None:
         """Write the loads at a point of the load path into the system."""
@@ -286,8 +305,8 @@ class FlowCell:
         parts = len(self.parts)
         further = (typical(item) for item in further_parameters(self.system.law))
         self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts, *([value] * parts for value in further))
-        reference = 1.0 if self.flow.pressure is None else self.flow.developed_drop(self._fluid)
-        self._set_loads(reference * self.flow.scale, replace(self._fluid, force_x=0.0, force_y=0.0))
+        reference = 1.0 if self.flow.pressure is None else self.flow.developed_drop(self.fluid)
+        self.set_loads(reference * self.flow.scale, replace(self.fluid, force_x=0.0, force_y=0.0))
         self._apply(reference)
         start = np.array(self.system.values[self.system.free])
         settings = newton.NewtonSettings(tolerance=1e-6, maximum_jacobians=30)

@@ -27,13 +27,14 @@ class Course:
 
     Args:
         inflow: Pairs (time, share), s and a share of V_in or of the pressure drop, linear between; a run starts at the
-            first time, in the steady state of its share.
+            first time, in the steady state of its share. Two pairs of the same time are a jump, if quasi-static.
         times: Times, s, at which the interface is observed, by the name of the condition.
         motion: ``quasi_static``: the steady state of each moment's inflow; ``transient``: with inertia of fluid and
             solid, on a moving mesh.
         solid_density: Density of the undeformed solid, kg/m³; counts in transient runs only.
-        tolerance: Largest local error of a step in velocity and displacement, as a share of the largest value so far;
-            counts in transient runs only.
+        tolerance: Transient: largest local error of a step in velocity and displacement, as a share of the largest
+            value so far. Of a solid that creeps: largest error in time of the interface, as a share of its largest
+            displacement so far. Else it does not count.
 
     Raises:
         InvalidInput: Times that do not increase, or lie outside the course; a share below 0; a number out of range.
@@ -48,7 +49,7 @@ class Course:
     def __post_init__(self) -> None:
         if self.motion not in MOTIONS:
             raise _refused("motion in the", self.motion, f"one of {', '.join(MOTIONS)}")
-        _require_increasing("times of the inflow in the", [time for time, _ in self.inflow])
+        _require_increasing("times of the inflow in the", self._moments())
         for time, share in self.inflow:
             if share < 0:
                 raise _refused("inflow in the", f"share {share:g} at {time:g} s", "shares of V_in, 0 or above")
@@ -92,10 +93,28 @@ class Course:
         """Time of the start, s."""
         return self.inflow[0][0]
 
-    def share(self, time: float) -> float:
-        """Return the share of the inflow at a time, s."""
+    @property
+    def is_sudden(self) -> bool:
+        """Whether the inflow jumps somewhere."""
+        return any(before == after for (before, _), (after, _) in pairwise(self.inflow))
+
+    def share(self, time: float, *, before: bool = False) -> float:
+        """Return the share of the inflow at a time, s; where it jumps, that after the jump, or `before` it."""
         times, shares = np.array(self.inflow).T
-        return float(np.interp(time, times, shares))
+        k = int(np.searchsorted(times, time, side="left" if before else "right"))
+        if before and k < len(times) and times[k] == time:
+            return float(shares[k])
+        if k == len(times):
+            return float(shares[-1])
+        return float(np.interp(time, times[k - 1 : k + 1], shares[k - 1 : k + 1]))
+
+    def _moments(self) -> list[float]:
+        """Return the times of the inflow; without the second one of each jump unless inertia counts."""
+        times = [time for time, _ in self.inflow]
+        if self.is_transient:
+            return times
+        jumps = [k for k in range(1, len(times)) if times[k] == times[k - 1] and (k < 2 or times[k - 2] < times[k])]
+        return [time for k, time in enumerate(times) if k not in jumps]
 
     def shares(self) -> dict[str, float]:
         """Return the share of the inflow at each time observed, by the name of the condition."""

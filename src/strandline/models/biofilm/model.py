@@ -14,6 +14,8 @@ from strandline.interface import Interface
 from strandline.models.biofilm.cell import FlowCell, FlowFields, Solution
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
 from strandline.models.biofilm.course import Course
+from strandline.models.biofilm.creep.creeping_cell import CreepingCell
+from strandline.models.biofilm.creep.memory import Branch, branch_inputs
 from strandline.models.biofilm.flow import inlet_bottom
 from strandline.models.biofilm.fluid import WATER, Fluid
 from strandline.models.biofilm.foot import as_stretches, check_clamped
@@ -69,6 +71,8 @@ class Biofilm:
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
             condition. Each experiment gives one interface, and V_in is no longer an input.
         course: A `Course` of the inflow with time: V_in is scaled by it, and each time observed is a condition.
+        branches: Number of Maxwell branches of a solid that creeps, 0 to 3, see `creep.memory`; E is then the modulus
+            of the relaxed solid, and each branch adds the inputs ratio and tau. Needs a quasi-static course.
         sensitivities: Whether runs return d(interface)/d(input) as well.
         failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure
             costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
@@ -79,8 +83,8 @@ class Biofilm:
             environment requests but that is not installed.
 
     A run raises ForwardModelError with kind ``limit_point``, ``continuation_stalled``, ``inverted_elements``,
-    ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence; a transient run
-    also ``time_step``, with the time reached.
+    ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``, and with the load reached as evidence; a run through
+    time also ``time_step``, with the time reached.
     """
 
     mesh: str = "default"
@@ -93,6 +97,7 @@ class Biofilm:
     clamped: Pairs = ()
     inflow_rates: tuple[tuple[str, float], ...] = ()
     course: Course | None = None
+    branches: int = 0
     sensitivities: bool = False
     failure_budget: int = 5
     failure_kinds: ClassVar[tuple[str, ...]] = (
@@ -114,7 +119,8 @@ class Biofilm:
         check_budget(self.failure_budget)
         for name, rate in self.inflow_rates:
             check_rate(name, rate, self.inflow)
-        check_course(self.course, rates=bool(self.inflow_rates), sensitivities=self.sensitivities)
+        rates, sensitivities = bool(self.inflow_rates), self.sensitivities
+        check_course(self.course, rates=rates, branches=self.branches, sensitivities=sensitivities)
         reference = self.outline.interface()
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
@@ -144,9 +150,10 @@ class Biofilm:
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """E, nu and the law's further parameters, or E1, nu1, …, E2, … of the parts; V_in or p_drop; the fluid's."""
+        """E, nu, the law's further ones, or E1, nu1, …, E2, … of parts; V_in or p_drop; the fluid's; the branches'."""
         solids = [_of_part(item, number) for number in self._numbers for item in self._material]
-        return (*solids, *self._drive, *self.fluid.inputs)
+        branches = (item for pair in branch_inputs(self.branches) for item in pair)
+        return (*solids, *self._drive, *self.fluid.inputs, *branches)
 
     @property
     def _drive(self) -> tuple[ModelInput, ...]:
@@ -192,7 +199,7 @@ class Biofilm:
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
         """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; one for each condition."""
-        cell = _flow_cell(self._geometry, self._solid_density)
+        cell = _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0)
         interfaces, sensitivities = {}, {}
         figures: dict[str, float] = {}
         for name, solution in self._solutions(cell, inputs, self.failure_budget):
@@ -214,7 +221,7 @@ class Biofilm:
             inputs: Inputs of the run by name.
             condition: Name of one of the inflow rates or times; the last one by default.
         """
-        cell = _flow_cell(self._geometry, self._solid_density)
+        cell = _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0)
         wanted = condition or self.conditions[-1]
         next(name for name, _ in self._solutions(cell, inputs, 0, wanted) if name == wanted)
         return cell.fields()
@@ -225,7 +232,7 @@ class Biofilm:
         Raises:
             ForwardModelError: The run fails.
         """
-        cell = _new_cell(self._geometry, FINER[self.mesh], self._solid_density)
+        cell = _new_cell(self._geometry, FINER[self.mesh], self._solid_density, creeps=self.branches > 0)
         return {
             name: Interface.polyline(cell.outline.points + solution.displacement)
             for name, solution in self._solutions(cell, inputs, self.failure_budget)
@@ -237,9 +244,12 @@ class Biofilm:
         """Yield each condition with its state, which the cell holds meanwhile; of steady ones, `only` that if given."""
         young, poisson, *further = self._material_values(inputs)
         fluid = self.fluid.at(inputs)
-        if isinstance(cell, TransientCell) and self.course:
-            rate = float(inputs[self._drive[0].name])
-            yield from cell.through(self.course, young, poisson, rate, *further, fluid=fluid, budget=budget)
+        if isinstance(cell, TransientCell | CreepingCell) and self.course:
+            specimen: list[Any] = [young, poisson, float(inputs[self._drive[0].name]), *further]
+            if isinstance(cell, TransientCell):
+                yield from cell.through(self.course, *specimen, fluid=fluid, budget=budget)
+            else:
+                yield from cell.through(self.course, self._branches(inputs), *specimen, fluid=fluid, budget=budget)
             return
         for name, rate in self._rates(inputs):
             if only in (None, name):
@@ -248,7 +258,9 @@ class Biofilm:
     @property
     def _geometry(self) -> "Biofilm":
         """The model reduced to what affects mesh and forms."""
-        return dataclasses.replace(self, inflow_rates=(), course=None, sensitivities=False, failure_budget=0)
+        return dataclasses.replace(
+            self, inflow_rates=(), course=None, branches=0, sensitivities=False, failure_budget=0
+        )
 
     @property
     def _solid_density(self) -> float | None:
@@ -261,6 +273,10 @@ class Biofilm:
             return self.inflow_rates
         shares = self.course.shares() if self.course else {"": 1.0}
         return tuple((name, share * float(inputs[self._drive[0].name])) for name, share in shares.items())
+
+    def _branches(self, inputs: Mapping[str, float]) -> list[Branch]:
+        pairs = branch_inputs(self.branches)
+        return [Branch(float(inputs[ratio.name]), float(inputs[tau.name])) for ratio, tau in pairs]
 
     def _material_values(self, inputs: Mapping[str, float]) -> list[list[float]]:
         """Return Young's moduli, Poisson's ratios and further parameters, each for every part."""
@@ -292,11 +308,11 @@ def _figure(key: str, condition: str) -> str:
 
 
 @lru_cache(maxsize=2)
-def _flow_cell(model: Biofilm, solid_density: float | None = None) -> FlowCell:
-    return _new_cell(model, MESHES[model.mesh], solid_density)
+def _flow_cell(model: Biofilm, solid_density: float | None = None, *, creeps: bool = False) -> FlowCell:
+    return _new_cell(model, MESHES[model.mesh], solid_density, creeps=creeps)
 
 
-def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None) -> FlowCell:
+def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None, *, creeps: bool) -> FlowCell:
     options: dict[str, Any] = {
         "channel": model.channel,
         "partition": model.partition,
@@ -305,9 +321,12 @@ def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None) -> Fl
         "inflow": model.inflow,
         "clamped": model.clamped,
     }
+    outline = model.outline.interface()
+    if creeps:
+        return CreepingCell(outline, size, **options)
     if solid_density is None:
-        return FlowCell(model.outline.interface(), size, **options)
-    return TransientCell(model.outline.interface(), size, solid_density=solid_density, **options)
+        return FlowCell(outline, size, **options)
+    return TransientCell(outline, size, solid_density=solid_density, **options)
 
 
 @lru_cache(maxsize=16)

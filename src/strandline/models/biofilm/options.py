@@ -8,6 +8,7 @@ from typing import Any
 from strandline.errors import InvalidInput
 from strandline.interface import is_condition
 from strandline.models.biofilm.course import QUASI_STATIC, TRANSIENT, Course
+from strandline.models.biofilm.creep.memory import MOST_BRANCHES
 from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.inflow import PARABOLA, PRESSURE, PROFILES, RATE, as_pairs
 from strandline.models.biofilm.subdivision import Partition, check_partition
@@ -130,17 +131,27 @@ def check_rate(name: object, rate: object, inflow: object = PARABOLA) -> None:
         )
 
 
-def check_course(course: Course | None, *, rates: bool, sensitivities: bool) -> None:
+def check_course(course: Course | None, *, rates: bool, branches: object, sensitivities: bool) -> None:
     """Refuse a course with what it cannot be combined with.
 
     Args:
         course: Course of the inflow; None: steady.
         rates: Whether inflow rates are given, too.
+        branches: Number of Maxwell branches of the solid.
         sensitivities: Whether runs return sensitivities.
 
     Raises:
-        InvalidInput: Inflow rates are given too, or sensitivities of a transient run are asked for.
+        InvalidInput: Inflow rates are given too; sensitivities of a transient run or of a solid that creeps are asked
+            for; branches without a quasi-static course, or an impossible number of them.
     """
+    _check_branches(branches, course)
+    if branches and sensitivities:
+        raise InvalidInput(
+            "sensitivities of the biofilm model",
+            value=f"sensitivities with branches: {branches}",
+            expected="no branches, or no sensitivities: a solid that creeps offers none",
+            remedy="Leave one of the two out.",
+        )
     if course is None:
         return
     if rates:
@@ -156,4 +167,21 @@ def check_course(course: Course | None, *, rates: bool, sensitivities: bool) -> 
             value=f"sensitivities with motion: {TRANSIENT}",
             expected=f"motion: {QUASI_STATIC}, or no sensitivities: a transient run offers none",
             remedy="Leave sensitivities out, or choose the other motion.",
+        )
+
+
+def _check_branches(branches: object, course: Course | None) -> None:
+    if isinstance(branches, bool) or branches not in range(MOST_BRANCHES + 1):
+        raise InvalidInput(
+            "branches of the biofilm model",
+            value=branches,
+            expected=f"a whole number from 0 to {MOST_BRANCHES}",
+            remedy="Correct it.",
+        )
+    if branches and (course is None or course.is_transient):
+        raise InvalidInput(
+            "branches of the biofilm model",
+            value=f"branches: {branches} with {'no course' if course is None else f'motion: {TRANSIENT}'}",
+            expected=f"a course with motion: {QUASI_STATIC}, in which the solid creeps",
+            remedy="Add such a course, or remove the branches.",
         )

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
 from strandline.models.biofilm.assembly import Part, Pattern, SymbolicPart, product
+from strandline.models.biofilm.creep.memory import Memory
 from strandline.models.biofilm.fluid_elements import FluidElements
 from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
@@ -80,6 +81,7 @@ class CoupledSystem:
         solids: Names of the solid's regions; each has its own Young's modulus, Poisson's ratio and further parameters.
         body_force: Scaled force per volume of the undeformed solid.
         loads: Further loads on the fluid.
+        remembers: Whether the solid has a `memory` of its stresses.
     """
 
     def __init__(
@@ -94,8 +96,10 @@ class CoupledSystem:
         solids: tuple[str, ...] = ("solid",),
         body_force: tuple[float, float] = (0.0, 0.0),
         loads: Sequence[FluidLoad] = (),
+        remembers: bool = False,
     ) -> None:
         self.mesh, self.solids = mesh, solids
+        self.memory = Memory(mesh) if remembers else None
         starts = (1.0, 0.25, *(typical(item) for item in further_parameters(law)))
         self.material = tuple(tuple(ng.Parameter(start) for _ in solids) for start in starts)
         self.space = _spaces(mesh, boundaries, order, solids)
@@ -132,6 +136,13 @@ class CoupledSystem:
     def of_region(self, k: int) -> tuple[Any, ...]:
         """Return the material parameters of solid region k: Young's modulus, Poisson's ratio, further ones."""
         return tuple(parameters[k] for parameters in self.material)
+
+    @cached_property
+    def elastic_stress(self) -> Any:
+        """Second Piola–Kirchhoff stress of the law at the current state, scaled; an NGSolve function."""
+        _, _, d, *pressures = self.state.components
+        stresses = (self.law(d, p, *self.of_region(k)).second_piola for k, p in enumerate(pressures))
+        return self.mesh.MaterialCF(dict(zip(self.solids, stresses, strict=True)))
 
     def set_unknowns(self, x: Vector) -> None:
         """Write the unknowns into the state."""
@@ -244,14 +255,16 @@ def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
     same_quadrature = ng.Parameter(0.0)  # without pₛ and qₛ in a derivative NGSolve would take fewer points than before
     for k, region in enumerate(system.solids):
         mixed = system.law(d, solid_pressures[k], *system.of_region(k))
-        solid = forms.solid_stress_power(d, mixed.second_piola, phi) + solid_tests[k] * mixed.constraint
+        stress = mixed.second_piola if system.memory is None else system.memory.stress(mixed.second_piola)
+        solid = forms.solid_stress_power(d, stress, phi) + solid_tests[k] * mixed.constraint
         if derivative_by is None:
             solid = solid - ng.InnerProduct(ng.CF(system.body_force), phi)
         elif any(parameter is derivative_by for parameter in system.of_region(k)):
             solid = solid.Diff(derivative_by) + same_quadrature * solid_pressures[k] * solid_tests[k]
         else:
             continue
-        form += solid.Compile() * ng.dx(region, bonus_intorder=2)
+        dx = ng.dx(region, bonus_intorder=2) if system.memory is None else system.memory.dx(region)
+        form += solid.Compile() * dx
     return form
 
 

@@ -83,7 +83,7 @@ class TransientCell(FlowCell):
 
         def prescribe(time: float) -> None:
             share = course.share(time * TIME_SCALE)
-            self._apply(self._set_loads(share * rate, fluid or self._fluid))
+            self._apply(self.set_loads(share * rate, fluid or self.fluid))
 
         settings, stops = _steps(course)
         end = stops[-1] if stops[-1] > first.time else first.time
