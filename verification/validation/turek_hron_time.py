@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from verification.validation.tables import Cell, Table
 from verification.validation.turek_hron import BOUNDARIES, COARSEST, NORM_WEIGHTS, RIGID, force
-from verification.validation.turek_mesh import HEIGHT, TIP, mesh_turek_hron
+from verification.validation.turek_mesh import HEIGHT, TIP, Size, mesh_turek_hron
 
 from strandline.models.biofilm.moving import MovingSystem
 from strandline.models.biofilm.newton import NewtonSettings
@@ -28,6 +28,9 @@ from strandline.models.biofilm.transient import StepSettings, TimeCost, march
 __all__ = ["CASES", "Case", "Cylinder", "Oscillation", "Stage", "oscillation", "simulate", "tables"]
 
 POISSON, RAMP = 0.4, 2.0
+WAKE = Size(far=0.035, near=0.007, corner=0.004)
+MESHES = ((COARSEST, 0), (COARSEST, 1), (COARSEST, 2), (WAKE, 0))
+"""Element sizes, and how often all elements are quartered; the last mesh is finer in the wake."""
 Series = Float[np.ndarray, " step"]
 Published = tuple[float, float, float]
 
@@ -37,7 +40,7 @@ class Stage:
     """A stretch of a run on one mesh with one step.
 
     Args:
-        level: Number of refinements of the mesh.
+        level: Place of the mesh in `MESHES`.
         step: Step, s.
         end: Time of its end, s.
         shown: Whether the table shows its last period.
@@ -72,20 +75,26 @@ class Case:
     density: float = 1e3
 
 
+SHEDDING = (Stage(0, 0.005, 5.0, False), Stage(1, 0.005, 7.5, False), Stage(1, 0.0025, 8.5, False))
+"""The start of CFD3: the coarsest mesh sheds no vortices, the next one does."""
+
 CASES = {
     case.name: case
     for case in (
         Case(
             "CSM3",
             {"ux": (-14.305e-3, 14.305e-3, 1.0995), "uy": (-63.607e-3, 65.160e-3, 1.0995)},
-            tuple((Stage(level, step, 2.0),) for level, step in ((0, 0.01), (1, 0.01), (1, 0.005), (2, 0.005))),
+            tuple((Stage(*run),) for run in ((0, 0.01, 4.0), (1, 0.01, 4.0), (1, 0.005, 4.0), (2, 0.005, 2.0))),
             young=1.4e6,
             gravity=2.0,
         ),
         Case(
             "CFD3",
             {"drag": (439.45, 5.6183, 4.3956), "lift": (-11.893, 437.81, 4.3956)},
-            ((Stage(0, 0.005, 5.0, shown=False), Stage(1, 0.005, 10.0), Stage(1, 0.0025, 11.0)),),
+            (
+                (*SHEDDING, Stage(1, 0.005, 11.0), Stage(1, 0.00125, 11.95)),
+                (*SHEDDING, Stage(1, 0.005, 11.0, shown=False), Stage(3, 0.0025, 12.2)),
+            ),
             velocity=2.0,
         ),
         Case(
@@ -96,7 +105,7 @@ CASES = {
                 "drag": (457.3, 22.66, 10.9),
                 "lift": (2.22, 149.78, 5.3),
             },
-            ((Stage(0, 0.005, 6.0, shown=False), Stage(1, 0.0025, 9.0), Stage(1, 0.00125, 10.0)),),
+            ((Stage(0, 0.005, 6.0, shown=False), Stage(1, 0.0025, 8.8)),),
             velocity=2.0,
             young=5.6e6,
         ),
@@ -105,12 +114,12 @@ CASES = {
 
 
 class Cylinder:
-    """The cylinder with its beam in the channel, at a given refinement, on its way through time."""
+    """The cylinder with its beam in the channel, on one of the meshes, on its way through time."""
 
     def __init__(self, case: Case, level: int) -> None:
         self.case, self.level = case, level
         fluid, solid = case.velocity > 0, case.young is not None
-        self.mesh = mesh_turek_hron(COARSEST, level, order=2, fluid=fluid, solid=solid)
+        self.mesh = mesh_turek_hron(*MESHES[level], order=2, fluid=fluid, solid=solid)
         self.system = MovingSystem(
             self.mesh,
             BOUNDARIES if solid else RIGID,

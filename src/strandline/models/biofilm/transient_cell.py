@@ -22,6 +22,8 @@ TIME_SCALE = 1.0 / VELOCITY_SCALE
 """1 mm over the velocity scale, s."""
 FIRST_STEP = 1e-3
 """First step as a share of the shortest stretch between times observed and corners of the course."""
+SMALLEST_STEP = 0.01
+"""Smallest step as a share of the first."""
 LEAST_STEPS = 4
 """Smallest number of steps in the longest stretch."""
 FLOORS = (1e-3, 1e-3)
@@ -113,6 +115,7 @@ def _steps(course: Course) -> tuple[StepSettings, tuple[float, ...]]:
         FIRST_STEP * float(stretches.min()),
         tolerance=course.tolerance,
         largest=float(stretches.max()) / LEAST_STEPS,
+        smallest=SMALLEST_STEP,
         floors=FLOORS,
         corrector=CORRECTOR,
     )
