@@ -4,27 +4,26 @@ import dataclasses
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from strandline.errors import InvalidInput
-from strandline.interface import Interface, is_condition
+from strandline.interface import Interface
 from strandline.models.biofilm.cell import FlowCell, FlowFields
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
 from strandline.models.biofilm.flow import inlet_bottom
 from strandline.models.biofilm.fluid import WATER, Fluid
 from strandline.models.biofilm.foot import as_stretches, check_clamped
 from strandline.models.biofilm.geometry import subdivide
-from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, PROFILES, RATE, Pairs, as_pairs, check_inflow
+from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, RATE, Pairs, check_inflow
 from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS, further_parameters, law_named
+from strandline.models.biofilm.options import as_inflow, as_rates, check_budget, check_rate, converted, one_of
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.sizes import FINER, MESHES, MeshSize, is_adapted
-from strandline.models.biofilm.subdivision import Partition, check_partition
+from strandline.models.biofilm.subdivision import Partition
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.protocol import fingerprint as fingerprint_of
 from strandline.registry import imported
@@ -96,11 +95,11 @@ class Biofilm:
     )
 
     def __post_init__(self) -> None:
-        _one_of("mesh", self.mesh, MESHES)
+        one_of("mesh", self.mesh, MESHES)
         law_named(self.material)
-        _check_budget(self.failure_budget)
+        check_budget(self.failure_budget)
         for name, rate in self.inflow_rates:
-            _check_rate(name, rate, self.inflow)
+            check_rate(name, rate, self.inflow)
         reference = self.outline.interface()
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
@@ -117,13 +116,13 @@ class Biofilm:
         """
         for name, kind in (("channel", Channel), ("outline", Outline), ("partition", Partition), ("fluid", Fluid)):
             if name in options:
-                options[name] = _converted(name, options[name], kind)
+                options[name] = converted(name, options[name], kind)
         if "inflow" in options:
-            options["inflow"] = _inflow(options["inflow"])
+            options["inflow"] = as_inflow(options["inflow"])
         if "clamped" in options:
             options["clamped"] = as_stretches(options["clamped"])
         if "inflow_rates" in options:
-            options["inflow_rates"] = _pairs(options["inflow_rates"])
+            options["inflow_rates"] = as_rates(options["inflow_rates"])
         return cls(**options)
 
     @property
@@ -243,9 +242,6 @@ class Biofilm:
         return by_name | {item.name: by_drive for item in self._drive}
 
 
-_SMALLEST_BUDGET = 3
-_FROM_FILE = {"outline": "; in a study file also file with its unit in place of points, which are in mm"}
-
 _SMALL_STRAIN = (
     ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),
     ModelInput("nu", "1", -1.0, 0.5, low_included=False, meaning="Poisson's ratio"),
@@ -261,115 +257,6 @@ def _of_part(item: ModelInput, number: str) -> ModelInput:
 
 def _figure(key: str, condition: str) -> str:
     return f"{key}_{condition}" if condition else key
-
-
-def _one_of(what: str, value: object, choices: Mapping[str, Any]) -> None:
-    if value not in choices:
-        raise InvalidInput(
-            f"{what} of the biofilm model",
-            value=value,
-            expected=f"one of {', '.join(choices)}",
-            remedy="Choose one of them.",
-        )
-
-
-def _converted(name: str, value: object, kind: Any) -> Any:
-    """Return `value` as the record `kind`, made from a plain mapping or a named preset."""
-    if isinstance(value, kind):
-        return value
-    if isinstance(value, str) and value in getattr(kind, "PRESETS", {}):
-        return kind.PRESETS[value]
-    known = {field.name for field in dataclasses.fields(kind)}
-    if not isinstance(value, Mapping) or not set(value) <= known:
-        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
-        close = get_close_matches(str(unknown[0]), known, n=1) if unknown else []
-        raise InvalidInput(
-            f"{name} of the biofilm model",
-            value=", ".join(map(str, unknown)) or value,
-            expected=f"a mapping with keys among {', '.join(sorted(known))}{_FROM_FILE.get(name, '')}",
-            remedy=f"Did you mean {close[0]}?" if close else "Correct it.",
-        )
-    if kind is Fluid:
-        return Fluid(**{key: float(v) if _is_number(v) else v for key, v in value.items()})
-    if kind is Partition:
-        check_partition(**value)
-    lengths = {field.name for field in dataclasses.fields(kind) if field.type is float}
-    for key in lengths & set(value):
-        if not _is_number(value[key]):
-            raise InvalidInput(
-                f"{key} of the {name}",
-                value=value[key],
-                expected="a number in mm, without a unit",
-                remedy="Correct it.",
-            )
-    return kind(**{key: float(v) if key in lengths else _as_tuples(v) for key, v in value.items()})
-
-
-def _inflow(value: Any) -> Any:
-    """Return the name of a profile, or the pairs of ``{table: …}`` as tuples."""
-    if isinstance(value, Mapping) and set(value) == {"table"}:
-        return as_pairs(value["table"])
-    if isinstance(value, str | tuple):
-        return value
-    raise InvalidInput(
-        "inflow of the biofilm model",
-        value=value,
-        expected=f"one of {', '.join([*PROFILES, PRESSURE])}, module:name, or {{table: [[y, v], …]}} with y in mm",
-        remedy="Correct it.",
-    )
-
-
-def _as_tuples(value: Any) -> Any:
-    """Return nested lists as nested tuples of numbers, which can be compared and hashed."""
-    if not isinstance(value, list | tuple):
-        return value
-    return tuple(float(item) if _is_number(item) else _as_tuples(item) for item in value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _pairs(rates: Any) -> tuple[tuple[str, float], ...]:
-    """Return a mapping name → rate as pairs."""
-    if not isinstance(rates, Mapping):
-        raise InvalidInput(
-            "inflow_rates of the biofilm model",
-            value=rates,
-            expected="rates in mm^2/s by the name of the condition, e.g. {slow: 50, fast: 100}",
-            remedy="Correct them.",
-        )
-    for name, rate in rates.items():
-        _check_rate(name, rate)
-    return tuple((name, float(rate)) for name, rate in rates.items())
-
-
-def _check_budget(budget: object) -> None:
-    if isinstance(budget, bool) or not isinstance(budget, int) or (budget != 0 and budget < _SMALLEST_BUDGET):
-        raise InvalidInput(
-            "failure_budget of the biofilm model",
-            value=budget,
-            expected=f"a whole number of Jacobians, at least {_SMALLEST_BUDGET}, or 0 for no limit",
-            remedy="Correct it.",
-        )
-
-
-def _check_rate(name: object, rate: object, inflow: object = PARABOLA) -> None:
-    if inflow == PRESSURE:
-        raise InvalidInput(
-            "inflow_rates of the biofilm model",
-            value=f"{name}: {rate} with inflow: {PRESSURE}",
-            expected="a profile of the inflow, or no inflow rates",
-            remedy="Remove one of the two; p_drop is an input of the model.",
-        )
-    admitted = isinstance(rate, int | float) and _is_number(rate) and RATE.admits(float(rate))
-    if not admitted or not is_condition(name) or not name:
-        raise InvalidInput(
-            f"inflow rate {name!r} of the biofilm model",
-            value=rate,
-            expected="the name of a condition with its rate in mm^2/s, 0 or more, e.g. slow: 50",
-            remedy="Correct the inflow rate.",
-        )
 
 
 @lru_cache(maxsize=2)

@@ -1,0 +1,132 @@
+"""Options of the biofilm model: made from the plain mappings and lists of a study file, and checked.
+
+Every function raises InvalidInput for an option that cannot be used.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from strandline.errors import InvalidInput
+from strandline.interface import is_condition
+from strandline.models.biofilm.fluid import Fluid
+from strandline.models.biofilm.inflow import PARABOLA, PRESSURE, PROFILES, RATE, as_pairs
+from strandline.models.biofilm.subdivision import check_partition
+
+__all__ = ["as_inflow", "as_rates", "check_budget", "check_rate", "converted", "one_of"]
+
+_SMALLEST_BUDGET = 3
+_FROM_FILE = {"outline": "; in a study file also file with its unit in place of points, which are in mm"}
+
+
+def one_of(what: str, value: object, choices: Mapping[str, Any]) -> None:
+    """Refuse a value that is none of the names of `choices`."""
+    if value not in choices:
+        raise InvalidInput(
+            f"{what} of the biofilm model",
+            value=value,
+            expected=f"one of {', '.join(choices)}",
+            remedy="Choose one of them.",
+        )
+
+
+def converted(name: str, value: object, kind: Any) -> Any:
+    """Return `value` as the record `kind`, made from a plain mapping or a named preset."""
+    if isinstance(value, kind):
+        return value
+    if isinstance(value, str) and value in getattr(kind, "PRESETS", {}):
+        return kind.PRESETS[value]
+    known = {field.name for field in dataclasses.fields(kind)}
+    if not isinstance(value, Mapping) or not set(value) <= known:
+        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
+        close = get_close_matches(str(unknown[0]), known, n=1) if unknown else []
+        raise InvalidInput(
+            f"{name} of the biofilm model",
+            value=", ".join(map(str, unknown)) or value,
+            expected=f"a mapping with keys among {', '.join(sorted(known))}{_FROM_FILE.get(name, '')}",
+            remedy=f"Did you mean {close[0]}?" if close else "Correct it.",
+        )
+    if kind is Fluid:
+        return Fluid(**{key: float(v) if _is_number(v) else v for key, v in value.items()})
+    if kind is Partition:
+        check_partition(**value)
+    lengths = {field.name for field in dataclasses.fields(kind) if field.type is float}
+    for key in lengths & set(value):
+        if not _is_number(value[key]):
+            raise InvalidInput(
+                f"{key} of the {name}",
+                value=value[key],
+                expected="a number in mm, without a unit",
+                remedy="Correct it.",
+            )
+    return kind(**{key: float(v) if key in lengths else _as_tuples(v) for key, v in value.items()})
+
+
+def as_inflow(value: Any) -> Any:
+    """Return the name of a profile, or the pairs of ``{table: …}`` as tuples."""
+    if isinstance(value, Mapping) and set(value) == {"table"}:
+        return as_pairs(value["table"])
+    if isinstance(value, str | tuple):
+        return value
+    raise InvalidInput(
+        "inflow of the biofilm model",
+        value=value,
+        expected=f"one of {', '.join([*PROFILES, PRESSURE])}, module:name, or {{table: [[y, v], …]}} with y in mm",
+        remedy="Correct it.",
+    )
+
+
+def _as_tuples(value: Any) -> Any:
+    """Return nested lists as nested tuples of numbers, which can be compared and hashed."""
+    if not isinstance(value, list | tuple):
+        return value
+    return tuple(float(item) if _is_number(item) else _as_tuples(item) for item in value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def as_rates(rates: Any) -> tuple[tuple[str, float], ...]:
+    """Return a mapping name → rate as pairs."""
+    if not isinstance(rates, Mapping):
+        raise InvalidInput(
+            "inflow_rates of the biofilm model",
+            value=rates,
+            expected="rates in mm^2/s by the name of the condition, e.g. {slow: 50, fast: 100}",
+            remedy="Correct them.",
+        )
+    for name, rate in rates.items():
+        check_rate(name, rate)
+    return tuple((name, float(rate)) for name, rate in rates.items())
+
+
+def check_budget(budget: object) -> None:
+    """Refuse a budget that is no number of Jacobians."""
+    if isinstance(budget, bool) or not isinstance(budget, int) or (budget != 0 and budget < _SMALLEST_BUDGET):
+        raise InvalidInput(
+            "failure_budget of the biofilm model",
+            value=budget,
+            expected=f"a whole number of Jacobians, at least {_SMALLEST_BUDGET}, or 0 for no limit",
+            remedy="Correct it.",
+        )
+
+
+def check_rate(name: object, rate: object, inflow: object = PARABOLA) -> None:
+    """Refuse a condition that has no valid name or inflow rate, or that comes with a pressure drop."""
+    if inflow == PRESSURE:
+        raise InvalidInput(
+            "inflow_rates of the biofilm model",
+            value=f"{name}: {rate} with inflow: {PRESSURE}",
+            expected="a profile of the inflow, or no inflow rates",
+            remedy="Remove one of the two; p_drop is an input of the model.",
+        )
+    admitted = isinstance(rate, int | float) and _is_number(rate) and RATE.admits(float(rate))
+    if not admitted or not is_condition(name) or not name:
+        raise InvalidInput(
+            f"inflow rate {name!r} of the biofilm model",
+            value=rate,
+            expected="the name of a condition with its rate in mm^2/s, 0 or more, e.g. slow: 50",
+            remedy="Correct the inflow rate.",
+        )
