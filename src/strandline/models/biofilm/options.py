@@ -12,7 +12,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import is_condition
 from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.inflow import PARABOLA, PRESSURE, PROFILES, RATE, as_pairs
-from strandline.models.biofilm.subdivision import check_partition
+from strandline.models.biofilm.subdivision import Partition, check_partition
 
 __all__ = ["as_inflow", "as_rates", "check_budget", "check_rate", "converted", "one_of"]
 
