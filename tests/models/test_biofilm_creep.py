@@ -10,8 +10,8 @@ from verification.validation.creep import creep_error, oscillation_errors, relax
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creep.memory import Branch
 from strandline.models.biofilm.creep.pieces import Piece, pieces
+from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.model import Biofilm
 
 INPUTS = {"E": 400.0, "nu": 0.3, "V_in": 100.0}

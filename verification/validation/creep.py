@@ -25,10 +25,10 @@ from verification.validation.tables import Table, put_into_page
 from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.course import Course
 from strandline.models.biofilm.creep.creeping_cell import CreepingCell
-from strandline.models.biofilm.creep.memory import Branch
 from strandline.models.biofilm.creep.quasi_static import QuasiStatic
 from strandline.models.biofilm.fluid import WATER
 from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.sizes import MESHES
 from strandline.models.biofilm.subdivision import Partition

@@ -15,7 +15,6 @@ from strandline.models.biofilm.cell import FlowCell, FlowFields, Solution
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
 from strandline.models.biofilm.course import Course
 from strandline.models.biofilm.creep.creeping_cell import CreepingCell
-from strandline.models.biofilm.creep.memory import Branch, branch_inputs
 from strandline.models.biofilm.flow import inlet_bottom
 from strandline.models.biofilm.fluid import WATER, Fluid
 from strandline.models.biofilm.foot import as_stretches, check_clamped
@@ -23,6 +22,7 @@ from strandline.models.biofilm.geometry import subdivide
 from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, RATE, Pairs, check_inflow
 from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS, further_parameters, law_named
+from strandline.models.biofilm.memory import Branch, branch_inputs
 from strandline.models.biofilm.options import (
     as_inflow,
     as_rates,
@@ -71,7 +71,7 @@ class Biofilm:
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
             condition. Each experiment gives one interface, and V_in is no longer an input.
         course: A `Course` of the inflow with time: V_in is scaled by it, and each time observed is a condition.
-        branches: Number of Maxwell branches of a solid that creeps, 0 to 3, see `creep.memory`; E is then the modulus
+        branches: Number of Maxwell branches of a solid that creeps, 0 to 3, see `memory`; E is then the modulus
             of the relaxed solid, and each branch adds the inputs ratio and tau. Needs a quasi-static course.
         sensitivities: Whether runs return d(interface)/d(input) as well.
         failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure

@@ -8,9 +8,9 @@ from typing import Any
 from strandline.errors import InvalidInput
 from strandline.interface import is_condition
 from strandline.models.biofilm.course import QUASI_STATIC, TRANSIENT, Course
-from strandline.models.biofilm.creep.memory import MOST_BRANCHES
 from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.inflow import PARABOLA, PRESSURE, PROFILES, RATE, as_pairs
+from strandline.models.biofilm.memory import MOST_BRANCHES
 from strandline.models.biofilm.subdivision import Partition, check_partition
 
 __all__ = ["as_inflow", "as_rates", "check_budget", "check_course", "check_rate", "converted", "one_of"]

@@ -18,10 +18,10 @@ from jaxtyping import Bool, Float, Int
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
 from strandline.models.biofilm.assembly import Part, Pattern, SymbolicPart, product
-from strandline.models.biofilm.creep.memory import Memory
 from strandline.models.biofilm.fluid_elements import FluidElements
 from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
+from strandline.models.biofilm.memory import Memory
 from strandline.models.protocol import ModelInput
 
 __all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "fluid_cells", "typical"]

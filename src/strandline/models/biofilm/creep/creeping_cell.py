@@ -6,9 +6,9 @@ from typing import Any
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm.cell import FlowCell, Solution
 from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creep.memory import Branch
 from strandline.models.biofilm.creep.quasi_static import QuasiStatic
 from strandline.models.biofilm.fluid import Fluid
+from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.system import CoupledSystem
 
 __all__ = ["CreepingCell"]

@@ -16,9 +16,9 @@ from strandline.errors import ForwardModelError
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import FlowCell
 from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creep.memory import Branch, Memory, Past
 from strandline.models.biofilm.creep.pieces import Piece, pieces
 from strandline.models.biofilm.fluid import Fluid
+from strandline.models.biofilm.memory import Branch, Memory, Past
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
 from strandline.models.biofilm.steady import steady_state
 
