@@ -20,7 +20,8 @@ version: 1
 name: {name}
 
 # The simulator: a biofilm in a flow cell (built in). Meshes: coarse | default | fine.
-model: {{biofilm: {{mesh: coarse}}}}
+# Laws of the solid: neo_hookean | saint_venant_kirchhoff (as published) | mooney_rivlin | yeoh | fung.
+model: {{biofilm: {{mesh: coarse, material: neo_hookean}}}}
 
 # What is known of the experiment.
 fixed: {{V_in: 100}}                # inflow volume rate per depth, mm^2/s
