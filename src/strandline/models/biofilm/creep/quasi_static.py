@@ -7,6 +7,7 @@ up to at most the tolerance; earlier errors do not grow, since the solid relaxes
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +20,7 @@ from strandline.models.biofilm.course import Course
 from strandline.models.biofilm.creep.pieces import Piece, pieces
 from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.memory import Branch, Memory, Past
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonSolution, NewtonStep
 from strandline.models.biofilm.steady import steady_state
 
 __all__ = ["Moment", "QuasiStatic"]
@@ -193,10 +194,14 @@ class QuasiStatic:
 
     def _solved(self, guess: Vector, share: float) -> Vector:
         """Return the unknowns at a share of the inflow; the last Jacobian serves as long as steps contract well."""
-        system, first = _AtLoad(self.cell, self._load(share)), None
+        system, weights = _AtLoad(self.cell, self._load(share)), self.cell.weights
         if self._last is not None:
-            first = NewtonStep(self._last, -self._last.solve(system.residual(guess)))
-        found = newton.solve(system, guess, weights=self.cell.weights, settings=STEP, first=first)
+            with suppress(ForwardModelError):  # then the Jacobian is out of date
+                first = NewtonStep(self._last, -self._last.solve(system.residual(guess)))
+                return self._kept(newton.solve(system, guess, weights=weights, settings=STEP, first=first))
+        return self._kept(newton.solve(system, guess, weights=weights, settings=STEP))
+
+    def _kept(self, found: NewtonSolution) -> Vector:
         self.jacobians, self._last = self.jacobians + found.jacobians, found.jacobian
         return found.x
 
