@@ -191,6 +191,15 @@ def test_the_noise_length_is_that_of_the_local_noise_however_small() -> None:
     assert lengths[0] == pytest.approx(1e-6 * lengths[2], rel=0.01)
 
 
+def test_many_points_of_a_rough_outline_have_the_noise_length_of_few() -> None:
+    """Neighbouring points err together, so more of them tell no more; means stand for them, in double precision."""
+    angle = np.linspace(-2.6, 2.6, 3000)
+    radius = 1.35 + 1.3e-3 * np.sin(150 * angle)
+    arc = np.stack([radius * np.sin(angle), -radius * np.cos(angle)], axis=1)
+    few, many = (Observation(Interface.polyline(arc[::k]), PointErrors(1.3e-3, 0.039)) for k in (4, 1))
+    assert noise_length(many, NormalOffset()) == pytest.approx(noise_length(few, NormalOffset()), rel=0.1)
+
+
 def test_the_noise_length_of_currents() -> None:
     """Across, d² = 2·width·√(2π)·length·(1 - exp(-δ²/2 width²)) but for the ends; along, it is larger: ends only."""
     width, noise = 0.05, 0.0002

@@ -272,13 +272,17 @@ def sd_of_distances(observation: Observation, discrepancy: Discrepancy, simulate
 def _shift(
     observation: Observation, discrepancy: Discrepancy, direction: Float[np.ndarray, " xyz"], extent: float
 ) -> float:
-    """Search in the logarithm: d² grows with small shifts."""
+    """Search in the logarithm: d² grows with small shifts.
+
+    It counts from its value without a shift, which is not 0 where means stand for many points of a rough interface.
+    """
     seen, low, high = observation.interface, LEAST_SHIFT * extent, 0.5 * extent
     one = compared(observation, discrepancy, len(seen.points))
     for _ in range(ROUNDS):
         tried = np.geomspace(low, high, SHIFTS)
-        shifted = seen.points + tried[:, None, None] * direction
-        above = squared_discrepancies(one.measure, shifted, seen, seen) > one.noise.scale
+        shifted = seen.points + np.append(0.0, tried)[:, None, None] * direction
+        squares = squared_discrepancies(one.measure, shifted, seen, seen)
+        above = squares[1:] - squares[0] > one.noise.scale
         first = int(np.argmax(above)) if above.any() else SHIFTS - 1
         low, high = float(tried[max(first - 1, 0)]), float(tried[first])
     return high

@@ -224,9 +224,8 @@ class ViewedStudy:
         shown = self.newest.shown
         if shown.now is None or shown.now.knowledge is None:
             why = shown.why_none if shown.now is None else shown.now.why_not
-            raise InvalidInput(
-                "prediction", value=why, expected="a surrogate of the interface", remedy="Wait for runs."
-            )
+            remedy = "Make more runs." if shown.source == "stored" else "Wait for more runs."
+            raise InvalidInput("prediction", value=why, expected="a good surrogate of the interface", remedy=remedy)
         x = self._inputs(given)
         knowledge = shown.now.knowledge
         chance = float(np.exp(knowledge.log_feasibility(x[None])[0]))
