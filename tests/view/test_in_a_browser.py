@@ -266,6 +266,15 @@ def test_it_fits_and_can_be_read(width: int, colours: str, browser: Any, folder:
         person.leaves()
 
 
+def test_runs_that_are_all_done_need_no_new_start(browser: Any, folder: Path) -> None:
+    """As while the results are being made: the ledger is closed, and there is no summary yet."""
+    (folder / "summary.json").unlink()
+    with serving(sl.load_study(folder)) as server:
+        person = Person(browser, server.url)
+        person.waits_for(lambda: "All runs are done, and their results are being made." in person.text("#driver"))
+        person.leaves()
+
+
 def test_without_the_server_it_says_so(browser: Any, folder: Path) -> None:
     with serving(sl.load_study(folder)) as server:
         person = Person(browser, server.url)

@@ -20,7 +20,11 @@ function driver(state) {
   if (!found) return "No forward run has been started yet.";
   const where = `process ${found.pid} on ${found.host}`;
   if (found.at_work === null) return `Driver: ${where}; whether it is at work cannot be seen from here.`;
-  if (!found.at_work) return state.results === "current" ? "" : `The driver (${where}) has ended. Start it again: strandline run ${shared.facts.folder}`;
+  if (!found.at_work && state.results === "current") return "";
+  const again = `strandline run ${shared.facts.folder}`;
+  const complete = !state.active && state.done >= state.planned;
+  if (!found.at_work && complete) return `All runs are done, and their results are being made. If nothing makes them: ${again}`;
+  if (!found.at_work) return `The driver (${where}) has ended. Start it again: ${again}`;
   return `Driver: ${where}, at work${state.runs_per_minute ? `, ${figure(state.runs_per_minute, 3)} runs a minute` : ""}.`;
 }
 
