@@ -147,8 +147,8 @@ def covered_by(polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int]) -
     covered = np.zeros(shape, dtype=bool)
     if len(polygon) < 3:
         return covered
-    low = np.maximum(np.floor(polygon.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.ceil(polygon.max(axis=0)).astype(int) + 1, shape[::-1])
+    low = np.clip(np.floor(polygon.min(axis=0)), 0, shape[::-1]).astype(int)
+    high = np.clip(np.ceil(polygon.max(axis=0)) + 1, 0, shape[::-1]).astype(int)
     if (high <= low).any():
         return covered
     x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))

@@ -53,7 +53,9 @@ _CURRENT: list[Path] = []
 def lies_in(folder: Path, module: str) -> bool:
     """Return whether `folder` has the file or package of `module`; a name of the standard library never lies there."""
     top = module.partition(".")[0]
-    return _usable(top) and ((folder / f"{top}.py").is_file() or (folder / top / "__init__.py").is_file())
+    with suppress(OSError):  # a name that is too long for a file
+        return _usable(top) and ((folder / f"{top}.py").is_file() or (folder / top / "__init__.py").is_file())
+    return False
 
 
 @contextmanager
