@@ -93,11 +93,6 @@ class Course:
         """Time of the start, s."""
         return self.inflow[0][0]
 
-    @property
-    def is_sudden(self) -> bool:
-        """Whether the inflow jumps somewhere."""
-        return any(before == after for (before, _), (after, _) in pairwise(self.inflow))
-
     def share(self, time: float, *, before: bool = False) -> float:
         """Return the share of the inflow at a time, s; where it jumps, that after the jump, or `before` it."""
         times, shares = np.array(self.inflow).T

@@ -19,7 +19,7 @@ from strandline.models.biofilm.continuation import ContinuationSettings, LoadedS
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
 from strandline.models.biofilm.strain import Strain
 
-__all__ = ["DIRECT_STRAIN", "SAFE_STRAIN", "Bending", "Steady", "steady_state"]
+__all__ = ["DIRECT_STRAIN", "SAFE_STRAIN", "AtLoad", "Bending", "Steady", "steady_state"]
 
 SAFE_STRAIN = 0.2
 DIRECT_STRAIN = 0.27
@@ -64,7 +64,7 @@ def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
     Raises:
         ForwardModelError: For the reasons given in `continuation.trace`.
     """
-    system = _AtLoad(bending, load)
+    system = AtLoad(bending, load)
     start = bending.undeformed(load)
     first = newton.step(system, start)
     linear = start + first.correction
@@ -98,14 +98,16 @@ def _on_first_branch(bending: Bending, x: Vector, load: float) -> bool:
     return bool(bending.largest_strain(x).functional @ tangent > 0.0)
 
 
-class _AtLoad:
-    """The equations at one load."""
+class AtLoad:
+    """The equations of a loaded solid at one load, as `newton.solve` takes them."""
 
     def __init__(self, bending: Bending, load: float) -> None:
         self._bending, self._load = bending, load
 
     def residual(self, x: Vector) -> Vector:
+        """Return the residual at `x`, scaled."""
         return self._bending.residual(x, self._load)
 
     def factorise(self, x: Vector) -> LinearSolver:
+        """Return the factorised Jacobian at `x`."""
         return self._bending.factorise(x, self._load)

@@ -21,7 +21,7 @@ from strandline.models.biofilm.creep.pieces import Piece, pieces
 from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.memory import Branch, Memory, Past
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonSolution, NewtonStep
-from strandline.models.biofilm.steady import steady_state
+from strandline.models.biofilm.steady import AtLoad, steady_state
 
 __all__ = ["Moment", "QuasiStatic"]
 
@@ -194,7 +194,7 @@ class QuasiStatic:
 
     def _solved(self, guess: Vector, share: float) -> Vector:
         """Return the unknowns at a share of the inflow; the last Jacobian serves as long as steps contract well."""
-        system, weights = _AtLoad(self.cell, self._load(share)), self.cell.weights
+        system, weights = AtLoad(self.cell, self._load(share)), self.cell.weights
         if self._last is not None:
             with suppress(ForwardModelError):  # then the Jacobian is out of date
                 first = NewtonStep(self._last, -self._last.solve(system.residual(guess)))
@@ -216,6 +216,7 @@ class QuasiStatic:
         return np.asarray(change * self.rate / self.cell.flow.scale * self.cell.rigid_flow)
 
 
+_NONE_FOLLOWS = ("time_step", "no state that follows from the last was found")
 _SMALLER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
 
 
@@ -223,19 +224,3 @@ def _at(error: ForwardModelError, time: float) -> ForwardModelError:
     """Return a failure that states the time it happened."""
     kind, message = ("inverted_elements", error.message) if error.kind == "inverted_elements" else _NONE_FOLLOWS
     return ForwardModelError(kind, f"{message}, after {time:.4g} s", {**error.evidence, "time": time})
-
-
-_NONE_FOLLOWS = ("time_step", "no state that follows from the last was found")
-
-
-class _AtLoad:
-    """The equations at one load."""
-
-    def __init__(self, cell: FlowCell, load: float) -> None:
-        self._cell, self._load = cell, load
-
-    def residual(self, x: Vector) -> Vector:
-        return self._cell.residual(x, self._load)
-
-    def factorise(self, x: Vector) -> LinearSolver:
-        return self._cell.factorise(x, self._load)
