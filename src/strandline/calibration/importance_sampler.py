@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
-from scipy.special import gammaln, log_softmax, logsumexp
+from scipy.special import gammaln
 
 from strandline.posterior.weighted import Weighted
 
@@ -60,19 +60,19 @@ class StudentMixture:
         """Return the squared distance of each point from each centre, in the scale of the part."""
         parts = zip(self.means, self.factors, strict=True)
         scaled = [solve_triangular(factor, (x - mean).T, lower=True, check_finite=False) for mean, factor in parts]
-        return np.stack([np.sum(z**2, axis=0) for z in scaled])
+        return np.stack([np.einsum("dp,dp->p", z, z) for z in scaled])
 
-    def log_parts(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "part point"]:
-        """Return the log density of each part times its share."""
-        dim = x.shape[1]
+    def log_parts(self, squares: Float[np.ndarray, "part point"]) -> Float[np.ndarray, "part point"]:
+        """Return the log density of each part times its share, where the squared distances from the centres are."""
+        dim = self.means.shape[1]
         norm = gammaln(0.5 * (FREEDOM + dim)) - gammaln(0.5 * FREEDOM) - 0.5 * dim * math.log(math.pi * FREEDOM)
         sizes = np.log(np.diagonal(self.factors, axis1=1, axis2=2)).sum(axis=1)
-        tails = 0.5 * (FREEDOM + dim) * np.log1p(self.squares(x) / FREEDOM)
+        tails = 0.5 * (FREEDOM + dim) * np.log1p(squares / FREEDOM)
         return np.asarray((np.log(self.shares) + norm - sizes)[:, None] - tails)
 
     def log_density(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the log density."""
-        return np.asarray(logsumexp(self.log_parts(x), axis=0))
+        return _log_sum(self.log_parts(self.squares(x)))
 
     def draw(self, number: int, random: np.random.Generator) -> Float[np.ndarray, "draw dim"]:
         """Return draws."""
@@ -107,18 +107,19 @@ class Pool:
     def log_ratios(self) -> Float[np.ndarray, " point"]:
         """Log weights of the target before they are normalised: the sum of the weights estimates its integral."""
         drawn = [math.log(n) + mixture.log_density(self.x) for mixture, n in self.mixtures]
-        together = logsumexp(np.stack([math.log(self.number) + self.log_first, *drawn]), axis=0)
+        together = _log_sum(np.stack([math.log(self.number) + self.log_first, *drawn]))
         return np.asarray(self.log_counts + self.log_target - together)
 
     @property
     def log_integral(self) -> float:
         """Logarithm of the integral of the target, with the constant that its log density has."""
-        return float(logsumexp(self.log_ratios))
+        return float(_log_sum(self.log_ratios))
 
     @property
     def log_weights(self) -> Float[np.ndarray, " point"]:
         """Normalised log weights of the target."""
-        return np.asarray(log_softmax(self.log_ratios))
+        ratios = self.log_ratios
+        return np.asarray(ratios - _log_sum(ratios))
 
     @property
     def weighted(self) -> Weighted:
@@ -166,7 +167,19 @@ def followed(
 
 def effective_size(log_weights: Float[np.ndarray, " point"]) -> float:
     """Return (Σ w)² / Σ w²."""
-    return float(np.exp(2 * logsumexp(log_weights) - logsumexp(2 * log_weights)))
+    top = log_weights.max()
+    if top == -np.inf:
+        return 0.0
+    weights = np.exp(log_weights - top)
+    return float(weights.sum() ** 2 / (weights @ weights))
+
+
+def _log_sum(values: Float[np.ndarray, "part *point"]) -> Float[np.ndarray, "*point"]:
+    """Return log Σ exp over the first axis; SciPy's takes seven times as long for arrays as small as these."""
+    top = values.max(axis=0)
+    safe = np.where(top == -np.inf, 0.0, top)
+    with np.errstate(divide="ignore"):
+        return np.asarray(safe + np.log(np.exp(values - safe).sum(axis=0)))
 
 
 def fitted(x: Points, log_weights: Values, random: np.random.Generator) -> StudentMixture:
@@ -217,12 +230,13 @@ def _improved(
 ) -> StudentMixture:
     """Return the mixture after one step of expectation maximisation, without parts that hardly any points belong to."""
     dim = x.shape[1]
-    log_parts = mixture.log_parts(x)
-    belongs = weights * np.exp(log_parts - logsumexp(log_parts, axis=0))
+    squares = mixture.squares(x)
+    log_parts = mixture.log_parts(squares)
+    belongs = weights * np.exp(log_parts - _log_sum(log_parts))
     alive = effective * belongs.sum(axis=1) > dim + 1
     alive[np.argmax(belongs.sum(axis=1))] = True
     belongs = belongs[alive]
-    near = belongs * (FREEDOM + dim) / (FREEDOM + mixture.squares(x)[alive])
+    near = belongs * (FREEDOM + dim) / (FREEDOM + squares[alive])
     means = near @ x / near.sum(axis=1, keepdims=True)
     offsets = x - means[:, None]
     shares = belongs.sum(axis=1)
