@@ -1,5 +1,7 @@
 """Edges in small pictures whose truth is known."""
 
+import re
+
 import numpy as np
 import pytest
 from tests.imaging.pictures import circle, disc, shadow, speckle, steep, straight
@@ -242,6 +244,17 @@ def test_refused_in_one_line(what: str) -> None:
         find_edge(*arguments, **options)
     assert what in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_the_message_says_where_the_path_is_too_far_from_the_edge() -> None:
+    """The edge steps out of the strip at column 100, and is as straight as the path before it."""
+    picture = np.hstack([straight(shape=(60, 100)), straight(shape=(60, 40), at=50.0)])
+    with pytest.raises(InvalidInput, match="at the limit of the strip") as refusal:
+        find_edge(picture, np.array([[5.0, 31.0], [60.0, 30.0], [134.0, 31.0]]))
+    found = re.search(r"most of all near \((\d+), (\d+)\) px", str(refusal.value))
+    assert found is not None
+    assert 95 <= int(found[1]) <= 134
+    assert int(found[2]) > 25
 
 
 def test_a_blur_above_a_third_of_the_smallest_radius_is_refused() -> None:

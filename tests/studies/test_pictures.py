@@ -213,6 +213,9 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
     notes = " ".join(study.pictures[""].notes)
     assert "scale bar in hump.path.json, as if pixels were square" in notes
     assert "at pixel (10, 120) from the marks in hump.path.json" in notes
+    both = loaded(tmp_path / "s", path="hump.path.json", pixel={"size": 1030 * PIXEL, "unit": "um"})
+    said = " ".join(both.pictures[""].notes)
+    assert f"from the study, not {1000 * PIXEL:g} µm from the scale bar in hump.path.json" in said
     picture(tmp_path / "s", seed=2)
     with pytest.raises(InvalidInput, match="hump"):
         load_study(tmp_path / "s")

@@ -169,6 +169,15 @@ def _put_right(located: Located) -> Course:
     return smoothed(course.at(offsets), closed=course.closed, sigma=SMOOTH)
 
 
+def _most_at_limit(found: Located, picture: GreyValues) -> Float[np.ndarray, " 2"] | None:
+    """Return the pixel in the middle of the longest stretch at the limit of the strip; None if there is none."""
+    at = np.flatnonzero(found.at_limit)
+    if not len(at):
+        return None
+    stretch = max(np.split(at, np.flatnonzero(np.diff(at) > 1) + 1), key=len)
+    return np.asarray(found.course.points[stretch[len(stretch) // 2]] / picture.stretch)
+
+
 def _edge(picture: GreyValues, located: Located, counted: Bool[np.ndarray, " normal"], way: EdgeMethod) -> Edge:
     """Return the points that are kept, with their errors, or refuse them."""
     kept, course, unit = located.found & counted, located.course, picture.unit
@@ -177,7 +186,7 @@ def _edge(picture: GreyValues, located: Located, counted: Bool[np.ndarray, " nor
     side = math.sqrt(float(np.mean(((normals * picture.stretch) ** 2).sum(axis=1)))) if kept.any() else 1.0
     found = replace(located, at_limit=located.at_limit & kept)
     errors = edge_errors(found, inner, bias=way.bias, side=side, unit=unit, kept=int(kept.sum()))
-    require_edge(int(kept.sum()), errors, unit=unit)
+    require_edge(int(kept.sum()), errors, unit=unit, limit_at=_most_at_limit(found, picture))
     return Edge(
         points=(located.points / picture.stretch)[kept],
         normals=normals,

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+
 from strandline.errors import InvalidInput
 from strandline.imaging.edge_errors import EdgeErrors
 
@@ -15,6 +18,7 @@ AT_LIMIT = 0.02
 """Largest share of an edge at the limit of the strip."""
 BLUR = 1 / 3
 """Largest blur, as a share of the smallest radius of the edge."""
+AT_LIMIT_REFUSED = "edge at the limit of the strip around the path"
 NEAR = 1.5
 """Factor from the limit within which a number is worth a warning."""
 
@@ -89,8 +93,8 @@ def edge_checks(points: int, errors: EdgeErrors, *, unit: float) -> tuple[EdgeCh
             f"{100 * errors.limit_share:.1f} % of it",
             f"at most {100 * AT_LIMIT:g} %",
             share=True,
-            refusal="edge at the limit of the strip around the path",
-            remedy="Put the path closer to the edge.",
+            refusal=AT_LIMIT_REFUSED,
+            remedy="Put the path closer to the edge there, or end it before a place without an edge.",
         ),
         EdgeCheck(
             "blur",
@@ -105,13 +109,16 @@ def edge_checks(points: int, errors: EdgeErrors, *, unit: float) -> tuple[EdgeCh
     )
 
 
-def require_edge(points: int, errors: EdgeErrors, *, unit: float) -> None:
+def require_edge(
+    points: int, errors: EdgeErrors, *, unit: float, limit_at: Float[np.ndarray, " 2"] | None = None
+) -> None:
     """Refuse an edge of which the picture says too little.
 
     Args:
         points: Number of points that are left after trimming and exclusion.
         errors: Errors of these points.
         unit: Length of the smaller side of a pixel in the unit of the errors.
+        limit_at: Pixel in the middle of the longest stretch at the limit of the strip, for the message.
 
     Raises:
         InvalidInput: Fewer than 30 points; contrast to noise below 2; more than 2 % of the edge at the limit of the
@@ -120,4 +127,6 @@ def require_edge(points: int, errors: EdgeErrors, *, unit: float) -> None:
     for one in edge_checks(points, errors, unit=unit):
         if one.verdict == "refused":
             value = points if one.name == "points" else one.shown
+            if one.refusal == AT_LIMIT_REFUSED and limit_at is not None:
+                value = f"{one.shown}, most of all near ({limit_at[0]:.0f}, {limit_at[1]:.0f}) px"
             raise InvalidInput(one.refusal, value=value, expected=one.expected, remedy=one.remedy)

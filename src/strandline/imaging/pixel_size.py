@@ -7,7 +7,7 @@ from strandline.imaging.checked import keys_of, number, unfit, word
 from strandline.readers.options import TO_MM
 from strandline.readers.problems import refused
 
-__all__ = ["PixelSize", "agreed"]
+__all__ = ["SAME", "PixelSize", "agreed"]
 
 UNITS = TO_MM | {"nm": 1e-6}
 EXAMPLE = "{x: 6.0, y: 4.0, unit: um} or {size: 6.0, unit: um}"

@@ -29,7 +29,7 @@ from strandline.imaging import (
     typed_path,
 )
 from strandline.imaging.markov_path import MarkovPath
-from strandline.imaging.pixel_size import PixelSize
+from strandline.imaging.pixel_size import SAME, PixelSize
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.image import ImageFile
@@ -211,14 +211,19 @@ def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
 def _reading(given: ImageFile, clicks: Clicks | None, name: str | None = None) -> PictureReading:
     """Return how to read the picture, with the size of a pixel from a scale bar if the study states none.
 
-    A bar shows the size along itself only: pixels are taken as square, and the note says so.
+    A bar shows the size along itself only: pixels are taken as square, and the note says so. It says too if the study
+    states another size than the bar, which does not count then.
     """
     how = PictureReading.from_options(given.reading, PLACE)
     size = None if clicks is None else clicks.pixel_mm
-    if how.pixel is not None or size is None:
+    if size is None:
         return how
-    source = f"the scale bar in {given.path if name is None else name}, as if pixels were square"
-    return replace(how, pixel=PixelSize(size, size, source=source))
+    bar = f"the scale bar in {given.path if name is None else name}"
+    if how.pixel is None:
+        return replace(how, pixel=PixelSize(size, size, source=f"{bar}, as if pixels were square"))
+    if all(abs(stated / size - 1) <= SAME for stated in (how.pixel.x, how.pixel.y)):
+        return how
+    return replace(how, pixel=replace(how.pixel, source=f"{how.pixel.source}, not {1e3 * size:.4g} µm from {bar}"))
 
 
 def _placed(
