@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import Offsets
 from strandline.priors import Uniform
 from strandline.report import page as pages
 from strandline.report.captioned import Captioned, whole
+from strandline.report.field_figures import _as_stated as as_stated
 from strandline.report.page import _marked, _saved, _unbroken
 from strandline.report.plots import plot_run_offsets, plot_tempering
 from strandline.report.plots.style import DOTS_PER_INCH, DOUBLE, SINGLE
@@ -41,6 +43,14 @@ def test_reasons_to_doubt(reported: Any) -> None:
     assert reason_to_doubt(wrong) == "the model does not explain what was observed"
     high = replace(good.posterior, log_likelihood=good.posterior.log_likelihood + 50.0)
     assert "above 0" in str(reason_to_doubt(replace(good, posterior=high)))
+
+
+def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:
+    """The figure shows the observed interface as measured; a caption without that would blame the model."""
+    line = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]))
+    assert as_stated(Observation(line, PointErrors(0.01, length=0.1))) == ""
+    assert "its unknown shift can" in as_stated(Observation(line, PointErrors(0.01, shift=0.1)))
+    assert "its unknown rotation and scale can" in as_stated(Observation(line, UnknownErrors(rotation=1.0, scale=0.01)))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,11 @@ from jaxtyping import Float
 
 from strandline.calibration import Calibration
 from strandline.design.active import FieldOutcome
-from strandline.interface import Interface
+from strandline.interface import GLOBAL, Interface, Observation
 from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset
 from strandline.report import plots
 from strandline.report.captioned import Captioned, whole
+from strandline.text import listed
 
 __all__ = ["field_figures"]
 
@@ -84,8 +85,17 @@ def _predictive(calibration: Calibration, found: FieldOutcome, x: Float[np.ndarr
         drawn = plots.OffsetBand(along.arc_length, low, median, high, observed.arc_length, observed.offset)
         of = f" of {name}" if name else ""
         caption = f"What the posterior predicts{of}: the interface of its draws, and the observed one."
+        caption += _as_stated(next(o for o in calibration.problem.observations if o.condition == name))
         axes = plots.plot_offsets(drawn)
         yield Captioned(f"predictive{'_' + name if name else ''}", "certificate", caption, whole(axes.figure))
+
+
+def _as_stated(seen: Observation) -> str:
+    """Return a sentence on the errors of the whole observed interface that the figure does not take out of it."""
+    unknown = [name for name in GLOBAL if getattr(seen.noise, name, 0.0) > 0]
+    if not unknown:
+        return ""
+    return f" The observed one is drawn where it was measured: its unknown {listed(unknown)} can explain a distance."
 
 
 def _arc_length(interface: Interface) -> Float[np.ndarray, " point"]:
