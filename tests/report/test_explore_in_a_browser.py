@@ -3,13 +3,21 @@
 Nothing is asked of a machine, the console stays empty, and axe-core finds no fault in the section.
 """
 
+import base64
+import io
 import re
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+from tests.studies.test_pictures import height, written
+
+from strandline.runs import InProcess
+from strandline.studies import load_study, run_study
 
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs the package axe-playwright-python")
 
@@ -80,6 +88,25 @@ def test_a_click_on_a_run_shows_its_inputs_and_its_interface(
     assert reader.page.evaluate("document.documentElement.scrollWidth") <= width
     found = axe.Axe().run(reader.page, context=".explore").response["violations"]
     assert [(one["id"], [node["html"] for node in one["nodes"]][:2]) for one in found] == []
+    reader.leaves()
+
+
+def test_the_edge_lies_on_the_picture_in_the_page(browser: Any, tmp_path: Path) -> None:
+    """The report shows the photograph behind the interfaces, as the live page does, without a request."""
+    report = run_study(load_study(written(tmp_path / "hump")), executor=InProcess()).report
+    reader = Reader(browser, report)
+    reader.page.wait_for_selector("#shape-plot .layer-below image, #shape-plot image")
+    drawn = reader.page.locator("#shape-plot")
+    edge = drawn.evaluate("(e) => { const one = e.data.find((t) => t.name === 'observed'); return [one.x, one.y]; }")
+    x, y = np.array(edge)
+    assert np.abs(y - height(x)).max() < 1.5
+    assert np.abs(y + 5 - height(x)).max() > 1.5  # planted: five pixels lower
+    image = drawn.evaluate("(e) => e.layout.images[0]")
+    assert image["source"].startswith("data:image/jpeg;base64,")
+    assert (image["sizex"], image["sizey"]) == (220, 160)
+    grey = np.asarray(Image.open(io.BytesIO(base64.b64decode(image["source"].partition(",")[2]))), float)
+    above, below = (grey[np.round(y + off).astype(int), np.round(x).astype(int)].mean() for off in (-6, 6))
+    assert abs(above - below) > 60
     reader.leaves()
 
 

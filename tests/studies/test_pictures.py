@@ -22,6 +22,7 @@ from strandline.report.plots.picture import off_smooth, plot_picture
 from strandline.runs import InProcess, RunRecord
 from strandline.studies import Study, load_study, run_study
 from strandline.studies.measure_doubts import measure_lines
+from strandline.studies.pictures.behind import _small
 from strandline.studies.pictures.picture_files import described, write_pictures
 from strandline.studies.read_how import read_how
 from strandline.testing.studies import write_study
@@ -66,6 +67,15 @@ def written(folder: Path, *, noise: Any = None, **changes: Any) -> Path:
 
 def loaded(folder: Path, **changes: Any) -> Study:
     return load_study(written(folder, **changes))
+
+
+@pytest.mark.parametrize("size", [(90, 130), (1001, 700)])
+def test_a_picture_made_smaller_covers_the_same_place(size: tuple[int, int]) -> None:
+    """A step at 40 % of the width stays there: without the mean of pixels, half a large one is lost."""
+    columns = np.arange(size[1]) + 0.5
+    small = np.asarray(_small(np.tile((columns > 0.4 * size[1]) * 1.0, (size[0], 1)), 100), float) / 255
+    assert max(small.shape) <= 100
+    assert 1 - small.mean() == pytest.approx(0.4, abs=0.5 / size[1] + 1 / 255)
 
 
 @pytest.mark.parametrize(

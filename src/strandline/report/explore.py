@@ -89,12 +89,17 @@ class Explore:
         return Markup(" ".join(f"'{script_hash(one)}'" for one in (PLOTLY.read_text(encoding="utf-8"), self.script)))
 
 
-def explore(calibration: Calibration, truth: Mapping[str, float] | None) -> Explore:
+def explore(
+    calibration: Calibration,
+    truth: Mapping[str, float] | None,
+    pictures: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Explore:
     """Return what the panels show, thinned so that it fits into a page.
 
     Args:
         calibration: Result of the calibration.
         truth: Inputs of a synthetic observation.
+        pictures: Pictures behind the interfaces by condition, with size, place and address.
     """
     every, space = calibration.all_runs, calibration.problem.space
     observed = {seen.condition: seen.interface for seen in calibration.problem.observations if seen.interface.dim == 2}
@@ -106,7 +111,7 @@ def explore(calibration: Calibration, truth: Mapping[str, float] | None) -> Expl
             "inputs": inputs_as_json(space),
             "fixed": {name: _short(value) for name, value in calibration.problem.fixed.items()},
             "truth": None if truth is None else dict(truth),
-            "conditions": _conditions(calibration, observed),
+            "conditions": _conditions(calibration, observed, pictures or {}),
         },
         "state": {"open": 0},
         "runs": _columns(every, rows, space),
@@ -226,11 +231,18 @@ def _few(line: Sequence[Sequence[float]], most: int) -> list[list[float]]:
     return [[column[i] for i in kept.tolist()] for column in line]
 
 
-def _conditions(calibration: Calibration, observed: Mapping[str, Interface]) -> list[dict[str, Any]]:
+def _conditions(
+    calibration: Calibration, observed: Mapping[str, Interface], pictures: Mapping[str, Mapping[str, Any]]
+) -> list[dict[str, Any]]:
     rest = undeformed_interface(calibration.problem.model)
     flat = None if rest is None or rest.dim != 2 else _few(outline(rest), MOST_POINTS)
     return [
-        {"name": name, "observed": _few(outline(seen), MOST_OBSERVED), "undeformed": flat, "picture": None}
+        {
+            "name": name,
+            "observed": _few(outline(seen), MOST_OBSERVED),
+            "undeformed": flat,
+            "picture": pictures.get(name),
+        }
         for name, seen in observed.items()
     ]
 

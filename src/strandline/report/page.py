@@ -64,6 +64,7 @@ def write_report(
     truth: Mapping[str, float] | None,
     folder: Path,
     check: Mapping[str, Any] | None = None,
+    pictures: Mapping[str, Mapping[str, Any]] | None = None,
     on_failure: Callable[[str, Exception], None] | None = None,
 ) -> Path:
     """Write `folder`/figures (PNG and PDF) and `folder`/report.html; return the page's path.
@@ -78,6 +79,7 @@ def write_report(
         truth: Inputs of a synthetic observation.
         folder: Folder of the study.
         check: Content of check.json if it belongs to this posterior.
+        pictures: Pictures behind the interfaces by condition, with size, place and address.
         on_failure: Function called with the name and the error of figures that cannot be drawn or saved; the page is
             then written without them. By default, the first such error is raised and the old report stays.
     """
@@ -96,7 +98,7 @@ def write_report(
         failed.append(f"{name} could not be written: {type(error).__name__}: {error}")
         on_failure(name, error)
 
-    section = _explored(calibration, truth, note)
+    section = _explored(calibration, truth, pictures, note)
     shown = _all_saved(groups, folder / FIGURES, note)
     shown = _fitted(shown, MOST_CHARACTERS - TEXT - (section.size if section else 0))
     picture = next((item for item in shown if item["name"] == "check"), None)
@@ -115,11 +117,14 @@ def write_report(
 
 
 def _explored(
-    calibration: Calibration, truth: Mapping[str, float] | None, note: Callable[[str, Exception], None]
+    calibration: Calibration,
+    truth: Mapping[str, float] | None,
+    pictures: Mapping[str, Mapping[str, Any]] | None,
+    note: Callable[[str, Exception], None],
 ) -> Explore | None:
     """Return the section that scripts make; an error costs the page no more than this section."""
     try:
-        return explore(calibration, truth)
+        return explore(calibration, truth, pictures)
     except Exception as error:
         note("the section Explore", error)
         return None

@@ -26,6 +26,7 @@ from strandline.studies.first_run import require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
 from strandline.studies.noise import require_fits
 from strandline.studies.observed import noisy
+from strandline.studies.pictures.behind import pictures_in_page
 from strandline.studies.provenance import require_its_own_text
 from strandline.studies.results import Results, require_writers
 from strandline.studies.study import Study
@@ -249,6 +250,7 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
             truth=study.truth,
             folder=study.folder,
             check=read_check(study.folder, calibration.posterior),
+            pictures=pictures_in_page(study),
             on_failure=results.failed,
         )
     summary |= {"missing": dict(results.missing), "warnings": [*results.warnings(), *summary["warnings"]]}

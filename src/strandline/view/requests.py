@@ -10,11 +10,11 @@ from tornado.web import Application, RequestHandler, StaticFileHandler
 
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.report import PANELS, template
+from strandline.studies.pictures.behind import picture_png
 from strandline.studies.study import Study
 from strandline.view.assumptions import asked_by
 from strandline.view.desk import Desk
 from strandline.view.door import HEADERS
-from strandline.view.pictures import picture_png
 from strandline.view.saving import save_as
 
 __all__ = ["application"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 from jaxtyping import Float
@@ -28,12 +29,12 @@ from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY
+from strandline.studies.pictures.behind import picture_behind
 from strandline.studies.progress import progress_as_planned
 from strandline.studies.question_keys import digest_of
 from strandline.studies.study import Study
 from strandline.view.assumptions import answer_to, asked_by, knobs_of
 from strandline.view.flow import flow_on_grid
-from strandline.view.pictures import picture_behind
 from strandline.view.posterior_feed import DRAWS, SEED, PosteriorFeed, changed_at
 from strandline.view.predictions import predicted
 from strandline.view.runs_feed import RunsFeed
@@ -93,7 +94,7 @@ class ViewedStudy:
                 "name": name,
                 "observed": None if name not in observed else outline(observed[name]),
                 "undeformed": None if rest is None else outline(rest),
-                "picture": picture_behind(study, name),
+                "picture": picture_behind(study, name, f"api/picture?{urlencode({'condition': name})}"),
             }
             for name in names
         ]
