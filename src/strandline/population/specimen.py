@@ -31,6 +31,7 @@ from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood, OnHost
+from strandline.likelihood.nearby import Nearby
 from strandline.likelihood.parabolas import log_gain
 from strandline.parameters import ParameterSpace
 from strandline.population.certificate import Certified, certify
@@ -139,18 +140,26 @@ class _Target:
     Args:
         begin: Surrogate and prior.
         likelihood: Likelihood of the specimen's outline.
-        roughly: Whether the likelihood nearby takes the place of the measure, in a fraction of the time.
+        near: The likelihood nearby in place of the measure, at the mean field alone: a fraction of the time, and close
+            enough to lead the last round.
     """
 
     begin: Start
     likelihood: FieldLikelihood
+    near: Nearby | None = None
 
-    roughly: bool = False
+    def at_first(self) -> Values:
+        """Return the log-likelihood at the kept draws of the prior."""
+        predicted = self.begin.predicted
+        return self._of(predicted) if self.near is None else self.near.log_likelihood(predicted.mean)
 
-    def of(self, predicted: FieldPrediction) -> Values:
+    def at(self, x: Points) -> Values:
+        """Return the log-likelihood at points inside the box."""
+        return self._of(self.begin.predict(x)) if self.near is None else self.near.log_likelihood(self.begin.mean(x))
+
+    def _of(self, predicted: FieldPrediction) -> Values:
         """Return log E[L] over the fields that the surrogate considers possible."""
-        near = self.likelihood.nearby if self.roughly else None
-        plain = self.likelihood.at(predicted.mean) if near is None else near.log_likelihood(predicted.mean)
+        plain = self.likelihood.at(predicted.mean)
         around = self.likelihood.parabola.parabolas(predicted.mean)
         return np.asarray(plain + log_gain(around, predicted.variance, plain))
 
@@ -160,14 +169,14 @@ class _Target:
 
     def _inside(self, x: Points) -> tuple[Values, Values]:
         """Return log densities of the prior and of the posterior of points inside the box."""
-        target = self.begin.log_density(x) + self.of(self.begin.predict(x))
-        return np.asarray(self.begin.unknown.log_prior(x)), target
+        return np.asarray(self.begin.unknown.log_prior(x)), self.begin.log_density(x) + self.at(x)
 
 
 def _sampled(target: _Target, random: np.random.Generator) -> tuple[Weighted, By]:
     """Return weighted draws of the posterior, and how they were made."""
-    if target.likelihood.nearby is not None:
-        led = followed(*_begun(replace(target, roughly=True)), random, enough=LED)
+    near = target.likelihood.nearby
+    if near is not None:
+        led = followed(*_begun(replace(target, near=near)), random, enough=LED)
         if led is not None:
             found = _last_round(target, fitted(led.x, led.log_weights, random), random)
             if effective_size(found.log_weights) >= ENOUGH:
@@ -186,7 +195,7 @@ def _begun(target: _Target) -> tuple[Pool, Densities]:
         x=begin.points,
         log_counts=np.zeros(len(begin.points)),
         log_first=np.asarray(begin.unknown.log_prior(begin.points)),
-        log_target=begin.log_densities + target.of(begin.predicted),
+        log_target=begin.log_densities + target.at_first(),
         number=len(begin.points),
     )
     return pool, target.log_densities
@@ -225,7 +234,7 @@ def _by_smc(target: _Target, random: np.random.Generator) -> Weighted:
 
     def log_likelihood(x: Points) -> Values:
         feasible = target.begin.log_density(x) - np.asarray(space.log_prior(x))
-        return np.asarray(feasible + target.of(target.begin.predict(x)))
+        return np.asarray(feasible + target.at(x))
 
     initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
     key = jax.random.key(int(random.integers(2**32)))

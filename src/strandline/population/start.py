@@ -75,6 +75,10 @@ class Start:
         """Return the predicted interfaces with their variances."""
         return self.knowledge.surrogate.predict(self.whole(x))
 
+    def mean(self, x: Float[np.ndarray, "point unknown"]) -> Float[np.ndarray, "point mode"]:
+        """Return the coefficients of the predicted interfaces alone."""
+        return self.knowledge.surrogate.mean(self.whole(x))
+
     def log_density(self, x: Float[np.ndarray, "point unknown"]) -> Float[np.ndarray, " point"]:
         """Return the log prior density of unknown inputs plus the log probability that a run succeeds there."""
         return np.asarray(self.unknown.log_prior(x) + self.knowledge.log_feasibility(self.whole(x)))
