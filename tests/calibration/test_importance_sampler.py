@@ -163,3 +163,5 @@ def test_a_fit_finds_both_clusters() -> None:
 
 def test_the_effective_size_is_that_of_equal_weights() -> None:
     assert effective_size(np.array([0.3, 0.3, 0.3, -np.inf])) == pytest.approx(3.0)
+    assert effective_size(np.array([-2000.0, -2000.0])) == pytest.approx(2.0)  # far below what exp can hold
+    assert effective_size(np.full(3, -np.inf)) == 0.0
