@@ -67,13 +67,19 @@ def counts(path):
 
 
 class Choice:
-    """Gives the listed batches, then an empty one; notes what it was shown."""
+    """Gives the listed batches, then an empty one; notes what it was shown.
 
-    def __init__(self, *batches):
-        self.left, self.shown = list(batches), []
+    With `marks`, it lets the patient runs go on when it is asked and has no batch left: no sooner, however slow the
+    machine is.
+    """
+
+    def __init__(self, *batches, marks=None):
+        self.left, self.shown, self.marks = list(batches), [], marks
 
     def __call__(self, records):
         self.shown.append(stiffnesses(records))
+        if self.marks and not self.left:
+            (self.marks / "done").touch()
         return self.left.pop(0) if self.left else []
 
 
@@ -194,25 +200,26 @@ def test_a_campaign_all_of_which_is_known_starts_no_worker(path):
 
 
 def marking(marks, stiffness):
-    """Return an `on_record` that lets the patient runs go on when a certain run is done, and notes the order."""
-    order = []
+    """Return an `on_record` that lets the patient runs go on when a certain run is done."""
 
     def note(record, progress):
-        order.append(record.inputs["E"])
         if record.inputs["E"] == stiffness:
             (marks / "done").touch()
 
-    note.order = order
     return note
 
 
 def test_a_slow_run_waits_for_a_run_of_the_batch_after_the_next(path, marks):
     """It can end early only if two batches are chosen and made while it is under way."""
     model = Slow(Patient(str(marks), others=1, longest=60.0), seconds=1.5)  # more than a busy machine may stall
-    choice, note = Choice(batch(300, 350), batch(450)), marking(marks, 450.0)
+    choice, order = Choice(batch(300, 350), batch(450), marks=marks), []
     begin = time.monotonic()
+
+    def note(record, progress):
+        order.append(record.inputs["E"])
+
     done = campaign(path, model, [batch(600, 400)], choice, on_record=note, patience=3.0)
-    assert note.order == [400.0, 300.0, 350.0, 450.0, 600.0]
+    assert order == [400.0, 300.0, 350.0, 450.0, 600.0]
     assert time.monotonic() - begin < 50.0
     assert choice.shown == [[400.0], [400.0, 300.0, 350.0], [400.0, 300.0, 350.0, 450.0]]
     assert stiffnesses(done) == [600.0, 400.0, 300.0, 350.0, 450.0]
@@ -263,8 +270,8 @@ def test_a_choice_beside_a_slow_run_knows_every_record_that_there_is(path, marks
     """The slow run is slow long before the last of the others ends, and that one must not be overlooked."""
     model = Slow(Patient(str(marks), others=1, longest=60.0), seconds=0.5)
     quick = [300.0, 310.0, 320.0, 330.0, 340.0, 350.0]
-    choice = Choice(batch(450))
-    campaign(path, model, [batch(600, *quick)], choice, on_record=marking(marks, 450.0), patience=3.0)
+    choice = Choice(batch(450), marks=marks)
+    campaign(path, model, [batch(600, *quick)], choice, patience=3.0)
     assert choice.shown == [quick, [*quick, 450.0]]
 
 
@@ -336,12 +343,10 @@ def test_a_run_whose_process_vanished_is_tried_again_before_its_batch_is_closed(
 def test_a_run_is_tried_again_beside_a_slow_one(path, tmp_path, marks):
     (tmp_path / "crashed").mkdir()
     patient = Slow(Patient(str(marks), others=1, longest=60.0), seconds=0.5)
-    choice, ends = Choice(batch(450)), []
+    choice, ends = Choice(batch(450), marks=marks), []
 
     def note(record, progress):
         ends.append((record.inputs["E"], record.state))
-        if ends[-1] == (450.0, "ok"):
-            (marks / "done").touch()
 
     model = CrashesOnce(str(tmp_path / "crashed"), patient)
     campaign(path, model, [batch(600, 400)], choice, on_record=note, patience=3.0)
