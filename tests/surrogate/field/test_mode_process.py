@@ -10,6 +10,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 
 from strandline.design import sobol
 from strandline.errors import NumericsError
+from strandline.surrogate.field import mode_process
 from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
 from strandline.surrogate.field.restricted_evidence import Observed, condition_mode
 
@@ -124,6 +125,17 @@ def test_a_mode_without_variation_is_refused() -> None:
     one = observed(False, False)
     with pytest.raises(NumericsError, match="no length scales"):
         fit_mode(Observed(one.z, np.zeros(len(one.z)), None, False))
+
+
+@pytest.mark.parametrize("clustered", [70, 100])
+def test_a_fast_response_is_not_taken_for_scatter(monkeypatch: pytest.MonkeyPatch, clustered: int) -> None:
+    """Runs all over the box and many at one place; planted: without the last start, all is called noise."""
+    spread, cluster = sobol(60, 2, scramble=1) - 0.5, 0.04 * (sobol(clustered, 2, scramble=3) - 0.5) - 0.05
+    z = np.sqrt(12.0) * np.concatenate([spread, cluster])
+    observed = Observed(z, np.sin(9 * z.sum(axis=1)), None, True)
+    assert fit_mode(observed).nugget < 1e-8
+    monkeypatch.setattr(mode_process, "SHORT_START", mode_process.STARTS[0])
+    assert fit_mode(observed).nugget > 1e-3
 
 
 def test_few_runs_widen_the_variance_by_less_than_their_residuals_ask_for() -> None:

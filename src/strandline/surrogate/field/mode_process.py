@@ -21,6 +21,8 @@ NUGGETS = (1e-10, 1e-2)
 TYPICAL_LENGTH, LENGTH_SPREAD = 3.0, 1.5
 """Median and spread, in logarithms, of the prior of a length scale: it decides if too few runs do."""
 STARTS = (3.0, 1.0)
+SHORT_START, NOISY = 0.3, 1e-3
+"""A last start, made if the others ended with at least this nugget: they may have taken a fast response for scatter."""
 _STARTING_NUGGET = 1e-6
 _ITERATIONS = 40
 _LARGE = 120  # observations from which a single start is made
@@ -133,8 +135,10 @@ def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
     dim = observed.z.shape[1]
     box = [tuple(map(math.log, LENGTHS))] * dim + [tuple(map(math.log, NUGGETS))]
     rows = len(observed.z) * (1 if observed.gradients is None else 1 + dim)
-    best = None
-    for start in STARTS[: 1 if quick or rows > _LARGE else None]:
+    best, noisy = None, math.log(NOISY)
+    for start in (*STARTS[: 1 if quick or rows > _LARGE else None], SHORT_START):
+        if start == SHORT_START and best is not None and best.x[dim] < noisy:
+            break
         at = np.array([math.log(start)] * dim + [math.log(_STARTING_NUGGET)])
         limit = {"maxiter": _QUICK_ITERATIONS if quick else _ITERATIONS}
         found = minimize(_objective, at, args=(observed,), jac=True, method="L-BFGS-B", bounds=box, options=limit)
