@@ -145,7 +145,7 @@ def test_what_is_not_json_is_refused(content: bytes, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("there", "said"),
     [
-        ((), "the folder has no file of clicks; expected the file that the page of clicks saves, PICTURE.path.json"),
+        ((), "the folder has no file of clicks; expected a file of clicks, PICTURE.path.json"),
         (("IMG_1.path.json", "notes.txt"), "has IMG_1.path.json; expected .* Did you mean IMG_1.path.json"),
         (("other.path.json", "scans.path.json"), "has other.path.json, scans.*; .* Did you mean scans.path.json"),
         (("IMG_20260817.path.json", "IMG_20260818.path.json"), "has IMG_2.* Move it there"),

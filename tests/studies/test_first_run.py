@@ -94,7 +94,7 @@ def test_the_distance_is_in_micrometres(tmp_path: Path, capsys: pytest.CaptureFi
     folder = observe(tmp_path / "s", points + np.array([0.0, 0.0021]))
     shown = checked(folder, capsys, observation=OBSERVED, discrepancy=CLOSEST)
     slope = np.gradient(points[:, 1], points[:, 0]).max()
-    (line,) = [line for line in shown.splitlines() if "distance of the two:" in line]
+    (line,) = [line for line in shown.splitlines() if "distance of the observed points from this run:" in line]
     rms, largest = (float(word) for word in line.split() if word[0].isdigit())
     assert 2.1 / np.hypot(1, slope) - 0.01 < rms <= largest <= 2.11
     assert line.count("µm") == 2

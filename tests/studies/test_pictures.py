@@ -102,7 +102,7 @@ def test_check_warns_if_the_body_is_said_to_be_on_the_other_side(
     """The beam runs from left to right, with the body on its right, below."""
     main(["check", str(written(tmp_path / "hump", solid=solid))])
     shown = capsys.readouterr().out
-    assert ("warning: `solid` says that the body in hump.png lies on the other side" in shown) is (solid == "bright")
+    assert ("warning: in hump.png the body lies on the other side of the interface" in shown) is (solid == "bright")
     assert "run opposite" not in shown
 
 
@@ -226,6 +226,9 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
     both = loaded(tmp_path / "s", path="hump.path.json", pixel={"size": 1030 * PIXEL, "unit": "um"})
     said = " ".join(both.pictures[""].notes)
     assert f"from the study, not {1000 * PIXEL:g} µm from the scale bar in hump.path.json" in said
+    for origin, remark in (([12, 120], ", not (10, 120) from the marks in hump.path.json"), ([10.3, 120], "")):
+        other = loaded(tmp_path / "s", path="hump.path.json", frame={"origin": origin})
+        assert f"at pixel ({origin[0]}, 120) from the study{remark}; its axes" in " ".join(other.pictures[""].notes)
     picture(tmp_path / "s", seed=2)
     with pytest.raises(InvalidInput, match="hump"):
         load_study(tmp_path / "s")
@@ -306,6 +309,10 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     content = json.loads(files["edge.json"])
     assert content["points"] == len(table)
     assert content["sd"] == pytest.approx(study.pictures[""].errors.sd)
+    written(folder, file="hamp.png")
+    with pytest.raises(SystemExit):
+        main(["image", str(folder)])
+    assert capsys.readouterr().err.endswith("Did you mean hump.png? (image/edge.png still shows an earlier edge.)\n")
     write_pictures(folder, study.pictures, measures=study.discrepancies)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
 
@@ -366,7 +373,7 @@ def test_how_a_picture_was_read_is_said_everywhere_with_its_origin(
     assert (one["condition"], one["file"], one["sha256"]) == ("", "hump.png", picture.sha256)
     assert one["notes"] == [
         "pixel size 10 × 10 µm from the study",
-        "numbers taken as intensity, for the study states no scale",
+        "grey values taken as intensity, because the study states no scale",
         "the model's (0, 0) at pixel (10, 120) from the study; its axes point x right, y up (default), turned by 1°",
     ]
     main(["check", str(folder)])

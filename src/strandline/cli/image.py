@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from strandline.errors import InvalidStudy
+from strandline.errors import InvalidInput, InvalidStudy
 
 if TYPE_CHECKING:
     from strandline.studies.pictures.picture_files import PictureFiles
@@ -35,13 +35,20 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
     """
     if edit:
         page = _page(study, condition, reference=reference)
-        click.echo(f"wrote {page}: open it in a browser, and save what you mark beside study.yaml")
+        click.echo(f"wrote {page}: open it in a browser, mark the picture, and save the marks next to study.yaml")
         return
     from strandline.studies import load_study
-    from strandline.studies.pictures.picture_files import write_pictures
+    from strandline.studies.pictures.picture_files import IMAGE, write_pictures
     from strandline.studies.pictures.stack_files import write_stacks
 
-    loaded = load_study(study)
+    try:
+        loaded = load_study(study)
+    except InvalidInput as error:
+        earlier = sorted(one.name for one in (study / IMAGE).glob("*.png"))
+        if not earlier:
+            raise
+        remedy = f"{error.remedy} ({IMAGE}/{earlier[0]} still shows an earlier edge.)"
+        raise InvalidStudy(error.what, value=error.value, expected=error.expected, remedy=remedy) from None
     if not loaded.pictures and not loaded.stacks and loaded.undeformed is None:
         raise InvalidStudy(
             "observation",

@@ -100,7 +100,7 @@ def _missing(path: Path) -> InvalidInput:
     return _refused(
         "cannot be read",
         f"no such file; the folder has {', '.join(there) or 'no file of clicks'}",
-        f"the file that the page of clicks saves, PICTURE{SUFFIX}, where the study says",
+        f"a file of clicks, PICTURE{SUFFIX}, at the path that the study gives",
         suggestion(path.name, there, only),
     )
 

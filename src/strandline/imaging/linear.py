@@ -63,7 +63,7 @@ def _chosen(
 def _scale_note(scale: str | None, *, coloured: bool) -> str:
     if scale is None:
         advice = "; `scale: sRGB` undoes the code of a camera's colours" if coloured else ""
-        return f"numbers taken as intensity, for the study states no scale{advice}"
+        return f"grey values taken as intensity, because the study states no scale{advice}"
     return f"scale {scale} from the study" + ("" if scale == "intensity" else ", undone")
 
 

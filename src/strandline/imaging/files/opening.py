@@ -14,7 +14,7 @@ from strandline.errors import InvalidInput
 from strandline.imaging.files.contents import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading
 from strandline.readers.problems import refused
-from strandline.registry import imported
+from strandline.registry import imported, suggestion
 
 __all__ = ["FORMATS", "PictureReader", "checksum", "listed", "loaded", "opened"]
 
@@ -54,7 +54,9 @@ def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
     """
     name = path.name
     if not path.is_file():
-        raise refused(f"{name} is missing", str(path), "a picture file", kind="result_missing")
+        there = sorted(one.name for one in path.parent.glob("*") if one.suffix.lower() in FORMATS)
+        remedy = suggestion(name, there, "Correct the name of the file in study.yaml, or the file.")
+        raise refused(f"{name} is missing", str(path), "a picture file", remedy, kind="result_missing")
     target = how.reader or FORMATS.get(path.suffix.lower())
     if target is None:
         remedy = "Save it as TIFF or PNG, or give `reader: module:name`."

@@ -39,6 +39,8 @@ from strandline.studies.pictures.frame_note import frame_note
 __all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture", "reference_of"]
 
 PLACE = "observation.image"
+SAME_PLACE = 0.5
+"""Distance in pixels up to which a marked origin is the stated one."""
 MODEL = "model"
 """The path of a picture whose first path is the model's own outline."""
 
@@ -256,12 +258,19 @@ def _placed(
 
 
 def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture, marks: str) -> tuple[Frame, str]:
-    """Return where the model lies in the picture, and what gives the origin: the marks if the study states none."""
-    source = "the study"
+    """Return where the model lies in the picture, and what gives the origin: the marks if the study states none.
+
+    It says too if the marks have another origin than the study, which does not count then.
+    """
     options: Mapping[str, Any] | Any = {} if given.frame is None else given.frame
-    if isinstance(options, Mapping) and "origin" not in options and clicks is not None and clicks.origin is not None:
-        options, source = {**options, "origin": list(clicks.origin)}, f"the marks in {marks}"
-    return Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel), source
+    marked = None if clicks is None or clicks.origin is None else list(clicks.origin)
+    if isinstance(options, Mapping) and "origin" not in options and marked is not None:
+        frame = Frame.from_options({**options, "origin": marked}, f"{PLACE}.frame", pixel=picture.pixel)
+        return frame, f"the marks in {marks}"
+    frame, source = Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel), "the study"
+    if marked is not None and math.dist(frame.origin, marked) > SAME_PLACE:
+        source += ", not ({:.6g}, {:.6g}) from the marks in {}".format(*marked, marks)
+    return frame, source
 
 
 def _path(
