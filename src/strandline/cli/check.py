@@ -49,7 +49,9 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     if as_json:
         click.echo(json.dumps(_as_dict(loaded, record, log_likelihoods, lines, planned, known)))
         return
-    click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound", *lines, most]))
+    number = sum(line.startswith("warning") for line in lines)
+    doubts = f", with {number} warning{'s' * (number > 1)}" if number else ""
+    click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound{doubts}", *lines, most]))
     if picture is not None:
         click.echo(f"wrote {picture}")
     click.echo(f"next: strandline run {study}")
@@ -143,10 +145,13 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
     from strandline.studies import expected_widths as widths
     from strandline.studies.first_run import observations_of
 
-    guessed = [seen.noise for seen in study.observations(study.observed or record.interfaces)]
-    if any(isinstance(noise, UnknownErrors) for noise in guessed):
-        yield "the noise is unknown; this check assumes a tenth of the point spacing and predicts no widths"
-        return
+    seen = study.observations(study.observed or record.interfaces)
+    guessed = [(one.noise, one.interface) for one in seen if isinstance(one.noise, UnknownErrors)]
+    for noise, interface in guessed:
+        if not noise.stated:
+            sd = 1e3 * noise.typical(interface).sd
+            yield f"the noise will be inferred; this check assumes an sd of {sd:.2g} µm and predicts no widths"
+            return
     names = study.space.names
     slopes, source = widths.slopes_by_sensitivities(record, names), "sensitivities of this run"
     if slopes is None and asked:
@@ -163,6 +168,7 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
             sd = widths.expected_sd(study, record.interfaces, slopes, observations_of(study))
         except (InvalidInput, NumericsError):
             return  # what the measure refuses is reported elsewhere
+        source += "".join(f", without {left_out}" for left_out in dict.fromkeys(one.inferred for one, _ in guessed))
         yield from widths.width_lines(study, sd, source)
 
 

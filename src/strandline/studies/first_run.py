@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
-from strandline.discrepancy import Discrepancy, apart, oriented_like_runs
+from strandline.discrepancy import Discrepancy, oriented_like_runs
 from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, PointErrors
@@ -117,9 +117,9 @@ def turned_lines(study: Study) -> Iterator[str]:
             yield f"the observed points{of} run opposite to the model's interface and will be turned round"
             continue
         yield (
-            f"warning: `solid` says that the body in {shown.name} lies on the other side of the interface than in the "
-            "model; correct `solid`, unless the model's points run with the body on their left; the posterior is the "
-            "same, because the observed points will be turned round"
+            f"warning: in {shown.name} the body lies on the other side of the interface than in the model; correct "
+            "`solid`, or the direction of x or y in `frame`, unless the model's points run with the body on their left "
+            "(the observed points will be turned round, so that this alone does not change the posterior)"
         )
 
 
@@ -130,8 +130,12 @@ def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
         for name, interface in (("observed", observed), ("this run", run)):
             yield f"{name}{of}: {_place(interface)}"
         if observed.dim == run.dim:
-            rms, largest = apart(run, observed)
-            yield f"distance of the two{of}: root mean square {_length(rms)}, largest {_length(largest)}"
+            squares = squared_distances(observed.points, run)
+            rms, largest = math.sqrt(float(squares.mean())), math.sqrt(float(squares.max()))
+            yield (
+                f"distance of the observed points from this run{of}: root mean square {_length(rms)}, largest "
+                f"{_length(largest)}"
+            )
         if observed.dim == run.dim == 2:
             yield from _doubts(observed, run, of)
 
