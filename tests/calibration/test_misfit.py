@@ -131,7 +131,7 @@ def test_a_wrong_model_is_flagged(change: Change, seed: int) -> None:
     assert found.verdict.startswith("The model does not explain the observation (p")
     assert "near s = " in found.verdict
     assert re.search(
-        r"(standard deviations of such a mean|times the noise); trust neither mean nor width", found.verdict
+        r"(times the standard deviation of that mean|times the noise); trust neither mean nor width", found.verdict
     )
     if change is lifted:
         assert "above the prediction" in found.verdict
@@ -216,7 +216,7 @@ def test_noise_that_was_overstated_is_no_misfit_but_said() -> None:
     found = judged(outline(), LOCAL)
     assert not found.flagged
     assert found.verdict.startswith("The model explains the observation: p = 1")
-    assert "small for the noise" in found.verdict
+    assert "smaller than the noise leads one to expect" in found.verdict
     assert found.predictive_p == 1.0
 
 

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from strandline.calibration import Calibration, Misfit
-from strandline.calibration.misfit import ConditionMisfit, Region
+from strandline.calibration.misfit import ConditionMisfit, Region, unlikely_errors
 from strandline.calibration.misfit.verdict import Verdict, verdict_on, with_fitted_noise
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.residual_noise import ResidualNoise, StatedErrors
@@ -69,15 +69,15 @@ def test_a_model_that_does_not() -> None:
     assert found.flagged
     assert found.text == (
         "The model does not explain the observation (p = 0.0016): near s = 0.9–1.1 mm of condition V50 the observed "
-        "interface lies 6 µm above the prediction, 5.2 standard deviations of such a mean; trust neither mean "
-        "nor width of the posterior."
+        "interface lies 6 µm above the prediction (towards larger y), 5.2 times the standard deviation of that mean; "
+        "trust neither mean nor width of the posterior."
     )
 
 
 def test_a_place_that_another_test_found_says_so() -> None:
     found = verdict(condition(FINE, BAD), waves=1e-5)
-    assert "(p < 0.001; the place is from another test): near s = 0.9–1.1 mm" in found.text
-    assert "another test" not in verdict(condition(FINE, BAD), p=0.004).text
+    assert "(p < 0.001 over the whole interface): near s = 0.9–1.1 mm" in found.text
+    assert "over the whole" not in verdict(condition(FINE, BAD), p=0.004).text
 
 
 @pytest.mark.parametrize(("length", "smooth"), [(0.05, False), (0.07, False), (0.1, True)])
@@ -117,6 +117,38 @@ def test_a_position_that_is_far_from_the_stated_one_is_flagged(
     near = {name: tuple(0.4 * one for one in sizes) for name, sizes in removed.items()}
     assert not verdict(replace(strained, removed=near)).flagged
     assert not verdict(replace(strained, removed=removed), run_alone=True).flagged
+
+
+@pytest.mark.parametrize(
+    ("stated", "removed", "words"),
+    [
+        (
+            {"rotation": 1.0},
+            {"rotation": (-2.1,)},
+            "turned by 2.1°, 2.1 times the stated rotation of 1°: measure",
+        ),
+        (
+            {"shift": 0.01},
+            {"shift": (0.02, 0.015)},
+            "shifted by 25 µm, 2.5 times the stated shift of 10 µm: measure",
+        ),
+        (
+            {"scale": 0.005},
+            {"scale": (0.0099,)},
+            "scaled by 0.99 %, 2 times the stated scale of 0.5 %: measure",
+        ),
+        ({"rotation": 1.0}, {"rotation": (-1.9,)}, None),
+        ({"shift": 0.01}, {"shift": (0.022, 0.0)}, None),  # of two components, 2.2 sd are not yet unlikely
+    ],
+)
+def test_a_position_that_is_unlikely_is_a_warning(
+    stated: dict[str, float], removed: dict[str, tuple[float, ...]], words: str | None
+) -> None:
+    strained = replace(condition(FINE), stated=StatedErrors(PointErrors(0.001, **stated), assumed=False))
+    found = list(unlikely_errors(Misfit("", flagged=False, conditions=(replace(strained, removed=removed),))))
+    assert len(found) == (words is not None)
+    assert words is None or f"The observed interface of condition V50 fits best if it is {words}" in found[0]
+    assert not verdict(replace(strained, removed=removed)).flagged
 
 
 @pytest.mark.parametrize(
@@ -236,7 +268,8 @@ def calibration(reported: Any) -> Calibration:
 
 def test_a_warning_is_the_verdict(calibration: Calibration) -> None:
     flagged = misfit(condition(BAD))
-    assert flagged.verdict in list(find_warnings(replace(calibration, misfit=flagged)))
+    remedy = " Find out what is wrong, or let the model err: `model_error: true` in `noise`."
+    assert flagged.verdict + remedy in list(find_warnings(replace(calibration, misfit=flagged)))
     for fine in (misfit(condition(FINE)), None):
         assert not any("explain" in line for line in find_warnings(replace(calibration, misfit=fine)))
 
@@ -292,7 +325,7 @@ def test_noise_that_is_stated_has_no_quantiles(reported: Any) -> None:
 
 
 def test_the_evidence_says_which_constant_it_leaves_out(reported: Any) -> None:
-    said = "leaves out another constant than that of a study with stated noise"
+    said = "additive constant differs from that of a study with stated noise"
     assert said in of_noise(reported, False, (2.0, 3.0, 4.0), (15.0, 15.0, 15.0))
     assert said not in (reported.folder / "report.html").read_text("utf-8")
 

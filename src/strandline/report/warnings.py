@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Calibration
+from strandline.calibration.misfit import unlikely_errors
 from strandline.interface import UnknownErrors
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior
@@ -31,6 +32,8 @@ ERRS = 0.5
 """Probability of an error of the model from which it is worth a warning."""
 AT_THE_END = 0.02
 """Relative distance of the median of inferred noise from the end of its range that is worth a warning."""
+NEARLY_SURE = 0.995
+"""Probability from which it is not given as a number."""
 CUT_TAIL = 0.05
 """Share of the cut reading below the smallest log-likelihood that a warning reports."""
 
@@ -46,13 +49,12 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
             "learns the log-likelihood instead, and nothing was checked with the true model: `strandline posterior "
             "check` does that."
         )
-    if calibration.misfit is not None and calibration.misfit.flagged:
-        yield calibration.misfit.verdict
     inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
+    yield from _misfit(calibration, errs=inferred is not None)
     if inferred is not None and inferred.posterior.probability_of_model_error > ERRS:
         yield (
-            f"The model has an error with probability {inferred.posterior.probability_of_model_error:.2g}. The "
-            "posterior allows for it, but the error at other loads is not known."
+            f"The model has an error{_probably(inferred.posterior.probability_of_model_error)}. The posterior allows "
+            "for it, but nothing is known of the error at other loads."
         )
     yield from _inferred_noise(calibration)
     if calibration.field is None:
@@ -99,6 +101,22 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
 def small_share(share: float) -> str:
     """Return a share above zero, even a very small one, as text."""
     return f"{share:.2%}" if share >= 0.0001 else "less than 0.01%"
+
+
+def _misfit(calibration: Calibration, *, errs: bool) -> Iterator[str]:
+    """Yield doubts about the fit; `errs`: an error of the model, or the noise, was inferred."""
+    if calibration.misfit is None:
+        return
+    if not calibration.misfit.flagged:
+        yield from unlikely_errors(calibration.misfit)
+        return
+    remedy = "" if errs else " Find out what is wrong, or let the model err: `model_error: true` in `noise`."
+    yield f"{calibration.misfit.verdict}{remedy}"
+
+
+def _probably(probability: float) -> str:
+    """Return a probability above one half, in words: two digits say nothing of one that is nearly 1."""
+    return f" with probability {probability:.2g}" if probability < NEARLY_SURE else ", almost surely"
 
 
 def _impossible(calibration: Calibration) -> Iterator[str]:

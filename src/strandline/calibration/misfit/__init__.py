@@ -3,5 +3,6 @@
 from strandline.calibration.misfit.judge import misfit_of
 from strandline.calibration.misfit.prediction import Prediction, by_field, by_runs
 from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
+from strandline.calibration.misfit.verdict import unlikely_errors
 
-__all__ = ["ConditionMisfit", "Misfit", "Prediction", "Region", "by_field", "by_runs", "misfit_of"]
+__all__ = ["ConditionMisfit", "Misfit", "Prediction", "Region", "by_field", "by_runs", "misfit_of", "unlikely_errors"]

@@ -1,12 +1,15 @@
 """The answer to whether the model fits, in words."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from strandline.calibration.misfit.result import ConditionMisfit, Region
+from scipy.stats import chi2
+
+from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
 from strandline.interface import Observation, PointErrors
 
-__all__ = ["Verdict", "verdict_on", "with_fitted_noise"]
+__all__ = ["Verdict", "unlikely_errors", "verdict_on", "with_fitted_noise"]
 
 FAMILIES = 4
 """Kinds of p-values: of all residuals, parts of an arc, waves along it, d². The least is corrected for their number."""
@@ -22,6 +25,15 @@ model: errors of a picture reach over a few pixels."""
 STRAINED = 4.5
 """Shift, rotation, scale or offset, in its stated standard deviations, from which it is not what was stated."""
 STRAINS = {"shift": "shifted", "rotation": "turned", "scale": "scaled", "offset": "moved along its normals"}
+UNLIKELY = 0.05
+"""Probability of such a shift, rotation, scale or offset below which it is worth a warning."""
+TOWARDS = {
+    "above": " (towards larger y)",
+    "below": " (towards smaller y)",
+    "to the right of": " (towards larger x)",
+    "to the left of": " (towards smaller x)",
+}
+"""A side in the model's axes: in a picture whose y points down, what lies above is lower in the picture."""
 LEAST = 0.001
 """Smallest p-value that is given as a number."""
 
@@ -52,7 +64,7 @@ def verdict_on(
     what = "observation" if len(conditions) == 1 else "observations"
     strain = _strain(conditions)
     if least >= LEVEL and not (ratio > RATIO and p_value < DOUBTFUL) and (run_alone or not strain):
-        remark = ", and the residuals are small for the noise that was stated" if p_value > SMALL else ""
+        remark = ", and the residuals are smaller than the noise leads one to expect" if p_value > SMALL else ""
         if least < DOUBTFUL:
             remark = f", but look at the residuals: {FAMILIES} times the smallest p-value is {least:.2g}"
         return Verdict(f"The model explains the {what}: {_said(p_value)}{remark}.", flagged=False)
@@ -94,6 +106,23 @@ def with_fitted_noise(verdict: Verdict, observations: Sequence[Observation]) -> 
     )
 
 
+def unlikely_errors(misfit: Misfit) -> Iterator[str]:
+    """Yield a sentence for each shift, rotation, scale or offset of an observation that its stated sd makes unlikely.
+
+    Its most probable size has a smaller probability than `UNLIKELY` of being reached.
+    """
+    for one in misfit.conditions:
+        of = f" of condition {one.condition}" if one.condition else ""
+        for name, sizes in one.removed.items():
+            stated, size = float(getattr(one.stated.errors, name)), math.hypot(*sizes)
+            if stated > 0 and chi2.sf((size / stated) ** 2, len(sizes)) < UNLIKELY:
+                by, sd = _of_kind(name, size), _of_kind(name, stated)
+                yield (
+                    f"The observed interface{of} fits best if it is {STRAINS[name]} by {by}, {_short(size / stated)} "
+                    f"times the stated {name} of {sd}: measure the {name} again, or state a larger one."
+                )
+
+
 def _strain(conditions: Sequence[ConditionMisfit]) -> str:
     """Return which global error is far larger than stated, in words; nothing if none is."""
     found = [(one.strained, one.condition) for one in conditions]
@@ -101,15 +130,17 @@ def _strain(conditions: Sequence[ConditionMisfit]) -> str:
     if size < STRAINED * sd:
         return ""
     of = f" of condition {condition}" if condition else ""
-    is_length = name in ("shift", "offset")
-    by, stated = (_length(one) if is_length else _share_or_angle(name, one) for one in (size, sd))
+    by, stated = (_of_kind(name, one) for one in (size, sd))
     return (
         f": the observed interface{of} would have to be {STRAINS[name]} by {by}, {_short(size / sd)} times the stated "
         f"{stated}"
     )
 
 
-def _share_or_angle(name: str, value: float) -> str:
+def _of_kind(name: str, value: float) -> str:
+    """Return the size of a shift, rotation, scale or offset with its unit."""
+    if name in ("shift", "offset"):
+        return _length(value)
     return f"{_short(value)}°" if name == "rotation" else f"{_short(100 * value)} %"
 
 
@@ -126,7 +157,7 @@ def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *
         mine = next(one for one in conditions if one.condition == condition).regions
         everywhere = len(mine) > 1 and all(one.p_value < DOUBTFUL for one in mine)
         if least < FAMILIES * p_value:
-            said = f" ({_said(least)}; the place is from another test)"
+            said = f" ({_said(least)} over the whole interface)"
         return f"{said}: {_where(condition, region, everywhere=everywhere)}"
     if smooth:
         return f"{said}: the residuals vary slowly along the observed interface, as noise would not"
@@ -138,10 +169,10 @@ def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *
 def _where(condition: str, region: Region, *, everywhere: bool) -> str:
     """Return where a model is wrong, and by how much beside the noise."""
     of, times = f" of condition {condition}" if condition else "", _short(region.excess)
-    lies = f"lies {_length(abs(region.mean))} {region.side} the prediction"
+    lies = f"lies {_length(abs(region.mean))} {region.side} the prediction{TOWARDS.get(region.side, '')}"
     if not region.side:
         lies = f"departs from the prediction by {_length(abs(region.mean))} on average"
-    size = f"{lies}, {times} standard deviations of such a mean"
+    size = f"{lies}, {times} times the standard deviation of that mean"
     if abs(region.mean) < 0.5 * region.rms:
         size = f"departs from the prediction by {_length(region.rms)}, root mean square, {times} times the noise"
     most = "everywhere, most " if everywhere else ""
