@@ -168,13 +168,18 @@ def _mean_grid(
     def mean(_: LogLikelihoodSurrogate, x: Any) -> Any:
         return np.asarray(compiled(x))
 
-    grid = _grid(calibration, surrogate, mean, truth)
+    return _with_detail(lambda part: _grid(calibration, surrogate, mean, truth, part=part))
+
+
+def _with_detail(grid_on: Callable[[Sequence[tuple[float, float]] | None], plots.FieldGrid]) -> plots.FieldGrid:
+    """Return a log-likelihood over the box, with an enlarged detail if the likelihood is too narrow to see."""
+    grid = grid_on(None)
     high = grid.values > grid.values.max() + np.log(0.05)
     if high.mean() > NARROW_SHARE:
         return grid
     rows, columns = np.flatnonzero(high.any(axis=1)), np.flatnonzero(high.any(axis=0))
     part = [_around(grid.x_values, rows), _around(grid.y_values, columns)]
-    return replace(grid, detail=_grid(calibration, surrogate, mean, truth, part=part))
+    return replace(grid, detail=grid_on(part))
 
 
 def _around(values: Float[np.ndarray, " x"], chosen: Int[np.ndarray, " n"]) -> tuple[float, float]:
@@ -218,7 +223,11 @@ def _field_likelihood(
 ) -> Iterator[Captioned]:
     """Yield the likelihood of the predicted interface over two inputs."""
     name = _spoken(next(iter(calibration.problem.discrepancies)))
-    grids = {name: _grid(calibration, found.knowledge, lambda known, x: known.plug_in(x), truth)}
+
+    def grid_on(part: Sequence[tuple[float, float]] | None) -> plots.FieldGrid:
+        return _grid(calibration, found.knowledge, lambda known, x: known.plug_in(x), truth, part=part)
+
+    grids = {name: _with_detail(grid_on)}
     crosses = "Grey crosses are failed forward runs."
     rest = f"of the interface that the surrogate predicts. {crosses}"
     caption = f"Likelihood over its maximum, {rest}"

@@ -108,7 +108,7 @@ def test_a_run_with_another_interface_is_a_surprise(state: State) -> None:
     records = [record(row) for row in FAR[::-1]]
     found = surprises(state, FAR, records, np.full(2, -1e4), 0.1, 0.1 * NOISE)
     assert len(found) == 2
-    assert "predicted standard deviations off" in found[0].words(SPACE)
+    assert "predicted standard deviations from" in found[0].words(SPACE)
 
 
 def test_no_runs_are_no_surprise(state: State) -> None:

@@ -157,7 +157,9 @@ class Surprise:
         where = ", ".join(f"{name} {value:.3g}" for name, value in space.as_mapping(self.x).items())
         if self.fits:
             return f"a run at {where} fits the observation, which the surrogate had ruled out"
-        return f"the interface of a run at {where} is {self.errors:.0f} predicted standard deviations off"
+        return (
+            f"the interface of a run at {where} is {self.errors:.0f} predicted standard deviations from the prediction"
+        )
 
 
 def surprises(

@@ -59,16 +59,17 @@ class Scatter:
     def words(self) -> str:
         """The size in words."""
         return (
-            f"the simulator's own scatter: {1e3 * self.rms:.2g} µm, {self.share:.2g} of the shift that the local noise "
-            "hides"
+            f"the simulator's own scatter: {1e3 * self.rms:.2g} µm, {self.share:.2g} times the shift that the local "
+            "noise hides"
         )
 
     @property
     def reason(self) -> str:
         """Why a check cannot confirm a posterior, with advice."""
         return (
-            f"{self.words}, changes the log-likelihood of a run by {self.sd:.2g}, so that no check can tell: tighten "
-            "the solver's tolerance or keep its mesh, average repeated runs, or state the scatter as part of the noise"
+            f"{self.words}, changes the log-likelihood of a run by {self.sd:.2g}, too much for a check to confirm the "
+            "posterior: tighten the solver's tolerance or keep its mesh, average repeated runs, or state the scatter "
+            "as part of the noise"
         )
 
     def prevents(self, *, draws: int, shift: float, effective: float, observed: float | None) -> bool:

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from strandline.report.plots.style import (
     BLUE,
     CYCLE,
-    DASHES,
     SINGLE,
     axes_or_new,
     below,
@@ -20,6 +19,8 @@ from strandline.report.plots.style import (
 __all__ = ["ErrorsAlong", "plot_field_error"]
 
 MM_TO_MICROMETRES = 1e3
+STYLES = ({"linewidth": 2.4, "alpha": 0.4}, {"linewidth": 1.0, "linestyle": "--"})
+"""Broad and pale, then thin and broken: both can be seen where the errors are equal."""
 DECADES = 1e-3
 """Lowest error shown, as a share of the largest: fixed ends have rounding errors only."""
 
@@ -47,9 +48,9 @@ def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = Non
             colour = CYCLE[k % len(CYCLE)] if len(errors) > 1 else BLUE
             of = f", {condition}" if condition else ""
             lines = {"runs, each from the others": along.left_out, "its own estimate at draws": along.predicted}
-            for dashes, (label, values) in zip(DASHES, lines.items(), strict=False):
+            for style, (label, values) in zip(STYLES, lines.items(), strict=True):
                 shown = np.where(values > 0, MM_TO_MICROMETRES * values, np.nan)  # fixed ends have no error
-                ax.semilogy(along.arc_length, shown, linestyle=dashes, color=colour, label=label + of)
+                ax.semilogy(along.arc_length, shown, color=colour, label=label + of, **style)
         highest = MM_TO_MICROMETRES * max(float(np.nanmax([a.left_out, a.predicted])) for a in errors.values())
         if highest > 0:
             ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))

@@ -10,6 +10,7 @@ from strandline.report.plots.style import (
     RED,
     SINGLE,
     axes_or_new,
+    below,
     root_scale,
     root_ticks,
     styled,
@@ -74,7 +75,7 @@ def plot_leave_one_out(
         if spread_top:
             ax.set(aspect="auto", box_aspect=1.0)
             _spread_top(ax, float(both.min()), float(both.max()))
-        ax.legend(loc="upper left")
+        below(ax)
     return ax
 
 

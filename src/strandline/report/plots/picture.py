@@ -1,4 +1,4 @@
-"""The edge found in a picture: over the picture, from near, along its normals, and minus itself smoothed."""
+"""The edge found in a picture: over the picture, enlarged, along its normals, and its residuals."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ MARGIN = 0.1
 DARKEST = 0.5, 99.5
 """Percentiles of the grey values that are shown black and white."""
 NEAR, SDS = 6.0, 8.0
-"""Half the side of what is shown from near: at least so many pixels, and so many standard deviations of a point."""
+"""Half the side of what is shown enlarged: at least so many pixels, and so many standard deviations of a point."""
 SMOOTH, LENGTHS = 5.0, 2.0
 """Standard deviation of the Gaussian along the edge that smooths it for the residual: at least so many pixels, and so
 many correlation lengths of the errors, which would else be smoothed away."""
@@ -39,10 +39,10 @@ many correlation lengths of the errors, which would else be smoothed away."""
 def plot_picture(
     picture: Picture, path: Float[np.ndarray, "click 2"], edge: Edge, *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
-    """Draw the edge in the picture, a part of it from near, the strip along its normals, and its residuals.
+    """Draw the edge in the picture, a part of it enlarged, the strip along its normals, and its residuals.
 
     The bands are ± 2 standard deviations of a point. They are too narrow to be seen in the whole picture, so a part
-    of it is drawn from near, around the middle of the edge.
+    of it is enlarged, around the middle of the edge.
 
     Args:
         picture: The picture.
@@ -79,7 +79,8 @@ def _whole(ax: Axes, picture: Picture, path: Float[np.ndarray, "click 2"], edge:
     ax.imshow(picture.values, **grey)
     ax.plot(*edge.points.T, color=GREEN, linewidth=0.7, label="edge")
     ax.plot(*path.T, color=RED, marker="+", markersize=4, linestyle="none", label="first path")
-    (left, bottom), (right, top) = edge.points.min(axis=0), edge.points.max(axis=0)
+    shown = np.concatenate([edge.points, path])
+    (left, bottom), (right, top) = shown.min(axis=0), shown.max(axis=0)
     around = MARGIN * max(right - left, top - bottom)
     rows, columns = picture.values.shape
     ax.set_xlim(max(left - around, -0.5), min(right + around, columns - 0.5))
@@ -88,7 +89,7 @@ def _whole(ax: Axes, picture: Picture, path: Float[np.ndarray, "click 2"], edge:
 
 
 def _near(ax: Axes, whole: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
-    """Draw the middle of the edge from near, with its band, and frame it in the whole picture."""
+    """Draw the middle of the edge enlarged, with its band, and frame it in the whole picture."""
     pixel = np.array(picture.pixel)
     centre = edge.points[len(edge.points) // 2]
     half = max(NEAR * edge.unit, SDS * edge.errors.sd) / pixel
@@ -101,7 +102,7 @@ def _near(ax: Axes, whole: Axes, picture: Picture, edge: Edge, grey: Any) -> Non
     ax.plot(*edge.points.T, color=GREEN, linewidth=0.7, marker=".", markersize=3.0)
     (left, top), (right, bottom) = centre - half, centre + half
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect=pixel[1] / pixel[0])
-    ax.set(xlabel="x [pixels]", ylabel="y [pixels]", title="the frame on the left, from near")
+    ax.set(xlabel="x [pixels]", ylabel="y [pixels]", title="the frame on the left, enlarged")
     whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, edgecolor=SKY, linewidth=1.0))
 
 
@@ -118,7 +119,7 @@ def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
 
 
 def _residual(ax: Axes, edge: Edge) -> None:
-    """Draw the edge minus itself smoothed."""
+    """Draw the edge minus the smoothed edge."""
     band = 2 * MM_TO_MICROMETRES * edge.errors.sd
     values = MM_TO_MICROMETRES * off_smooth(edge)
     arc, gaps = edge.arc - edge.arc[0], np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1
@@ -128,4 +129,4 @@ def _residual(ax: Axes, edge: Edge) -> None:
         ax.plot(arc[part], values[part], color=GREEN, linewidth=0.6)
     low, high = ax.get_ylim()
     ax.set_ylim(min(low, -1.5 * band), max(high, 1.5 * band))
-    ax.set(xlabel="arc length [mm]", ylabel="residual [µm]", title="the edge minus itself smoothed")
+    ax.set(xlabel="arc length [mm]", ylabel="residual [µm]", title="the edge minus the smoothed edge")

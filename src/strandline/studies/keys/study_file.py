@@ -41,7 +41,7 @@ class Input(Section):
     prior: Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]
     """a [distribution](#priors) with its numbers"""
     unit: Unit | None = None
-    """the model's unit; omit for a pure number"""
+    """the model's unit, a label: nothing is converted; omit for a pure number"""
     box: tuple[Number, Number] | None = None
     """[low, high] of forward runs; default: prior's support"""
     nuisance: Switch = False
