@@ -54,8 +54,9 @@ function show() {
   if (one.picture) {
     const { width, height, pixel, source } = one.picture;
     layout.images = [{ source, x: -0.5, y: -0.5, sizex: width, sizey: height, xref: "x", yref: "y", yanchor: "top", sizing: "stretch", layer: "below", opacity: 0.9 }];
-    layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5], ...fixed };
-    layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0], ...fixed };
+    const bare = { ...fixed, constrain: "domain", showgrid: false, zeroline: false }; // lines of a grid would cross the picture
+    layout.xaxis = { title: { text: "x [pixels]" }, range: [-0.5, width - 0.5], ...bare };
+    layout.yaxis = { title: { text: "y [pixels]" }, range: [height - 0.5, -0.5], scaleanchor: "x", scaleratio: pixel[1] / pixel[0], ...bare };
   }
   draw("shape-plot", traces, layout, `Interfaces: ${traces.filter((trace) => trace.showlegend !== false).map((trace) => trace.name).join(", ")}`);
   showOffsets(run, found);
