@@ -149,8 +149,8 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
     guessed = [(one.noise, one.interface) for one in seen if isinstance(one.noise, UnknownErrors)]
     for noise, interface in guessed:
         if not noise.stated:
-            sd = 1e3 * noise.typical(interface).sd
-            yield f"the noise will be inferred; this check assumes an sd of {sd:.2g} µm and predicts no widths"
+            assumed = 1e3 * noise.typical(interface).sd
+            yield f"the noise will be inferred; this check assumes an sd of {assumed:.2g} µm and predicts no widths"
             return
     names = study.space.names
     slopes, source = widths.slopes_by_sensitivities(record, names), "sensitivities of this run"

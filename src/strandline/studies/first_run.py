@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
-from strandline.discrepancy import Discrepancy, oriented_like_runs
+from strandline.discrepancy import Discrepancy, apart, oriented_like_runs
 from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, PointErrors

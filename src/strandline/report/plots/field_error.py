@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +20,7 @@ from strandline.report.plots.style import (
 __all__ = ["ErrorsAlong", "plot_field_error"]
 
 MM_TO_MICROMETRES = 1e3
-STYLES = ({"linewidth": 2.4, "alpha": 0.4}, {"linewidth": 1.0, "linestyle": "--"})
+STYLES: tuple[dict[str, Any], ...] = ({"linewidth": 2.4, "alpha": 0.4}, {"linewidth": 1.0, "linestyle": "--"})
 """Broad and pale, then thin and broken: both can be seen where the errors are equal."""
 DECADES = 1e-3
 """Lowest error shown, as a share of the largest: fixed ends have rounding errors only."""

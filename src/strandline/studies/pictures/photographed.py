@@ -269,7 +269,7 @@ def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture, marks: str
         return frame, f"the marks in {marks}"
     frame, source = Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel), "the study"
     if marked is not None and math.dist(frame.origin, marked) > SAME_PLACE:
-        source += ", not ({:.6g}, {:.6g}) from the marks in {}".format(*marked, marks)
+        source += f", not ({marked[0]:.6g}, {marked[1]:.6g}) from the marks in {marks}"
     return frame, source
 
 
