@@ -172,7 +172,7 @@ def test_a_fluid_without_viscosity_is_refused(viscosity):
 def test_what_a_course_cannot_be_combined_with():
     with pytest.raises(InvalidInput, match="got sensitivities with motion: transient; expected motion: quasi_static"):
         with_sensitivities(model(motion="transient"))
-    with pytest.raises(InvalidInput, match="got a course with inflow_rates; expected one of the two"):
+    with pytest.raises(InvalidInput, match="got a course with inflow_rates or pressure_drops; expected one of the two"):
         Biofilm.from_options(course=RISE, inflow_rates={"slow": 50})
 
 

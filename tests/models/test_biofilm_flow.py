@@ -224,6 +224,24 @@ def test_known_quantities_of_the_fluid_are_no_inputs_and_count_in_the_fingerprin
     assert Biofilm.from_options(fluid={"viscosity": 1e-3, "density": 1000}).fingerprint == Biofilm().fingerprint
 
 
+def test_several_pressure_drops_are_the_single_runs():
+    model = Biofilm.from_options(
+        mesh="coarse", inflow="pressure", pressure_drops={"low": 4, "high": 8}, sensitivities=True
+    )
+    assert model.conditions == ("low", "high")
+    assert [item.name for item in model.inputs] == ["E", "nu"]
+    found = model({"E": 400.0, "nu": 0.3})
+    single = Biofilm(mesh="coarse", inflow="pressure", sensitivities=True)
+    for name, drop in (("low", 4.0), ("high", 8.0)):
+        alone = single({"E": 400.0, "nu": 0.3, "p_drop": drop})
+        np.testing.assert_array_equal(found.interfaces[name].points, alone.interface.points)
+        assert set(found.sensitivities[name]) == {"E", "nu"}
+        np.testing.assert_array_equal(found.sensitivities[name]["E"], alone.sensitivities[""]["E"])
+    assert model.fingerprint != single.fingerprint
+    low, high = (model.fields({"E": 400.0, "nu": 0.3}, name).displacement for name in ("low", "high"))
+    assert np.abs(low).max() < 0.7 * np.abs(high).max()
+
+
 def test_several_rates_share_an_unknown_viscosity():
     model = Biofilm.from_options(
         mesh="coarse", sensitivities=True, fluid={"viscosity": "unknown"}, inflow_rates={"slow": 50, "fast": 100}
@@ -254,7 +272,10 @@ def test_several_rates_share_an_unknown_viscosity():
         ({"inflow": {"table": [[0, 1, 2], [1, 1, 1]]}}, "at least two pairs"),
         ({"inflow": "our_profiles:wrong"}, r"one velocity for each height"),
         ({"inflow": "our_profiles:missing"}, "a name defined in our_profiles"),
-        ({"inflow": "pressure", "inflow_rates": {"slow": 1}}, "p_drop is an input"),
+        ({"inflow": "pressure", "inflow_rates": {"slow": 1}}, "or give `pressure_drops` by condition"),
+        ({"pressure_drops": {"low": 5}}, "got low: 5.0 without inflow: pressure; expected"),
+        ({"inflow": "pressure", "pressure_drops": {"low": -5}}, "pressure drop 'low' of the biofilm model: got -5"),
+        ({"inflow": "pressure", "pressure_drops": [5, 10]}, r"pressure drops in Pa by the name.*{slow: 5, fast: 10}"),
         ({"channel": {"top": "open"}}, "no_slip, slip, symmetry"),
     ],
 )

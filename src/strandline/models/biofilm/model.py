@@ -25,10 +25,10 @@ from strandline.models.biofilm.materials import LAWS, further_parameters, law_na
 from strandline.models.biofilm.memory import Branch, branch_inputs
 from strandline.models.biofilm.options import (
     as_inflow,
-    as_rates,
+    as_loads,
     check_budget,
     check_course,
-    check_rate,
+    check_loads,
     converted,
     one_of,
 )
@@ -70,6 +70,7 @@ class Biofilm:
             without friction and does not lift. None: all of the base is held.
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
             condition. Each experiment gives one interface, and V_in is no longer an input.
+        pressure_drops: Likewise with ``inflow: pressure``: the drop of each experiment, Pa, in place of p_drop.
         course: A `Course` of the inflow with time: V_in is scaled by it, and each time observed is a condition.
         branches: Number of Maxwell branches of a solid that creeps, 0 to 3, see `memory`; E is then the modulus
             of the relaxed solid, and each branch adds the inputs ratio and tau. Needs a quasi-static course.
@@ -96,6 +97,7 @@ class Biofilm:
     inflow: str | Pairs = PARABOLA
     clamped: Pairs = ()
     inflow_rates: tuple[tuple[str, float], ...] = ()
+    pressure_drops: tuple[tuple[str, float], ...] = ()
     course: Course | None = None
     branches: int = 0
     sensitivities: bool = False
@@ -117,10 +119,9 @@ class Biofilm:
         one_of("mesh", self.mesh, MESHES)
         law_named(self.material)
         check_budget(self.failure_budget)
-        for name, rate in self.inflow_rates:
-            check_rate(name, rate, self.inflow)
-        rates, sensitivities = bool(self.inflow_rates), self.sensitivities
-        check_course(self.course, rates=rates, branches=self.branches, sensitivities=sensitivities)
+        check_loads(self.inflow_rates, self.pressure_drops, self.inflow)
+        several, sensitivities = bool(self._loads), self.sensitivities
+        check_course(self.course, several=several, branches=self.branches, sensitivities=sensitivities)
         reference = self.outline.interface()
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
@@ -142,8 +143,9 @@ class Biofilm:
             options["inflow"] = as_inflow(options["inflow"])
         if "clamped" in options:
             options["clamped"] = as_stretches(options["clamped"])
-        if "inflow_rates" in options:
-            options["inflow_rates"] = as_rates(options["inflow_rates"])
+        for name in ("inflow_rates", "pressure_drops"):
+            if name in options:
+                options[name] = as_loads(name, options[name])
         if options.get("course") is not None:
             options["course"] = Course.of(options["course"])
         return cls(**options)
@@ -156,9 +158,14 @@ class Biofilm:
         return (*solids, *self._drive, *self.fluid.inputs, *branches)
 
     @property
+    def _loads(self) -> tuple[tuple[str, float], ...]:
+        """Inflow rates or pressure drops of several experiments, by condition; empty if there is one."""
+        return self.inflow_rates or self.pressure_drops
+
+    @property
     def _drive(self) -> tuple[ModelInput, ...]:
         """What drives the flow, if it is an input."""
-        return () if self.inflow_rates else (DROP if self.inflow == PRESSURE else RATE,)
+        return () if self._loads else (DROP if self.inflow == PRESSURE else RATE,)
 
     @property
     def _material(self) -> tuple[ModelInput, ...]:
@@ -174,7 +181,7 @@ class Biofilm:
     @property
     def conditions(self) -> tuple[str, ...]:
         """Names of the experiments or times, one interface each; a single unnamed one if there are none."""
-        return tuple(name for name, _ in self.inflow_rates or (self.course.times if self.course else ())) or ("",)
+        return tuple(name for name, _ in self._loads or (self.course.times if self.course else ())) or ("",)
 
     @property
     def fingerprint(self) -> str:
@@ -219,7 +226,7 @@ class Biofilm:
 
         Args:
             inputs: Inputs of the run by name.
-            condition: Name of one of the inflow rates or times; the last one by default.
+            condition: Name of one of the inflow rates, pressure drops or times; the last one by default.
         """
         cell = _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0)
         wanted = condition or self.conditions[-1]
@@ -251,15 +258,15 @@ class Biofilm:
             else:
                 yield from cell.through(self.course, self._branches(inputs), *specimen, fluid=fluid, budget=budget)
             return
-        for name, rate in self._rates(inputs):
+        for name, load in self._loads_at(inputs):
             if only in (None, name):
-                yield name, cell.solve(young, poisson, rate, *further, fluid=fluid, budget=budget)
+                yield name, cell.solve(young, poisson, load, *further, fluid=fluid, budget=budget)
 
     @property
     def _geometry(self) -> "Biofilm":
         """The model reduced to what affects mesh and forms."""
         return dataclasses.replace(
-            self, inflow_rates=(), course=None, branches=0, sensitivities=False, failure_budget=0
+            self, inflow_rates=(), pressure_drops=(), course=None, branches=0, sensitivities=False, failure_budget=0
         )
 
     @property
@@ -267,10 +274,10 @@ class Biofilm:
         """Density of the solid in a transient run; None: no inertia."""
         return self.course.solid_density if self.course and self.course.is_transient else None
 
-    def _rates(self, inputs: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-        """Return the conditions with their inflow rates."""
-        if self.inflow_rates:
-            return self.inflow_rates
+    def _loads_at(self, inputs: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+        """Return the conditions with their inflow rates or pressure drops."""
+        if self._loads:
+            return self._loads
         shares = self.course.shares() if self.course else {"": 1.0}
         return tuple((name, share * float(inputs[self._drive[0].name])) for name, share in shares.items())
 

@@ -1,7 +1,7 @@
 """Options of the biofilm model as plain mappings, lists and numbers of a study file, checked and converted."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
@@ -9,11 +9,11 @@ from strandline.errors import InvalidInput
 from strandline.interface import is_condition
 from strandline.models.biofilm.course import QUASI_STATIC, TRANSIENT, Course
 from strandline.models.biofilm.fluid import Fluid
-from strandline.models.biofilm.inflow import PARABOLA, PRESSURE, PROFILES, RATE, as_pairs
+from strandline.models.biofilm.inflow import DROP, PRESSURE, PROFILES, RATE, as_pairs
 from strandline.models.biofilm.memory import MOST_BRANCHES
 from strandline.models.biofilm.subdivision import Partition, check_partition
 
-__all__ = ["as_inflow", "as_rates", "check_budget", "check_course", "check_rate", "converted", "one_of"]
+__all__ = ["as_inflow", "as_loads", "check_budget", "check_course", "check_loads", "converted", "one_of"]
 
 _SMALLEST_BUDGET = 3
 _FROM_FILE = {"outline": "; in a study file also file with its unit in place of points, which are in mm"}
@@ -87,18 +87,23 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def as_rates(rates: Any) -> tuple[tuple[str, float], ...]:
-    """Return a mapping name → rate as pairs."""
-    if not isinstance(rates, Mapping):
+_LOADS = {"inflow_rates": ("inflow rate", RATE, "mm^2/s", 50), "pressure_drops": ("pressure drop", DROP, "Pa", 5)}
+"""Option → what it gives for each condition, the input in whose place it is, its unit as text, an example."""
+
+
+def as_loads(option: str, loads: Any) -> tuple[tuple[str, float], ...]:
+    """Return a mapping name → inflow rate or pressure drop as pairs."""
+    what, _, unit, example = _LOADS[option]
+    if not isinstance(loads, Mapping):
         raise InvalidInput(
-            "inflow_rates of the biofilm model",
-            value=rates,
-            expected="rates in mm^2/s by the name of the condition, e.g. {slow: 50, fast: 100}",
+            f"{option} of the biofilm model",
+            value=loads,
+            expected=f"{what}s in {unit} by the name of the condition, e.g. {{slow: {example}, fast: {2 * example}}}",
             remedy="Correct them.",
         )
-    for name, rate in rates.items():
-        check_rate(name, rate)
-    return tuple((name, float(rate)) for name, rate in rates.items())
+    for name, load in loads.items():
+        _check_load(option, name, load)
+    return tuple((name, float(load)) for name, load in loads.items())
 
 
 def check_budget(budget: object) -> None:
@@ -112,37 +117,60 @@ def check_budget(budget: object) -> None:
         )
 
 
-def check_rate(name: object, rate: object, inflow: object = PARABOLA) -> None:
-    """Refuse an inflow rate that is no number of mm²/s, 0 or more, with the name of a condition."""
-    if inflow == PRESSURE:
+def check_loads(rates: Sequence[tuple[str, float]], drops: Sequence[tuple[str, float]], inflow: object) -> None:
+    """Refuse inflow rates with a given pressure, pressure drops without one, and loads that are no numbers, 0 or more.
+
+    Args:
+        rates: Inflow rates by condition, mm²/s.
+        drops: Pressure drops by condition, Pa.
+        inflow: Profile of the inflow, or ``pressure``.
+    """
+    if rates and inflow == PRESSURE:
+        name, rate = rates[0]
         raise InvalidInput(
             "inflow_rates of the biofilm model",
             value=f"{name}: {rate} with inflow: {PRESSURE}",
             expected="a profile of the inflow, or no inflow rates",
-            remedy="Remove one of the two; p_drop is an input of the model.",
+            remedy="Remove one of the two, or give `pressure_drops` by condition.",
         )
-    admitted = isinstance(rate, int | float) and _is_number(rate) and RATE.admits(float(rate))
+    if drops and inflow != PRESSURE:
+        name, drop = drops[0]
+        raise InvalidInput(
+            "pressure_drops of the biofilm model",
+            value=f"{name}: {drop} without inflow: {PRESSURE}",
+            expected=f"inflow: {PRESSURE}, or no pressure drops",
+            remedy=f"Add `inflow: {PRESSURE}`, or give `inflow_rates` by condition.",
+        )
+    for option, loads in (("inflow_rates", rates), ("pressure_drops", drops)):
+        for name, load in loads:
+            _check_load(option, name, load)
+
+
+def _check_load(option: str, name: object, load: object) -> None:
+    """Refuse what is no number, 0 or more, with the name of a condition."""
+    what, model_input, unit, example = _LOADS[option]
+    admitted = isinstance(load, int | float) and _is_number(load) and model_input.admits(float(load))
     if not admitted or not is_condition(name) or not name:
         raise InvalidInput(
-            f"inflow rate {name!r} of the biofilm model",
-            value=rate,
-            expected="the name of a condition with its rate in mm^2/s, 0 or more, e.g. slow: 50",
-            remedy="Correct the inflow rate.",
+            f"{what} {name!r} of the biofilm model",
+            value=load,
+            expected=f"the name of a condition with its {what} in {unit}, 0 or more, e.g. slow: {example}",
+            remedy=f"Correct the {what}.",
         )
 
 
-def check_course(course: Course | None, *, rates: bool, branches: object, sensitivities: bool) -> None:
+def check_course(course: Course | None, *, several: bool, branches: object, sensitivities: bool) -> None:
     """Refuse a course with what it cannot be combined with.
 
     Args:
         course: Course of the inflow; None: steady.
-        rates: Whether inflow rates are given, too.
+        several: Whether inflow rates or pressure drops of several experiments are given, too.
         branches: Number of Maxwell branches of the solid.
         sensitivities: Whether runs return sensitivities.
 
     Raises:
-        InvalidInput: Inflow rates are given too; sensitivities of a transient run or of a solid that creeps are asked
-            for; branches without a quasi-static course, or an impossible number of them.
+        InvalidInput: Several experiments are given too; sensitivities of a transient run or of a solid that creeps are
+            asked for; branches without a quasi-static course, or an impossible number of them.
     """
     _check_branches(branches, course)
     if branches and sensitivities:
@@ -154,12 +182,12 @@ def check_course(course: Course | None, *, rates: bool, branches: object, sensit
         )
     if course is None:
         return
-    if rates:
+    if several:
         raise InvalidInput(
             "course of the biofilm model",
-            value="a course with inflow_rates",
+            value="a course with inflow_rates or pressure_drops",
             expected="one of the two",
-            remedy="Remove one of the two; V_in is an input of a model with a course.",
+            remedy="Remove one of the two; V_in or p_drop is an input of a model with a course.",
         )
     if sensitivities and course.is_transient:
         raise InvalidInput(
