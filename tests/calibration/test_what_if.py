@@ -16,6 +16,7 @@ from tests.calibration.arches import SD, SPACE, TRUTH, T, arch, knowledge, seen
 from strandline.calibration import what_if as module
 from strandline.calibration.alternative import Alternative, Present, present
 from strandline.calibration.usual_alternatives import (
+    _common_errors,
     facts_of,
     other_priors,
     prior_in_words,
@@ -431,6 +432,20 @@ def _observations(one: Alternative) -> tuple[Observation, ...]:
 def test_some_calibrated_input_must_be_left() -> None:
     with pytest.raises(InvalidInput, match="at least one calibrated input left"):
         Alternative("all", "fix", "", INPUTS, fixed={"height": TRUTH[0]})
+
+
+def test_each_error_that_all_points_share_is_halved_and_doubled() -> None:
+    errors = PointErrors(0.002, 0.01, shift=0.01, scale=0.02)
+    likelihood = known().likelihood
+    seen = tuple(Observation(one.interface, errors, one.condition) for one in likelihood.observations)
+    found = {one.name: one for one in _common_errors(replace(likelihood, observations=seen), INPUTS)}
+    assert set(found) == {f"unknown {name} {by} as large" for name in ("shift", "scale") for by in ("half", "twice")}
+    for name, stated in (("shift", 0.01), ("scale", 0.02)):
+        for words, factor in (("half", 0.5), ("twice", 2.0)):
+            other = found[f"unknown {name} {words} as large"].likelihood
+            assert other is not None
+            assert other.observations[0].noise == replace(errors, **{name: factor * stated})
+    assert not list(_common_errors(likelihood, INPUTS))
 
 
 def test_facts_of_different_noise() -> None:

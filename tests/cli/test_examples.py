@@ -23,6 +23,7 @@ TRUTH = {
     "biofilm": {"E": 400.0, "nu": 0.3},
     "python": {"B": 40.0, "tilt": 1.0},
     "command": {"E": 400.0},
+    "creep": {"E": 300.0, "nu": 0.35, "ratio": 1.2, "tau": 4.0},
     "calculix": {"mu": 22.0, "stiffening": 0.25},
     "pendant-drop": {"gamma": 72.4},
     "oct": {"E": 400.0, "nu": 0.3},

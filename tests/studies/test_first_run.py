@@ -99,7 +99,9 @@ def test_the_distance_is_in_micrometres(tmp_path: Path, capsys: pytest.CaptureFi
     assert 2.1 / np.hypot(1, slope) - 0.01 < rms <= largest <= 2.11
     assert line.count("µm") == 2
     far = checked(observe(folder, straight + np.array([0.0, 5.0])), capsys, observation=OBSERVED, discrepancy=CLOSEST)
-    assert "largest 5 mm" in far
+    (line,) = [line for line in far.splitlines() if "distance of the observed points from this run:" in line]
+    assert line.endswith(" mm")
+    assert float(line.split()[-2]) == pytest.approx(5.0, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -134,7 +136,7 @@ def test_less_than_ten_times_is_not_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, scale: float
 ) -> None:
     shown = checked(observe(tmp_path / "s", scale * points), capsys, observation=OBSERVED)
-    assert "warning: their ends lie" in shown
+    assert "warning: the ends of the observed interface and of this run lie" in shown
 
 
 @pytest.mark.parametrize("simulator", [resting, beam], ids=["resting", "beam"])

@@ -209,7 +209,7 @@ def test_not_a_folder(tmp_path: Path) -> None:
 
 def test_the_file_instead_of_its_folder(tmp_path: Path) -> None:
     folder = write_study(tmp_path / "beam")
-    with pytest.raises(InvalidStudy, match=r"Give the folder, not a file in it: .*beam"):
+    with pytest.raises(InvalidStudy, match=r"Give the folder that it is in, `.*beam`, not a file"):
         parse_study(folder / "study.yaml")
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from matplotlib.patches import Rectangle
 from PIL import Image
 from scipy.special import ndtr
 
+from strandline.calibration import Observer
 from strandline.cli import main
+from strandline.cli.run import _doubting
 from strandline.discrepancy import ClosestPoint, Currents
 from strandline.errors import InvalidInput
 from strandline.imaging import Clicks, ScaleBar, write_clicks
@@ -93,6 +96,26 @@ def test_check_warns_of_a_shift_that_holds_a_wrong_scale_in_place(
     np.testing.assert_allclose(np.hypot(*seen.interface.points.mean(axis=0)), 1.14, atol=0.01)
     lines = [line for line in measure_lines(study, record) if "contradict" in line]
     assert [warned is not None and warned in line for line in lines] == ([] if warned is None else [True])
+
+
+def test_the_first_run_of_a_campaign_shows_a_picture_that_lies_wrong(tmp_path: Path) -> None:
+    """Ends anywhere near the model's are no reason: other inputs may move them there."""
+    study, noted = loaded(tmp_path / "hump"), []
+    seen = study.observed[""]
+
+    def told(study: Study, *shifts: float) -> list[str]:
+        noted.clear()
+        observer = _doubting(study, Observer(note=noted.append))
+        for shift in shifts:
+            line = replace(seen, points=seen.points + np.array([0.0, shift * seen.lengths.sum()]))
+            observer.run(RunRecord("key", {}, "ok", {"": line}), None)
+        return noted
+
+    assert told(study, 0.0) == told(study, 0.15) == []
+    (line,) = told(study, 0.4, 0.4)
+    assert line.startswith("warning: the ends of the observed interface and of this run lie 0.")
+    (line,) = told(loaded(tmp_path / "hump", solid="bright"), 0.0)
+    assert line.startswith("warning: in hump.png the body lies on the other side")
 
 
 @pytest.mark.parametrize("solid", ["dark", "bright"])
@@ -204,7 +227,7 @@ def test_the_solid_sets_the_direction_in_every_frame(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.sort(down.points[:, 1]), np.sort(-up.points[:, 1]), atol=1e-9)
 
 
-def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None:
+def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     typed = loaded(tmp_path / "s")
     clicks = Clicks(
         "hump.png",
@@ -229,6 +252,17 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path: Path) -> None
     for origin, remark in (([12, 120], ", not (10, 120) from the marks in hump.path.json"), ([10.3, 120], "")):
         other = loaded(tmp_path / "s", path="hump.path.json", frame={"origin": origin})
         assert f"at pixel ({origin[0]}, 120) from the study{remark}; its axes" in " ".join(other.pictures[""].notes)
+        ignored = other.pictures[""].ignored
+        assert ignored == (
+            ("the origin marked in hump.path.json lies 2 pixels from the one that the study states, and is ignored",)
+            if remark
+            else ()
+        )
+    capsys.readouterr()
+    written(tmp_path / "s", path="hump.path.json", pixel={"size": 1030 * PIXEL, "unit": "um"})
+    main(["check", str(tmp_path / "s")])
+    bar = f"warning: hump.png: the scale bar in hump.path.json gives pixels of {1000 * PIXEL:g} µm, and is ignored"
+    assert bar in capsys.readouterr().out
     picture(tmp_path / "s", seed=2)
     with pytest.raises(InvalidInput, match="hump"):
         load_study(tmp_path / "s")
@@ -375,6 +409,7 @@ def test_how_a_picture_was_read_is_said_everywhere_with_its_origin(
         "pixel size 10 × 10 µm from the study",
         "grey values taken as intensity, because the study states no scale",
         "the model's (0, 0) at pixel (10, 120) from the study; its axes point x right, y up (default), turned by 1°",
+        "5 % of the edge left out at either end (`trim`)",
     ]
     main(["check", str(folder)])
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "hump.png" in line]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from strandline.calibration.alternative import Alternative, Present
 from strandline.discrepancy import Discrepancy, NormalOffset
-from strandline.interface import GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
+from strandline.interface import GLOBAL, GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Uniform
@@ -39,6 +39,7 @@ def usual_alternatives(now: Present, measures: Mapping[str, Discrepancy]) -> Ite
             yield Alternative(
                 f"noise {words}", "noise", "the noise", space, other, detail=facts_of(other), by_prior_alone=False
             )
+    yield from _common_errors(likelihood, space)
     without_error = _with_noise(likelihood, _without_model_error)
     if without_error is not None:
         yield Alternative(
@@ -159,6 +160,25 @@ def _with_noise(likelihood: FieldLikelihood, other: Callable[[Observation], Erro
     pairs = zip(likelihood.observations, noises, strict=True)
     seen = tuple(Observation(one.interface, noise, one.condition) for one, noise in pairs if noise is not None)
     return replace(likelihood, observations=seen)
+
+
+def _common_errors(likelihood: FieldLikelihood, space: ParameterSpace) -> Iterator[Alternative]:
+    """Yield each error that all points of an observation share, such as a shift, half and twice as large."""
+    for name in GLOBAL:
+        if not any(getattr(seen.noise, name, 0.0) > 0 for seen in likelihood.observations):
+            continue
+        for factor, words in ((0.5, "half as large"), (2.0, "twice as large")):
+            other = _with_noise(likelihood, lambda seen, of=name, by=factor: _scaled_common(seen.noise, of, by))  # type: ignore[misc]
+            if other is not None:
+                named, about = f"unknown {name} {words}", f"the unknown {name}"
+                yield Alternative(named, "noise", about, space, other, detail=facts_of(other), by_prior_alone=False)
+
+
+def _scaled_common(noise: Errors, name: str, factor: float) -> Errors | None:
+    """Return errors of points of which one that all share is `factor` times as large; None if it is other noise."""
+    if isinstance(noise, PointErrors | UnknownErrors):
+        return replace(noise, **{name: factor * getattr(noise, name)})
+    return None
 
 
 def _stated(likelihood: FieldLikelihood) -> tuple[Observation, ...]:

@@ -72,6 +72,8 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
         yield f"observed conditions: {', '.join(conditions)}"
     yield from turned_lines(study)
     yield from read_lines(study)
+    for shown in study.pictures.values():
+        yield from (f"warning: {shown.name}: {said}" for said in shown.ignored)
 
 
 def _unheard(study: "Study") -> Iterator[str]:

@@ -69,7 +69,7 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     """Yield what was found in one picture."""
     found = one.content
     of = f"{one.condition}: " if one.condition else ""
-    yield f"{of}{found['picture']}: edge of {found['points']} points"
+    yield f"{of}{found['picture']}: edge of {found['points']} points, {found['edge_length']:.4g} mm long"
     for note in found["notes"]:
         yield f"  {note}"
     yield f"  sha256 {found['sha256']}"

@@ -1,8 +1,15 @@
 """`strandline run`: the whole study."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from strandline.calibration import Observer
+    from strandline.runs import Progress, RunRecord
+    from strandline.studies import Study
 
 from strandline.cli import device as devices
 from strandline.cli.study_folder import STUDY
@@ -77,11 +84,28 @@ def command(
             submit(loaded, executor, observer)
             return
         with told_what_goes_on(loaded, executor):
-            outcome = run_study(loaded, executor=executor, observer=observer)
+            outcome = run_study(loaded, executor=executor, observer=_doubting(loaded, observer))
         if verbose:
             for line in set_aside_lines(outcome.summary):
                 observer.note(line)
     show(outcome.summary, outcome.report, as_json=as_json)
+
+
+def _doubting(study: "Study", observer: "Observer") -> "Observer":
+    """Return the observer, which also says what the first run that succeeds shows to be wrong."""
+    from strandline.studies.first_run import early_doubts
+
+    first = True
+
+    def run(record: "RunRecord", progress: "Progress") -> None:
+        nonlocal first
+        if first and record.ok:
+            first = False
+            for line in early_doubts(study, record):
+                observer.note(line)
+        observer.run(record, progress)
+
+    return replace(observer, run=run)
 
 
 def _require_one(*, verbose: bool, quiet: bool) -> None:

@@ -138,23 +138,23 @@ def _fields(calibration: Calibration, truth: Mapping[str, float] | None) -> Iter
         for name, s in calibration.surrogates.items()
     }
     several = "by discrepancy measure; " if len(means) > 1 else ""
-    crosses = "Grey crosses are failed forward runs."
+    crosses = _crosses(calibration)
     yield Captioned(
         "likelihood",
         "surrogate",
-        f"Likelihood over its maximum, {several}mean of the surrogate. {crosses}",
+        f"Likelihood over its maximum, {several}mean of the surrogate.{crosses}",
         whole(plots.three_measures(means, kind="likelihood")),
     )
     yield Captioned(
         "log_likelihood",
         "surrogate",
-        f"Log-likelihood, {several}mean of the surrogate. {crosses}",
+        f"Log-likelihood, {several}mean of the surrogate.{crosses}",
         whole(plots.three_measures(means, kind="log_likelihood")),
     )
     yield Captioned(
         "log_likelihood_sd",
         "surrogate",
-        f"Standard deviation of the surrogate, {several}in units of log-likelihood. {crosses}",
+        f"Standard deviation of the surrogate, {several}in units of log-likelihood.{crosses}",
         whole(plots.three_measures(deviations, kind="sd")),
     )
 
@@ -212,6 +212,11 @@ def _grid(
     )
 
 
+def _crosses(calibration: Calibration) -> str:
+    """Return what the crosses of a figure are, if there are any."""
+    return " Grey crosses are failed forward runs." if len(_failed(calibration)) else ""
+
+
 def _failed(calibration: Calibration) -> Float[np.ndarray, "run dim"]:
     names = calibration.problem.space.names
     rows = [[record.inputs[name] for name in names] for record in calibration.records if not record.ok]
@@ -228,8 +233,8 @@ def _field_likelihood(
         return _grid(calibration, found.knowledge, lambda known, x: known.plug_in(x), truth, part=part)
 
     grids = {name: _with_detail(grid_on)}
-    crosses = "Grey crosses are failed forward runs."
-    rest = f"of the interface that the surrogate predicts. {crosses}"
+    crosses = _crosses(calibration)
+    rest = f"of the interface that the surrogate predicts.{crosses}"
     caption = f"Likelihood over its maximum, {rest}"
     yield Captioned("likelihood", "surrogate", caption, whole(plots.three_measures(grids, kind="likelihood")))
     caption = f"Log-likelihood, {rest}"

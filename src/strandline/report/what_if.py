@@ -11,8 +11,8 @@ __all__ = ["draw_what_if"]
 
 CAPTION = (
     "Mean and 90 % interval of each input under each alternative. The band and the line are the present posterior. "
-    "Red: the mean moves by more than {shift:g} present standard deviations, or the standard deviation changes by more "
-    "than a factor of {sd_ratio:g}. An input that is taken as known has no mark."
+    "Orange: the mean moves by more than {shift:g} present standard deviations, or the standard deviation changes by "
+    "more than a factor of {sd_ratio:g}. An input that is taken as known has no mark."
 )
 
 

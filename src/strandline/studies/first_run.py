@@ -22,6 +22,7 @@ __all__ = [
     "NoiseLength",
     "batch_lines",
     "displacement_lines",
+    "early_doubts",
     "facing",
     "known_range",
     "mesh_lines",
@@ -34,6 +35,8 @@ __all__ = [
 
 FAR_APART = 0.05
 """Share of the interface's length: ends or centres further apart than this are worth a warning."""
+WAY_OFF = 0.2
+"""The same share if the run may have any inputs."""
 SEEN_PART = 0.2
 """The same share for the ends of the model's interface: an observed one may be shorter."""
 MESH_SHARE = 0.1
@@ -117,9 +120,8 @@ def turned_lines(study: Study) -> Iterator[str]:
             yield f"the observed points{of} run opposite to the model's interface and will be turned round"
             continue
         yield (
-            f"warning: in {shown.name} the body lies on the other side of the interface than in the model; correct "
-            "`solid`, or the direction of x or y in `frame`, unless the model's points run with the body on their left "
-            "(the observed points will be turned round, so that this alone does not change the posterior)"
+            f"warning: in {shown.name} the body lies on the other side of the interface than in the model; `solid`, or "
+            "the direction of x or y in `frame`, is wrong, unless your model keeps the body on the left of its points"
         )
 
 
@@ -140,6 +142,16 @@ def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
             yield from _doubts(observed, run, of)
 
 
+def early_doubts(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield what one run, whatever its inputs, shows to be wrong: a body on the other side, ends that are far apart."""
+    faced = facing(study, record)
+    yield from (line for line in turned_lines(faced) if line.startswith("warning"))
+    for condition, observed in faced.observed.items():
+        run, of = record.interfaces[condition], f" ({condition})" if condition else ""
+        if observed.dim == run.dim == 2:
+            yield from _doubts(observed, run, of, share=WAY_OFF)
+
+
 def _place(interface: Interface) -> str:
     if interface.dim == 3:
         low, high = (np.round(f(interface.points, axis=0), 4).tolist() for f in (np.min, np.max))
@@ -151,21 +163,21 @@ def _place(interface: Interface) -> str:
     return f"from {first} to {last}, {length}"
 
 
-def _doubts(observed: Interface, run: Interface, of: str) -> Iterator[str]:
-    """Yield a warning for ends, or centres of closed contours, that are far apart."""
-    far = FAR_APART * float(run.lengths.sum())
+def _doubts(observed: Interface, run: Interface, of: str, share: float = FAR_APART) -> Iterator[str]:
+    """Yield a warning for ends, or centres of closed contours, farther apart than a share of the interface's length."""
+    far = share * float(run.lengths.sum())
     if observed.closed and run.closed:
         apart_by = float(np.linalg.norm(observed.centres.mean(axis=0) - run.centres.mean(axis=0)))
-        what = "centres lie"
+        what = "the centres of the observed interface and of this run lie"
     else:
         off = math.sqrt(float(squared_distances(_ends(observed), run).max()))
         missing = math.sqrt(float(squared_distances(_ends(run), observed).max()))
         apart_by = max(off, missing if missing > SEEN_PART * float(run.lengths.sum()) else 0.0)
-        what = "ends lie"
+        what = "the ends of the observed interface and of this run lie"
     if apart_by > far:
         yield (
-            f"warning{of}: their {what} {apart_by:.3g} mm apart. Are x and y in this order, is y upwards, and are "
-            "origin, unit and extent those of the model?"
+            f"warning{of}: {what} {apart_by:.3g} mm apart. Are x and y in this order, is y upwards, are origin, unit "
+            "and extent those of the model, and the inputs in its units?"
         )
 
 

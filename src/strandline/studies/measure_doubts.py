@@ -69,6 +69,12 @@ def _held(observation: Observation, of: str) -> Iterator[str]:
     errors = observation.noise
     if not isinstance(errors, PointErrors | UnknownErrors):
         return
+    if not any(getattr(errors, name) for name in ("shift", "rotation", "scale")):
+        yield (
+            f"warning{of}: no error of place and size is stated. A picture cannot show how far its origin, angle and "
+            "pixel size are off: state `unknown: {shift: …, rotation: …, scale: …}` in `noise`"
+        )
+        return
     away = float(np.hypot(*observation.interface.points.mean(axis=0)))
     moved = {"scale": errors.scale * away, "rotation": math.radians(errors.rotation) * away}
     name = max(moved, key=lambda one: LEAST_SHARE[one] * moved[one])

@@ -80,7 +80,7 @@ def _read(folder: Path) -> str:
             "not a study folder",
             value=str(folder),
             expected=f"a folder with a file {STUDY}",
-            remedy=f"Give the folder, not a file in it: {folder.parent}"
+            remedy=f"Give the folder that it is in, `{folder.parent}`, not a file"
             if is_file
             else "Make one with `strandline init FOLDER`, or correct the path.",
         ) from None

@@ -150,7 +150,7 @@ def _said(p: float) -> str:
 
 def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *, smooth: bool) -> str:
     """Return the p-value and where the residuals are largest if that is why; else that they are smooth, or s²ℓ."""
-    found = [(region.p_value, -region.rms, one.condition, region) for one in conditions for region in one.regions]
+    found = [(region.p_value, -region.excess, one.condition, region) for one in conditions for region in one.regions]
     p_value, _, condition, region = min(found, key=lambda one: one[:2], default=(1.0, 0.0, "", None))
     said = f" ({_said(least)})" if least < LEVEL else ""
     if said and region is not None and p_value < DOUBTFUL:

@@ -59,7 +59,7 @@ def plot_picture(
         _near(near, whole, picture, edge, grey)
         _strip(strip, picture, edge, grey)
         _residual(residual, edge)
-        parts = [ax.get_legend_handles_labels() for ax in (whole, near, residual)]
+        parts = [ax.get_legend_handles_labels() for ax in (whole, near, strip, residual)]
         entries = {label: one for handles, labels in parts for one, label in zip(handles, labels, strict=True)}
         legend_under(figure, entries)
     return figure
@@ -113,7 +113,7 @@ def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
     ax.imshow(edge.strip.samples.T, extent=(0, number, places[-1], places[0]), aspect="auto", **grey)
     ax.plot(np.flatnonzero(edge.kept) + 0.5, unit * edge.offsets[edge.kept], color=GREEN, linewidth=0.7)
     for end in np.flatnonzero(np.diff(edge.kept.astype(int))).tolist():
-        ax.axvline(end + 1, color=BLACK, linestyle=":", linewidth=0.8)
+        ax.axvline(end + 1, color=BLACK, linestyle=":", linewidth=0.8, label="end of what is used")
     ax.invert_yaxis()
     ax.set(xlabel="normal", ylabel="distance from the smooth path [µm]", title="along the normals")
 

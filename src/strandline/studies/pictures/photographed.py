@@ -1,7 +1,7 @@
 """Pictures of a study: the edge in each, in the model's coordinates, with the errors that the picture itself shows."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,8 @@ class Photographed:
         repeated: Errors of the edge from the frames whose mean the picture is; None for a single one.
         doubts: Why such frames show no errors.
         placed: Sentence that says where the model lies in the picture, and who said so.
+        trim: Share of the edge that was left out at either end.
+        ignored: Sentences on what was marked and does not count, because the study states something else.
     """
 
     picture: Picture
@@ -70,6 +72,8 @@ class Photographed:
     repeated: FrameErrors | None = None
     doubts: tuple[str, ...] = ()
     placed: str = ""
+    trim: float = 0.0
+    ignored: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -81,7 +85,8 @@ class Photographed:
         """Sentences that say what was taken from where, and what is in doubt."""
         placed = (self.placed,) if self.placed else ()
         repeated = () if self.repeated is None else self.repeated.notes
-        return (*self.picture.notes, *placed, *self.doubts, *repeated)
+        cut = (f"{100 * self.trim:.3g} % of the edge left out at either end (`trim`)",) if self.trim else ()
+        return (*self.picture.notes, *placed, *cut, *self.doubts, *repeated)
 
     @property
     def errors(self) -> PointErrors:
@@ -130,7 +135,37 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         edge = edge if repeated is None else repeated.put_into(edge)
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
-    return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts, placed)
+    return Photographed(
+        picture,
+        frame,
+        path,
+        edge,
+        interface,
+        registration,
+        repeated,
+        doubts,
+        placed,
+        trim=0.0 if edge.closed else given.trim,
+        ignored=() if clicks is None else tuple(_ignored(given, clicks)),
+    )
+
+
+def _ignored(given: ImageFile, clicks: Clicks) -> Iterator[str]:
+    """Yield a sentence on a scale bar, and on an origin, that were marked and differ from what the study states."""
+    size, stated = clicks.pixel_mm, PictureReading.from_options(given.reading, PLACE).pixel
+    if size is not None and stated is not None and any(abs(one / size - 1) > SAME for one in (stated.x, stated.y)):
+        yield (
+            f"the scale bar in {given.path} gives pixels of {1e3 * size:.4g} µm, and is ignored, because the study "
+            f"states {1e3 * stated.x:.4g} × {1e3 * stated.y:.4g} µm"
+        )
+    origin = given.frame.get("origin") if isinstance(given.frame, Mapping) else None
+    if given.registration is None and origin is not None and clicks.origin is not None:
+        apart = math.dist(origin, clicks.origin)
+        if apart > SAME_PLACE:
+            yield (
+                f"the origin marked in {given.path} lies {apart:.3g} pixels from the one that the study states, and is "
+                "ignored"
+            )
 
 
 def _repeated(

@@ -124,6 +124,7 @@ def described(one: Photographed, measures: Mapping[str, Discrepancy]) -> dict[st
         "pixel_mm": list(one.picture.pixel),
         "notes": list(one.notes),
         "points": len(one.edge.points),
+        "edge_length": float(one.interface.lengths.sum()),
         "sd": e.sd,
         "length": e.length,
         "offset": e.offset,

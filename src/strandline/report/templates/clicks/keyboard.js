@@ -9,6 +9,7 @@ const KEYS = {
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey) return shortcut(event);
   const field = event.target.closest("input:not([type=radio]), select, button, summary");
+  if (field && event.key === "Escape") field.blur();
   if (event.altKey || field) return;
   const chosen = radios.find((radio) => radio.dataset.key === event.key);
   if (chosen) chosen.click();
