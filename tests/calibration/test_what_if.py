@@ -453,3 +453,6 @@ def test_facts_of_different_noise() -> None:
     some = (here["1"], replace(here["1.5"], noise=GaussianNoise(2.0)))
     words = facts_of(replace(known().likelihood, observations=some))
     assert words == f"1: noise variance {NOISE.variance:.4g}; 1.5: noise variance 2"
+    some = (replace(here["1"], noise=PointErrors(0.003, 0.02, shift=0.045, rotation=1.2, scale=0.01)),)
+    words = facts_of(replace(known().likelihood, observations=some))
+    assert words == "point sd 3 µm, correlation length 20 µm, shift sd 45 µm, rotation sd 1.2°, scale sd 1 %"

@@ -18,6 +18,9 @@ LEAST_SHAPE_SUM = 1.0
 LEVELS = (0.1587, 0.5, 0.8413)
 """Probabilities at which a normal distribution has its mean and one standard deviation on either side."""
 
+LENGTHS = ("point_sd", "least_point_sd", "largest_point_sd", "correlation_length", "shift_sd", "offset_sd")
+"""Parameters of the noise that are lengths, mm."""
+
 Errors = Noise | PointErrors | UnknownErrors
 
 
@@ -104,12 +107,22 @@ def prior_in_words(prior: Prior) -> str:
 def facts_of(likelihood: FieldLikelihood) -> str:
     """Return the parameters of the noise, by condition if they differ."""
     each = {
-        seen.condition: ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in seen.noise.facts.items())
+        seen.condition: ", ".join(_fact(name, value) for name, value in seen.noise.facts.items())
         for seen in likelihood.observations
     }
     if len(set(each.values())) == 1:
         return next(iter(each.values()))
     return "; ".join(f"{name}: {facts}" for name, facts in each.items())
+
+
+def _fact(name: str, value: float) -> str:
+    """Return a parameter of the noise with its unit: lengths, which errors of points have, in µm."""
+    spoken = name.replace("_", " ")
+    if name in LENGTHS:
+        return f"{spoken} {1e3 * value:.4g} µm"
+    if name in ("rotation_sd", "scale_sd"):
+        return f"{spoken} {value:.4g}°" if name == "rotation_sd" else f"{spoken} {100 * value:.4g} %"
+    return f"{spoken} {value:.4g}"
 
 
 def _scaled(prior: Prior, factor: float) -> Prior | None:
