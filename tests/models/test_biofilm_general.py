@@ -177,7 +177,7 @@ def test_degenerate_outlines_are_refused_with_the_place(points, place):
         ({"partition": "four"}, "lines, markers"),
         ({"partition": {"lines": [[[0.4, 0.1], [1.5, 0.1]]], "markers": [[0.9, 0.3]]}}, "one in each part"),
         ({"partition": {"lines": [[[0.4, 0.1], [1.5, 0.1]]], "markers": [[0.9, 0.3], [0.9, 0.31]]}}, "of its own"),
-        ({"inflow_rates": {"fast": -1}}, "with its rate in mm"),
+        ({"inflow_rates": {"fast": -1}}, "with its inflow rate in mm"),
     ],
 )
 def test_options_that_cannot_be_used_are_refused(options, word):

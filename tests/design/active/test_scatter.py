@@ -105,7 +105,7 @@ def test_when_it_is_the_reason() -> None:
     assert not scatter.prevents(observed=5.0, **LIMITS)  # a wrong surrogate scatters more
     assert not Scatter(0.003, 0.006, 0.01).prevents(observed=0.01, **LIMITS)
     assert Scatter(0.003, 0.006, 0.15).prevents(observed=0.15, **LIMITS)  # by the shift alone
-    assert all(words in scatter.reason for words in ("3 µm", "0.5 of the shift", "by 0.71", "average", "tolerance"))
+    assert all(words in scatter.reason for words in ("3 µm", "0.5 times the shift", "by 0.71", "average", "tolerance"))
 
 
 def test_the_typical_variance_forgets_extremes() -> None:
