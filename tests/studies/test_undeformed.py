@@ -95,8 +95,8 @@ def test_other_noise_stays(study: Study) -> None:
 def test_both_pictures_say_how_they_were_read(study: Study) -> None:
     first, second = read_how(study)
     assert (first["condition"], first["file"], second["file"]) == ("undeformed", "undeformed.png", "deformed.png")
-    assert first["notes"][-1].startswith("the model's (0, 0) at pixel (-105, 205) from the study")
-    assert second["notes"][-1].startswith("in undeformed.png, the model's (0, 0) at pixel (-105, 205) from the study")
+    assert first["notes"][-2].startswith("the model's (0, 0) at pixel (-105, 205) from the study")
+    assert second["notes"][-2].startswith("in undeformed.png, the model's (0, 0) at pixel (-105, 205) from the study")
 
 
 def test_the_command_writes_both_pictures(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
