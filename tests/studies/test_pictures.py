@@ -98,6 +98,37 @@ def test_check_warns_of_a_shift_that_holds_a_wrong_scale_in_place(
     assert [warned is not None and warned in line for line in lines] == ([] if warned is None else [True])
 
 
+@pytest.mark.parametrize(
+    ("unknown", "warned"), [({}, True), ({"offset": 2}, True), ({"scale": 0.01, "shift": 20}, False)]
+)
+def test_check_warns_if_no_error_of_place_and_size_is_stated(
+    unknown: dict[str, float], warned: bool, tmp_path: Path
+) -> None:
+    study = loaded(tmp_path / "hump", noise={"sd": "image", "unit": "um", "unknown": unknown})
+    record = RunRecord("key", {}, "ok", {"": study.observed[""]})
+    said = "no error of place and size is stated"
+    assert any(said in line for line in measure_lines(study, record)) is warned
+
+
+def test_check_predicts_widths_beside_an_error_of_the_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Planted: noise of unknown size, for which there is nothing to predict them from."""
+    noise = {"sd": "image", "unit": "um", "unknown": {"shift": 20}, "model_error": True}
+    main(["check", str(written(tmp_path / "known", noise=noise)), "--widths"])
+    shown = capsys.readouterr().out
+    assert "more runs, without a model error): " in shown
+    assert "will be inferred" not in shown
+    main(
+        [
+            "check",
+            str(written(tmp_path / "unknown", noise=noise | {"sd": "unknown", "unknown": {"shift": 20, "offset": 1}})),
+            "--widths",
+        ]
+    )
+    shown = capsys.readouterr().out
+    assert "the noise will be inferred; this check assumes an sd of " in shown
+    assert "expected posterior" not in shown
+
+
 def test_the_first_run_of_a_campaign_shows_a_picture_that_lies_wrong(tmp_path: Path) -> None:
     """Ends anywhere near the model's are no reason: other inputs may move them there."""
     study, noted = loaded(tmp_path / "hump"), []

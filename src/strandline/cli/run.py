@@ -97,7 +97,7 @@ def _doubting(study: "Study", observer: "Observer") -> "Observer":
 
     first = True
 
-    def run(record: "RunRecord", progress: "Progress") -> None:
+    def _run(record: "RunRecord", progress: "Progress") -> None:
         nonlocal first
         if first and record.ok:
             first = False
@@ -105,7 +105,7 @@ def _doubting(study: "Study", observer: "Observer") -> "Observer":
                 observer.note(line)
         observer.run(record, progress)
 
-    return replace(observer, run=run)
+    return replace(observer, run=_run)
 
 
 def _require_one(*, verbose: bool, quiet: bool) -> None:
