@@ -259,8 +259,8 @@ def _surrogate(calibration: Calibration) -> Iterator[Captioned]:
         axes = plots.plot_sensitivity(calibration.sensitivity, [_symbol(p) for p in calibration.problem.space])
         caption = (
             "Sobol' indices: the share of the log-likelihood's variance under the prior that each input explains "
-            "alone, and that it is part of, with bootstrap intervals of 95 %. A share lies between 0 and 1, its "
-            "estimate need not. The far tail has most of this variance; the marginal of an input shows how well it is "
+            "alone, and that it is part of, with bootstrap intervals of 95 %. A share lies between 0 and 1, but its "
+            "estimate may not. The far tail has most of this variance; the marginal of an input shows how well it is "
             "known."
         )
         yield Captioned("sensitivity", "surrogate", caption, whole(axes.figure))
