@@ -13,11 +13,11 @@ env: $(VENV)/.installed
 $(VENV)/.installed: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=24"
-	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	$(BIN)/python -m pip install --quiet --editable ".[test,mkl]"
 	touch $@
 
 $(VENV)/.installed-check: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --editable ".[test,check]"
+	$(BIN)/python -m pip install --quiet --editable ".[test,mkl,check]"
 	touch $@
 
 # The main job: 1000 fluid-structure runs, surrogate, posterior, figures, report.

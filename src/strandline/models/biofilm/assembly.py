@@ -6,6 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from ngsolve import la
+from scipy.sparse import csr_array
 
 __all__ = ["Part", "Pattern", "SymbolicPart", "product"]
 
@@ -84,7 +85,7 @@ class Pattern:
         cls,
         places: tuple[Numbers, Numbers],
         used: Bool[np.ndarray, " entry"],
-        constant: Any,
+        constant: csr_array,
         is_constant: Bool[np.ndarray, " dof"],
         free: Int[np.ndarray, " unknown"],
     ) -> "Pattern":
@@ -93,7 +94,7 @@ class Pattern:
         Args:
             places: Row and column of each entry of the parts.
             used: Which entries are not zero; if only a load is zero now, other entries hold its place.
-            constant: NGSolve matrix of the constant rows.
+            constant: The constant rows (constant, dof).
             is_constant: Which rows come from it, not from the parts.
             free: Numbers of the free unknowns.
         """
@@ -105,10 +106,9 @@ class Pattern:
             rows, columns = (number[part] for part in at)
             return np.where(kept & (rows >= 0) & (columns >= 0), rows * count + columns, -1)
 
-        values = np.array(constant.AsVector().FV().NumPy())
-        fixed = _places(constant)
+        fixed = constant.tocoo()
         of_parts = codes(places, ~is_constant[places[0]])
-        of_constants = codes(fixed, is_constant[fixed[0]] & (values != 0.0))
+        of_constants = codes((np.flatnonzero(is_constant)[fixed.row], fixed.col), fixed.data != 0.0)
         distinct = np.unique(np.concatenate([of_parts[used], of_constants]))
         distinct = distinct[distinct >= 0]
         ones = np.ones(len(distinct))
@@ -118,7 +118,7 @@ class Pattern:
         found = np.minimum(np.searchsorted(distinct, of_parts), len(distinct) - 1)
         slots = np.where(distinct[found] == of_parts, found, len(distinct))
         kept, constants = of_constants >= 0, np.zeros(len(distinct))
-        constants[np.searchsorted(distinct, of_constants[kept])] = values[kept]
+        constants[np.searchsorted(distinct, of_constants[kept])] = fixed.data[kept]
         return cls(matrix, constants, slots)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import ngsolve as ng
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import forms
@@ -112,9 +113,9 @@ class CoupledSystem:
         self._fluid = _fluid_elements(self) if by_elements else None
         self._parts: tuple[Part, ...] = _parts(self, self._fluid)
         self._entries: Float[np.ndarray, " entry"]
-        self._motion = _motion_form(self.space)
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
+        self._motion = _motion_matrix(self.space, self._is_motion)
 
     @property
     def values(self) -> Float[np.ndarray, " dof"]:
@@ -160,8 +161,7 @@ class CoupledSystem:
     def full_residual(self) -> Float[np.ndarray, " dof"]:
         """Return the residual of every row at the current state; prescribed rows hold the reactions."""
         result: Float[np.ndarray, " dof"] = np.sum([part.residual(self.state) for part in self._parts], axis=0)
-        self._motion.mat.Mult(self.state.vec, self._residual)
-        result[self._is_motion] = self._residual.FV().NumPy()[self._is_motion]
+        result[self._is_motion] = self._motion @ self.values
         if not np.isfinite(result).all():
             raise ForwardModelError("nonfinite_residual", "the residual of the coupled system is not finite")
         return result
@@ -197,11 +197,8 @@ class CoupledSystem:
 
     def by_prescribed(self, direction: Float[np.ndarray, " dof"]) -> Vector:
         """Return the derivative of the residual when prescribed values change along `direction`, as last assembled."""
-        moved = self.state.vec.CreateVector()
-        moved.FV().NumPy()[:] = direction
         result = product(self._places, self._entries, direction)
-        self._motion.mat.Mult(moved, self._residual)
-        result[self._is_motion] = self._residual.FV().NumPy()[self._is_motion]
+        result[self._is_motion] = self._motion @ direction
         return np.asarray(result[self.free])
 
     def _assemble(self) -> Float[np.ndarray, " entry"]:
@@ -223,7 +220,7 @@ class CoupledSystem:
         generic = (1.0, 0.23, *(typical(item) for item in further_parameters(self.law)))
         self.set_material(*([value] * len(self.solids) for value in generic))
         used = self._assemble() != 0.0
-        pattern = Pattern.find(self._places, used, self._motion.mat, self._is_motion, self.free)
+        pattern = Pattern.find(self._places, used, self._motion, self._is_motion, self.free)
         self.values[:] = kept
         self.set_material(*material)
         return pattern
@@ -249,22 +246,24 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
 
 
 def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
-    """Return momentum and constitutive constraint of the solid, or their derivative with respect to a parameter."""
+    """Return momentum and constitutive constraint of the solid, or their derivative with respect to a parameter.
+
+    They are separate forms, as in `_add_fluid`.
+    """
     (_, _, d, *solid_pressures), (_, _, phi, *solid_tests) = system.space.TnT()
     form = ng.BilinearForm(system.space)
-    same_quadrature = ng.Parameter(0.0)  # without pₛ and qₛ in a derivative NGSolve would take fewer points than before
+    same_quadrature = ng.Parameter(0.0)  # without d and pₛ in a derivative NGSolve would take fewer points than before
     for k, region in enumerate(system.solids):
         mixed = system.law(d, solid_pressures[k], *system.of_region(k))
         stress = mixed.second_piola if system.memory is None else system.memory.stress(mixed.second_piola)
-        solid = forms.solid_stress_power(d, stress, phi) + solid_tests[k] * mixed.constraint
-        if derivative_by is None:
-            solid = solid - ng.InnerProduct(ng.CF(system.body_force), phi)
-        elif any(parameter is derivative_by for parameter in system.of_region(k)):
-            solid = solid.Diff(derivative_by) + same_quadrature * solid_pressures[k] * solid_tests[k]
-        else:
-            continue
+        momentum = forms.solid_stress_power(d, stress, phi) - ng.InnerProduct(ng.CF(system.body_force), phi)
         dx = ng.dx(region, bonus_intorder=2) if system.memory is None else system.memory.dx(region)
-        form += solid.Compile() * dx
+        for term, test in ((momentum, phi[0]), (solid_tests[k] * mixed.constraint, solid_tests[k])):
+            if derivative_by is None:
+                form += term.Compile() * dx
+            elif any(parameter is derivative_by for parameter in system.of_region(k)):
+                rest = same_quadrature * (d[0] + solid_pressures[k]) * test
+                form += (term.Diff(derivative_by) + rest).Compile() * dx
     return form
 
 
@@ -340,12 +339,16 @@ def _or_derivative(term: Any, parameter: Any, by: Any) -> Any:
     return term.Diff(by) if by is parameter else None
 
 
-def _motion_form(space: Any) -> Any:
+def _motion_matrix(space: Any, rows: Bool[np.ndarray, " dof"]) -> csr_array:
+    """Return the rows of the matrix of the mesh motion that determine the displacement inside the fluid."""
     d, phi = space.TrialFunction()[2], space.TestFunction()[2]
     form = ng.BilinearForm(space)
     form += forms.mesh_motion(d, phi) * ng.dx("fluid")
     form.Assemble()
-    return form
+    values, columns, starts = (np.array(part) for part in form.mat.CSR())
+    chosen: csr_array = csr_array((values, columns, starts), shape=(space.ndof, space.ndof))[rows]
+    chosen.eliminate_zeros()
+    return chosen
 
 
 def _fluid_beside_interface(mesh: Any) -> Any:
