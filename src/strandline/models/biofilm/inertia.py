@@ -19,8 +19,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.models.biofilm.assembly import SymbolicPart, product
-from strandline.models.biofilm.fluid_elements import AtPoints, Entries, FluidElements, Numbers, Values
+from strandline.models.biofilm.fluid_elements import Entries, FluidElements, Values
 from strandline.models.biofilm.rates import Rates
+from strandline.models.biofilm.triangles import AtPoints, Numbers, places_of
 
 __all__ = ["FluidInertia", "SolidInertia"]
 
@@ -67,8 +68,8 @@ class FluidInertia(FluidElements):
         """Return row and column of each entry of `jacobian`."""
         few = self._loading
         blocks = [(i, self._v[i]) for i in (0, 1)] + [(i, columns) for i in (0, 1) for columns in self._d]
-        pairs = [_pairs(self._v[i], columns) for i, columns in blocks]
-        pairs += [_pairs(self._d[i][:, few], columns[:, few]) for i, columns in blocks]
+        pairs = [places_of(self._v[i], columns) for i, columns in blocks]
+        pairs += [places_of(self._d[i][:, few], columns[:, few]) for i, columns in blocks]
         return np.concatenate([rows for rows, _ in pairs]), np.concatenate([columns for _, columns in pairs])
 
     def _residual(self, state: Any, viscosity: float, density: float) -> Values:
@@ -155,9 +156,3 @@ class SolidInertia:
     def jacobian(self, state: Any) -> Entries:
         """Return the entries of the mass matrix times the square of the leading weight."""
         return self._mass * self._rates.leading**2
-
-
-def _pairs(rows: Int[np.ndarray, "row element"], columns: Int[np.ndarray, "column element"]) -> tuple[Numbers, Numbers]:
-    """Return row and column of each entry of a block (row × column, element)."""
-    shape = (len(rows), len(columns), rows.shape[1])
-    return np.broadcast_to(rows[:, None], shape).ravel(), np.broadcast_to(columns[None], shape).ravel()

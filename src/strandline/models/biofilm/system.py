@@ -21,14 +21,15 @@ from strandline.models.biofilm import forms
 from strandline.models.biofilm.assembly import Part, Pattern, SymbolicPart, product
 from strandline.models.biofilm.fluid_elements import FluidElements
 from strandline.models.biofilm.linear import Factorisation
-from strandline.models.biofilm.materials import Law, further_parameters, saint_venant_kirchhoff
+from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters
 from strandline.models.biofilm.memory import Memory
+from strandline.models.biofilm.solid_elements import SolidElements
 from strandline.models.protocol import ModelInput
 
 __all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "fluid_cells", "typical"]
 
 QUADRATIC = 2
-"""Order of velocity and displacement for which the fluid has elements of its own, ten times as fast as its form."""
+"""Order of velocity and displacement for which fluid and solid have elements of their own, faster than their forms."""
 
 Vector = Float[np.ndarray, " unknown"]
 
@@ -93,7 +94,7 @@ class CoupledSystem:
         viscosity: float,
         density: float,
         order: int = 2,
-        law: Law = saint_venant_kirchhoff,
+        law: Law = LAWS["saint_venant_kirchhoff"],
         solids: tuple[str, ...] = ("solid",),
         body_force: tuple[float, float] = (0.0, 0.0),
         loads: Sequence[FluidLoad] = (),
@@ -109,9 +110,9 @@ class CoupledSystem:
         self.law, self.body_force = law, body_force
         self._derivatives: dict[Any, Any] = {}
         self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
-        by_elements = order == QUADRATIC and "fluid" in mesh.GetMaterials()
-        self._fluid = _fluid_elements(self) if by_elements else None
-        self._parts: tuple[Part, ...] = _parts(self, self._fluid)
+        by_elements = order == QUADRATIC
+        self._fluid = _fluid_elements(self) if by_elements and "fluid" in mesh.GetMaterials() else None
+        self._parts: tuple[Part, ...] = _parts(self, self._fluid, _solid_elements(self) if by_elements else None)
         self._entries: Float[np.ndarray, " entry"]
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
@@ -267,14 +268,14 @@ def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
     return form
 
 
-def _parts(system: CoupledSystem, fluid: FluidElements | None) -> tuple[Part, ...]:
-    """Return what adds up to the residual: the fluid by elements of its own if there are any, all else by NGSolve."""
-    form = _solid_form(system)
+def _parts(system: CoupledSystem, fluid: FluidElements | None, solid: SolidElements | None) -> tuple[Part, ...]:
+    """Return what adds up to the residual: elements of their own as far as there are any, all else by NGSolve."""
+    form = ng.BilinearForm(system.space) if solid else _solid_form(system)
     _add_loads(form, system)
-    if fluid is not None:
-        return SymbolicPart(form), fluid
-    _add_fluid(form, system)
-    return (SymbolicPart(form),)
+    if fluid is None and "fluid" in system.mesh.GetMaterials():
+        _add_fluid(form, system)
+    symbolic = [SymbolicPart(form)] if form.integrators else []
+    return (*symbolic, *(part for part in (solid, fluid) if part is not None))
 
 
 def fluid_cells(mesh: Any) -> tuple[Int[np.ndarray, " element"], Int[np.ndarray, " marked"]]:
@@ -287,6 +288,17 @@ def fluid_cells(mesh: Any) -> tuple[Int[np.ndarray, " element"], Int[np.ndarray,
 def _fluid_elements(system: CoupledSystem) -> FluidElements:
     cells, loading = fluid_cells(system.mesh)
     return FluidElements(system.space, cells, loading, viscosity=system.viscosity, density=system.density)
+
+
+def _solid_elements(system: CoupledSystem) -> SolidElements | None:
+    """Return the solid's elements, unless there are none, or its stress is no function of the present strain alone."""
+    if not isinstance(system.law, IsotropicLaw) or system.memory is not None or not system.solids:
+        return None
+    cells = [
+        np.array([element.nr for element in system.mesh.Elements(ng.VOL) if element.mat == region], dtype=int)
+        for region in system.solids
+    ]
+    return SolidElements(system.space, system.law, cells, material=system.material, body_force=system.body_force)
 
 
 def _add_fluid(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -> None:

@@ -9,28 +9,28 @@ from typing import Any, cast
 
 from strandline.errors import InvalidInput
 from strandline.models.biofilm.materials.fung import Fung
+from strandline.models.biofilm.materials.isotropic import IsotropicLaw
 from strandline.models.biofilm.materials.law import Law, MixedStress, deformation_gradient, further_parameters
 from strandline.models.biofilm.materials.mooney_rivlin import MooneyRivlin
-from strandline.models.biofilm.materials.neo_hookean import neo_hookean
-from strandline.models.biofilm.materials.saint_venant_kirchhoff import saint_venant_kirchhoff
+from strandline.models.biofilm.materials.neo_hookean import NeoHookean
+from strandline.models.biofilm.materials.saint_venant_kirchhoff import SaintVenantKirchhoff
 from strandline.models.biofilm.materials.yeoh import Yeoh
 from strandline.models.protocol import ModelInput
 from strandline.registry import lookup
 
 __all__ = [
     "LAWS",
+    "IsotropicLaw",
     "Law",
     "MixedStress",
     "deformation_gradient",
     "further_parameters",
     "law_named",
-    "neo_hookean",
-    "saint_venant_kirchhoff",
 ]
 
 LAWS: dict[str, Law] = {
-    "saint_venant_kirchhoff": saint_venant_kirchhoff,
-    "neo_hookean": neo_hookean,
+    "saint_venant_kirchhoff": SaintVenantKirchhoff(),
+    "neo_hookean": NeoHookean(),
     "mooney_rivlin": MooneyRivlin(),
     "yeoh": Yeoh(),
     "fung": Fung(),

@@ -4,16 +4,15 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from ngsolve import exp
 
-from strandline.models.biofilm.materials.law import Form, MixedStress, Strains, shear_modulus
+from strandline.models.biofilm.materials.isotropic import IsotropicLaw, Number, exp
 from strandline.models.protocol import ModelInput
 
 __all__ = ["Fung"]
 
 
 @dataclass(frozen=True)
-class Fung:
+class Fung(IsotropicLaw):
     """Energy μ/(2b) (exp(b Q) - 1) + ½ λ (ln J)² with Q = I₁ - 3 - 2 ln J.
 
     `exponent` is b; 0 is the neo-Hookean law. Source: Fung, Biomechanics: Mechanical Properties of Living Tissues
@@ -25,9 +24,9 @@ class Fung:
         ModelInput("exponent", "1", 0.0, np.inf, True, False, "exponent b of Fung's law"),
     )
 
-    def __call__(self, d: Form, solid_pressure: Form, young: Form, poisson: Form, /, exponent: Form) -> MixedStress:
-        """Return S = μ exp(b Q) (I - C⁻¹) + pₛ C⁻¹ with pₛ = λ ln J."""
-        strains = Strains(d)
-        stiffness = shear_modulus(young, poisson) * exp(exponent * strains.distortion)
-        constraint = strains.volume_constraint(solid_pressure, young, poisson)
-        return MixedStress(strains.isotropic(stiffness, solid_pressure), constraint)
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, exponent: Number
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = μ exp(b Q) (I - C⁻¹) + pₛ C⁻¹."""
+        stiffness = shear * exp(exponent * (invariant - 3 - 2 * log_volume))
+        return stiffness, 0.0, pressure - stiffness

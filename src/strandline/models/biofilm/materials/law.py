@@ -1,4 +1,4 @@
-"""What a material law is, and the measures of strain that laws are made of.
+"""What a material law is, and the quantities that laws are made of.
 
 Source of notation: Holzapfel, Nonlinear Solid Mechanics (2000), chapters 2 and 6.
 """
@@ -6,7 +6,7 @@ Source of notation: Holzapfel, Nonlinear Solid Mechanics (2000), chapters 2 and 
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-from ngsolve import Det, Grad, Id, Inv, Trace, log
+from ngsolve import Grad, Id
 
 from strandline.models.protocol import ModelInput
 
@@ -14,11 +14,9 @@ __all__ = [
     "Form",
     "Law",
     "MixedStress",
-    "Strains",
     "compliance",
     "deformation_gradient",
     "further_parameters",
-    "green_lagrange",
     "shear_modulus",
 ]
 
@@ -64,12 +62,6 @@ def deformation_gradient(d: Form) -> Form:
     return Id(2) + Grad(d)
 
 
-def green_lagrange(d: Form) -> Form:
-    """Return the strain ½ (FᵀF - I)."""
-    F = deformation_gradient(d)
-    return 0.5 * (F.trans * F - Id(2))
-
-
 def compliance(young: Form, poisson: Form) -> Form:
     """Return (1+ν)(1-2ν)/E = ν/λ."""
     return (1 + poisson) * (1 - 2 * poisson) / young
@@ -78,26 +70,3 @@ def compliance(young: Form, poisson: Form) -> Form:
 def shear_modulus(young: Form, poisson: Form) -> Form:
     """Return μ = E / 2(1+ν)."""
     return 0.5 * young / (1 + poisson)
-
-
-class Strains:
-    """FᵀF in the plane, its inverse, ln J, and Q = I₁ - 3 - 2 ln J.
-
-    Q is zero at rest, positive elsewhere, and equals I₁ - 3 for an incompressible solid. A law whose energy is a
-    function of Q plus ½ λ (ln J)² has no stress at rest, and its λ is that of small strains.
-    """
-
-    def __init__(self, d: Form) -> None:
-        F = deformation_gradient(d)
-        self.right_cauchy_green = F.trans * F
-        self.inverse = Inv(self.right_cauchy_green)
-        self.log_volume = log(Det(F))
-        self.distortion = Trace(self.right_cauchy_green) - 2 - 2 * self.log_volume
-
-    def isotropic(self, stiffness: Form, solid_pressure: Form) -> Form:
-        """Return S = stiffness (I - C⁻¹) + pₛ C⁻¹, where stiffness is 2 dW/dQ; out of the plane this is pₛ."""
-        return stiffness * (Id(2) - self.inverse) + solid_pressure * self.inverse
-
-    def volume_constraint(self, solid_pressure: Form, young: Form, poisson: Form) -> Form:
-        """Return the form that vanishes where pₛ = λ ln J."""
-        return poisson * self.log_volume - compliance(young, poisson) * solid_pressure

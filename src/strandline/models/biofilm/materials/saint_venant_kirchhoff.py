@@ -1,17 +1,25 @@
 """Saint-Venant and Kirchhoff's law: linear in the Green–Lagrange strain; the law of the published study."""
 
-from ngsolve import Id, Trace
+from dataclasses import dataclass
 
-from strandline.models.biofilm.materials.law import Form, MixedStress, compliance, green_lagrange
+from strandline.models.biofilm.materials.isotropic import IsotropicLaw, Number
 
-__all__ = ["saint_venant_kirchhoff"]
+__all__ = ["SaintVenantKirchhoff"]
 
 
-def saint_venant_kirchhoff(d: Form, solid_pressure: Form, young: Form, poisson: Form) -> MixedStress:
-    """Return S = 2 μ E + pₛ I with pₛ = λ tr E, from the energy μ E:E + ½ λ (tr E)².
+@dataclass(frozen=True)
+class SaintVenantKirchhoff(IsotropicLaw):
+    """Energy μ E:E + ½ λ (tr E)² of the strain E = ½ (C - I).
 
     Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
     """
-    strain = green_lagrange(d)
-    stress = young / (1 + poisson) * strain + solid_pressure * Id(2)
-    return MixedStress(stress, poisson * Trace(strain) - compliance(young, poisson) * solid_pressure)
+
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = 2 μ E + pₛ I."""
+        return pressure - shear, shear, 0.0
+
+    def volume(self, invariant: Number, log_volume: Number) -> Number:
+        """Return tr E."""
+        return 0.5 * (invariant - 3)

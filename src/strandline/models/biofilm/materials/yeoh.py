@@ -5,14 +5,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from strandline.models.biofilm.materials.law import Form, MixedStress, Strains, shear_modulus
+from strandline.models.biofilm.materials.isotropic import IsotropicLaw, Number
 from strandline.models.protocol import ModelInput
 
 __all__ = ["Yeoh"]
 
 
 @dataclass(frozen=True)
-class Yeoh:
+class Yeoh(IsotropicLaw):
     """Energy c₁ Q + c₂ Q² + c₃ Q³ + ½ λ (ln J)² with Q = I₁ - 3 - 2 ln J and c₁ = μ/2.
 
     `second` is c₂/c₁ and `third` c₃/c₁; with both 0 it is the neo-Hookean law. A negative `second` softens the solid
@@ -25,12 +25,10 @@ class Yeoh:
         ModelInput("third", "1", 0.0, np.inf, True, False, "ratio of Yeoh's constants, c3 / c1"),
     )
 
-    def __call__(
-        self, d: Form, solid_pressure: Form, young: Form, poisson: Form, /, second: Form, third: Form
-    ) -> MixedStress:
-        """Return S = μ (1 + 2 c₂/c₁ Q + 3 c₃/c₁ Q²) (I - C⁻¹) + pₛ C⁻¹ with pₛ = λ ln J."""
-        strains = Strains(d)
-        Q = strains.distortion
-        stiffness = shear_modulus(young, poisson) * (1 + 2 * second * Q + 3 * third * Q * Q)
-        constraint = strains.volume_constraint(solid_pressure, young, poisson)
-        return MixedStress(strains.isotropic(stiffness, solid_pressure), constraint)
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, second: Number, third: Number
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = μ (1 + 2 c₂/c₁ Q + 3 c₃/c₁ Q²) (I - C⁻¹) + pₛ C⁻¹."""
+        Q = invariant - 3 - 2 * log_volume
+        stiffness = shear * (1 + 2 * second * Q + 3 * third * Q * Q)
+        return stiffness, 0.0, pressure - stiffness
