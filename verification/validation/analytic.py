@@ -32,7 +32,7 @@ Tensor = Float[np.ndarray, "2 2"]
 YOUNG = 3.0
 RATIOS = (-0.9, -0.3, 0.0, 0.3, 0.49, 0.5)
 STRETCH, SHEAR = 1.3, 0.4
-SETTINGS = newton.NewtonSettings(tolerance=1e-13, maximum_jacobians=40, smallest_damping=1e-3)
+SETTINGS = newton.NewtonSettings(tolerance=1e-12, maximum_jacobians=40, smallest_damping=1e-3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,6 +49,15 @@ def test_oscillation_of_a_sine():
     np.testing.assert_allclose([found.mean, found.amplitude, found.frequency], [2, 3, 4], rtol=1e-4)
 
 
+def test_unequal_peaks_are_both_counted_in_a_period_of_the_whole_motion():
+    t = np.arange(0.0, 2.75, 0.001)  # the lower peak is the last one
+    y = (np.cos(4 * np.pi * t) + 0.1 * np.cos(2 * np.pi * t)).tolist()
+    whole, one_peak = (oscillation(t.tolist(), y, window=2.6, period=period) for period in (1.0, None))
+    highest, lowest = 1.1, -1.0 - 0.1**2 / 8
+    np.testing.assert_allclose(whole.amplitude, 0.5 * (highest - lowest), rtol=1e-3)
+    assert one_peak.amplitude < 0.99 * whole.amplitude
+
+
 def test_no_oscillation_has_no_frequency():
     found = oscillation([0.0, 0.1, 0.2], [1.0, 2.0, 3.0], window=1.0)
     assert np.isnan(found.frequency)
