@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 
-from pydantic import BaseModel, Field, GetCoreSchemaHandler, create_model
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, create_model
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
@@ -53,12 +53,18 @@ class Options:
             name: (Annotated[kind, Field(description=meaning[name])] if name in meaning else kind, default)
             for name, (kind, default) in keys.items()
         }
-        made: type[BaseModel] = create_model(self.of.__name__, __base__=Section, **described)
+        made: type[BaseModel] = create_model(self.of.__name__, __base__=_Described, **described)
         return made
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return the schema of the section; a validated value is a dict."""
         return core_schema.no_info_after_validator_function(_chosen, handler.generate_schema(self.section))
+
+
+class _Described(Section):
+    """A section whose meanings do not stand in its source, where pydantic would look for them at length."""
+
+    model_config = ConfigDict(use_attribute_docstrings=False)
 
 
 def _chosen(section: BaseModel) -> dict[str, Any]:
