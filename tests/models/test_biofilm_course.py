@@ -105,6 +105,13 @@ def test_fields_are_those_of_the_time():
     assert np.abs(moving.fields(INPUTS, "t1").velocity).max() < 0.5 * late
 
 
+def test_without_a_name_fields_are_those_of_the_strongest_flow():
+    ending = model(inflow=[[0, 0], [0.1, 0.5], [0.3, 0.5], [0.4, 0]], times={"early": 0.1, "late": 0.3, "after": 0.4})
+    shown = ending.fields(INPUTS)
+    np.testing.assert_array_equal(shown.velocity, ending.fields(INPUTS, "late").velocity)
+    assert np.abs(shown.velocity).max() > 1e3 * np.abs(ending.fields(INPUTS, "after").velocity).max()
+
+
 def test_pressure_drop_follows_the_course():
     driven = Biofilm.from_options(mesh="coarse", inflow="pressure", course={**RISE, "motion": "transient"})
     found = driven({"E": 400.0, "nu": 0.3, "p_drop": 2.0})

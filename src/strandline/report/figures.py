@@ -64,6 +64,7 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
         except ForwardModelError:
             figure = None
         if figure is not None:
+            where += " where the flow is strongest" if len(problem.observations) > 1 else ""
             caption = f"Fluid velocity, fluid pressure and displacement of the solid on the deformed mesh at {where}."
             yield Captioned("flow", "data", caption, whole(figure))
     undeformed = undeformed_interface(problem.model)

@@ -226,10 +226,11 @@ class Biofilm:
 
         Args:
             inputs: Inputs of the run by name.
-            condition: Name of one of the inflow rates, pressure drops or times; the last one by default.
+            condition: Name of one of the inflow rates, pressure drops or times; by default the one with the largest
+                inflow or pressure drop, the last of these.
         """
         cell = _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0)
-        wanted = condition or self.conditions[-1]
+        wanted = condition or max(reversed(self._loads_at(inputs)), key=lambda load: load[1])[0]
         next(name for name, _ in self._solutions(cell, inputs, 0, wanted) if name == wanted)
         return cell.fields()
 

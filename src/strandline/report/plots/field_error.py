@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from strandline.report.plots.style import (
-    BLUE,
     CYCLE,
+    GREY,
     SINGLE,
     axes_or_new,
-    below,
+    figure_of,
+    legend_under,
     styled,
 )
 
@@ -42,19 +45,30 @@ class ErrorsAlong:
 
 
 def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = None) -> Axes:
-    """Draw both errors over the arc length, logarithmic, in µm; one colour for each condition."""
+    """Draw both errors over the arc length, logarithmic, in µm; one colour for each condition.
+
+    More conditions than the palette has colours are taken as times, whose colours go from dark to bright.
+    """
     with styled():
-        ax = axes_or_new(ax, (SINGLE, 2.9))
-        for k, (condition, along) in enumerate(errors.items()):
-            colour = CYCLE[k % len(CYCLE)] if len(errors) > 1 else BLUE
-            of = f", {condition}" if condition else ""
+        ax = axes_or_new(ax, (SINGLE, 3.1))
+        kinds: dict[str, Any] = {}
+        conditions: dict[str, Any] = {}
+        for (condition, along), colour in zip(errors.items(), _colours(len(errors)), strict=True):
             lines = {"runs, each from the others": along.left_out, "its own estimate at draws": along.predicted}
             for style, (label, values) in zip(STYLES, lines.items(), strict=True):
                 shown = np.where(values > 0, MM_TO_MICROMETRES * values, np.nan)  # fixed ends have no error
-                ax.semilogy(along.arc_length, shown, color=colour, label=label + of, **style)
+                (line,) = ax.semilogy(along.arc_length, shown, color=colour, **style)
+                kinds[label] = line if len(errors) == 1 else Line2D([], [], color=GREY, **style)
+            conditions[condition] = Line2D([], [], color=colour, linewidth=2.4)
         highest = MM_TO_MICROMETRES * max(float(np.nanmax([a.left_out, a.predicted])) for a in errors.values())
         if highest > 0:
             ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))
         ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
-        below(ax, columns=2)
+        legend_under(figure_of(ax), kinds if len(errors) == 1 else kinds | conditions, columns=4)
     return ax
+
+
+def _colours(number: int) -> list[Any]:
+    if number <= len(CYCLE):
+        return list(CYCLE[:number])
+    return list(colormaps["viridis"](np.linspace(0.0, 0.9, number)))
