@@ -1,5 +1,7 @@
 """Material laws: limits, derivatives, laws of third parties, and the results of earlier versions."""
 
+import importlib
+import re
 import sys
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from verification.validation.generality import law_inputs, sensitivity_errors
 
 from strandline.errors import InvalidInput
 from strandline.models.biofilm.materials import LAWS, law_named
+from strandline.models.biofilm.materials.isotropic import flaw
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.protocol import fingerprint
 from strandline.studies import load_study
@@ -34,6 +37,7 @@ OWN = """
 from dataclasses import dataclass
 from typing import ClassVar
 from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.materials.isotropic import IsotropicLaw
 from strandline.models.protocol import ModelInput
 
 @dataclass(frozen=True)
@@ -47,6 +51,13 @@ def plain(d, solid_pressure, young, poisson):
     return LAWS["neo_hookean"](d, solid_pressure, young, poisson)
 
 number = 3
+
+class Bent(IsotropicLaw):
+    def coefficients(self, invariant, log_volume, pressure, shear):
+        return BENT(invariant, log_volume, pressure, shear)
+
+class WithoutCoefficients(IsotropicLaw):
+    pass
 
 class Bad(Softer):
     parameters: ClassVar = (ModelInput("k2", "1", 0.0, 1.0),)
@@ -205,3 +216,31 @@ design: {{sobol: {{runs: 32}}}}
     with pytest.raises(InvalidInput, match=words) as caught:
         load_study(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=list(LAWS))
+def test_own_laws_are_right_at_rest(law):
+    assert flaw(law) is None
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "words"),
+    [
+        (lambda i, v, p, m: (m, p - m), "coefficients that cannot be computed: ValueError: not enough values"),
+        (lambda i, v, p, m: (m, 0.0, p), "stress at rest: 2 in place of 0"),
+        (lambda i, v, p, m: (2 * m, 0.0, p - 2 * m), "beta - gamma at rest: 4 in place of 2"),
+        (lambda i, v, p, m: (m * (i - 2), 0.0, p - m), "change of the stress at rest with the volume"),
+        (lambda i, v, p, m: (m, 0.0, 2 * p - m), "change of the stress at rest with the pressure: 2 in place of 1"),
+        (lambda i, v, p, m: (m, 0.0, p - m * v / v), "coefficients that cannot be computed: ZeroDivisionError"),
+        (lambda i, v, p, m: (m, 0.0, p - m * float("nan")), "stress at rest: nan in place of 0"),
+    ],
+)
+def test_a_law_that_is_wrong_at_rest_is_refused(own, coefficients, words):
+    vars(importlib.import_module(own))["BENT"] = coefficients
+    with pytest.raises(InvalidInput, match=re.escape(words)):
+        law_named(f"{own}:Bent")
+
+
+def test_a_law_without_coefficients_is_refused(own):
+    with pytest.raises(InvalidInput, match="Can't instantiate abstract class WithoutCoefficients"):
+        law_named(f"{own}:WithoutCoefficients")

@@ -27,11 +27,11 @@ from strandline.models.biofilm.flow_fields import FlowFields, flow_fields
 from strandline.models.biofilm.fluid import WATER, Fluid
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
 from strandline.models.biofilm.inflow import PARABOLA, Pairs
-from strandline.models.biofilm.materials import Law, further_parameters
+from strandline.models.biofilm.materials import Law, further_parameters, typical_value
 from strandline.models.biofilm.steady import steady_state
 from strandline.models.biofilm.strain import Strain, StrainProbe
 from strandline.models.biofilm.subdivision import Partition
-from strandline.models.biofilm.system import BoundaryNames, CoupledSystem, typical
+from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
 from strandline.models.protocol import ModelInput
 
 __all__ = ["STRESS_SCALE", "VELOCITY_SCALE", "VISCOSITY", "FlowCell", "FlowFields", "Solution"]
@@ -303,7 +303,7 @@ class FlowCell:
     def _flow_past_rigid_body(self) -> Vector:
         """Return velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
         parts = len(self.parts)
-        further = (typical(item) for item in further_parameters(self.system.law))
+        further = (typical_value(item) for item in further_parameters(self.system.law))
         self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts, *([value] * parts for value in further))
         reference = 1.0 if self.flow.pressure is None else self.flow.developed_drop(self.fluid)
         self.set_loads(reference * self.flow.scale, replace(self.fluid, force_x=0.0, force_y=0.0))

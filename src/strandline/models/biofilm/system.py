@@ -21,12 +21,11 @@ from strandline.models.biofilm import forms
 from strandline.models.biofilm.assembly import Part, Pattern, SymbolicPart, product
 from strandline.models.biofilm.fluid_elements import FluidElements
 from strandline.models.biofilm.linear import Factorisation
-from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters
+from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters, typical_value
 from strandline.models.biofilm.memory import Memory
 from strandline.models.biofilm.solid_elements import SolidElements
-from strandline.models.protocol import ModelInput
 
-__all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "fluid_cells", "typical"]
+__all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "fluid_cells"]
 
 QUADRATIC = 2
 """Order of velocity and displacement for which fluid and solid have elements of their own, faster than their forms."""
@@ -102,7 +101,7 @@ class CoupledSystem:
     ) -> None:
         self.mesh, self.solids = mesh, solids
         self.memory = Memory(mesh) if remembers else None
-        starts = (1.0, 0.25, *(typical(item) for item in further_parameters(law)))
+        starts = (1.0, 0.25, *(typical_value(item) for item in further_parameters(law)))
         self.material = tuple(tuple(ng.Parameter(start) for _ in solids) for start in starts)
         self.space = _spaces(mesh, boundaries, order, solids)
         self.state = ng.GridFunction(self.space)
@@ -218,21 +217,13 @@ class CoupledSystem:
         kept = np.array(self.values)
         material = [[p.Get() for p in group] for group in self.material]
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
-        generic = (1.0, 0.23, *(typical(item) for item in further_parameters(self.law)))
+        generic = (1.0, 0.23, *(typical_value(item) for item in further_parameters(self.law)))
         self.set_material(*([value] * len(self.solids) for value in generic))
         used = self._assemble() != 0.0
         pattern = Pattern.find(self._places, used, self._motion, self._is_motion, self.free)
         self.values[:] = kept
         self.set_material(*material)
         return pattern
-
-
-def typical(parameter: ModelInput) -> float:
-    """Return a value well inside the range of a law's parameter."""
-    low, high = parameter.low, parameter.high
-    if np.isfinite(low) and np.isfinite(high):
-        return 0.5 * (low + high)
-    return low + 1.0 if np.isfinite(low) else min(high - 1.0, 0.0)
 
 
 def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]) -> Any:

@@ -9,8 +9,14 @@ from typing import Any, cast
 
 from strandline.errors import InvalidInput
 from strandline.models.biofilm.materials.fung import Fung
-from strandline.models.biofilm.materials.isotropic import IsotropicLaw
-from strandline.models.biofilm.materials.law import Law, MixedStress, deformation_gradient, further_parameters
+from strandline.models.biofilm.materials.isotropic import IsotropicLaw, flaw
+from strandline.models.biofilm.materials.law import (
+    Law,
+    MixedStress,
+    deformation_gradient,
+    further_parameters,
+    typical_value,
+)
 from strandline.models.biofilm.materials.mooney_rivlin import MooneyRivlin
 from strandline.models.biofilm.materials.neo_hookean import NeoHookean
 from strandline.models.biofilm.materials.saint_venant_kirchhoff import SaintVenantKirchhoff
@@ -26,6 +32,7 @@ __all__ = [
     "deformation_gradient",
     "further_parameters",
     "law_named",
+    "typical_value",
 ]
 
 LAWS: dict[str, Law] = {
@@ -45,16 +52,35 @@ def law_named(name: str) -> Law:
         InvalidInput: There is no such law, or it is not one.
     """
     found = lookup(LAWS, name, "material of the biofilm model")
-    law: Any = found() if isinstance(found, type) else found
+    if name in LAWS:
+        return cast(Law, found)
+    law: Any = _made(name, found) if isinstance(found, type) else found
     parameters = further_parameters(law) if callable(law) else ()
     if not callable(law) or not all(_is_parameter(item) for item in parameters):
-        raise InvalidInput(
-            f"material {name} of the biofilm model",
-            value=law if not callable(law) else ", ".join(getattr(item, "name", repr(item)) for item in parameters),
-            expected="a law, with `parameters` of unit 1 or Pa whose names are words without digits, not E, nu or V_in",
-            remedy="Correct the law; strandline.models.biofilm.materials.fung is an example.",
+        raise _refused(
+            name,
+            law if not callable(law) else ", ".join(getattr(item, "name", repr(item)) for item in parameters),
+            "a law, with `parameters` of unit 1 or Pa whose names are words without digits, not E, nu or V_in",
         )
+    if isinstance(law, IsotropicLaw) and (wrong := flaw(law)):
+        raise _refused(name, wrong, "coefficients of a solid without stress at rest, with E and nu at small strains")
     return cast(Law, law)
+
+
+def _made(name: str, kind: type) -> Any:
+    try:
+        return kind()
+    except Exception as error:
+        raise _refused(name, f"{type(error).__name__}: {error}", "a class that is made without arguments") from None
+
+
+def _refused(name: str, value: Any, expected: str) -> InvalidInput:
+    return InvalidInput(
+        f"material {name} of the biofilm model",
+        value=value,
+        expected=expected,
+        remedy="Correct the law; strandline.models.biofilm.materials.fung is an example.",
+    )
 
 
 def _is_parameter(item: object) -> bool:

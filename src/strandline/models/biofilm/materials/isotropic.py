@@ -16,10 +16,11 @@ from strandline.models.biofilm.materials.law import (
     compliance,
     deformation_gradient,
     shear_modulus,
+    typical_value,
 )
 from strandline.models.protocol import ModelInput
 
-__all__ = ["IsotropicLaw", "Jet", "exp"]
+__all__ = ["IsotropicLaw", "Jet", "exp", "flaw"]
 
 Number = Any  # a float, an NGSolve form, or a Jet
 
@@ -112,6 +113,32 @@ class Jet:
         return Jet.of(other) + -self
 
     __radd__, __rmul__ = __add__, __mul__
+
+
+def flaw(law: IsotropicLaw) -> str | None:
+    """Return what is wrong with a law at rest, in words; None if it is as E and ν of small strains require.
+
+    At rest S vanishes, and a small change of C changes it by μ dC, and by the change of pₛ times I.
+    """
+    rest, shear = Jet.variables(3.0, 0.0, 0.0), 2.0
+    typical = [typical_value(item) for item in law.parameters]
+    try:
+        alpha, beta, gamma = (Jet.of(number) for number in law.coefficients(*rest, shear, *typical))
+        total, resistance = alpha + beta + gamma, beta.value - gamma.value
+        by_invariant, by_log_volume, by_pressure = total.slopes
+        by_volume = by_invariant + 0.5 * by_log_volume
+        found = {
+            "stress at rest": (total.value, 0.0),
+            "beta - gamma at rest": (resistance, shear),
+            "change of the stress at rest with the volume, at constant pressure": (by_volume, 0.0),
+            "change of the stress at rest with the pressure": (by_pressure, 1.0),
+        }
+        wrong = {name: pair for name, pair in found.items() if not abs(pair[0] - pair[1]) <= 1e-9}
+    except Exception as error:
+        return f"coefficients that cannot be computed: {type(error).__name__}: {error}"
+    for name, (value, expected) in wrong.items():
+        return f"{name}: {value:g} in place of {expected:g}, at a shear modulus of {shear:g}"
+    return None
 
 
 def exp(number: Number) -> Number:

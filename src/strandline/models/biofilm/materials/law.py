@@ -6,6 +6,7 @@ Source of notation: Holzapfel, Nonlinear Solid Mechanics (2000), chapters 2 and 
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
 from ngsolve import Grad, Id
 
 from strandline.models.protocol import ModelInput
@@ -18,6 +19,7 @@ __all__ = [
     "deformation_gradient",
     "further_parameters",
     "shear_modulus",
+    "typical_value",
 ]
 
 Form = Any  # an NGSolve coefficient function
@@ -55,6 +57,14 @@ class Law(Protocol):
 def further_parameters(law: Law) -> tuple[ModelInput, ...]:
     """Return the parameters that a law has in addition to E and ν."""
     return tuple(getattr(law, "parameters", ()))
+
+
+def typical_value(parameter: ModelInput) -> float:
+    """Return a value well inside the range of a law's parameter."""
+    low, high = parameter.low, parameter.high
+    if np.isfinite(low) and np.isfinite(high):
+        return 0.5 * (low + high)
+    return low + 1.0 if np.isfinite(low) else min(high - 1.0, 0.0)
 
 
 def deformation_gradient(d: Form) -> Form:
