@@ -11,7 +11,7 @@ from strandline.models.biofilm.cell import FlowCell, _boundaries
 from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.materials import LAWS, further_parameters
-from strandline.models.biofilm.materials.isotropic import Jet, exp
+from strandline.models.biofilm.materials.isotropic import Jet, exp, log
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.system import CoupledSystem, _add_fluid, _solid_form
@@ -168,7 +168,7 @@ def test_jets_differentiate():
     at = np.array([1.3, 0.7]), np.array([0.2, -0.1]), np.array([2.0, 3.0])
 
     def function(x, y, z):
-        return exp(0.3 * x - y) / (2.0 + x * z) - z / x + (1.0 - y) * 3.0
+        return exp(0.3 * x - y) / (2.0 + x * z) - z / x + (1.0 - y) * 3.0 + log(x) * z**1.5
 
     found = function(*Jet.variables(*at))
     for k in range(3):

@@ -20,7 +20,7 @@ from strandline.models.biofilm.materials.law import (
 )
 from strandline.models.protocol import ModelInput
 
-__all__ = ["IsotropicLaw", "Jet", "exp", "flaw"]
+__all__ = ["IsotropicLaw", "Jet", "exp", "flaw", "log"]
 
 Number = Any  # a float, an NGSolve form, or a Jet
 
@@ -36,7 +36,7 @@ class IsotropicLaw(ABC):
 
         Args:
             measures: I₁ = tr C, with the 1 from across the plane; ln J; the solid's pressure pₛ, which is λ times
-                `volume`; the shear modulus μ; and the values of `parameters`. They support + - * / and `exp`.
+                `volume`; the shear modulus μ; and the values of `parameters`. They support + - * / **, `exp` and `log`.
             further: None; a law may give `measures` names of its own.
         """
 
@@ -85,6 +85,15 @@ class Jet:
         """Return the exponential."""
         value = np.exp(self.value)
         return Jet(value, _each(lambda slope: value * slope, self.slopes))
+
+    def log(self) -> "Jet":
+        """Return the natural logarithm."""
+        return Jet(np.log(self.value), _each(lambda slope: slope / self.value, self.slopes))
+
+    def __pow__(self, exponent: Any) -> "Jet":
+        """Return a power whose exponent is a number or an array."""
+        factor = exponent * self.value ** (exponent - 1)
+        return Jet(self.value**exponent, _each(lambda slope: factor * slope, self.slopes))
 
     def __add__(self, other: Any) -> "Jet":
         other = Jet.of(other)
@@ -144,6 +153,11 @@ def flaw(law: IsotropicLaw) -> str | None:
 def exp(number: Number) -> Number:
     """Return the exponential of a jet or of an NGSolve form."""
     return number.exp() if isinstance(number, Jet) else ng.exp(number)
+
+
+def log(number: Number) -> Number:
+    """Return the natural logarithm of a jet or of an NGSolve form."""
+    return number.log() if isinstance(number, Jet) else ng.log(number)
 
 
 def _each(change: Any, *slopes: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
