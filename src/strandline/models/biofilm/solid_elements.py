@@ -76,21 +76,27 @@ class SolidElements:
 
     def residual(self, state: Any) -> Values:
         """Return what the elements add to the residual of each row, from the coefficients in an NGSolve function."""
-        at = self._at_points(state)
-        momentum = [self._slope_tests @ np.concatenate(at.stress(i)) - self._force[i] for i in (0, 1)]
-        parts = (*momentum, self._rule.mass @ (self._weight * at.constraint))
+        with np.errstate(all="ignore"):  # what is not finite is refused by the system
+            at = self._at_points(state)
+            momentum = [self._slope_tests @ np.concatenate(at.stress(i)) - self._force[i] for i in (0, 1)]
+            parts = (*momentum, self._rule.mass @ (self._weight * at.constraint))
         return np.bincount(self._rows, weights=np.concatenate([part.ravel() for part in parts]), minlength=self._size)
 
     def jacobian(self, state: Any) -> Entries:
         """Return entries of the Jacobian in the order of `places`; those of one place add up."""
-        at, rule = self._at_points(state), self._rule
-        blocks = []
+        with np.errstate(all="ignore"):
+            blocks = self._blocks(self._at_points(state))
+        return np.concatenate([block.ravel() for block in blocks])
+
+    def _blocks(self, at: "_AtPoints") -> list[Float[np.ndarray, "pair element"]]:
+        """Return the derivatives of each component of the momentum and of the constraint by d₀, d₁, pₛ."""
+        rule, blocks = self._rule, []
         for i in (0, 1):
             blocks += [self._slope_products @ np.concatenate(list(at.by_displacement(i, j))) for j in (0, 1)]
             blocks.append(rule.by_pressure @ np.concatenate(at.by_pressure(i)))
         blocks += [rule.mass_by_slopes @ np.concatenate(at.constraint_by_displacement(j)) for j in (0, 1)]
         blocks.append(rule.mass_by_values @ (-at.compliance * self._weight))
-        return np.concatenate([block.ravel() for block in blocks])
+        return blocks
 
     def places(self) -> tuple[Numbers, Numbers]:
         """Return row and column of each entry of `jacobian`."""
@@ -116,7 +122,7 @@ class SolidElements:
 class _AtPoints:
     """Stress and constraint at the quadrature points, and their derivatives, times the weight det ∂X/∂ξ.
 
-    Indices k and m belong to ∂/∂ξ; a name with `to_` is a tensor whose second index has become one of these.
+    Indices k and m belong to ∂/∂ξ; a tensor is turned if its second index has become one of these.
     """
 
     def __init__(
@@ -132,13 +138,12 @@ class _AtPoints:
         self._inverse, self._weight, self._poisson = inverse, weight, poisson
         self.F = F
         self.C: Tensor = [[F[0][A] * F[0][B] + F[1][A] * F[1][B] for B in (0, 1)] for A in (0, 1)]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            J = F[0][0] * F[1][1] - F[0][1] * F[1][0]
-            self.c: Tensor = [[F[1][1] / J, -F[1][0] / J], [-F[0][1] / J, F[0][0] / J]]
-            measures = Jet.variables(self.C[0][0] + self.C[1][1] + 1.0, np.log(J), pressure)
-            coefficients = law.coefficients(*measures, shear_modulus(young, poisson), *further)
-            self.coefficients = [Jet.of(number) for number in coefficients]
-            self._volume = Jet.of(law.volume(*measures[:2]))
+        J = F[0][0] * F[1][1] - F[0][1] * F[1][0]
+        self.c: Tensor = [[F[1][1] / J, -F[1][0] / J], [-F[0][1] / J, F[0][0] / J]]
+        measures = Jet.variables(self.C[0][0] + self.C[1][1] + 1.0, np.log(J), pressure)
+        coefficients = law.coefficients(*measures, shear_modulus(young, poisson), *further)
+        self.coefficients = [Jet.of(number) for number in coefficients]
+        self._volume = Jet.of(law.volume(*measures[:2]))
         self.compliance: Float[np.ndarray, " element"] = compliance(young, poisson)
         self.constraint: AtPoints = poisson * self._volume.value - self.compliance * pressure
 
@@ -158,11 +163,11 @@ class _AtPoints:
     def by_displacement(self, i: int, j: int) -> Iterator[AtPoints]:
         """Yield the derivatives of row i of P by the slopes of d_j, for all k, m."""
         alpha, beta, gamma = (number.value for number in self.coefficients)
-        toF, _, toc = self._terms
+        F, _, c = self._terms
         across = self.F[i][0] * self.F[j][0] + self.F[i][1] * self.F[j][1]
         for k in (0, 1):
             for m in (0, 1):
-                found = beta * (toF[i][m] * toF[j][k] + across * self._metric[k][m]) - gamma * toc[i][m] * toc[j][k]
+                found = beta * (F[i][m] * F[j][k] + across * self._metric[k][m]) - gamma * c[i][m] * c[j][k]
                 for term, gradient in zip(self._terms, self._gradients, strict=True):
                     found = found + term[i][k] * gradient[j][m]
                 if i == j:
@@ -191,9 +196,9 @@ class _AtPoints:
 
     def _gradient(self, number: Jet) -> Tensor:
         """Return the derivative of a coefficient by the slopes of d."""
-        toF, _, toc = self._terms
+        F, _, c = self._terms
         by_invariant, by_log_volume, _ = number.slopes
-        return [[2 * by_invariant * toF[j][m] + by_log_volume * toc[j][m] for m in (0, 1)] for j in (0, 1)]
+        return [[2 * by_invariant * F[j][m] + by_log_volume * c[j][m] for m in (0, 1)] for j in (0, 1)]
 
     @cached_property
     def _metric(self) -> Tensor:
