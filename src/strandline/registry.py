@@ -1,8 +1,10 @@
 """Look-up of objects by their name in a registry, which is a dict, or by ``module:name`` for third parties."""
 
 import importlib
+import traceback
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 from strandline.errors import InvalidInput
@@ -46,7 +48,12 @@ def imported(target: str, what: str) -> Any:
     try:
         found: Any = importlib.import_module(module)
     except Exception as error:
-        raise _refused(what, target, f"a module that can be imported ({type(error).__name__}: {error})") from None
+        why = f"{type(error).__name__}: {error}"
+        if isinstance(error, ModuleNotFoundError) and error.name and f"{module}.".startswith(f"{error.name}."):
+            raise _refused(what, target, f"a module that can be imported ({why})") from None
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        expected = f"a module without mistakes ({why}, in {Path(place.filename).name}, line {place.lineno})"
+        raise InvalidInput(what, value=target, expected=expected, remedy="Correct the module.") from None
     for part in name.split("."):
         found = getattr(found, part, None)
     if found is None:

@@ -161,6 +161,15 @@ def test_the_displacement_in_units_of_the_noise(
     assert ("below the noise: the data cannot show it" in shown) == hidden
 
 
+@pytest.mark.parametrize(("sd", "hidden"), [(0.1, False), (0.5, True)])
+def test_many_points_together_show_what_each_alone_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], points: np.ndarray, sd: float, hidden: bool
+) -> None:
+    assert np.sqrt(np.mean(points[:, 1] ** 2)) < 0.1 < np.sqrt(np.sum(points[:, 1] ** 2)) < 0.5
+    shown = checked(tmp_path / "s", capsys, simulator=resting, discrepancy={"normal_offset": {}}, noise={"sd": sd})
+    assert ("below the noise: the data cannot show it" in shown) == hidden
+
+
 def test_a_norm_has_a_noise_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A shift of the beam by the length that is printed costs d² = σ_N²."""
     currents = {"currents": {"width": 0.05}}

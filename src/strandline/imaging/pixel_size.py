@@ -1,6 +1,5 @@
 """Size of a pixel: from the study or from the header of a file, never guessed."""
 
-import math
 from dataclasses import dataclass
 
 from strandline.imaging.checked import keys_of, number, unfit, word
@@ -11,6 +10,8 @@ __all__ = ["SAME", "PixelSize", "agreed"]
 
 UNITS = TO_MM | {"nm": 1e-6}
 EXAMPLE = "{x: 6.0, y: 4.0, unit: um} or {size: 6.0, unit: um}"
+SMALLEST, LARGEST = 1e-12, 1e9
+"""Sizes, mm, that a picture may have; beyond them, areas and their squares overflow."""
 SAME = 0.01
 """Largest relative difference between the sizes that the study and a header state."""
 
@@ -26,7 +27,7 @@ class PixelSize:
         source: Who states it, e.g. ``the study``.
 
     Raises:
-        InvalidInput: A size that is not above 0.
+        InvalidInput: A size that no picture has.
     """
 
     x: float
@@ -36,8 +37,9 @@ class PixelSize:
 
     def __post_init__(self) -> None:
         for size in (self.x, self.y, self.z):
-            if size is not None and not (math.isfinite(size) and size > 0):
-                raise unfit(f"pixel size from {self.source}", size, "a finite length above 0", "Correct the size.")
+            if size is not None and not SMALLEST <= size <= LARGEST:
+                expected = f"a length from {SMALLEST:g} to {LARGEST:g} mm"
+                raise unfit(f"pixel size from {self.source}", f"{size:g} mm", expected, "Correct the size or its unit.")
 
     @classmethod
     def from_options(cls, options: object, place: str) -> "PixelSize":

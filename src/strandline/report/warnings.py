@@ -36,6 +36,8 @@ NEARLY_SURE = 0.995
 """Probability from which it is not given as a number."""
 CUT_TAIL = 0.05
 """Share of the cut reading below the smallest log-likelihood that a warning reports."""
+MASS_CUT_TOLD = 1e-3
+"""Share of a prior outside the design box above which the report says so."""
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
@@ -184,7 +186,7 @@ def _set_aside(calibration: Calibration) -> Iterator[str]:
 
 def _prior(calibration: Calibration) -> Iterator[str]:
     for parameter in calibration.problem.space:
-        if parameter.mass_cut > 1e-6:
+        if parameter.mass_cut > MASS_CUT_TOLD:
             low, high = parameter.interval
             yield (
                 f"The prior of {parameter.name} was truncated to the design box [{low:g}, {high:g}]{_of(parameter)}: "

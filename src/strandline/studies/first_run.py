@@ -207,11 +207,11 @@ def _largest_displacement(run: Interface, undeformed: Interface) -> float:
 
 
 def _hidden(measure: Discrepancy, run: Interface, undeformed: Observation) -> bool:
-    """Return whether the undeformed interface explains the run within the noise: d² < σ_N²."""
+    """Return whether the undeformed interface explains the run within the noise, all points together: d² < σ_N²."""
     errors, seen = errors_of(undeformed), undeformed.interface
     try:
         one = compared(undeformed, measure, len(run.points))
-        return float(one.measure(run, seen)) < one.noise.scale * (1 if errors is None else len(seen.points))
+        return float(one.measure(run, seen)) < one.noise.scale
     except InvalidInput:  # e.g. nodes that do not correspond
         variance = compared(undeformed, measure, 0).noise.scale if errors is None else errors.sd**2
         return apart(run, seen)[1] ** 2 < variance

@@ -19,7 +19,9 @@ DIGITS = 300
 """Most digits of a number; a float has no more before the point."""
 CORE = {f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map", "merge")}
 DATE = "tag:yaml.org,2002:timestamp"
-NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+FLOAT = "tag:yaml.org,2002:float"
+NUMBERS = ("tag:yaml.org,2002:int", FLOAT)
+WITH_EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
 UNUSABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ud800-\udfff\ufffe\uffff]")
 """Characters that cannot be in a file name, a name or a command, and that a terminal may act upon."""
 
@@ -152,15 +154,17 @@ def _not_yaml(
     return InvalidStudy(f"{STUDY}{where} is not valid YAML", value=value, expected=expected, remedy=remedy)
 
 
-def _without_underscores() -> dict[Any, Any]:
-    """Return YAML 1.1's rules for plain words, but for numbers without underscores only."""
+def _rules() -> dict[Any, Any]:
+    """Return YAML 1.1's rules for plain words, without numbers with underscores, and with 1e-3 as in YAML 1.2."""
     changed: dict[Any, Any] = {}
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items():
         changed[first] = [
             (tag, re.compile(f"(?!.*_)(?:{rule.pattern})", re.VERBOSE) if tag in NUMBERS else rule)
             for tag, rule in rules
         ]
+    for first in "-+.0123456789":
+        changed.setdefault(first, []).append((FLOAT, WITH_EXPONENT))
     return changed
 
 
-_Loader.yaml_implicit_resolvers = _without_underscores()
+_Loader.yaml_implicit_resolvers = _rules()

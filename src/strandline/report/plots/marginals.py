@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import MaxNLocator
 
 from strandline.errors import NumericsError
 from strandline.parameters import Parameter
@@ -128,6 +129,8 @@ def draw_marginal(
     except NumericsError:
         pass  # an input without spread has no density: its one bar shows everything
     _line(ax, grid, prior, upright, color=RED, linestyle="--", label="prior")
+    along = ax.yaxis if upright else ax.xaxis
+    along.set_major_locator(MaxNLocator(nbins=4))  # long labels do not run together
 
 
 def density_label(parameter: Parameter) -> str:

@@ -59,8 +59,9 @@ def law_named(name: str) -> Law:
     if not callable(law) or not all(_is_parameter(item) for item in parameters):
         raise _refused(
             name,
-            law if not callable(law) else ", ".join(getattr(item, "name", repr(item)) for item in parameters),
-            "a law, with `parameters` of unit 1 or Pa whose names are words without digits, not E, nu or V_in",
+            _shown(law) if not callable(law) else ", ".join(map(_name_of, parameters)),
+            "an IsotropicLaw or a function of NGSolve forms; `parameters`, if any, are a tuple of ModelInput in Pa or "
+            "of unit 1, whose names are words without digits, not E, nu or V_in",
         )
     if isinstance(law, IsotropicLaw) and (wrong := flaw(law)):
         raise _refused(name, wrong, "coefficients of a solid without stress at rest, with E and nu at small strains")
@@ -81,6 +82,15 @@ def _refused(name: str, value: Any, expected: str) -> InvalidInput:
         expected=expected,
         remedy="Correct the law; strandline.models.biofilm.materials.fung is an example.",
     )
+
+
+def _shown(thing: object) -> str:
+    text = repr(thing)
+    return f"an object of class {type(thing).__name__}" if " object at 0x" in text else text
+
+
+def _name_of(item: object) -> str:
+    return str(getattr(item, "name", repr(item)))
 
 
 def _is_parameter(item: object) -> bool:
