@@ -123,6 +123,16 @@ def test_what_is_not_there_is_refused(name: str, words: str, tmp_path: Path) -> 
         load_study(write_study(tmp_path / "study", discrepancy={name: {}}))
 
 
+def test_a_mistake_in_a_module_is_told_with_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "with_a_mistake.py").write_text("x = 1\ny = math.pi * x\n")
+    (tmp_path / "without_its_own.py").write_text("import no_such_module_of_ours\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InvalidInput, match=r"NameError: name 'math' is not defined, in with_a_mistake.py, line 2"):
+        lookup(DISCREPANCIES, "with_a_mistake:Measure", "discrepancy")
+    with pytest.raises(InvalidInput, match=r"no_such_module_of_ours.*in without_its_own.py, line 1"):
+        lookup(DISCREPANCIES, "without_its_own:Measure", "discrepancy")
+
+
 def test_what_is_no_dataclass_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidStudy, match="a dataclass that is a discrepancy"):
         load_study(write_study(tmp_path / "study", discrepancy={"math:sqrt": {}}))

@@ -63,7 +63,7 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
         "sd": posterior.sd.tolist(),
         "inside": bool(weights[far <= of_truth[0]].sum() <= 0.9),
         "marginal": [bool(a <= x <= b) for a, x, b in zip(lower, exact[0], upper, strict=True)],
-        "new": outcome.calibration.made,
+        "new": outcome.summary["runs"]["new"],
         "verdict": certificate.get("verdict", "not checked"),
     }
     kept.write_text(json.dumps(found), "utf-8")
