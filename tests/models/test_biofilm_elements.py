@@ -41,7 +41,7 @@ def matrix(part, system: CoupledSystem) -> sparse.csr_matrix:
 
 def of_momentum_and_mass(system: CoupledSystem) -> np.ndarray:
     """Return the rows that the fluid's balances are taken from."""
-    return np.flatnonzero(~system._is_motion)
+    return np.flatnonzero(~system.is_motion)
 
 
 def test_residual_and_jacobian_are_those_of_the_forms(system):

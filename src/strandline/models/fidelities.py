@@ -12,6 +12,7 @@ from typing import Any
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
+from strandline.models.offers import prepare_runs
 from strandline.models.protocol import (
     ForwardModel,
     Simulation,
@@ -86,6 +87,11 @@ class WithCheaper:
     def fingerprint_of_cheaper(self) -> str:
         """Fingerprint of the cheaper model."""
         return fingerprint(self.cheaper)
+
+    def prepare_runs(self) -> None:
+        """Prepare both models for many runs."""
+        prepare_runs(self.model)
+        prepare_runs(self.cheaper)
 
     def __getattr__(self, name: str) -> Any:
         """Return what the model itself offers or declares."""

@@ -15,8 +15,10 @@ __all__ = [
     "DrawsFields",
     "KeepsFolders",
     "KnowsUndeformed",
+    "PreparesRuns",
     "SolvesOnFinerMesh",
     "UsesNames",
+    "prepare_runs",
     "undeformed_interface",
 ]
 
@@ -77,6 +79,18 @@ class KeepsFolders(Protocol):
 
 
 @runtime_checkable
+class PreparesRuns(Protocol):
+    """A model with work that all runs share: it is done once, before the first run of a campaign is started.
+
+    What it leaves on disk serves the processes that make the runs; a process that finds nothing there helps itself.
+    """
+
+    def prepare_runs(self) -> None:
+        """Do that work, unless it has been done."""
+        ...
+
+
+@runtime_checkable
 class UsesNames(Protocol):
     """A model that does not declare its inputs but knows which names it uses, from its templates for example."""
 
@@ -87,6 +101,12 @@ class UsesNames(Protocol):
             InvalidInput: There is one, or one is missing.
         """
         ...
+
+
+def prepare_runs(model: ForwardModel) -> None:
+    """Let a model prepare its runs, if it offers that."""
+    if isinstance(model, PreparesRuns):
+        model.prepare_runs()
 
 
 def undeformed_interface(model: ForwardModel) -> Interface | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from strandline.errors import InvalidInput, LedgerError, NumericsError
 from strandline.models.fidelities import run_identity
+from strandline.models.offers import prepare_runs
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy, aborted
@@ -158,6 +159,7 @@ class Campaign:
         return tuple(self.settled[key] for key in self.order if key in self.settled)
 
     def _consume(self, starts: "Starts") -> None:
+        prepare_runs(self.model)
         records = self.executor(self.model, starts)
         if not isinstance(records, Iterable):
             raise self._misused(f"a {type(records).__name__}", "records, one after the other, by `yield`")

@@ -1,7 +1,7 @@
 """A flow cell with its specimen, discretised: solve it, read the interface, differentiate it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import ngsolve as ng
@@ -27,6 +27,7 @@ from strandline.models.biofilm.flow_fields import FlowFields, flow_fields
 from strandline.models.biofilm.fluid import WATER, Fluid
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
 from strandline.models.biofilm.inflow import PARABOLA, Pairs
+from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, further_parameters, typical_value
 from strandline.models.biofilm.steady import steady_state
 from strandline.models.biofilm.strain import Strain, StrainProbe
@@ -58,6 +59,7 @@ class Solution:
         min_J_fluid: Lower bound of det F of the mesh motion.
         min_J_solid: Lower bound of det F of the solid.
         jacobians: Number of Jacobians assembled and factorised, including those on the load path.
+        figures: Further figures for a run's record, by name.
     """
 
     unknowns: Vector
@@ -65,6 +67,7 @@ class Solution:
     min_J_fluid: float
     min_J_solid: float
     jacobians: int
+    figures: Mapping[str, float] = field(default_factory=dict)
 
     def diagnostics(self) -> dict[str, float]:
         """Return the figures that go into a run's record."""
@@ -73,6 +76,7 @@ class Solution:
             "min_J_fluid": self.min_J_fluid,
             "min_J_solid": self.min_J_solid,
             "newton_jacobians": float(self.jacobians),
+            **self.figures,
         }
 
 
@@ -150,11 +154,19 @@ class FlowCell:
         load = self.set(young, poisson, rate, *further, fluid=fluid)
         try:
             found = steady_state(self, load, budget=budget)
-            bounds = self.check(found.x)
-            self._check_balance(found.x, load)
+            return self.accepted(found.x, load, found.jacobians)
         except ForwardModelError as error:
             raise self.in_physical_units(error) from error
-        return Solution(found.x, self.displacement, bounds["min_J_fluid"], bounds["min_J_solid"], found.jacobians)
+
+    def accepted(self, x: Vector, load: float, jacobians: int) -> Solution:
+        """Return a root of the equations as a solution, found with a number of Jacobians.
+
+        Raises:
+            ForwardModelError: ``inverted_elements`` or ``unbalanced``.
+        """
+        bounds = self.check(x)
+        self._check_balance(x, load)
+        return Solution(x, self.displacement, bounds["min_J_fluid"], bounds["min_J_solid"], jacobians)
 
     def set(
         self,
@@ -187,10 +199,10 @@ class FlowCell:
         self._apply(load)
         return self.system.residual(x)
 
-    def factorise(self, x: Vector, load: float) -> newton.LinearSolver:
-        """Return the factorised Jacobian at an inflow of `load`."""
+    def factorise(self, x: Vector, load: float, *, own_analysis: bool = False) -> Factorisation:
+        """Return the factorised Jacobian at an inflow of `load`; one that is kept has its own analysis."""
         self._apply(load)
-        return self.system.factorise(x)
+        return self.system.factorise(x, own_analysis=own_analysis)
 
     def by_load(self) -> Vector:
         """Return the derivative of the residual with respect to the load, at the last factorised state."""

@@ -58,12 +58,22 @@ def linear_solver() -> str:
 
 
 class Factorisation:
-    """A sparse LU of the reduced Jacobian; it stays valid when the matrix changes."""
+    """A sparse LU of the reduced Jacobian; it stays valid when the matrix changes.
 
-    def __init__(self, matrix: Any, size: int) -> None:
-        kind = _Pardiso if linear_solver() == "pardiso" else _Umfpack
+    Args:
+        matrix: NGSolve matrix.
+        size: Number of its rows.
+        own_analysis: Whether PARDISO analyses these values for themselves. This takes several times as long, and then
+            solving with this and other matrices by turns needs no new factorisations.
+    """
+
+    def __init__(self, matrix: Any, size: int, *, own_analysis: bool = False) -> None:
         try:
-            self._lu: _LU = kind(matrix, size)
+            self._lu: _LU = (
+                _Pardiso(matrix, size, own_analysis=own_analysis)
+                if linear_solver() == "pardiso"
+                else _Umfpack(matrix, size)
+            )
         except Exception as error:
             raise ForwardModelError("linear_solve", f"the Jacobian could not be factorised: {error}") from error
 
@@ -95,12 +105,16 @@ class _Umfpack:
 
 
 class _Pardiso:
-    """One set of values, and an analysis shared with other sets until it no longer suits this one."""
+    """One set of values, and its own analysis, or one shared with other sets until it no longer suits this one."""
 
-    def __init__(self, matrix: Any, size: int) -> None:
+    def __init__(self, matrix: Any, size: int, *, own_analysis: bool) -> None:
         self._values = np.array(matrix.AsVector().FV().NumPy())
         if not np.isfinite(self._values).all():
             raise ValueError("an entry is not finite")
+        if own_analysis:
+            self._analysis, self._shared = _Analysis(matrix, size), False
+            self._analysis.hold(self._values)
+            return
         if matrix not in _analyses:
             _analyses[matrix] = _Analysis(matrix, size)
         self._analysis, self._shared = _analyses[matrix], True
@@ -151,6 +165,10 @@ class _Analysis:
         x = _product(self._inverse, right, self._right, self._left)
         back = _product(self._matrix, x, self._right, self._left)
         return x, float(np.linalg.norm(back - right))
+
+    def hold(self, values: Float[np.ndarray, " nonzero"]) -> None:
+        """Note that the matrix is factorised with `values`."""
+        self._loaded = values
 
     def renewed(self) -> "_Analysis":
         """Return a new analysis for the values loaded, with as much iterative refinement as is useful."""

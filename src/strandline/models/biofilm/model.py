@@ -1,16 +1,21 @@
 """The forward model of the study: a biofilm on the floor of a flow cell, bent by the flow over it."""
 
+import contextlib
 import dataclasses
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
+from strandline.errors import ForwardModelError
 from strandline.interface import Interface
+from strandline.models.biofilm.anchors import on_disk
+from strandline.models.biofilm.anchors.anchored_cell import AnchoredCell, Setting
+from strandline.models.biofilm.anchors.box import Box, Ranges, as_ranges, check_ranges
 from strandline.models.biofilm.cell import FlowCell, FlowFields, Solution
 from strandline.models.biofilm.channel import Channel, check_inside, check_outline
 from strandline.models.biofilm.course import Course
@@ -21,7 +26,7 @@ from strandline.models.biofilm.foot import as_stretches, check_clamped
 from strandline.models.biofilm.geometry import subdivide
 from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, RATE, Pairs, check_inflow
 from strandline.models.biofilm.linear import linear_solver
-from strandline.models.biofilm.materials import LAWS, further_parameters, law_named
+from strandline.models.biofilm.materials import LAWS, law_named
 from strandline.models.biofilm.memory import Branch, branch_inputs
 from strandline.models.biofilm.options import (
     as_inflow,
@@ -34,6 +39,7 @@ from strandline.models.biofilm.options import (
 )
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.sizes import FINER, MESHES, MeshSize, is_adapted
+from strandline.models.biofilm.solid_inputs import SolidInputs
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.transient_cell import TransientCell
 from strandline.models.protocol import ModelInput, Simulation
@@ -78,6 +84,8 @@ class Biofilm:
         failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure
             costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
             five).
+        anchors: Lowest and highest value of each input: runs in this box start from states that are solved beforehand,
+            see `anchored_cell`, and most need no Jacobian. The states are kept on disk for later campaigns.
 
     Raises:
         InvalidInput: an option that cannot be used; a degenerate outline, with the place; a linear solver that the
@@ -102,6 +110,7 @@ class Biofilm:
     branches: int = 0
     sensitivities: bool = False
     failure_budget: int = 5
+    anchors: Ranges = ()
     failure_kinds: ClassVar[tuple[str, ...]] = (
         "limit_point",
         "continuation_stalled",
@@ -127,6 +136,7 @@ class Biofilm:
         check_outline(reference, self.channel)
         subdivide(reference, self.channel, self.partition)
         check_clamped(self.clamped, reference)
+        check_ranges(self.anchors, self.inputs, steady=self.course is None)
         check_inflow(self.inflow, inlet_bottom(reference, self.channel), self.channel.height)
         linear_solver()
 
@@ -146,6 +156,8 @@ class Biofilm:
         for name in ("inflow_rates", "pressure_drops"):
             if name in options:
                 options[name] = as_loads(name, options[name])
+        if options.get("anchors"):
+            options["anchors"] = as_ranges(options["anchors"])
         if options.get("course") is not None:
             options["course"] = Course.of(options["course"])
         return cls(**options)
@@ -153,9 +165,8 @@ class Biofilm:
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
         """E, nu, the law's further ones, or E1, nu1, …, E2, … of parts; V_in or p_drop; the fluid's; the branches'."""
-        solids = [_of_part(item, number) for number in self._numbers for item in self._material]
         branches = (item for pair in branch_inputs(self.branches) for item in pair)
-        return (*solids, *self._drive, *self.fluid.inputs, *branches)
+        return (*self._solid.all, *self._drive, *self.fluid.inputs, *branches)
 
     @property
     def _loads(self) -> tuple[tuple[str, float], ...]:
@@ -165,18 +176,16 @@ class Biofilm:
     @property
     def _drive(self) -> tuple[ModelInput, ...]:
         """What drives the flow, if it is an input."""
-        return () if self._loads else (DROP if self.inflow == PRESSURE else RATE,)
+        return () if self._loads else (self._driven_by,)
 
     @property
-    def _material(self) -> tuple[ModelInput, ...]:
-        """Parameters of the law."""
-        return (*_SMALL_STRAIN, *further_parameters(law_named(self.material)))
+    def _driven_by(self) -> ModelInput:
+        """The inflow rate or the pressure drop."""
+        return DROP if self.inflow == PRESSURE else RATE
 
     @property
-    def _numbers(self) -> list[str]:
-        """Numbers of the parts as the inputs' names end with them; nothing for a single part."""
-        count = max(1, len(self.partition.markers))
-        return [""] if count == 1 else [str(k) for k in range(1, count + 1)]
+    def _solid(self) -> SolidInputs:
+        return SolidInputs(law_named(self.material), max(1, len(self.partition.markers)))
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -206,16 +215,21 @@ class Biofilm:
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
         """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; one for each condition."""
-        cell = _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0)
+        cell, anchored = self._cell()
         interfaces, sensitivities = {}, {}
         figures: dict[str, float] = {}
-        for name, solution in self._solutions(cell, inputs, self.failure_budget):
+        for name, solution in self._solutions(cell, inputs, self.failure_budget, anchored=anchored):
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
             figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
             if self.sensitivities:
                 found = cell.sensitivities(solution, [q.name for q in self.fluid.inputs])
                 sensitivities[name] = self._by_input(found, self.course.shares()[name] if self.course else 1.0)
         return Simulation(interfaces, figures, sensitivities)
+
+    def prepare_runs(self) -> None:
+        """Solve the anchors, if there are any, unless they are on disk."""
+        with contextlib.suppress(ForwardModelError):  # each run reports it
+            self._cell()
 
     def undeformed(self) -> Interface:
         """Return the interface without flow, mm."""
@@ -229,9 +243,10 @@ class Biofilm:
             condition: Name of one of the inflow rates, pressure drops or times; by default the one with the largest
                 inflow or pressure drop, the last of these.
         """
-        cell = _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0)
+        cell, anchored = self._cell()
         wanted = condition or max(reversed(self._loads_at(inputs)), key=lambda load: load[1])[0]
-        next(name for name, _ in self._solutions(cell, inputs, 0, wanted) if name == wanted)
+        solutions = self._solutions(cell, inputs, 0, only=wanted, anchored=anchored)
+        next(name for name, _ in solutions if name == wanted)
         return cell.fields()
 
     def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
@@ -247,10 +262,16 @@ class Biofilm:
         }
 
     def _solutions(
-        self, cell: FlowCell, inputs: Mapping[str, float], budget: int, only: str | None = None
+        self,
+        cell: FlowCell,
+        inputs: Mapping[str, float],
+        budget: int,
+        *,
+        only: str | None = None,
+        anchored: AnchoredCell | None = None,
     ) -> Iterator[tuple[str, Solution]]:
         """Yield each condition with its state, which the cell holds meanwhile; of steady ones, `only` that if given."""
-        young, poisson, *further = self._material_values(inputs)
+        young, poisson, *further = self._solid.values(inputs)
         fluid = self.fluid.at(inputs)
         if isinstance(cell, TransientCell | CreepingCell) and self.course:
             specimen: list[Any] = [young, poisson, float(inputs[self._drive[0].name]), *further]
@@ -260,14 +281,39 @@ class Biofilm:
                 yield from cell.through(self.course, self._branches(inputs), *specimen, fluid=fluid, budget=budget)
             return
         for name, load in self._loads_at(inputs):
-            if only in (None, name):
+            if only not in (None, name):
+                continue
+            if anchored is None:
                 yield name, cell.solve(young, poisson, load, *further, fluid=fluid, budget=budget)
+            else:
+                yield name, anchored.solve({**inputs, self._driven_by.name: load}, budget)
 
-    @property
+    def _setting(self, inputs: Mapping[str, float]) -> Setting:
+        """Return the arguments of `FlowCell.solve` at inputs, among them what drives the flow."""
+        young, poisson, *further = self._solid.values(inputs)
+        return Setting(young, poisson, float(inputs[self._driven_by.name]), tuple(further), self.fluid.at(inputs))
+
+    def _cell(self) -> tuple[FlowCell, AnchoredCell | None]:
+        """Return the flow cell, and itself with its anchors if there are any."""
+        if not self.anchors:
+            return _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0), None
+        loads = [load for _, load in self._loads]
+        drive = ((self._driven_by.name, min(loads), max(loads)),) if loads else ()
+        anchored = _anchored_cell(self._geometry, Box((*self.anchors, *drive)))
+        return anchored.cell, anchored
+
+    @cached_property
     def _geometry(self) -> "Biofilm":
         """The model reduced to what affects mesh and forms."""
         return dataclasses.replace(
-            self, inflow_rates=(), pressure_drops=(), course=None, branches=0, sensitivities=False, failure_budget=0
+            self,
+            inflow_rates=(),
+            pressure_drops=(),
+            course=None,
+            branches=0,
+            sensitivities=False,
+            failure_budget=0,
+            anchors=(),
         )
 
     @property
@@ -286,29 +332,11 @@ class Biofilm:
         pairs = branch_inputs(self.branches)
         return [Branch(float(inputs[ratio.name]), float(inputs[tau.name])) for ratio, tau in pairs]
 
-    def _material_values(self, inputs: Mapping[str, float]) -> list[list[float]]:
-        """Return Young's moduli, Poisson's ratios and further parameters, each for every part."""
-        return [[float(inputs[item.name + number]) for number in self._numbers] for item in self._material]
-
     def _by_input(self, found: list[np.ndarray], share: float) -> dict[str, np.ndarray]:
         """Return the sensitivities of a `FlowCell` by the name of the input; that of V_in, if any, times its share."""
-        names = [item.name + number for item in self._material for number in self._numbers]
-        by_name = dict(zip([*names, "", *(item.name for item in self.fluid.inputs)], found, strict=True))
+        by_name = dict(zip([*self._solid.names, "", *(item.name for item in self.fluid.inputs)], found, strict=True))
         by_drive = by_name.pop("")
         return by_name | {item.name: share * by_drive for item in self._drive}
-
-
-_SMALL_STRAIN = (
-    ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),
-    ModelInput("nu", "1", -1.0, 0.5, low_included=False, meaning="Poisson's ratio"),
-)
-
-
-def _of_part(item: ModelInput, number: str) -> ModelInput:
-    """Return a parameter of the law as an input of part `number`; empty if there is one part."""
-    if not number:
-        return item
-    return dataclasses.replace(item, name=item.name + number, meaning=f"{item.meaning} of part {number}")
 
 
 def _figure(key: str, condition: str) -> str:
@@ -318,6 +346,17 @@ def _figure(key: str, condition: str) -> str:
 @lru_cache(maxsize=2)
 def _flow_cell(model: Biofilm, solid_density: float | None = None, *, creeps: bool = False) -> FlowCell:
     return _new_cell(model, MESHES[model.mesh], solid_density, creeps=creeps)
+
+
+@lru_cache(maxsize=2)
+def _anchored_cell(model: Biofilm, box: Box) -> AnchoredCell:
+    """Return the cell with anchors, from disk if they are there; a model reduced to its geometry."""
+    path = on_disk.file_of(model.fingerprint, box)
+    kept = on_disk.load(path)
+    anchored = AnchoredCell(_flow_cell(model), box, model._setting, kept)
+    if kept is None:
+        on_disk.save(anchored.states, path)
+    return anchored
 
 
 def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None, *, creeps: bool) -> FlowCell:

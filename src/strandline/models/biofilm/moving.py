@@ -73,7 +73,7 @@ class MovingSystem(CoupledSystem):
             + self.space.Range(k).start
             for k in (0, 2)
         )
-        shared = ~self._is_motion[d]
+        shared = ~self.is_motion[d]
         follows, first = np.unique(v[shared], return_index=True)
         return follows, d[shared][first]
 

@@ -16,10 +16,10 @@ from jaxtyping import Float
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.continuation import ContinuationSettings, LoadedSystem, trace
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
 from strandline.models.biofilm.strain import Strain
 
-__all__ = ["DIRECT_STRAIN", "SAFE_STRAIN", "AtLoad", "Bending", "Steady", "steady_state"]
+__all__ = ["DIRECT_STRAIN", "SAFE_STRAIN", "AtLoad", "Bending", "FirstOrder", "Steady", "first_order", "steady_state"]
 
 SAFE_STRAIN = 0.2
 DIRECT_STRAIN = 0.27
@@ -53,6 +53,30 @@ class Steady:
     jacobians: int
 
 
+@dataclass(frozen=True, eq=False)
+class FirstOrder:
+    """What one Newton step makes of the flow past a rigid body.
+
+    Args:
+        start: The flow past the rigid body.
+        step: Newton's step from there.
+    """
+
+    start: Vector
+    step: NewtonStep
+
+    @property
+    def state(self) -> Vector:
+        """The state, to first order in the displacement."""
+        return np.asarray(self.start + self.step.correction)
+
+
+def first_order(bending: Bending, load: float) -> FirstOrder:
+    """Return the first-order state at a load; raises what `bending` raises."""
+    start = bending.undeformed(load)
+    return FirstOrder(start, newton.step(AtLoad(bending, load), start))
+
+
 def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
     """Return the steady state that is connected with the one at rest.
 
@@ -64,15 +88,14 @@ def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
     Raises:
         ForwardModelError: For the reasons given in `continuation.trace`.
     """
-    system = AtLoad(bending, load)
-    start = bending.undeformed(load)
-    first = newton.step(system, start)
-    linear = start + first.correction
+    begun = first_order(bending, load)
+    linear = begun.state
     strain = bending.largest_compression(linear)
     spent = 1
     if strain <= DIRECT_STRAIN:
         try:
-            found = newton.solve(system, start, weights=bending.weights, settings=DIRECT, first=first)
+            system, weights = AtLoad(bending, load), bending.weights
+            found = newton.solve(system, begun.start, weights=weights, settings=DIRECT, first=begun.step)
             spent += found.jacobians
             if strain <= SAFE_STRAIN:
                 return Steady(found.x, spent)

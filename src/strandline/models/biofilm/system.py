@@ -114,8 +114,8 @@ class CoupledSystem:
         self._parts: tuple[Part, ...] = _parts(self, self._fluid, _solid_elements(self) if by_elements else None)
         self._entries: Float[np.ndarray, " entry"]
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
-        self._is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
-        self._motion = _motion_matrix(self.space, self._is_motion)
+        self.is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
+        self._motion = _motion_matrix(self.space, self.is_motion)
 
     @property
     def values(self) -> Float[np.ndarray, " dof"]:
@@ -161,20 +161,20 @@ class CoupledSystem:
     def full_residual(self) -> Float[np.ndarray, " dof"]:
         """Return the residual of every row at the current state; prescribed rows hold the reactions."""
         result: Float[np.ndarray, " dof"] = np.sum([part.residual(self.state) for part in self._parts], axis=0)
-        result[self._is_motion] = self._motion @ self.values
+        result[self.is_motion] = self._motion @ self.values
         if not np.isfinite(result).all():
             raise ForwardModelError("nonfinite_residual", "the residual of the coupled system is not finite")
         return result
 
-    def factorise(self, x: Vector) -> Factorisation:
-        """Return the factorised Jacobian at `x`.
+    def factorise(self, x: Vector, *, own_analysis: bool = False) -> Factorisation:
+        """Return the factorised Jacobian at `x`; one that is kept for long has its own analysis, see `linear`.
 
         Raises:
             ForwardModelError: ``linear_solve``.
         """
         self.set_unknowns(x)
         pattern = self._pattern
-        return Factorisation(pattern.fill(self._assemble()), len(self.free))
+        return Factorisation(pattern.fill(self._assemble()), len(self.free), own_analysis=own_analysis)
 
     def by_parameter(self, parameter: Any) -> Vector:
         """Return the derivative of the residual with respect to one parameter at the current state.
@@ -192,13 +192,13 @@ class CoupledSystem:
         result = np.array(self._residual.FV().NumPy())
         if self._fluid is not None:
             result += self._fluid.by_parameter(self.state, parameter)
-        result[self._is_motion] = 0.0
+        result[self.is_motion] = 0.0
         return np.asarray(result[self.free])
 
     def by_prescribed(self, direction: Float[np.ndarray, " dof"]) -> Vector:
         """Return the derivative of the residual when prescribed values change along `direction`, as last assembled."""
         result = product(self._places, self._entries, direction)
-        result[self._is_motion] = self._motion @ direction
+        result[self.is_motion] = self._motion @ direction
         return np.asarray(result[self.free])
 
     def _assemble(self) -> Float[np.ndarray, " entry"]:
@@ -220,7 +220,7 @@ class CoupledSystem:
         generic = (1.0, 0.23, *(typical_value(item) for item in further_parameters(self.law)))
         self.set_material(*([value] * len(self.solids) for value in generic))
         used = self._assemble() != 0.0
-        pattern = Pattern.find(self._places, used, self._motion, self._is_motion, self.free)
+        pattern = Pattern.find(self._places, used, self._motion, self.is_motion, self.free)
         self.values[:] = kept
         self.set_material(*material)
         return pattern
