@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,12 +17,13 @@ from verification.benchmarks.aims import AIMS, LEAST, MOST, PER_CORE, RATIO, Aim
 from verification.benchmarks.comparison import Comparison, NotMeasured, summarised, unmeasured
 from verification.benchmarks.peers import install
 
+from strandline.interface import Interface
 from strandline.models.biofilm.cell import FlowCell
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
 from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Outline
-from strandline.runs import RunRecord
+from strandline.runs import InProcess, RunRecord, RunRequest
 
 ROOT = Path(__file__).parents[2]
 COARSE = MESHES["coarse"]
@@ -248,6 +250,17 @@ def test_seconds_of_samplers_are_those_that_their_ratio_is_of():
     assert (each["cpu_ours"], each["aim"], each["met"]) == (0.04, 10, True)
     whole = results.judged(what | costs((8.0, 16.0, 400), (4.0, 8.0, 10), 0.5, 0.5), "sampler")
     assert (whole["ours"], whole["peer"], whole["unit"], whole["met"]) == (8.0, 4.0, "s", False)
+
+
+def test_campaigns_that_end_otherwise_are_infinitely_far_apart() -> None:
+    requests = [RunRequest(str(k), {"E": E, "nu": 0.3, "V_in": 100.0}) for k, E in enumerate((400.0, 60.0))]
+    records = list(InProcess()(Biofilm(mesh="coarse"), requests))
+    moved = [replace(records[0], interfaces={"": Interface.polyline(records[0].interface.points + 1e-3)}), records[1]]
+    assert [record.ok for record in records] == [True, False]
+    assert forward.difference(records, moved[::-1]) == pytest.approx(1e-3)
+    assert (
+        forward.difference(records, [replace(one, key=records[1 - k].key) for k, one in enumerate(records)]) == np.inf
+    )
 
 
 def test_aims_are_those_of_the_forward_model_and_each_is_of_one_figure_only():

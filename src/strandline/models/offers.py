@@ -1,6 +1,7 @@
 """What a forward model may offer in addition to its runs: one protocol each, satisfied by having the method.
 
-All are optional. `undeformed` adds a check and a figure, `on_finer_mesh` adds the mesh error to `strandline check`.
+All are optional. `undeformed` adds a check and a figure, `on_finer_mesh` adds the mesh error to `strandline check`,
+`prepare_runs` is called once before the first run.
 """
 
 from collections.abc import Iterable, Mapping

@@ -156,8 +156,8 @@ class Biofilm:
         for name in ("inflow_rates", "pressure_drops"):
             if name in options:
                 options[name] = as_loads(name, options[name])
-        if options.get("anchors"):
-            options["anchors"] = as_ranges(options["anchors"])
+        if (anchors := options.pop("anchors", None)) is not None:
+            options["anchors"] = as_ranges(anchors)
         if options.get("course") is not None:
             options["course"] = Course.of(options["course"])
         return cls(**options)
@@ -295,9 +295,9 @@ class Biofilm:
 
     def _cell(self) -> tuple[FlowCell, AnchoredCell | None]:
         """Return the flow cell, and itself with its anchors if there are any."""
-        if not self.anchors:
+        loads = [load for _, load in self._loads if load > 0]
+        if not self.anchors or (self._loads and not loads):
             return _flow_cell(self._geometry, self._solid_density, creeps=self.branches > 0), None
-        loads = [load for _, load in self._loads]
         drive = ((self._driven_by.name, min(loads), max(loads)),) if loads else ()
         anchored = _anchored_cell(self._geometry, Box((*self.anchors, *drive)))
         return anchored.cell, anchored

@@ -1,7 +1,7 @@
 """The box of inputs in which anchors are placed, and its coordinates."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
+from strandline.models.biofilm.inflow import DROP, RATE
 from strandline.models.protocol import ModelInput
 
 __all__ = ["Box", "Ranges", "as_ranges", "check_ranges"]
@@ -21,6 +22,7 @@ POINTS_PER_INPUT = 12
 MOST_CORNERS = 8
 """Up to this number, the corners of the box are points too."""
 OPTION = "anchors of the biofilm model"
+DRIVES = (RATE.name, DROP.name)
 EXAMPLE = "e.g. {E: [100, 800], nu: [0.1, 0.45], V_in: 100}"
 
 
@@ -121,9 +123,9 @@ def as_ranges(given: Any) -> Ranges:
     """Return a mapping of inputs to numbers or pairs [lowest, highest] as ranges.
 
     Raises:
-        InvalidInput: It is none.
+        InvalidInput: It is none, or empty.
     """
-    if not isinstance(given, Mapping):
+    if not isinstance(given, Mapping) or not given:
         raise InvalidInput(
             OPTION,
             value=given,
@@ -134,7 +136,10 @@ def as_ranges(given: Any) -> Ranges:
 
 
 def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) -> None:
-    """Refuse ranges of other inputs than the model's, or outside what these admit, and anchors of runs through time."""
+    """Refuse ranges of other inputs than the model's, or outside what these admit, and anchors of runs through time.
+
+    Without inflow nothing bends, and logarithms of strains have no value: a range of the inflow lies above 0.
+    """
     if not ranges:
         return
     if not steady:
@@ -149,17 +154,18 @@ def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) 
         if name not in known or name not in given:
             raise InvalidInput(
                 OPTION,
-                value=f"{name} is {'no input' if name not in known else 'missing'}",
+                value=f"{name}, which is no input" if name not in known else f"no {name}",
                 expected=f"lowest and highest value of {', '.join(known)}; one number where an input is the same in all"
                 f" runs",
                 remedy=f"Remove {name}." if name not in known else f"Add {name}.",
             )
     for name, low, high in ranges:
-        if not (low <= high and known[name].admits(low) and known[name].admits(high)):
+        item = replace(known[name], low_included=known[name].low_included and name not in DRIVES)
+        if not (low <= high and item.admits(low) and item.admits(high)):
             raise InvalidInput(
                 f"{name} in the {OPTION}",
                 value=[low, high],
-                expected=f"lowest and highest value, both in {known[name].range_text()}",
+                expected=f"the lowest value, then the highest, both in {item.range_text()}",
                 remedy=f"Correct the range of {name}.",
             )
     if all(low == high for _, low, high in ranges):
