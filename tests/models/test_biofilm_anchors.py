@@ -17,6 +17,7 @@ from strandline.models.biofilm.anchors.factors import Rescaled, RowsAndColumns
 from strandline.models.biofilm.anchors.states import States
 from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.model import Biofilm
+from strandline.models.biofilm.steady import DIRECT_STRAIN
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.fidelities import WithCheaper
 from strandline.models.protocol import fingerprint
@@ -276,6 +277,12 @@ class TestStates:
             exact, found = whole._first_order_strain(inputs), whole.states.strain(whole.box.coordinates(inputs))
             if 0.1 < exact < 0.25:
                 assert abs(found / exact - 1.0) < 0.05
+
+    def test_where_it_bends_far_nothing_is_solved(self, anchored: Biofilm) -> None:
+        _, whole = anchored._cell()
+        assert whole is not None
+        states = whole.states
+        assert states.strains[states.solved].max() <= DIRECT_STRAIN < states.strains.max()
 
     def test_without_steady_states_all_runs_are_cold(self, cold: Biofilm) -> None:
         box = Box((("E", 20.0, 30.0), ("nu", 0.3, 0.3), ("V_in", 100.0, 100.0)))

@@ -22,7 +22,7 @@ from strandline.models.biofilm.cell import FlowCell, Solution
 from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.newton import NewtonSettings
-from strandline.models.biofilm.steady import SAFE_STRAIN, AtLoad, first_order
+from strandline.models.biofilm.steady import DIRECT_STRAIN, SAFE_STRAIN, AtLoad, first_order
 
 __all__ = ["AnchoredCell", "Setting"]
 
@@ -75,7 +75,9 @@ class AnchoredCell:
         self, cell: FlowCell, box: Box, setting: Callable[[Mapping[str, float]], Setting], states: States | None = None
     ) -> None:
         self.cell, self.box, self._setting = cell, box, setting
-        self.states = states or States.solve(box, self._first_order_strain, lambda at: self._cold(at, 0).unknowns)
+        self.states = states or States.solve(
+            box, self._first_order_strain, lambda at: self._cold(at, 0).unknowns, DIRECT_STRAIN
+        )
         self._powers = RowsAndColumns.of(cell.system)
         self._factors: dict[int, Factorisation] = {}
         self._kept = _spread(box, self.states.anchors)

@@ -18,6 +18,8 @@ from strandline.models.biofilm.linear import linear_solver
 __all__ = ["file_of", "load", "save"]
 
 FIELDS = ("coordinates", "strains", "solved", "unknowns")
+REVISION = 1
+"""Raised whenever other anchors are found for a cell and a box."""
 PACKAGES = ("ngsolve", "numpy", "scipy", "mkl")
 
 
@@ -28,7 +30,7 @@ def file_of(geometry: str, box: Box) -> Path:
         geometry: Text that identifies the cell.
         box: The box.
     """
-    parts = [geometry, repr(box), linear_solver(), platform.machine(), *map(_installed, PACKAGES)]
+    parts = [str(REVISION), geometry, repr(box), linear_solver(), platform.machine(), *map(_installed, PACKAGES)]
     folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "strandline" / "anchors"
     return folder / f"{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:32]}.npz"
 

@@ -72,13 +72,15 @@ class States:
         box: Box,
         first_order_strain: Callable[[Mapping[str, float]], float],
         steady_state: Callable[[Mapping[str, float]], Vector],
+        largest_strain: float,
     ) -> "States":
-        """Return the states at the points of a box; a failed run is no anchor.
+        """Return the states at the points of a box; where it bends too far, or the run fails, there is no anchor.
 
         Args:
             box: The box.
             first_order_strain: Largest compressive strain of the first-order state, by inputs.
             steady_state: Unknowns of the steady state, by inputs.
+            largest_strain: Largest strain of the first-order state with which a steady state is solved.
         """
         points: list[tuple[float, ...]] = []
         strains: list[float] = []
@@ -89,7 +91,8 @@ class States:
                 points.append(point)
                 strains.append(max(strain, np.finfo(float).tiny))
                 found.append(None)
-                found[-1] = steady_state(box.inputs(point))
+                if strain <= largest_strain:
+                    found[-1] = steady_state(box.inputs(point))
         solved = [x for x in found if x is not None]
         return cls(
             np.array(points).reshape(len(points), len(box.axes)),
