@@ -324,6 +324,8 @@ class TestBox:
             (RANGES | {"E": "soft"}, "a number, or lowest and highest"),
             (RANGES | {"E": [100, 300, 800]}, "a number, or lowest and highest"),
             (RANGES | {"E": [100, float("nan")]}, "a number, or lowest and highest"),
+            (RANGES | {"E": [100, 10**400]}, "a number, or lowest and highest"),
+            (RANGES | {"E": {"low": 1}}, "a number, or lowest and highest"),
             (RANGES | {"E": True}, "a number, or lowest and highest"),
             ({"E": 400, "nu": 0.3, "V_in": 100}, "at least one input that varies"),
         ],

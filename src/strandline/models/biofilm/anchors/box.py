@@ -1,5 +1,6 @@
 """The box of inputs in which anchors are placed, and its coordinates."""
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -175,9 +176,8 @@ def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) 
 
 
 def _ends(name: object, entry: Any) -> tuple[float, float]:
-    ends = entry if isinstance(entry, Sequence) and not isinstance(entry, str) else [entry, entry]
-    are_numbers = all(isinstance(e, int | float) and not isinstance(e, bool) and np.isfinite(e) for e in ends)
-    if len(ends) != 2 or not are_numbers:
+    ends = entry if isinstance(entry, list | tuple) else [entry, entry]
+    if len(ends) != 2 or not all(_is_finite(end) for end in ends):
         raise InvalidInput(
             f"{name} in the {OPTION}",
             value=entry,
@@ -185,3 +185,9 @@ def _ends(name: object, entry: Any) -> tuple[float, float]:
             remedy=f"Correct the range of {name}.",
         )
     return float(ends[0]), float(ends[1])
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max
