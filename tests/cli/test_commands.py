@@ -101,6 +101,31 @@ class TestForward:
         assert len(shown.err.splitlines()) == 1
 
 
+class TestCheckOfAnchors:
+    @pytest.mark.parametrize(
+        ("rate", "expected"), [(100, "anchors: 16 of the 16"), (99, "warning: anchors: 0 of the 16")]
+    )
+    def test_it_says_how_many_runs_start_from_them(
+        self,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+        rate: int,
+        expected: str,
+    ) -> None:
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+        anchors = {"E": [400, 700], "nu": 0.3, "V_in": 100}
+        folder = write_study(
+            tmp_path / "study",
+            model={"biofilm": {"mesh": "coarse", "anchors": anchors}},
+            fixed={"V_in": rate, "nu": 0.3},
+            inputs={"E": {"prior": {"uniform": [400, 700]}, "unit": "Pa"}},
+            observation={"synthetic": {"E": 500, "nu": 0.3, "V_in": rate}},
+            design={"sobol": {"runs": 16}},
+        )
+        assert f"{expected} planned runs start from them" in printed(capsys, "check", str(folder))
+
+
 class TestCheck:
     def test_one_run_and_nothing_written(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

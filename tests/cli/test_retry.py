@@ -62,6 +62,20 @@ def test_failed_runs_are_made_once_more_and_the_results_anew(
     assert calls(tmp_path) == made + before["failed"]
 
 
+def test_a_synthetic_observation_that_failed_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], without_report: None
+) -> None:
+    folder = study(tmp_path, monkeypatch, name="licensed_truth", above=350.0)
+    for _ in range(2):
+        code, message = refused(capsys, "run", str(folder), "--quiet")
+        assert code == 2
+        assert f"strandline retry {folder} --kind licence" in message
+    assert calls(tmp_path) == 1
+    (tmp_path / "licence").touch()
+    main(["retry", str(folder), "--kind", "licence", "--quiet"])
+    assert json.loads((folder / "summary.json").read_text())["runs"]["ok"] == 32
+
+
 def test_a_study_whose_runs_all_fail_stops_early_with_the_log_and_goes_on_when_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], without_report: None
 ) -> None:

@@ -20,6 +20,7 @@ from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.steady import DIRECT_STRAIN
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.fidelities import WithCheaper
+from strandline.models.offers import prepare_runs
 from strandline.models.protocol import fingerprint
 from strandline.runs import InProcess, Ledger, run_campaign
 
@@ -181,16 +182,28 @@ class TestBits:
         module._anchored_cell.cache_clear()  # solved again
         assert outcome(small, points[3]) == first[3]
 
-    @pytest.mark.parametrize("damage", ["empty", "half", "garbage", "other arrays"])
+    @pytest.mark.parametrize("damage", ["empty", "half", "garbage", "other arrays", "one bit", "of another box"])
     def test_a_damaged_file_is_made_again(self, small: Biofilm, cache: Path, damage: str) -> None:
         inputs = SMALL[2]
         whole = outcome(small, inputs)
         module._anchored_cell.cache_clear()
-        for file in cache.glob("*.npz"):
+        for file in (known := set(cache.glob("*.npz"))):
             content = file.read_bytes()
             if damage == "other arrays":
                 with file.open("wb") as opened:
                     np.savez(opened, states=np.ones(3))
+            elif damage == "one bit":
+                with np.load(file) as arrays:
+                    held = dict(arrays)
+                held["unknowns"][0, 0] = np.nextafter(held["unknowns"][0, 0], 1.0)
+                with file.open("wb") as opened:
+                    np.savez(opened, **held)
+            elif damage == "of another box":
+                other = Biofilm.from_options(mesh="coarse", anchors={"E": [450, 650], "nu": 0.3, "V_in": 100})
+                other.prepare_runs()
+                (fresh,) = set(cache.glob("*.npz")) - known
+                fresh.replace(file)
+                module._anchored_cell.cache_clear()
             else:
                 file.write_bytes({"empty": b"", "half": content[: len(content) // 2], "garbage": b"x" * 99}[damage])
         assert outcome(small, inputs) == whole
@@ -215,7 +228,10 @@ class TestBits:
             file.unlink()
         module._anchored_cell.cache_clear()
         pair = WithCheaper(Biofilm(mesh="default"), small, 0.3)
-        pair.prepare_runs()
+        told: list[str] = []
+        prepare_runs(pair, told.append)
+        assert told == ["anchors"]
+        assert not pair.is_prepared(SMALL[0])
         assert len(list(cache.glob("*.npz"))) == 1
         monkeypatch.setattr(States, "solve", None)  # a second time would fail
         module._anchored_cell.cache_clear()
@@ -226,6 +242,17 @@ class TestBits:
     def test_anchors_are_part_of_the_fingerprint(self, anchored: Biofilm, cold: Biofilm) -> None:
         other = Biofilm.from_options(mesh="coarse", anchors=RANGES | {"E": [100, 700]})
         assert len({fingerprint(model) for model in (anchored, cold, other)}) == 3
+
+
+def test_which_runs_start_from_them(anchored: Biofilm, cold: Biofilm) -> None:
+    points = [*in_box(32), {"E": 90.0, "nu": 0.3, "V_in": 100.0}]
+    expected = []
+    for inputs in points:
+        result = outcome(anchored, inputs)
+        expected.append(len(result) == 2 and result[1]["anchored"] == 1.0)
+    assert [anchored.is_prepared(inputs) for inputs in points] == expected
+    assert expected.count(True) > 20
+    assert not any(cold.is_prepared(inputs) for inputs in points)
 
 
 class TestFactors:
@@ -334,6 +361,10 @@ class TestBox:
         with pytest.raises(InvalidInput, match=expected) as caught:
             Biofilm.from_options(mesh="coarse", anchors=given)
         assert "\n" not in str(caught.value)
+
+    def test_a_single_value_is_named_as_it_was_given(self) -> None:
+        with pytest.raises(InvalidInput, match=r"got 0\.0;"):
+            Biofilm.from_options(mesh="coarse", anchors=RANGES | {"V_in": 0})
 
     def test_not_with_a_course(self) -> None:
         course = {"inflow": [[0, 0], [1, 1]], "times": {"end": 1.0}}

@@ -17,6 +17,8 @@ from strandline.cli.study_folder import STUDY
 __all__ = ["command"]
 
 PICTURE = "check.png"
+MOST_PLANNED = 1000
+"""Planned runs that are looked at one by one."""
 
 
 @click.command("check")
@@ -44,7 +46,7 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     lines, known = list(_lines(loaded, record, log_likelihoods)), loaded.runs.known
     lines += _widths(loaded, record, asked=widths)
     picture = _drawn(loaded, record) if plot else None
-    lines = [*_about(loaded, record), told, *lines, *_unheard(loaded)]
+    lines = [*_about(loaded, record), told, *_prepared(loaded), *lines, *_unheard(loaded)]
     most, planned = _planned(loaded, known)
     if as_json:
         click.echo(json.dumps(_as_dict(loaded, record, log_likelihoods, lines, planned, known)))
@@ -74,6 +76,19 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     yield from read_lines(study)
     for shown in study.pictures.values():
         yield from (f"warning: {shown.name}: {said}" for said in shown.ignored)
+
+
+def _prepared(study: "Study") -> Iterator[str]:
+    """Yield a line on how many planned runs make use of what the model prepares, a warning if most do not."""
+    from strandline.models.offers import PreparesRuns
+
+    model, planned = study.model, study.runs.design[:MOST_PLANNED]
+    if not isinstance(model, PreparesRuns) or not model.preparation or not planned:
+        return
+    served = sum(model.is_prepared(inputs) for inputs in planned)
+    doubt = "" if 2 * served >= len(planned) else "warning: "
+    first = "first " if len(planned) < study.settings.planned_runs else ""
+    yield f"{doubt}{model.preparation}: {served} of the {first}{len(planned)} planned runs start from them"
 
 
 def _unheard(study: "Study") -> Iterator[str]:
@@ -202,9 +217,11 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
 
     from strandline.cli.forward import attempted, show_remains
     from strandline.errors import InvalidStudy
+    from strandline.models.offers import prepare_runs
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     inputs = {**study.fixed, **study.space.as_mapping(medians)}
+    prepare_runs(study.model)  # its time is not the run's
     record = attempted(_with_sensitivities(study.model), inputs)
     if record.failure_kind == "no_sensitivities":
         record = attempted(study.model, inputs)

@@ -12,7 +12,7 @@ from typing import Any
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.models.offers import prepare_runs
+from strandline.models.offers import PreparesRuns, prepare_runs
 from strandline.models.protocol import (
     ForwardModel,
     Simulation,
@@ -87,6 +87,16 @@ class WithCheaper:
     def fingerprint_of_cheaper(self) -> str:
         """Fingerprint of the cheaper model."""
         return fingerprint(self.cheaper)
+
+    @property
+    def preparation(self) -> str:
+        """What either model prepares."""
+        pair = (self.model, self.cheaper)
+        return next((one.preparation for one in pair if isinstance(one, PreparesRuns) and one.preparation), "")
+
+    def is_prepared(self, inputs: Mapping[str, float]) -> bool:
+        """Return whether a run of the model makes use of what it has prepared."""
+        return isinstance(self.model, PreparesRuns) and self.model.is_prepared(inputs)
 
     def prepare_runs(self) -> None:
         """Prepare both models for many runs."""

@@ -4,7 +4,7 @@ All are optional. `undeformed` adds a check and a figure, `on_finer_mesh` adds t
 `prepare_runs` is called once before the first run.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -86,8 +86,17 @@ class PreparesRuns(Protocol):
     What it leaves on disk serves the processes that make the runs; a process that finds nothing there helps itself.
     """
 
+    @property
+    def preparation(self) -> str:
+        """What is prepared, in the plural; empty if nothing is."""
+        ...
+
     def prepare_runs(self) -> None:
         """Do that work, unless it has been done."""
+        ...
+
+    def is_prepared(self, inputs: Mapping[str, float]) -> bool:
+        """Return whether a run makes use of it."""
         ...
 
 
@@ -104,9 +113,11 @@ class UsesNames(Protocol):
         ...
 
 
-def prepare_runs(model: ForwardModel) -> None:
-    """Let a model prepare its runs, if it offers that."""
-    if isinstance(model, PreparesRuns):
+def prepare_runs(model: ForwardModel, announce: Callable[[str], object] | None = None) -> None:
+    """Let a model prepare its runs, if there is anything to prepare; `announce` is told before what it is."""
+    if isinstance(model, PreparesRuns) and model.preparation:
+        if announce is not None:
+            announce(model.preparation)
         model.prepare_runs()
 
 

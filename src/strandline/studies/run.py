@@ -16,10 +16,12 @@ from strandline.design.active import BatchReport
 from strandline.errors import InvalidStudy, NumericsError
 from strandline.interface import Interface
 from strandline.likelihood import compared
+from strandline.models.offers import prepare_runs
 from strandline.posterior import to_datatree, write
 from strandline.report import write_report
 from strandline.report.nearness import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
+from strandline.runs.failures import FailurePolicy
 from strandline.studies.check_file import read_check
 from strandline.studies.early_widths import noting_widths
 from strandline.studies.first_run import require_same_size
@@ -82,6 +84,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         given = study.runs.begin_active(ledger)
         ledger.plan(study.runs.plan)
         study.runs.take_over(ledger)
+        prepare_runs(study.model, observer.stage)
         observed = _observe(study, ledger, executor, observer)
         observations = study.observations(observed)
         problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
@@ -205,7 +208,8 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
     if study.truth is None:
         return study.observed
     observer.stage("observation")
-    (record,) = run_campaign(study.model, [study.truth], ledger=ledger, executor=executor)
+    policy = FailurePolicy(again=study.settings.failures.again)
+    (record,) = run_campaign(study.model, [study.truth], ledger=ledger, executor=executor, policy=policy)
     if not record.ok:
         raise InvalidStudy(
             "the synthetic observation could not be made",
@@ -213,7 +217,8 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
             + ", ".join(f"{name} = {value:g}" for name, value in study.truth.items())
             + (f" ({record.message.splitlines()[0]})" if record.message else ""),
             expected="inputs at which the model runs",
-            remedy="Choose other values under observation.synthetic, or try them with `strandline forward`.",
+            remedy="Choose other values under observation.synthetic; or remove the cause, and run `strandline retry"
+            f" {study.folder} --kind {record.failure_kind or record.state}`.",
         )
     observed = noisy(record.interfaces, study.synthetic_noise)
     for condition, seen in observed.items():

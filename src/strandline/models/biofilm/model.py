@@ -84,8 +84,9 @@ class Biofilm:
         failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure
             costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
             five).
-        anchors: Lowest and highest value of each input: runs in this box start from states that are solved beforehand,
-            see `anchored_cell`, and most need no Jacobian. The states are kept on disk for later campaigns.
+        anchors: (name, lowest, highest value) of each input; `from_options` takes a mapping. Runs in the box start from
+            states that are solved beforehand, see `anchored_cell`, and most need no Jacobian. The states are kept on
+            disk for later campaigns.
 
     Raises:
         InvalidInput: an option that cannot be used; a degenerate outline, with the place; a linear solver that the
@@ -225,6 +226,19 @@ class Biofilm:
                 found = cell.sensitivities(solution, [q.name for q in self.fluid.inputs])
                 sensitivities[name] = self._by_input(found, self.course.shares()[name] if self.course else 1.0)
         return Simulation(interfaces, figures, sensitivities)
+
+    @property
+    def preparation(self) -> str:
+        """What `prepare_runs` solves."""
+        return "anchors" if self.anchors else ""
+
+    def is_prepared(self, inputs: Mapping[str, float]) -> bool:
+        """Return whether a run starts from anchors."""
+        with contextlib.suppress(ForwardModelError):
+            _, anchored = self._cell()
+            loads = ({**inputs, self._driven_by.name: load} for _, load in self._loads_at(inputs))
+            return anchored is not None and any(anchored.serves(at) for at in loads)
+        return False
 
     def prepare_runs(self) -> None:
         """Solve the anchors, if there are any, unless they are on disk."""

@@ -101,6 +101,12 @@ class AnchoredCell:
                 return replace(found, figures=figures | {"anchored": 1.0})
         return replace(self._cold(inputs, budget), figures=figures)
 
+    def serves(self, inputs: Mapping[str, float]) -> bool:
+        """Return whether a run starts from anchors."""
+        if not (self.states.suffice and self.box.holds(inputs)):
+            return False
+        return self.states.strain(self.box.coordinates(inputs)) <= LARGEST_STRAIN
+
     def _from_anchors(self, inputs: Mapping[str, float], at: Float[np.ndarray, " axis"]) -> Solution | None:
         """Return the steady state near the prediction; None if Newton's method does not find it."""
         nearest = self._kept[int(np.argmin(self.box.distances(self.states.anchors[self._kept], at)))]

@@ -165,7 +165,7 @@ def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) 
         if not (low <= high and item.admits(low) and item.admits(high)):
             raise InvalidInput(
                 f"{name} in the {OPTION}",
-                value=[low, high],
+                value=low if low == high else [low, high],
                 expected=f"the lowest value, then the highest, both in {item.range_text()}",
                 remedy=f"Correct the range of {name}.",
             )

@@ -6,6 +6,7 @@ import os
 import platform
 import tempfile
 import zipfile
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -42,19 +43,29 @@ def save(states: States, path: Path) -> None:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=".part")
         try:
             with os.fdopen(handle, "wb") as file:
-                np.savez(file, **{field: getattr(states, field) for field in FIELDS})
+                arrays = {field: getattr(states, field) for field in FIELDS}
+                np.savez(file, **arrays, digest=np.array(_digest(path, arrays)))
             Path(name).replace(path)
         finally:
             Path(name).unlink(missing_ok=True)
 
 
 def load(path: Path) -> States | None:
-    """Return the states of a file; None if there is none, or a damaged one."""
+    """Return the states of a file; None if there is none, a damaged one, or one written under another name."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            return States(**{field: content[field] for field in FIELDS})
+            arrays = {field: content[field] for field in FIELDS}
+            return States(**arrays) if str(content["digest"]) == _digest(path, arrays) else None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
+
+
+def _digest(path: Path, arrays: Mapping[str, np.ndarray]) -> str:
+    """Return a digest of a file's name and of what it holds."""
+    found = hashlib.sha256(path.stem.encode())
+    for field in FIELDS:
+        found.update(f"{field}{arrays[field].shape}{arrays[field].dtype}".encode() + arrays[field].tobytes())
+    return found.hexdigest()
 
 
 def _installed(package: str) -> str:
