@@ -252,6 +252,15 @@ def test_seconds_of_samplers_are_those_that_their_ratio_is_of():
     assert (whole["ours"], whole["peer"], whole["unit"], whole["met"]) == (8.0, 4.0, "s", False)
 
 
+def test_runs_from_anchors_are_measured_beside_those_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forward, "POINTS", 8)
+    cold = forward.pace(Biofilm(mesh="coarse"), forward.design(8))
+    found = {figure.what: figure.value for figure in forward.anchored_figures("coarse", "coarse", cold)}
+    assert found["solving the anchors, once"] > 0.1  # in a process that has none yet
+    assert found["runs without a Jacobian"] >= 5
+    assert 0.0 < found["largest difference to a run without"] < 1e-4
+
+
 def test_campaigns_that_end_otherwise_are_infinitely_far_apart() -> None:
     requests = [RunRequest(str(k), {"E": E, "nu": 0.3, "V_in": 100.0}) for k, E in enumerate((400.0, 60.0))]
     records = list(InProcess()(Biofilm(mesh="coarse"), requests))
