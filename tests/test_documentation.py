@@ -379,7 +379,7 @@ def test_the_pieces_of_studies_are_valid(page: str) -> None:
 def test_models_of_the_guide_to_an_own_flow_cell_are_built(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "hill.csv", [[900, 0], [1270, 600], [2100, 0]], delimiter=",")
     pages = blocks("how-to/own-flow-cell.md", "yaml")
-    assert len(pages) == 12
+    assert len(pages) == 13
     for one in pages:
         (options,) = yaml.safe_load(one)["model"].values()
         assert build_model({"biofilm": options}, tmp_path)

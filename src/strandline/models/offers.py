@@ -114,7 +114,7 @@ class UsesNames(Protocol):
 
 
 def prepare_runs(model: ForwardModel, announce: Callable[[str], object] | None = None) -> None:
-    """Let a model prepare its runs, if there is anything to prepare; `announce` is told before what it is."""
+    """Let a model prepare its runs, if there is anything to prepare; `announce` is called with what it is before."""
     if isinstance(model, PreparesRuns) and model.preparation:
         if announce is not None:
             announce(model.preparation)
