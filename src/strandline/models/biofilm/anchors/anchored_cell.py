@@ -87,7 +87,7 @@ class AnchoredCell:
 
         Args:
             inputs: Inputs by name, among them what drives the flow.
-            budget: Number of Jacobians after which the search is given up; 0: no limit. Steps from anchors do not count.
+            budget: Number of Jacobians after which a search without anchors is given up; 0: no limit.
 
         Raises:
             ForwardModelError: As `FlowCell.solve`, which is then called.
