@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.misfit import Misfit, by_field, by_runs, misfit_of
+from strandline.calibration.misfit import Effort, Misfit, by_field, by_runs, misfit_of
 from strandline.calibration.problem import Observer, Problem, Settings, Stopwatch
 from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveRuns, Certificate, Knowledge, learn
 from strandline.design.active.fidelities import Fidelities, as_by_model
+from strandline.design.active.sampling import DRAFT_PARTICLES
 from strandline.design.active.settings import LARGEST_BATCH
 from strandline.design.refinement import Learnt, Refinement, Round, refine
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
@@ -72,7 +73,7 @@ class Lesson:
         known = self.knowledge.likelihood.inferred is None  # else they learnt the log-likelihood of a first guess
         return FieldTarget(self.knowledge, space, self.certificate, next(iter(surrogates), None) if known else None)
 
-    def misfit(self, problem: Problem, posterior: Posterior, *, seed: int) -> Misfit:
+    def misfit(self, problem: Problem, posterior: Posterior, *, effort: Effort, seed: int) -> Misfit:
         """Return whether the model explains the observations within the noise, whatever the inputs."""
         observations, measure = problem.observations, next(iter(problem.discrepancies.values()))
         explained, fitted = None, False
@@ -85,10 +86,11 @@ class Lesson:
             else:
                 learnt, runs = self.learnt, [record for record in self.learnt.records if record.ok]
                 values = learnt.log_likelihood
-                prediction = by_runs(learnt.training, runs, values, problem.space, observations, measure)
+                known_runs = learnt.training, runs, values, problem.space, observations, measure
+                prediction = by_runs(*known_runs, most=effort.runs)
             known = tuple(problem.fixed)
             how: dict[str, Any] = {"fixed": known, "explained": explained, "fitted": fitted}
-            return misfit_of(prediction, observations, measure, posterior, **how, seed=seed)
+            return misfit_of(prediction, observations, measure, posterior, **how, effort=effort, seed=seed)
 
     @property
     def found(self) -> dict[str, Any]:
@@ -229,7 +231,7 @@ class Learning:
             else:
                 knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
             training, log_likelihoods = _training_set(self.judge, points, records)
-            surrogates = _to_compare(training, log_likelihoods, self.settings)
+            surrogates = {} if self.settings.draft else _to_compare(training, log_likelihoods, self.settings)
         return Learnt(points, records, training, log_likelihoods, surrogates, made), knowledge
 
     def _run(self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
@@ -268,6 +270,7 @@ class Learning:
             fidelities=both,
             on_step=self.tell.step,
             told=self.tell.batch,
+            particles=DRAFT_PARTICLES if self.settings.draft else None,
         )
 
     def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:

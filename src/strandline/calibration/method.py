@@ -20,6 +20,7 @@ from jaxtyping import Float
 from strandline.calibration.cut_posterior import LARGEST_DIM, under_uncertainty
 from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.learning import Given, Learning
+from strandline.calibration.misfit import DRAFT, Effort
 from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
 from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import Target
@@ -88,9 +89,9 @@ def calibrate(
         mode = posterior.map_estimate
         hessian = target.hessian(mode, posterior.sd) + log_prior_hessian(space, mode)
         checks = target.checks(sampling, posterior, both.cut if both else None, seed=settings.seed)
-        sensitivity = _sensitivity(space, target.values, settings.seed)
+        sensitivity = None if settings.draft else _sensitivity(space, target.values, settings.seed)
         problem = replace(problem, observations=learning.judge.observations)
-        misfit = lesson.misfit(problem, posterior, seed=settings.seed)
+        misfit = lesson.misfit(problem, posterior, effort=DRAFT if settings.draft else Effort(), seed=settings.seed)
     return Calibration(
         problem=problem,
         settings=settings,

@@ -103,6 +103,9 @@ class Settings:
         surrogate: Quantity that the surrogate predicts: the log-likelihood, as in the study, or the interface
             as a ``field``.
         active: Further runs chosen as the posterior takes shape; only with a surrogate of the field.
+        draft: A first look, in a fraction of the time: whether the model explains the observation is judged from few
+            draws, an active design carries few particles, there are no sensitivity indices and no surrogates of the
+            log-likelihood beside a field, and figures are coarse.
 
     Raises:
         InvalidInput: No such kernel, or no such function.
@@ -120,6 +123,7 @@ class Settings:
     failures: FailurePolicy = field(default_factory=FailurePolicy)
     surrogate: Literal["log_likelihood", "field"] = "log_likelihood"
     active: Active | None = None
+    draft: bool = False
 
     def __post_init__(self) -> None:
         kernel_named(self.kernel)

@@ -25,7 +25,7 @@ def shown_also_if_incomplete(*, as_json: bool = False) -> Iterator[None]:
         raise
 
 
-def show(summary: Mapping[str, Any], report: Path, *, as_json: bool = False) -> None:
+def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = False) -> None:
     """Print the posterior, the checks and the warnings, or the content of summary.json."""
     if as_json:
         click.echo(json.dumps(summary))
@@ -60,7 +60,9 @@ def show(summary: Mapping[str, Any], report: Path, *, as_json: bool = False) -> 
         click.echo(_warned(f"warning: {warning}"))
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     click.echo(f"seconds: {seconds}")
-    if report.name not in summary["missing"]:
+    if summary.get("draft"):
+        click.echo("a draft: remove `draft: true` from study.yaml for the result")
+    if report is not None and report.name not in summary["missing"]:
         click.echo(f"report: {report}")
     if summary["nearest"]["message"]:
         click.echo(summary["nearest"]["message"])

@@ -72,7 +72,7 @@ def command(
     study = _with_settings(study, settings, into, quiet=quiet)
     loaded = load_study(study)
     if (found := results_at_hand(loaded)) is not None:
-        show(found, loaded.folder / REPORT, as_json=as_json)
+        show(found, loaded.folder / REPORT if loaded.with_report else None, as_json=as_json)
         if not quiet and not as_json:
             click.echo(f"Nothing has changed since. To write the results again: strandline report {study}")
         return

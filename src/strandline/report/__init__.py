@@ -4,6 +4,7 @@ from strandline.report.inline import PANELS
 from strandline.report.page import (
     FIGURES,
     add_check,
+    remove_report,
     template,
     write_comparison,
     write_coverage,
@@ -17,6 +18,7 @@ __all__ = [
     "FIGURES",
     "PANELS",
     "add_check",
+    "remove_report",
     "template",
     "write_comparison",
     "write_coverage",

@@ -22,7 +22,7 @@ from strandline.report.figures import figure_groups
 from strandline.report.lighter import fitted
 from strandline.report.methods import BIBTEX, methods_paragraph
 from strandline.report.next import draw_next
-from strandline.report.plots.style import DOTS_PER_INCH, mark_doubt, styled
+from strandline.report.plots.style import DOTS_PER_INCH, DRAFT_DOTS_PER_INCH, mark_doubt, styled
 from strandline.report.specimens import draw_specimens
 from strandline.report.warnings import reason_to_doubt, small_share
 from strandline.report.what_if import draw_what_if
@@ -33,6 +33,7 @@ __all__ = [
     "FIGURES",
     "PAGE_PIXELS_PER_INCH",
     "add_check",
+    "remove_report",
     "template",
     "write_comparison",
     "write_coverage",
@@ -67,7 +68,7 @@ def write_report(
     pictures: Mapping[str, Mapping[str, Any]] | None = None,
     on_failure: Callable[[str, Exception], None] | None = None,
 ) -> Path:
-    """Write `folder`/figures (PNG and PDF) and `folder`/report.html; return the page's path.
+    """Write `folder`/figures (PNG and PDF; coarse PNG for a draft) and `folder`/report.html; return the page's path.
 
     The page is self-contained: pictures and scripts are embedded, and it loads nothing. Without scripts, and on paper,
     it is the same but for the section that they make.
@@ -99,7 +100,7 @@ def write_report(
         on_failure(name, error)
 
     section = _explored(calibration, truth, pictures, note)
-    shown = _all_saved(groups, folder / FIGURES, note)
+    shown = _all_saved(groups, folder / FIGURES, note, draft=calibration.settings.draft)
     shown = _fitted(shown, MOST_CHARACTERS - TEXT - (section.size if section else 0))
     picture = next((item for item in shown if item["name"] == "check"), None)
     page = template("report.html.j2").render(
@@ -131,7 +132,7 @@ def _explored(
 
 
 def _all_saved(
-    groups: Mapping[str, Iterable[Captioned]], target: Path, note: Callable[[str, Exception], None]
+    groups: Mapping[str, Iterable[Captioned]], target: Path, note: Callable[[str, Exception], None], *, draft: bool
 ) -> list[dict[str, str]]:
     """Save the figures and return what the page needs of each; an error ends its group but not the others."""
     shown: list[dict[str, str]] = []
@@ -139,7 +140,7 @@ def _all_saved(
         with _whole_folder(target) as partial:
             for name, figures in groups.items():
                 try:
-                    shown += (_saved(captioned, partial) for captioned in figures)
+                    shown += (_saved(captioned, partial, draft=draft) for captioned in figures)
                 except Exception as error:
                     note(f"{FIGURES} ({name})", error)
     except OSError as error:
@@ -157,16 +158,25 @@ def _check(check: Mapping[str, Any]) -> Iterator[Captioned]:
     yield draw_check(check)
 
 
-def add_check(check: Mapping[str, Any], folder: Path) -> None:
+def remove_report(folder: Path) -> None:
+    """Remove `folder`/report.html and the figures of an earlier result; those that other commands drew stay."""
+    (folder / FILE_NAME).unlink(missing_ok=True)
+    if (folder / FIGURES).is_dir():
+        with _whole_folder(folder / FIGURES):
+            pass
+
+
+def add_check(check: Mapping[str, Any], folder: Path, *, draft: bool = False) -> None:
     """Write figures/check.png and .pdf of `folder`, and put the section of the check into its report, if there is one.
 
     Args:
         check: Content of check.json.
         folder: Folder of the study.
+        draft: Whether a coarse PNG is enough.
     """
     figures, report = folder / FIGURES, folder / FILE_NAME
     figures.mkdir(exist_ok=True)
-    picture = _saved(draw_check(check), figures)
+    picture = _saved(draw_check(check), figures, draft=draft)
     page = report.read_text(encoding="utf-8") if report.is_file() else ""
     before, begin, rest = page.partition(MARKS[0])
     _, end, after = rest.partition(MARKS[1])
@@ -175,62 +185,69 @@ def add_check(check: Mapping[str, Any], folder: Path) -> None:
         _replaced(folder, f"{before}{begin}{section}{end}{after}")
 
 
-def write_coverage(content: Mapping[str, Any], folder: Path) -> Path:
+def write_coverage(content: Mapping[str, Any], folder: Path, *, draft: bool = False) -> Path:
     """Write the figures of repeated experiments, and a self-contained page about them; return the page's path.
 
     Args:
         content: Content of coverage.json.
         folder: Folder of the study.
+        draft: Whether coarse PNGs are enough.
     """
-    return _write_answer("coverage", content, draw_coverage(content), folder)
+    return _write_answer("coverage", content, draw_coverage(content), folder, draft=draft)
 
 
-def write_next(content: Mapping[str, Any], folder: Path) -> Path:
+def write_next(content: Mapping[str, Any], folder: Path, *, draft: bool = False) -> Path:
     """Write the figures of candidates for the next experiment, and a page about them; return the page's path.
 
     Args:
         content: Content of next.json.
         folder: Folder of the study.
+        draft: Whether coarse PNGs are enough.
     """
-    return _write_answer("next", content, draw_next(content), folder)
+    return _write_answer("next", content, draw_next(content), folder, draft=draft)
 
 
-def write_what_if(content: Mapping[str, Any], folder: Path) -> Path:
+def write_what_if(content: Mapping[str, Any], folder: Path, *, draft: bool = False) -> Path:
     """Write the figure of other assumptions, and a self-contained page about them; return the page's path.
 
     Args:
         content: Content of what-if.json.
         folder: Folder of the study.
+        draft: Whether coarse PNGs are enough.
     """
-    return _write_answer("what-if", content, [draw_what_if(content)], folder)
+    return _write_answer("what-if", content, [draw_what_if(content)], folder, draft=draft)
 
 
-def write_comparison(content: Mapping[str, Any], folder: Path) -> Path:
+def write_comparison(content: Mapping[str, Any], folder: Path, *, draft: bool = False) -> Path:
     """Write the figures of a comparison of models, and a self-contained page about it; return the page's path.
 
     Args:
         content: Content of compare.json.
         folder: Folder of the result.
+        draft: Whether coarse PNGs are enough.
     """
-    return _write_answer("compare", content, draw_comparison(content), folder)
+    return _write_answer("compare", content, draw_comparison(content), folder, draft=draft)
 
 
-def _write_answer(name: str, content: Mapping[str, Any], drawn: Iterable[Captioned], folder: Path) -> Path:
+def _write_answer(
+    name: str, content: Mapping[str, Any], drawn: Iterable[Captioned], folder: Path, *, draft: bool
+) -> Path:
     """Write figures into `folder`/figures, and a self-contained page with them; return the page's path."""
     figures = folder / FIGURES
     figures.mkdir(exist_ok=True)
-    pictures = [_saved(captioned, figures) for captioned in drawn]
+    pictures = [_saved(captioned, figures, draft=draft) for captioned in drawn]
     return _replaced(folder, template(f"{name}.html.j2").render(c=content, figures=pictures), f"{name}.html")
 
 
-def write_specimens(content: Mapping[str, Any], folder: Path) -> Path:
+def write_specimens(content: Mapping[str, Any], folder: Path, *, draft: bool = False) -> Path:
     """Write the figures of many specimens, and a self-contained page about them; return the page's path.
 
     Args:
         content: Content of specimens.json.
         folder: Folder of the study.
+        draft: Whether coarse PNGs are enough.
     """
-    return _write_answer("specimens", content, draw_specimens(content), folder)
+    return _write_answer("specimens", content, draw_specimens(content), folder, draft=draft)
 
 
 def _replaced(folder: Path, page: str, name: str = FILE_NAME) -> Path:
@@ -264,20 +281,21 @@ def _marked(captioned: Captioned, doubt: str | None) -> Captioned:
     return captioned
 
 
-def _saved(captioned: Captioned, folder: Path) -> dict[str, str]:
-    """Save one figure for print and return what the page needs of it.
+def _saved(captioned: Captioned, folder: Path, *, draft: bool = False) -> dict[str, str]:
+    """Save one figure, for print unless it is a draft, and return what the page needs of it.
 
     The layout is computed once for both files; otherwise `savefig` would compute it for each and draw twice.
     """
-    figure = captioned.figure
-    figure.set_dpi(DOTS_PER_INCH)
+    figure, dots = captioned.figure, DRAFT_DOTS_PER_INCH if draft else DOTS_PER_INCH
+    figure.set_dpi(dots)
     buffer = io.BytesIO()
     with styled():  # sets the kind of embedded font, and the size of tick labels, which decides their number
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
             figure.set_layout_engine(None)
-        figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
-        figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+        if not draft:
+            figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
+        figure.savefig(buffer, format="png", dpi=dots)
     (folder / f"{captioned.name}.png").write_bytes(buffer.getvalue())
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     width = f"{PAGE_PIXELS_PER_INCH * figure.get_figwidth():.0f}"

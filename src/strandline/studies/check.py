@@ -84,7 +84,7 @@ def check_posterior(
     found = Compared(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))
     content = describe(study, found, observations, new_runs=new_runs)
     with told_if_unwritable(study.folder):
-        add_check(content, study.folder)
+        add_check(content, study.folder, draft=study.settings.draft)
         content["seconds"] = time.perf_counter() - begun
         write_json(study.folder / CHECK, content)
     return PosteriorCheck(content, study.folder / CHECK)

@@ -18,7 +18,7 @@ from strandline.interface import Interface
 from strandline.likelihood import compared
 from strandline.models.offers import prepare_runs
 from strandline.posterior import to_datatree, write
-from strandline.report import write_report
+from strandline.report import remove_report, write_report
 from strandline.report.nearness import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.runs.failures import FailurePolicy
@@ -44,11 +44,11 @@ TELLING_RUNS = 4
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished study: the calibration, its summary, and the path of the report."""
+    """A finished study: the calibration, its summary, and the path of the report, None if the study wants none."""
 
     calibration: Calibration
     summary: dict[str, Any]
-    report: Path
+    report: Path | None
 
     def __repr__(self) -> str:
         return f"<Outcome {self.calibration.posterior.line}; report: {self.report}>"
@@ -242,22 +242,25 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     observer.stage("report")
     begun = time.perf_counter()
     summary = summarise(study, calibration, new_runs=new_runs, reused_runs=len(calibration.all_runs) - new_runs)
-    results, report = Results(study.folder), study.folder / REPORT
+    results, report = Results(study.folder), study.folder / REPORT if study.with_report else None
     with suppress(OSError):
         (study.folder / SUMMARY).unlink(missing_ok=True)
     with results.writing(POSTERIOR):
         write(_tree(study, calibration), study.folder / POSTERIOR)
     with results.writing(REPORT):
-        report = write_report(
-            calibration,
-            summary | {"warnings": [*results.warnings(), *summary["warnings"]]},
-            study_text=study.text,
-            truth=study.truth,
-            folder=study.folder,
-            check=read_check(study.folder, calibration.posterior),
-            pictures=pictures_in_page(study),
-            on_failure=results.failed,
-        )
+        if report is None:
+            remove_report(study.folder)
+        else:
+            write_report(
+                calibration,
+                summary | {"warnings": [*results.warnings(), *summary["warnings"]]},
+                study_text=study.text,
+                truth=study.truth,
+                folder=study.folder,
+                check=read_check(study.folder, calibration.posterior),
+                pictures=pictures_in_page(study),
+                on_failure=results.failed,
+            )
     summary |= {"missing": dict(results.missing), "warnings": [*results.warnings(), *summary["warnings"]]}
     summary["seconds"]["report"] = time.perf_counter() - begun
     with results.writing(SUMMARY):

@@ -92,6 +92,7 @@ class Study:
     executor: Executor
     reuse: tuple[Path, ...]
     candidates: tuple[Candidate, ...] = ()
+    with_report: bool = True
     as_loaded: "Study | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -207,6 +208,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         executor=build_executor(content.executor, folder),
         reuse=reuse,
         candidates=read_candidates(content.next, model, space, fixed),
+        with_report=content.report == "full",
     )
     for condition, seen in observed.items():
         require_fits(study.noise_of(condition), seen)
@@ -286,6 +288,7 @@ def _settings(content: StudyFile, model: ForwardModel) -> Settings:
         seed=content.seed,
         nuisance_values=content.sampler.cut.values,
         failures=build.build_failures(content.failures, model),
+        draft=content.draft,
     )
 
 

@@ -54,6 +54,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "version": __version__,
         "versions": versions(),
         "seed": study.settings.seed,
+        "draft": study.settings.draft,
         "model": study.runs.identity,
         "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
         "observation_sha256": observation_digest(study),

@@ -35,7 +35,8 @@ def results_at_hand(study: Study) -> dict[str, Any] | None:
         }
     except (OSError, ValueError, StrandlineError):
         return None
-    written = all((study.folder / name).exists() for name in (POSTERIOR, REPORT, FIGURES))
+    names = (POSTERIOR, REPORT, FIGURES) if study.with_report else (POSTERIOR,)
+    written = all((study.folder / name).exists() for name in names)
     if not written or not isinstance(summary, dict) or any(summary.get(key) != value for key, value in now.items()):
         return None
     runs = summary["runs"]

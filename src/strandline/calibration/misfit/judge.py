@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.misfit.best_fit import BestFit, best_fit
+from strandline.calibration.misfit.effort import Effort
 from strandline.calibration.misfit.prediction import Prediction
 from strandline.calibration.misfit.predictive import PredictiveShares, predictive_shares
 from strandline.calibration.misfit.reference import (
@@ -38,6 +39,7 @@ from strandline.text import listed
 
 __all__ = ["invisible", "misfit_of"]
 
+FULL = Effort()
 STREAM = 5
 """Keeps these random numbers apart from all others of the same seed."""
 NOTICED = 0.1
@@ -55,6 +57,7 @@ def misfit_of(
     fixed: Sequence[str] = (),
     explained: Float[np.ndarray, "seen cause"] | None = None,
     fitted: bool = False,
+    effort: Effort = FULL,
     seed: int,
 ) -> Misfit:
     """Return whether the model explains the observations; if that cannot be computed, the verdict says why.
@@ -67,11 +70,12 @@ def misfit_of(
         fixed: Names of the known inputs.
         explained: What errors of the model that were allowed for do to the residuals, mm; None if there are none.
         fitted: Whether sd and length of the observations' errors were inferred from these residuals.
+        effort: Numbers of draws.
         seed: Seed of the random numbers.
     """
     unseen = invisible(observations, posterior.space.names, fixed)
     try:
-        return _judged(prediction, observations, measure, posterior, explained, unseen, fitted, seed)
+        return _judged(prediction, observations, measure, posterior, explained, unseen, fitted, effort, seed)
     except (StrandlineError, ArithmeticError, ValueError) as error:
         why = " ".join(str(error).split())
         return Misfit(f"Whether the model explains the observation was not computed: {why}", False, notes=(unseen,))
@@ -85,16 +89,17 @@ def _judged(
     explained: Float[np.ndarray, "seen cause"] | None,
     unseen: str,
     fitted: bool,
+    effort: Effort,
     seed: int,
 ) -> Misfit:
     random = np.random.default_rng([seed, STREAM])
     residuals = Residuals.of(observations, measure, prediction.templates, explained)
     fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
     parts = replace(parts, waves=beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
-    seen, drawn = observed_statistics(residuals, fit, parts), drawn_statistics(residuals, fit, parts, random)
+    seen, drawn = observed_statistics(residuals, fit, parts), drawn_statistics(residuals, fit, parts, random, effort)
     predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
     try:
-        predictive = predictive_shares(residuals, fit, prediction, posterior, random)
+        predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
     except (StrandlineError, ArithmeticError, ValueError) as error:
         failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
     conditions = _conditions(residuals, fit, parts, seen, drawn, predictive)

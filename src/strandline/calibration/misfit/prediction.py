@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from strandline.calibration.misfit.effort import Effort
 from strandline.design.active import learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import StrandlineError
@@ -17,8 +18,8 @@ from strandline.surrogate.field import FieldSurrogate
 
 __all__ = ["Prediction", "by_field", "by_runs"]
 
-RUNS_PER_INPUT, MOST_RUNS = 8, 64
-"""Runs from which a field is learnt for this purpose: so many for each input and for the mean, and at most."""
+RUNS_PER_INPUT = 8
+"""Runs from which a field is learnt for this purpose: so many for each input and for the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,8 @@ def by_runs(
     space: ParameterSpace,
     observations: tuple[Observation, ...],
     measure: Discrepancy,
+    *,
+    most: int = Effort.runs,
 ) -> Prediction:
     """Return the prediction of a field learnt from the best runs; if there can be none, that of the best run alone.
 
@@ -76,9 +79,10 @@ def by_runs(
         space: The inputs with their priors.
         observations: The observed interfaces.
         measure: The measure d².
+        most: Most runs to learn from.
     """
     ranked = np.argsort(-log_likelihood, kind="stable")
-    best = np.sort(ranked[: min(RUNS_PER_INPUT * (space.dim + 1), MOST_RUNS)])
+    best = np.sort(ranked[: min(RUNS_PER_INPUT * (space.dim + 1), most)])
     plain = [replace(records[i], sensitivities={}) for i in best.tolist()]
     try:
         known = learn(x[best], plain, space, observations, measure)

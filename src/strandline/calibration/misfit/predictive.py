@@ -13,7 +13,6 @@ from jaxtyping import Float
 from strandline.calibration.misfit.best_fit import BestFit
 from strandline.calibration.misfit.prediction import Prediction
 from strandline.calibration.misfit.residuals import Residuals
-from strandline.calibration.misfit.verdict import FAMILIES, LEVEL
 from strandline.discrepancy import (
     Currents,
     Discrepancy,
@@ -32,8 +31,8 @@ from strandline.posterior import Posterior
 
 __all__ = ["PredictiveShares", "predictive_shares"]
 
-DRAWS, FEW_DRAWS = 2 * round(FAMILIES / LEVEL), 32
-"""Draws of the posterior; the few for surfaces, which are compared one by one, are too few to flag a model."""
+FEW_DRAWS = 32
+"""Most draws of the posterior for surfaces, which are compared one by one; too few to flag a model."""
 SYMMETRIC = (Currents, TrackedPoints)
 """Measures in which both interfaces can change places: many drawn observations are compared at once."""
 
@@ -52,12 +51,17 @@ class PredictiveShares:
 
 
 def predictive_shares(
-    residuals: Residuals, fit: BestFit, prediction: Prediction, posterior: Posterior, random: np.random.Generator
+    residuals: Residuals,
+    fit: BestFit,
+    prediction: Prediction,
+    posterior: Posterior,
+    random: np.random.Generator,
+    most: int,
 ) -> PredictiveShares:
-    """Return the posterior-predictive p-values of d², of all observations together and of each."""
+    """Return the posterior-predictive p-values of d², of all observations and of each, from at most `most` draws."""
     observations, measure, templates = residuals.observations, residuals.measure, prediction.templates
     slow = any(seen.interface.dim == 3 for seen in observations) and not isinstance(measure, NormalOffset)
-    draws = FEW_DRAWS if slow else DRAWS
+    draws = min(FEW_DRAWS, most) if slow else most
     points, at_fit = prediction.points(posterior.equally_weighted(random, draws)), prediction.points(fit.at[None])
     noise = residuals.drawn(draws, random)
     fields = random.standard_normal((draws, fit.by_modes.shape[1])) @ fit.by_modes.T

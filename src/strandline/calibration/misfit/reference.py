@@ -12,17 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.misfit.best_fit import BestFit
+from strandline.calibration.misfit.effort import Effort
 from strandline.calibration.misfit.patches import patches_of
 from strandline.calibration.misfit.residuals import Residuals
-from strandline.calibration.misfit.verdict import FAMILIES, LEVEL
 from strandline.calibration.misfit.waves import waves_of
 from strandline.interface import Observation, arc_lengths, steady_lengths
 
 __all__ = ["Parts", "Span", "Statistics", "corrected", "drawn_statistics", "observed_statistics", "parts_of", "tail"]
 
-DRAWS, PER_PART = 4000, 4 * round(FAMILIES / LEVEL)
-"""Fewest drawn observations, in all and for each part of an arc. Their number limits how small a p-value can be: one
-part alone can flag a model, after the correction for its two tests and those of the other parts."""
 BLOCK = 500
 """Draws processed together; this bounds the memory."""
 PARTS, FEWEST_POINTS = 6, 4
@@ -112,10 +109,12 @@ def observed_statistics(residuals: Residuals, fit: BestFit, parts: Parts) -> Sta
     return _statistics(residuals, fit.with_modes(residuals.model).solved(fit.residuals[None]), parts)
 
 
-def drawn_statistics(residuals: Residuals, fit: BestFit, parts: Parts, random: np.random.Generator) -> Statistics:
+def drawn_statistics(
+    residuals: Residuals, fit: BestFit, parts: Parts, random: np.random.Generator, effort: Effort
+) -> Statistics:
     """Return the statistics of drawn observations of the model, with inputs drawn from their priors."""
     whole, causes, found = fit.with_causes(residuals.model), fit.causes, []
-    draws = max(DRAWS, PER_PART * len(parts.spans))
+    draws = max(effort.draws, effort.per_part * len(parts.spans))
     for first in range(0, draws, BLOCK):
         number = min(BLOCK, draws - first)
         caused = random.standard_normal((number, causes.shape[1])) @ causes.T

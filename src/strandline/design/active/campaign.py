@@ -49,6 +49,7 @@ class ActiveRuns:
         fidelities: What a cheaper model is used for; None if there is none.
         on_step: Called after each tempering step of the sampling that begins each choice.
         told: Called with a report of each batch once the posterior is updated.
+        particles: Particles of the posterior after each batch; by default as many as the number of inputs needs.
     """
 
     active: Active
@@ -63,20 +64,22 @@ class ActiveRuns:
     fidelities: Fidelities | None = None
     on_step: Callable[[StepInfo], None] | None = None
     told: Callable[[BatchReport], None] = lambda report: None
+    particles: int | None = None
     design: ActiveDesign = field(init=False)
     _given: int = field(init=False, default=0)
     _told_dropped: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
+        sampling: dict[str, Any] = {"on_step": self.on_step, "particles": self.particles}
+
         def state(x: Points, records: Sequence[RunRecord]) -> State:
             known = learn(x, records, self.space, self.judge.observations, self.discrepancy)
-            return posterior_state(
-                known, self.space, (self.seed, len(x)), before=self.design.state, on_step=self.on_step
-            )
+            seed = self.seed, len(x)
+            return posterior_state(known, self.space, seed, before=self.design.state, **sampling)
 
         def afresh(state: State) -> State:
             seed = self.seed, len(state.knowledge.x), AFRESH
-            return posterior_state(state.knowledge, self.space, seed, on_step=self.on_step)
+            return posterior_state(state.knowledge, self.space, seed, **sampling)
 
         self.design = ActiveDesign(
             self.active,

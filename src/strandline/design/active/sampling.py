@@ -20,7 +20,7 @@ from strandline.numerics.one_thread import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.smc import SMCResult, SMCSettings, StepInfo, carried_over, sample
 
-__all__ = ["MANY_INPUTS_PARTICLES", "PARTICLES", "ROUGHLY", "SAMPLING", "posterior_state"]
+__all__ = ["DRAFT_PARTICLES", "MANY_INPUTS_PARTICLES", "PARTICLES", "ROUGHLY", "SAMPLING", "posterior_state"]
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
 """Settings of the sampler after each batch."""
@@ -28,6 +28,8 @@ ROUGHLY = SMCSettings(rejuvenation_steps=6, zeta=0.5)
 """Settings of the sampler where such a likelihood leads near the posterior; moves by the exact one follow."""
 PARTICLES = {1: 2000, 2: 2000, 3: 2000}
 MANY_INPUTS_PARTICLES = 1200
+DRAFT_PARTICLES = 600
+"""Particles of a draft, whatever the number of inputs."""
 TEMPERATURE = 0.5
 """γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
 STREAM = 4
@@ -41,6 +43,7 @@ def posterior_state(
     *,
     before: State | None = None,
     on_step: Callable[[StepInfo], None] | None = None,
+    particles: int | None = None,
 ) -> State:
     """Return the posterior that `knowledge` leads to; the same arguments give the same result to the bit.
 
@@ -50,9 +53,10 @@ def posterior_state(
         seed: Seed of the random numbers, one or more integers.
         before: An earlier posterior to go on from, if the new one is near; None: sample from the prior.
         on_step: Called after every tempering step.
+        particles: Number of particles; by default as many as the number of inputs needs.
     """
     rng = np.random.default_rng([*seed, STREAM])
-    number = PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
+    number = particles or PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)
     initial = space.prior_quantiles(rng.random((number, space.dim)))
     host = OnHost(lambda x: TEMPERATURE * knowledge.plug_in(x))
     key = jax.random.key(int(rng.integers(2**32)))

@@ -135,7 +135,9 @@ def compare(
     with one_thread():
         separations = [(one, _separation(found, one, seed)) for one in shown]
         content = describe_comparison(found, compared, together, shared, separations, seed=seed)
-    return StudyComparison(content, found, shared, together, _written(content, folder))
+    return StudyComparison(
+        content, found, shared, together, _written(content, folder, draft=all(one.settings.draft for one in loaded))
+    )
 
 
 def _named(studies: Sequence[Study], odds: Sequence[float] | None) -> dict[str, Study]:
@@ -252,10 +254,10 @@ def _separation(found: ModelComparison, shown: Shown, seed: int) -> Discriminati
     return expected_discrimination(shown.signals, (shares / shares.sum()).tolist(), np.random.default_rng(seed))
 
 
-def _written(content: dict[str, Any], folder: Path) -> Path:
+def _written(content: dict[str, Any], folder: Path, *, draft: bool) -> Path:
     """Write compare.json, compare.html and its figures, in a new folder if needed; return the path of the page."""
     with told_if_unwritable(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        page = write_comparison(content, folder)
+        page = write_comparison(content, folder, draft=draft)
         write_json(folder / COMPARISON, content)
     return page

@@ -132,7 +132,7 @@ def coverage(
         found = CoverageFound(study.space.names, _made(experiment, origin, file, replicates, seed, tell))
     tell.stage("report")
     content = describe_coverage(study, found, experiment, quality, source=source, seed=seed, measure=name)
-    return StudyCoverage(content, found, _written(content, study.folder))
+    return StudyCoverage(content, found, _written(content, study))
 
 
 def _origin(study: Study, measure: str, source: str, posterior: Posterior | None) -> tuple[Source, FieldQuality]:
@@ -144,11 +144,11 @@ def _origin(study: Study, measure: str, source: str, posterior: Posterior | None
     return origin, quality
 
 
-def _written(content: dict[str, Any], folder: Path) -> Path:
+def _written(content: dict[str, Any], study: Study) -> Path:
     """Write coverage.json, coverage.html and its figures; return the path of the page."""
-    with told_if_unwritable(folder):
-        page = write_coverage(content, folder)
-        write_json(folder / COVERAGE, content)
+    with told_if_unwritable(study.folder):
+        page = write_coverage(content, study.folder, draft=study.settings.draft)
+        write_json(study.folder / COVERAGE, content)
     return page
 
 

@@ -121,7 +121,7 @@ def next_experiment(
     tell.stage("report")
     content = describe_next(study, found, seed=seed, seconds=time.perf_counter() - begun)
     with told_if_unwritable(study.folder):
-        page = write_next(content, study.folder)
+        page = write_next(content, study.folder, draft=study.settings.draft)
         write_json(study.folder / NEXT, content)
     return NextExperiment(content, found, page)
 

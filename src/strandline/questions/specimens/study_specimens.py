@@ -154,7 +154,7 @@ def specimens(
         content = describe_specimens(
             opened, found.posteriors, found.refused, population, lifted, made=made, alike=files.alike(paths)
         )
-        page = write_specimens(content, study.folder)
+        page = write_specimens(content, study.folder, draft=study.settings.draft)
         write_table(study.folder / SPECIMENS_TABLE, content)
         write_json(study.folder / SPECIMENS, content)
     return StudySpecimens(content, found.posteriors, population, lifted, page)

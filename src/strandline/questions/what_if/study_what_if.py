@@ -111,7 +111,7 @@ def what_if(
     tell.stage("report")
     content = describe_what_if(study, now, answers, seed=seed)
     with told_if_unwritable(study.folder):
-        page = write_what_if(content, study.folder)
+        page = write_what_if(content, study.folder, draft=study.settings.draft)
         write_json(study.folder / WHAT_IF, content)
     return StudyWhatIf(content, answers, page)
 

@@ -26,6 +26,7 @@ __all__ = [
     "DASHES",
     "DOTS_PER_INCH",
     "DOUBLE",
+    "DRAFT_DOTS_PER_INCH",
     "GREEN",
     "GREY",
     "ORANGE",
@@ -50,7 +51,7 @@ DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 SINGLE, DOUBLE = 88 / 25.4, 180 / 25.4
 """Widths of figures in inches: one column of a journal, and two."""
-DOTS_PER_INCH = 300
+DOTS_PER_INCH, DRAFT_DOTS_PER_INCH = 300, 60
 MARK_SIZE = 7.5
 
 _STYLE: Any = {

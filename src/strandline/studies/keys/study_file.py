@@ -79,6 +79,11 @@ class StudyFile(Section):
     """runs also return d(interface)/d(input), kept in the ledger"""
     reuse: list[str] = []
     """other studies' folders, relative to this one, to reuse fitting runs"""
+    draft: Switch = False
+    """a first look: few draws judge the fit, an active design carries few particles, figures are coarse, and there are
+    no sensitivity indices; the report says so"""
+    report: Literal["full", "none"] = "full"
+    """`none`: no figures and no page"""
     seed: Seed = 1
     """for every random number after the design"""
     next: dict[Name, Any] = {}
