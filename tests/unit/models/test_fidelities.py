@@ -35,18 +35,14 @@ class Rod:
         return f"{self.nodes} nodes"
 
 
-def test_a_mark_chooses_the_cheaper_model() -> None:
-    both = WithCheaper(Rod(9), Rod(3), 0.2)
-    assert len(both({"slope": 1.0}, Path()).interface.points) == 9  # type: ignore[union-attr]
-    assert len(both(by_cheaper({"slope": 1.0}), Path()).interface.points) == 3  # type: ignore[union-attr]
-
-
-def test_runs_of_the_model_keep_their_address_and_those_of_the_cheaper_one_have_their_own() -> None:
-    both = WithCheaper(Rod(9), Rod(3), 0.2)
+def test_a_mark_chooses_the_cheaper_model_and_its_address() -> None:
+    both, plain, marked = WithCheaper(Rod(9), Rod(3), 0.2), {"slope": 1.0}, by_cheaper({"slope": 1.0})
+    assert len(both(plain, Path()).interface.points) == 9  # type: ignore[union-attr]
+    assert len(both(marked, Path()).interface.points) == 3  # type: ignore[union-attr]
     assert fingerprint(both) == fingerprint(Rod(9))
-    assert run_identity(both, "rod:9", {"slope": 1.0}) == "rod:9"
-    assert run_identity(both, "rod:9", by_cheaper({"slope": 1.0})) == "rod:3"
-    assert run_identity(Rod(9), "rod:9", by_cheaper({"slope": 1.0})) == "rod:9"
+    assert run_identity(both, "rod:9", plain) == "rod:9"
+    assert run_identity(both, "rod:9", marked) == "rod:3"
+    assert run_identity(Rod(9), "rod:9", marked) == "rod:9"
 
 
 def test_it_offers_what_the_model_offers_and_can_be_pickled() -> None:

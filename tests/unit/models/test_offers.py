@@ -35,19 +35,13 @@ class Points(Plain):
         return LINE.points
 
 
-def test_a_model_need_not_offer_anything() -> None:
+def test_the_undeformed_interface_is_given_lacking_or_refused() -> None:
+    assert undeformed_interface(Whole()) is LINE
     assert undeformed_interface(Plain()) is None
     assert not isinstance(Plain(), SolvesOnFinerMesh | KeepsFolders)
-
-
-def test_the_undeformed_interface() -> None:
-    assert undeformed_interface(Whole()) is LINE
-
-
-@pytest.mark.parametrize(("wrong", "said"), [(Attribute(), "got an attribute"), (Points(), "got a ndarray")])
-def test_no_interface_is_refused(wrong: Any, said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
-        undeformed_interface(wrong)
+    for wrong, said in ((Attribute(), "got an attribute"), (Points(), "got a ndarray")):
+        with pytest.raises(InvalidInput, match=said):
+            undeformed_interface(wrong)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
