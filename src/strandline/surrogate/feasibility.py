@@ -58,14 +58,17 @@ class Feasibility:
         return np.asarray(log_expit(mean / np.sqrt(1 + np.pi * variance / 8)))
 
 
-def learn_feasibility(z: Float[np.ndarray, "run dim"], ok: Bool[np.ndarray, " run"]) -> Feasibility:
+def learn_feasibility(
+    z: Float[np.ndarray, "run dim"], ok: Bool[np.ndarray, " run"], *, largest: int = _LARGEST
+) -> Feasibility:
     """Return the classifier of highest evidence.
 
     Args:
         z: standardised inputs of all runs.
         ok: whether each run succeeded.
+        largest: number of runs that are learnt from, at most: the last ones.
     """
-    z, ok = z[-_LARGEST:], ok[-_LARGEST:]
+    z, ok = z[-largest:], ok[-largest:]
     if ok.all():
         return Feasibility(z)
     offset = float(logit((ok.sum() + _PRIOR_RUNS) / (len(ok) + 2 * _PRIOR_RUNS)))

@@ -54,6 +54,7 @@ def decompose(
     derivatives: Float[np.ndarray, "run value dim"] | None,
     *,
     tolerance: float,
+    most: int = MOST,
 ) -> Modes:
     """Return the fewest modes that leave a root mean square of the fields below `tolerance`, mm.
 
@@ -63,6 +64,7 @@ def decompose(
         derivatives: Derivatives of the fields with respect to the standardised inputs (run, value, dim), whose
             directions the modes span too; None: there are none.
         tolerance: Largest root mean square of the remainder, mm.
+        most: Largest number of modes.
     """
     mean, roots = fields.mean(axis=0), np.sqrt(weights)
     centred = (fields - mean) * roots
@@ -75,6 +77,6 @@ def decompose(
     shares = np.mean((centred @ basis.T) ** 2, axis=0)
     left = shares.sum() - np.cumsum(shares)
     enough = np.flatnonzero(left <= tolerance**2)
-    number = min(int(enough[0]) + 1 if enough.size else len(basis), MOST)
+    number = min(int(enough[0]) + 1 if enough.size else len(basis), most)
     tail = basis[number:] * np.sqrt(shares[number:])[:, None]
     return Modes(mean, roots, basis[:number], tail)

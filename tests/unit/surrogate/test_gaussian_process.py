@@ -1,0 +1,165 @@
+"""Prediction, derivatives and precision of a conditioned process, for every kernel."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.unit.surrogate.peers import EVERY, VARIANCE, conditioned, peer, runs
+
+from strandline.errors import InvalidInput, NumericsError
+from strandline.surrogate import KERNELS, batched_mean, condition, gaussian_process, validate
+from strandline.surrogate.gaussian_process import single_precision_error
+
+MATERN = KERNELS["matern32"]
+
+
+@EVERY
+def test_mean_and_variance_equal_another_implementation(names):
+    for name in names:
+        for dim in (1, 3):
+            x, y, gp = conditioned(name, dim)
+            shift, scale = x.mean(axis=0), x.std(axis=0)
+            points = np.concatenate([runs(100, dim, seed=1)[0], x[:5]])
+            other = peer(name, dim).fit((x - shift) / scale, y - y.mean())
+            mean, sd = other.predict((points - shift) / scale, return_std=True)
+            np.testing.assert_allclose(gp.mean(points), mean + y.mean(), rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(np.sqrt(gp.variance(points)), sd, rtol=1e-6, atol=1e-9)
+            far = x[:1] + 100 * scale
+            np.testing.assert_allclose([gp.mean(far)[0], gp.variance(far)[0]], [y.mean(), VARIANCE])
+
+
+@EVERY
+def test_gradient_and_hessian_are_the_finite_differences_of_the_mean(names):
+    for name in names:
+        for dim in (1, 3):
+            x, _, gp = conditioned(name, dim)
+            points, step = np.concatenate([runs(20, dim, seed=2)[0], x[:3]]), 1e-6 * gp.scale
+            for d, shift in enumerate(np.diag(step)):
+                slope = (gp.mean(points + shift) - gp.mean(points - shift)) / (2 * step[d])
+                np.testing.assert_allclose(gp.gradient(points)[:, d] * gp.scale[d], slope * gp.scale[d], atol=1e-5)
+                bend = (gp.gradient(points + shift) - gp.gradient(points - shift)) / (2 * step[d])
+                unit = gp.scale * gp.scale[d]
+                np.testing.assert_allclose((gp.hessian(points)[:, d] * unit)[:20], (bend * unit)[:20], atol=1e-4)
+
+
+@EVERY
+def test_the_hessian_at_a_training_point_is_the_limit_of_those_around_it(names):
+    for name in names:
+        x, _, gp = conditioned(name)
+        unit, errors = np.outer(gp.scale, gp.scale), []
+        for distance in (1e-2, 1e-3, 1e-4):
+            around = x[4] + distance * gp.scale * np.concatenate([np.eye(3), -np.eye(3)])
+            errors.append(np.abs((gp.hessian(around) - gp.hessian(x[4:5])) * unit).max())
+        assert errors[1] < 0.2 * errors[0]
+        assert errors[2] < 0.2 * errors[1]
+
+
+@pytest.mark.parametrize("fused", [None, True])
+@pytest.mark.parametrize("name", ["matern32", "matern52_product"])
+def test_the_jitted_mean_equals_the_plain_one_and_has_its_gradient(name, fused):
+    """JAX's gradient is not defined at the runs."""
+    x, _, gp = conditioned(name)
+    points = jnp.asarray(np.concatenate([runs(30, seed=3)[0], x]))
+
+    @jax.jit
+    def mean_and_gradient(points):
+        mean, back = jax.vjp(batched_mean(gp, fused=fused), points)
+        return mean, back(jnp.ones(len(points)))[0]
+
+    mean, gradient = mean_and_gradient(points)
+    np.testing.assert_allclose(mean, gp.mean(np.asarray(points)), rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(gradient[:30], gp.gradient(np.asarray(points[:30])), rtol=1e-8, atol=1e-10)
+
+
+def test_many_points_are_taken_in_blocks():
+    _, _, gp = conditioned()
+    points = runs(30_000, seed=5)[0]
+    parts = points[:12_000], points[12_000:16_000], points[16_000:]
+    for method in (gp.mean, gp.variance, gp.gradient):
+        np.testing.assert_allclose(method(points), np.concatenate([method(part) for part in parts]), atol=1e-12)
+
+
+def test_units_of_the_inputs_do_not_matter():
+    x, y, gp = conditioned(dim=2)
+    factor, offset = np.array([1e-3, 40.0]), np.array([-7.0, 2.0])
+    same = {"length_scale": gp.length_scale, "signal_variance": gp.signal_variance, "nugget": gp.nugget}
+    other = condition(factor * x + offset, y, kernel=MATERN, **same)
+    points = runs(30, 2, seed=6)[0]
+    np.testing.assert_allclose(other.mean(factor * points + offset), gp.mean(points), rtol=1e-9)
+    np.testing.assert_allclose(other.gradient(factor * points + offset) * factor, gp.gradient(points), rtol=1e-6)
+
+
+def test_duplicate_runs_need_a_nugget_and_are_averaged():
+    x, y = runs(20)
+    twice = np.concatenate([x, x]), np.concatenate([y - 0.5, y + 0.5])
+    options = {"kernel": MATERN, "length_scale": 0.8, "signal_variance": 100.0}
+    np.testing.assert_allclose(condition(*twice, nugget=1e-6, **options).mean(x), y, atol=1e-4)
+    with pytest.raises(NumericsError, match="nugget"):
+        condition(*twice, nugget=0.0, **options)
+
+
+def test_a_constant_input_and_points_of_another_dimension_are_refused():
+    x, y, gp = conditioned()
+    with pytest.raises(InvalidInput, match="3 columns"):
+        gp.mean(np.zeros((4, 2)))
+    x[:, 1] = 0.3
+    with pytest.raises(InvalidInput, match="column 1"):
+        condition(x, y, kernel=MATERN, length_scale=1.0, signal_variance=1.0, nugget=1e-3)
+
+
+@pytest.mark.parametrize(("name", "fused"), [("matern32", True), ("matern32_product", False)])
+def test_single_precision_is_as_exact_as_it_says(name, fused):
+    x, y = runs(200, 2)
+    gp = condition(x, y, kernel=KERNELS[name], length_scale=0.7, signal_variance=2.0, nugget=1e-3)
+    points = runs(1000, 2, seed=7)[0]
+    single, chosen = (jax.jit(batched_mean(gp, fused=fused, precision=one))(points) for one in ("float32", "auto"))
+    assert single.dtype == np.float64
+    assert 1e-9 < np.abs(single - gp.mean(points)).max() < single_precision_error(gp) < 0.02
+    np.testing.assert_array_equal(chosen, single)
+
+
+def test_single_precision_is_refused_where_it_would_be_wrong(monkeypatch):
+    x, y = runs(200, 2)
+    gp = condition(x, 10 * y, kernel=MATERN, length_scale=50.0, signal_variance=3e7, nugget=1e-4)
+    points, said = runs(500, 2, seed=7)[0], single_precision_error(gp)
+    with pytest.raises(InvalidInput, match=rf"single precision: got {float(f'{said:.2g}')}; expected at most 0\.02"):
+        batched_mean(gp, precision="float32")
+    found = jax.jit(batched_mean(gp, precision="auto"))(points)
+    np.testing.assert_allclose(found, gp.mean(points), rtol=1e-6, atol=1e-5)
+    monkeypatch.setattr(gaussian_process, "_allowed", lambda gp, precision: precision)
+    error = np.abs(jax.jit(batched_mean(gp, precision="float32"))(points) - gp.mean(points)).max()
+    assert 0.02 < error < said
+
+
+@pytest.mark.parametrize("name", ["matern32", "matern32_product"])
+def test_residuals_equal_those_of_refitting_without_each_run(name):
+    x, y, gp = conditioned(name)
+    found, u = validate(gp, y), (x - gp.shift) / gp.scale
+    for i in range(0, len(y), 9):
+        rest = np.arange(len(y)) != i
+        mean, sd = peer(name, 3).fit(u[rest], (y - y.mean())[rest]).predict(u[i : i + 1], return_std=True)
+        assert found.residuals[i] == pytest.approx(y[i] - y.mean() - mean[0], abs=1e-8)
+        expected = found.residuals[i] / np.sqrt(sd[0] ** 2 + gp.nugget)
+        assert found.standardised_residuals[i] == pytest.approx(expected, abs=1e-6)
+    assert found.loo_rms == pytest.approx(np.sqrt(np.mean(found.residuals**2)))
+
+
+def test_standardised_residuals_of_a_true_process_have_unit_size():
+    x = np.random.default_rng(1).random((150, 2))
+    z = (x - x.mean(axis=0)) / x.std(axis=0)
+    K = 20.0 * MATERN.value((z[:, None] - z) / 1.5) + 1e-3 * np.eye(150)
+    y = np.linalg.cholesky(K) @ np.random.default_rng(0).standard_normal(150)
+    gp = condition(x, y, kernel=MATERN, length_scale=1.5, signal_variance=20.0, nugget=1e-3)
+    assert validate(gp, y).standardised_rms == pytest.approx(1.0, abs=0.2)
+
+
+def test_near_mode_is_ten_log_units_but_at_least_ten_runs():
+    x, _, gp = conditioned(dim=2)
+    y = -40 * ((x - x.mean(axis=0)) / x.std(axis=0) * 0.3) ** 2 @ np.ones(2)
+    near, steep = validate(gp, y), validate(gp, 1000 * y)
+    assert near.near_mode_count == (y > y.max() - 10).sum() > 10
+    assert near.loo_rms_near_mode == pytest.approx(np.sqrt(np.mean(near.residuals[y > y.max() - 10] ** 2)))
+    assert steep.near_mode_count == 10
+    assert set(np.flatnonzero(steep.near_mode)) == set(np.argsort(y)[-10:])
+    few = condition(x[:6], 100 * y[:6], kernel=MATERN, length_scale=1.0, signal_variance=1.0, nugget=1e-3)
+    assert validate(few, 100 * y[:6]).near_mode_count == 6

@@ -1,0 +1,86 @@
+"""The surrogate of a log-likelihood on ridges like those of calibrations."""
+
+import numpy as np
+import pytest
+from tests.unit.surrogate.peers import EVERY
+
+from strandline.design import sobol
+from strandline.errors import InvalidInput, NumericsError, TooFewRuns
+from strandline.surrogate import fit_log_likelihood
+
+LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
+
+
+def ridge(x):
+    u = (x - LOW) / (HIGH - LOW)
+    return -30 * (u[:, 0] - 0.3 - 0.3 * u[:, 1] ** 2) ** 2 - 3 * (u[:, 1] - 0.7) ** 2
+
+
+def design(number):
+    return LOW + sobol(number, 2) * (HIGH - LOW)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_a_ridge_is_learnt_better_with_more_runs_and_left_out_runs_tell_how_well():
+    new = sobol(300, 2, scramble=1)
+    points, inside = (LOW + u * (HIGH - LOW) for u in (new, 0.1 + 0.8 * new))
+    fits = [fit_log_likelihood(design(number), ridge(design(number))) for number in (25, 100, 400)]
+    errors = [rms(fit.process.mean(points) - ridge(points)) for fit in fits]
+    assert errors[1] < 0.35 * errors[0]
+    assert errors[2] < 0.35 * errors[1]
+    assert errors[2] < 0.01
+    within = (np.abs((design(100) - LOW) / (HIGH - LOW) - 0.5) < 0.4).all(axis=1)
+    error = rms(fits[1].process.mean(inside) - ridge(inside))
+    assert error < rms(fits[1].validation.residuals[within]) < 10 * error
+    assert fits[0].process.nugget == pytest.approx(1e-5 * np.ptp(ridge(design(25))))
+    assert fits[0].process.length_scale == fits[0].fit.length_scale
+
+
+@EVERY
+def test_a_log_likelihood_is_fitted_by_all(names):
+    def log_likelihood(u):
+        return -40 * (u[:, 0] - 0.3 - 0.3 * u[:, 1] ** 2) ** 2
+
+    u, new = sobol(100, 2), sobol(200, 2, scramble=1)
+    for name in names:
+        found = fit_log_likelihood(u, log_likelihood(u), kernel=name)
+        assert rms(found.process.mean(new) - log_likelihood(new)) < 0.1 * np.std(log_likelihood(new))
+        assert found.fit.verdict == "converged" or found.fit.verdict.startswith("accepted")
+        assert np.max(found.fit.length_scale) <= 10.0
+
+
+def test_lengths_of_their_own_help_where_inputs_differ():
+    def log_likelihood(u):
+        return -40 * (u[:, 0] - 0.3 - 0.3 * u[:, 1] ** 2) ** 2 - 0.5 * u[:, 2] - 0.1 * u[:, 3]
+
+    u, new = sobol(120, 4), sobol(300, 4, scramble=1)
+    one, several = (
+        rms(fit_log_likelihood(u, log_likelihood(u), kernel=name).process.mean(new) - log_likelihood(new))
+        for name in ("matern32", "matern32_product")
+    )
+    assert several < 0.7 * one
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e5])
+def test_any_noise_level_is_fitted(scale):
+    x = design(100)
+    surrogate = fit_log_likelihood(x, scale * ridge(x))
+    assert surrogate.validation.loo_rms < 0.01 * np.ptp(scale * ridge(x))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "kernel", "error", "words"),
+    [
+        (design(3), ridge(design(3)), "matern32", TooFewRuns, "at least 4"),
+        (design(9), ridge(design(9))[:8], "matern32", InvalidInput, "one log-likelihood for each run"),
+        (design(9), np.full(9, -2.5), "matern32", NumericsError, "all 9 training targets equal -2.5"),
+        (design(9) * [1, 0] + [0, 0.2], ridge(design(9)), "matern32", InvalidInput, "column 1"),
+        (design(9), ridge(design(9)), "gauss", InvalidInput, "kernel"),
+    ],
+)
+def test_unusable_data_is_refused(x, y, kernel, error, words):
+    with pytest.raises(error, match=words):
+        fit_log_likelihood(x, y, kernel=kernel)
