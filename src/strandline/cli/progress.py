@@ -30,6 +30,7 @@ def observing(
     quiet: bool = False,
     log: Path | None = None,
     details: Callable[[Callable[[str], None]], Observer] | None = None,
+    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Observer]:
     """Yield an observer that shows the progress of the study on standard error, nothing if `quiet`.
 
@@ -38,6 +39,7 @@ def observing(
         log: File to which the progress is added, a line with its time for each step.
         details: Function that takes a function to show a line and returns an observer, which then adds its lines to
             all that is shown and logged.
+        clock: Function that returns the seconds since some time.
 
     Raises:
         InvalidInput: The file cannot be written to.
@@ -49,9 +51,9 @@ def observing(
         elif console.is_terminal:
             shown = opened.enter_context(_bars(console))
         else:
-            shown = _lines(console)
+            shown = _lines(console, clock)
         if log is not None:
-            shown = _both(shown, _lines(opened.enter_context(_timed(log))))
+            shown = _both(shown, _lines(opened.enter_context(_timed(log)), clock))
         yield shown if details is None else _both(shown, details(shown.note))
 
 
@@ -147,20 +149,20 @@ def _bars(console: Console) -> Iterator[Observer]:
         end_stage()
 
 
-def _lines(console: Console) -> Observer:
-    last, current = [time.monotonic()], [""]
+def _lines(console: Console, clock: Callable[[], float]) -> Observer:
+    last, current = [clock()], [""]
 
     def say(text: str) -> None:
         _say(console, text)
 
     def stage(name: str) -> None:
-        last[0], current[0] = time.monotonic(), name
+        last[0], current[0] = clock(), name
         say(f"{STAGES.get(name, name)} …")
 
     def due(finished: bool) -> bool:
-        if not finished and time.monotonic() - last[0] < SECONDS_BETWEEN_LINES:
+        if not finished and clock() - last[0] < SECONDS_BETWEEN_LINES:
             return False
-        last[0] = time.monotonic()
+        last[0] = clock()
         return True
 
     def run(record: RunRecord, state: Runs) -> None:

@@ -1,0 +1,203 @@
+"""`strandline runs`: the list, its filters, one run in full, exports, and runs that are left out."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from tests.unit.cli.command_line import Shown, printed, refused
+from tests.unit.cli.ledgers import RECORDS, keep, some_runs
+
+from strandline.interface import Interface
+from strandline.runs import Ledger, RunRecord
+from strandline.runs.overview import STATES
+from strandline.runs.record import with_log
+from strandline.testing.models import Cantilever, TwoLoads
+
+DATA = Path(__file__).parents[2] / "data"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return some_runs(tmp_path / "study")
+
+
+def listed(capsys: Shown, *arguments: str) -> list[list[str]]:
+    """Return the rows of the list, and last its number of runs."""
+    heading, *lines = printed(capsys, "runs", *arguments).splitlines()
+    assert heading.split()[:4] == ["key", "state", "kind", "seconds"]
+    return [line.split() for line in lines]
+
+
+def keys(capsys: Shown, *arguments: str) -> list[str]:
+    return [row[0] for row in listed(capsys, *arguments)[:-1]]
+
+
+def test_the_list_is_in_the_order_of_the_last_start(folder: Path, capsys: Shown) -> None:
+    assert printed(capsys, "runs", str(folder)).splitlines() == [
+        "key  state    kind         seconds    E        nu",
+        "aa1  ok       -              1.250  400  0.333333",
+        "ab3  failed   limit_point    3.500  301      0.25",
+        "ac4  timeout  timeout       60.000  302      0.25",
+        "ad5  killed   worker_died    0.000  303      0.25",
+        "ae6  invalid  non_finite     0.000  304      0.25",
+        "af7  open     -                  -  305      0.25",
+        "aa2  open     -                  -  300      0.25",
+        "7 of 7 runs",
+    ]
+
+
+def test_some_runs_are_listed(folder: Path, capsys: Shown) -> None:
+    expected = {"open": ["af7", "aa2"], "failed": ["ab3"]}
+    expected |= {record.state: [record.key] for record in RECORDS if record.state != "failed"}
+    for state in STATES:
+        *rows, last = listed(capsys, str(folder), "--state", state)
+        assert [row[0] for row in rows] == expected[state]
+        assert last == [str(len(rows)), "of", "7", "runs"]
+    assert keys(capsys, str(folder), "--kind", "non_finite") == ["ae6"]
+    assert keys(capsys, str(folder), "--kind", "stalled") == []  # that run is open again
+    assert keys(capsys, str(folder), "--limit", "3") == ["ae6", "af7", "aa2"]
+    assert keys(capsys, str(folder), "--limit", "1", "--state", "ok") == ["aa1"]
+    (one,) = json.loads(printed(capsys, "runs", str(folder), "--json", "--state", "ok"))
+    assert (one["key"], one["kind"], one["inputs"]) == ("aa1", None, dict(RECORDS[0].inputs))
+    assert (one["seconds"], one["starts"], one["origin"]) == (1.25, 1, None)
+    assert 0 < one["started_at"] <= one["finished_at"]
+
+
+def test_one_run_in_full(folder: Path, capsys: Shown) -> None:
+    shown = printed(capsys, "runs", str(folder), "--show", "aa1").splitlines()
+    assert shown.pop(2).startswith("started: ")
+    assert shown == ["key: aa1", "state: ok", "E = 400.0", "nu = 0.3333333333333333", "seconds: 1.25", "tip: 0.125"]
+
+
+def test_a_run_that_is_open_again_shows_how_it_ended_before(folder: Path, capsys: Shown) -> None:
+    shown = printed(capsys, "runs", str(folder), "--show", "aa2").splitlines()
+    assert shown[1] == "state: open"
+    assert shown[2].endswith("(start 2 of this run)")
+    log = ["log:", "  a", "  log"]
+    assert shown[5:] == [
+        "before: failed, stalled",
+        "seconds: 2.5",
+        "load: 0.5",
+        "message:",
+        '  no "end",',
+        "  long",
+        *log,
+    ]
+    assert "before" not in printed(capsys, "runs", str(folder), "--show", "af7")
+
+
+def test_a_log_is_shown_once(tmp_path: Path, capsys: Shown) -> None:
+    lines = "".join(f"{number}\n" for number in range(1, 13))
+    records = [with_log(RECORDS[3], lines), with_log(with_log(RECORDS[2], "of the command\n"), "of the worker\n")]
+    folder = str(keep(tmp_path / "study", records))
+    shown = printed(capsys, "runs", folder, "--show", "ac4").splitlines()
+    assert shown.count("  12") == 1
+    assert shown[-13:] == ["log:", *(f"  {number}" for number in range(1, 13))]
+    shown = printed(capsys, "runs", folder, "--show", "ab3").splitlines()
+    assert shown[-5:] == ["  bends", "  last lines of its log:", "  of the command", "log:", "  of the worker"]
+
+
+def test_a_csv_holds_all_of_it(folder: Path, tmp_path: Path, capsys: Shown) -> None:
+    path = tmp_path / "runs.csv"
+    assert printed(capsys, "runs", str(folder), "--export", str(path)) == f"wrote {path}: 7 runs\n"
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = {row["key"]: row for row in csv.DictReader(stream)}
+    assert list(rows) == ["aa1", "ab3", "ac4", "ad5", "ae6", "af7", "aa2"]
+    for record in RECORDS:
+        row = rows[record.key]
+        assert {name: float(row[f"input.{name}"]) for name in record.inputs} == record.inputs
+        if record.key != "aa2":
+            assert (row["state"], row["kind"]) == (record.state, record.failure_kind or "")
+            assert float(row["seconds"]) == record.seconds
+            assert row["message"] == (record.message or "").split("\n")[0]
+    assert (rows["aa1"]["diagnostic.tip"], rows["ab3"]["diagnostic.tip"]) == ("0.125", "")
+    assert (rows["aa2"]["state"], rows["aa2"]["seconds"]) == ("open", "")
+    printed(capsys, "runs", str(folder), "--export", str(path), "--kind", "limit_point")
+    assert path.read_text().splitlines() == [
+        "key,state,kind,seconds,message,input.E,input.nu",
+        "ab3,failed,limit_point,3.5,bends,301.0,0.25",
+    ]
+
+
+def test_a_netcdf_holds_the_interfaces_too(tmp_path: Path, capsys: Shown) -> None:
+    model, records = TwoLoads(Cantilever(nodes=5)), []
+    for number, value in enumerate([300.0, 400.0]):
+        inputs = {"E": value, "load": 1e-5}
+        run = model(inputs, tmp_path)
+        records.append(RunRecord(f"k{number}", inputs, "ok", run.interfaces, run.diagnostics, 0.5))
+    bad = RunRecord("bad", {"E": -1.0, "load": 1e-5}, "failed", failure_kind="nonpositive_stiffness", message="E\nx")
+    folder, path = keep(tmp_path / "study", [records[0], bad, records[1]]), tmp_path / "runs.nc"
+    assert printed(capsys, "runs", str(folder), "--export", str(path)) == f"wrote {path}: 3 runs\n"
+    with xr.open_dataset(path, engine="h5netcdf") as found:
+        assert found["run"].values.tolist() == ["k0", "bad", "k1"]
+        assert found["state"].values.tolist() == ["ok", "failed", "ok"]
+        assert found["kind"].values.tolist() == ["", "nonpositive_stiffness", ""]
+        assert found["message"].values.tolist() == ["", "E", ""]
+        assert found["inputs"].sel(input="E").values.tolist() == [300.0, -1.0, 400.0]
+        assert found["diagnostics"].sel(run="k1", diagnostic="tip_light") == records[1].diagnostics["tip_light"]
+        assert np.isnan(found["diagnostics"].sel(run="bad")).all()
+        for record in records:
+            for condition, interface in record.interfaces.items():
+                np.testing.assert_array_equal(found[f"interface_{condition}"].sel(run=record.key), interface.points)
+                np.testing.assert_array_equal(found[f"cells_{condition}"], interface.cells)
+        assert np.isnan(found["interface_heavy"].sel(run="bad")).all()
+
+
+def test_a_netcdf_without_what_it_cannot_hold(tmp_path: Path, capsys: Shown) -> None:
+    longer, path = Interface.polyline(np.arange(10.0).reshape(5, 2)), tmp_path / "runs.nc"
+    folder = keep(tmp_path / "study", [RECORDS[0], RunRecord("b", {"E": 1.0, "nu": 0.0}, "ok", {"": longer})])
+    shown = printed(capsys, "runs", str(folder), "--export", str(path))
+    assert shown.endswith("2 runs; left out, as the numbers of points differ: the interface\n")
+    always = {"state", "kind", "message", "seconds", "inputs"}
+    with xr.open_dataset(path, engine="h5netcdf") as found:
+        assert set(found.data_vars) == {*always, "diagnostics"}
+    printed(capsys, "runs", str(folder), "--export", str(path), "--limit", "1")
+    with xr.open_dataset(path, engine="h5netcdf") as found:
+        np.testing.assert_array_equal(found["interface"].values[0], longer.points)
+    printed(capsys, "runs", str(keep(tmp_path / "bare", RECORDS[3:])), "--export", str(path))
+    with xr.open_dataset(path, engine="h5netcdf") as found:
+        assert set(found.data_vars) == always
+
+
+@pytest.mark.parametrize("name", ["ledger-v1.sqlite", "ledger-v2.sqlite"])
+def test_earlier_ledgers_are_listed(tmp_path: Path, name: str, capsys: Shown) -> None:
+    shutil.copy(DATA / name, tmp_path / "ledger.sqlite")
+    *rows, _ = listed(capsys, str(tmp_path))
+    with Ledger.open(tmp_path / "ledger.sqlite", model=None, read_only=True) as ledger:
+        assert len(rows) == ledger.counts().total
+        assert sum(row[1] == "ok" for row in rows) == ledger.counts().ok
+    printed(capsys, "runs", str(tmp_path), "--export", str(tmp_path / "runs.nc"))
+
+
+def test_a_run_is_excluded_and_included_again(folder: Path, capsys: Shown) -> None:
+    said = printed(capsys, "runs", str(folder), "--exclude", "aa1", "--why", "the mesh folded")
+    assert said.startswith("run aa1 is excluded: it is not used and not made again")
+    (row,) = listed(capsys, str(folder), "--state", "excluded")[:-1]
+    assert row[:3] == ["aa1", "excluded", "excluded"]
+    assert printed(capsys, "runs", str(folder), "--show", "aa1").splitlines()[-1].endswith(", the mesh folded")
+    assert "included again" in printed(capsys, "runs", str(folder), "--include", "aa1")
+    assert keys(capsys, str(folder), "--state", "ok") == ["aa1"]
+
+
+def test_runs_that_the_analysis_set_aside_are_invalid(folder: Path, capsys: Shown) -> None:
+    one = {"key": "aa1", "inputs": {}, "kind": "not_comparable", "measure": "tracked_points", "why": "5 points"}
+    other = {**one, "measure": "currents", "kind": "flipped"}
+    failed = {**one, "key": "ab3", "kind": "flipped"}
+    summary = {"likelihood": {"discrepancy": "tracked_points"}, "set_aside": [one, other, failed]}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    rows = listed(capsys, str(folder), "--state", "invalid")[:-1]
+    assert [row[:3] for row in rows] == [["aa1", "invalid", "not_comparable"], ["ae6", "invalid", "non_finite"]]
+    assert keys(capsys, str(folder), "--state", "failed") == ["ab3"]
+    shown = printed(capsys, "runs", str(folder), "--show", "aa1")
+    assert "set aside by the last analysis: not_comparable, 5 points" in shown
+
+
+def test_what_the_runs_at_hand_do_not_allow(tmp_path: Path, capsys: Shown) -> None:
+    folder = str(keep(tmp_path / "study", RECORDS[:1]))
+    assert "got timeout; expected a failed run; there is none." in refused(capsys, "runs", folder, "--kind", "timeout")
+    assert "no outcome yet" in refused(capsys, "runs", str(some_runs(tmp_path / "b")), "--exclude", "af7", "--why", "x")
+    assert "not excluded" in refused(capsys, "runs", folder, "--include", "aa1")
