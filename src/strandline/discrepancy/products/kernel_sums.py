@@ -19,20 +19,14 @@ from strandline.numerics.compiled import WIDEST
 from strandline.numerics.exp2 import WHOLE, exp2_of_minus
 from strandline.numerics.threads import double, side_by_side
 
-__all__ = ["Nodes", "kernel_sum"]
+__all__ = ["Nodes", "Sizes", "kernel_sum"]
 
 BLOCK = 1 << 16
 """Pairs that NumPy processes at once; this bounds the memory."""
 SMALL = 1 << 20
 """Number of pairs up to which blocks are faster than finding neighbours and compiling."""
-_TILE, _FULL_TILE = 128, 5120
-"""Nodes in a tile if a tree chooses their partners, and at most if all nodes are partners."""
-_TILES = 128
-"""Largest number of tiles in one compiled call if a tree chooses the partners."""
 _UNROLLED = 8
 """Partners processed in one step of the loop."""
-_GATHERED = 1 << 19
-"""Partners of all tiles together in one compiled call."""
 _CLOSE = 300.0
 """Largest |x|² + |y|², times log₂e/2σ², at which x·y yields |x - y|² to 1e-13 of the kernel, which is not 0 yet."""
 
@@ -51,7 +45,29 @@ class Nodes:
         return len(self.points)
 
 
-def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float) -> float:
+@dataclass(frozen=True)
+class Sizes:
+    """How many nodes the compiled loop takes at once; the sum does not depend on it.
+
+    Args:
+        small: Number of pairs up to which blocks are faster than finding neighbours and compiling.
+        tile: Nodes in a tile if a tree chooses their partners.
+        full_tile: Nodes in a tile at most if all nodes are partners, a multiple of 8.
+        tiles: Largest number of tiles in one compiled call if a tree chooses the partners.
+        gathered: Partners of all tiles together in one compiled call.
+    """
+
+    small: int = SMALL
+    tile: int = 128
+    full_tile: int = 5120
+    tiles: int = 128
+    gathered: int = 1 << 19
+
+
+USUAL = Sizes()
+
+
+def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float, sizes: Sizes = USUAL) -> float:
     """Return Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j over the nodes (x, n) of `a` and (y, m) of `b`.
 
     Args:
@@ -59,13 +75,14 @@ def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float) -> float:
         b: Nodes of the other interface.
         width: Kernel width σ, mm.
         reach: Distance beyond which pairs may be left out, mm.
+        sizes: Numbers of nodes that are taken at once.
 
     JAX sums many pairs if its float64 is switched on, else NumPy: slower, with the same result to rounding.
     """
-    if len(a) * len(b) <= SMALL:
+    if len(a) * len(b) <= sizes.small:
         return _blocked(a, b, width)
     summed = _compiled if double() else _in_blocks
-    return math.fsum(side_by_side(summed(_with_blank(a), _with_blank(b), width), _batches(a, b, reach)))
+    return math.fsum(side_by_side(summed(_with_blank(a), _with_blank(b), width), _batches(a, b, reach, sizes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,32 +96,34 @@ class _Batch:
     weights: Float[np.ndarray, " tile"]
 
 
-def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
+def _batches(a: Nodes, b: Nodes, reach: float, sizes: Sizes) -> Iterator[_Batch]:
     """Yield every pair within reach once, some that are farther apart, and blank nodes that fill the rows.
 
     In a sum of nodes with themselves, every pair of different tiles is yielded only once, with weight 2.
     """
     order = cKDTree(a.points).indices
-    tiles = _cut(order, _TILE, blank=len(a))
-    x = a.points[_cut(order, _TILE, blank=int(order[-1]))]
+    tiles = _cut(order, sizes.tile, blank=len(a))
+    x = a.points[_cut(order, sizes.tile, blank=int(order[-1]))]
     middles = 0.5 * (x.min(axis=1) + x.max(axis=1))
     radii = np.linalg.norm(x - middles[:, None], axis=2).max(axis=1) + reach
     tree = cKDTree(b.points)
     counts = tree.query_ball_point(middles, radii, return_length=True)
     if 2 * counts.sum() > len(tiles) * len(b):
-        yield from _everyone(len(a), len(b), itself=a is b)
+        yield from _everyone(len(a), len(b), sizes.full_tile, itself=a is b)
         return
     rank = np.argsort(order)
-    groups = np.stack([np.cumsum(counts) // _GATHERED, np.arange(len(tiles)) // _TILES])
+    groups = np.stack([np.cumsum(counts) // sizes.gathered, np.arange(len(tiles)) // sizes.tiles])
     for some in np.split(np.arange(len(tiles)), np.flatnonzero(np.diff(groups).any(axis=0)) + 1):
         near = [np.array(row, int) for row in tree.query_ball_point(middles[some], radii[some])]
         weights = np.ones(len(some))
         if a is b:
-            near = [row[rank[row] >= (k + 1) * _TILE] for k, row in zip(some, near, strict=True)] + list(tiles[some])
+            near = [row[rank[row] >= (k + 1) * sizes.tile] for k, row in zip(some, near, strict=True)] + list(
+                tiles[some]
+            )
             some, weights = np.tile(some, 2), np.repeat([2.0, 1.0], len(some))
         rows = [_cut(row, _UNROLLED, blank=len(b)).ravel() for row in near]
         partners, end = np.concatenate(rows), np.cumsum([len(row) for row in rows])
-        spare = 0, (2 if a is b else 1) * _TILES - len(some)
+        spare = 0, (2 if a is b else 1) * sizes.tiles - len(some)
         yield _Batch(
             np.pad(tiles[some], (spare, (0, 0)), constant_values=len(a)),
             _filled_up(partners, blank=len(b)),
@@ -114,10 +133,10 @@ def _batches(a: Nodes, b: Nodes, reach: float) -> Iterator[_Batch]:
         )
 
 
-def _everyone(number: int, others: int, *, itself: bool) -> Iterator[_Batch]:
+def _everyone(number: int, others: int, full_tile: int, *, itself: bool) -> Iterator[_Batch]:
     """Yield every pair of nodes, in their order, tile by tile."""
-    step = _FULL_TILE // 8
-    size = -(-number // (-(-number // _FULL_TILE) * step)) * step
+    step = full_tile // 8
+    size = -(-number // (-(-number // full_tile) * step)) * step
     tiles = _cut(np.arange(number), size, blank=number)
     partners = _cut(np.arange(others), _UNROLLED, blank=others).ravel()
     first = np.arange(len(tiles)) * size

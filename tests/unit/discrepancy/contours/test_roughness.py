@@ -22,42 +22,40 @@ def arch(number: int = 400) -> Interface:
     return Interface.polyline(np.stack([-0.5 * np.cos(angle), 0.4 * np.sin(angle)], axis=1)).resampled(number)
 
 
+ROUND, OPEN = ellipse(), arch()
+
+
 def drawn(errors: PointErrors, outline: Interface, number: int) -> list[Roughness]:
     random = np.random.default_rng(1)
     return [errors_from_roughness(errors.draw(outline, random)) for _ in range(number)]
 
 
-@pytest.mark.parametrize("outline", [ellipse(), arch()], ids=["closed", "open"])
-@pytest.mark.parametrize("sd", [2e-4, 0.001])
-def test_independent_points_have_the_sd_drawn_and_half_the_spacing(outline: Interface, sd: float) -> None:
-    found = drawn(PointErrors(sd), outline, 8)
-    assert np.mean([one.errors.sd for one in found]) == pytest.approx(sd, rel=0.08)
-    assert all(one.errors.sd == pytest.approx(sd, rel=0.25) for one in found)
-    assert np.mean([one.errors.length / one.spacing for one in found]) < 0.8
+def test_independent_points_have_the_sd_drawn_and_half_the_spacing() -> None:
+    for outline, sd in ((ROUND, 2e-4), (OPEN, 0.001)):
+        found = drawn(PointErrors(sd), outline, 8)
+        assert np.mean([one.errors.sd for one in found]) == pytest.approx(sd, rel=0.08)
+        assert all(one.errors.sd == pytest.approx(sd, rel=0.25) for one in found)
+        assert np.mean([one.errors.length / one.spacing for one in found]) < 0.8
 
 
 def correlated(outline: Interface, length: float) -> tuple[float, float]:
     """Return sd and sd² × length, each relative to the true one, in the mean over contours."""
     errors = PointErrors(0.001, length)
-    found = [one.errors for one in drawn(errors, outline, 16)]
+    found = [one.errors for one in drawn(errors, outline, 12)]
     sds, lengths = (np.array([getattr(one, name) for one in found]) for name in ("sd", "length"))
     return float(sds.mean() / errors.sd), float((sds**2 * lengths).mean() / (errors.sd**2 * length))
 
 
-@pytest.mark.parametrize(("outline", "length"), [(ellipse(), 0.02), (arch(), 0.01)], ids=["closed", "open"])
-def test_the_level_of_correlated_points_reads_low_by_less_than_it_is_said(outline: Interface, length: float) -> None:
-    sd, level = correlated(outline, length)
-    assert 0.8 < sd < 1.25
-    assert 1 / 3 < level < 1.2
-
-
-def test_a_level_without_what_smoothing_took_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_level_of_correlated_points_reads_low_by_less_than_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted: residuals of the smoothed contour taken as the errors."""
-    sd, level = correlated(ellipse(), 0.02)
+    found = [correlated(*one) for one in ((ROUND, 0.02), (OPEN, 0.01))]
+    for sd, level in found:
+        assert 0.8 < sd < 1.25
+        assert 1 / 3 < level < 1.2
     monkeypatch.setattr(module, "_removed", lambda half, number: np.zeros(number))
-    planted_sd, planted_level = correlated(ellipse(), 0.02)
-    assert planted_sd < 0.97 * sd
-    assert planted_level < 0.8 * level
+    sd, level = correlated(ROUND, 0.02)
+    assert sd < 0.97 * found[0][0]
+    assert level < 0.8 * found[0][1]
 
 
 def test_what_smoothing_takes_from_white_noise_is_one_weight_of_it() -> None:
@@ -69,38 +67,33 @@ def test_what_smoothing_takes_from_white_noise_is_one_weight_of_it() -> None:
 
 
 def test_the_outline_itself_is_not_taken_for_roughness() -> None:
-    smooth = errors_from_roughness(PointErrors(1e-5).draw(arch(), np.random.default_rng(2)))
+    smooth = errors_from_roughness(PointErrors(1e-5).draw(OPEN, np.random.default_rng(2)))
     assert smooth.errors.sd < 1e-4
 
 
 def test_a_window_is_used_as_given() -> None:
-    contour = PointErrors(0.001).draw(ellipse(), np.random.default_rng(3))
-    found = errors_from_roughness(contour, window=0.2)
+    found = errors_from_roughness(PointErrors(0.001).draw(ROUND, np.random.default_rng(3)), window=0.2)
     assert found.window == pytest.approx(0.2, rel=0.1)
     assert found.errors.sd == pytest.approx(0.001, rel=0.15)
 
 
 def test_notes_say_where_the_length_cannot_be_trusted() -> None:
-    contour = PointErrors(0.001, 0.03).draw(ellipse(), np.random.default_rng(4))
-    short = errors_from_roughness(contour, window=0.06)
-    assert "do not trust the length" in short.notes[-1]
-    white = errors_from_roughness(PointErrors(0.001).draw(ellipse(), np.random.default_rng(4)), window=0.3)
-    assert not any("do not trust" in note for note in white.notes)
+    contour = PointErrors(0.001, 0.03).draw(ROUND, np.random.default_rng(4))
+    assert "do not trust the length" in errors_from_roughness(contour, window=0.06).notes[-1]
+    white = errors_from_roughness(PointErrors(0.001).draw(ROUND, np.random.default_rng(4)), window=0.3)
+    assert "do not trust" not in " ".join(white.notes)
     assert "is underestimated" in " ".join(white.notes)
 
 
-@pytest.mark.parametrize(
-    ("contour", "window", "said"),
-    [
+def test_what_shows_no_errors_is_refused() -> None:
+    straight = Interface.polyline(np.stack([np.linspace(0, 1, 50), np.zeros(50)], axis=1))
+    for contour, window, said in (
         (ellipse(29), None, "points of contour 1: got 29"),
-        (ellipse(), 0.0, "window"),
-        (ellipse(), float("nan"), "window"),
-        (ellipse(), 2.0, "half the contour"),
-        (ellipse(), 0.035, "got 0.035 mm; expected a length from 0.042"),  # six times 2.84 mm / 400
-        (Interface.polyline(np.stack([np.linspace(0, 1, 50), np.zeros(50)], axis=1)), None, "roughness"),
-    ],
-    ids=["short", "no window", "nan", "long window", "short window", "straight"],
-)
-def test_what_shows_no_errors_is_refused(contour: Interface, window: float | None, said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
-        errors_from_roughness(contour, window=window)
+        (ROUND, 0.0, "window"),
+        (ROUND, float("nan"), "window"),
+        (ROUND, 2.0, "half the contour"),
+        (ROUND, 0.035, "got 0.035 mm; expected a length from 0.042"),  # six times 2.84 mm / 400
+        (straight, None, "roughness"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            errors_from_roughness(contour, window=window)

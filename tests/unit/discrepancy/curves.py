@@ -1,0 +1,59 @@
+"""Curves, and batches of interfaces one beside the other, that tests share."""
+
+import numpy as np
+from tests.unit.discrepancy.surfaces import sheet, sphere
+
+from strandline.discrepancy import Currents, Discrepancy
+from strandline.interface import Interface
+
+
+def line(*points: tuple[float, float], closed: bool = False) -> Interface:
+    return Interface.polyline(np.array(points, float), closed=closed)
+
+
+def level(y: float, nodes: int = 11, *, length: float = 1.0) -> Interface:
+    """Return a horizontal line."""
+    x = np.linspace(0.0, length, nodes)
+    return Interface.polyline(np.stack([x, np.full(nodes, y)], axis=1))
+
+
+def ring(nodes: int, radius: float = 1.0, *, turned: float = 0.0) -> Interface:
+    """Return a closed circle, counter-clockwise."""
+    angle = 2 * np.pi * (np.arange(nodes) + turned) / nodes
+    return Interface.polyline(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+
+
+def wavy(nodes: int, seed: int, *, shift: float = 0.0) -> Interface:
+    """Return a wave with nodes at random places."""
+    x = np.sort(np.random.default_rng(seed).uniform(0.0, 2.0, nodes))
+    return Interface.polyline(np.stack([x, shift + 0.3 * np.sin(3 * x)], axis=1))
+
+
+def runs(kind: str, number: int, *, noise: float = 0.02) -> tuple[np.ndarray, Interface, Interface]:
+    """Return points of perturbed interfaces, a template and an observed interface."""
+    rng = np.random.default_rng(1)
+    s = np.linspace(0.0, 1.0, 24)
+    if kind == "open":
+        base = Interface.polyline(np.stack([s, 0.2 * np.sin(4 * s)], axis=1))
+    elif kind == "closed":
+        angle = 2 * np.pi * s[:-1]
+        base = Interface.polyline(np.stack([np.cos(angle), 0.6 * np.sin(angle)], axis=1), closed=True)
+    else:
+        base = sheet(5, bend=0.1) if kind == "sheet" else sphere(1.0, 1)
+    seen = Interface(base.points + 0.5 * noise * rng.standard_normal(base.points.shape), base.cells)
+    smooth = rng.normal(size=(number, 1, base.dim)) * np.sin(3 * base.points.sum(axis=1))[:, None]
+    jagged = 0.2 * rng.standard_normal((number, *base.points.shape))
+    return base.points + noise * (smooth + jagged), base, seen
+
+
+def one_by_one(measure: Discrepancy, points: np.ndarray, template: Interface, seen: Interface) -> np.ndarray:
+    return np.array([measure(Interface(row, template.cells), seen) for row in points])
+
+
+def within(measure: Discrepancy, found: np.ndarray, expected: np.ndarray, seen: Interface) -> bool:
+    """Tell whether d² is right, the refined currents to their tolerance of <T,T>."""
+    bound = 1e-10
+    if isinstance(measure, Currents):
+        square = measure.inner(seen, seen)
+        bound = (measure.tolerance if measure.quadrature == "refined" else 1e-12) * square
+    return bool((found >= 0).all() and (np.abs(found - expected) <= bound).all())

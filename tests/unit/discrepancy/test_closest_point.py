@@ -1,0 +1,108 @@
+"""Oracles: shapely's distances, parallel lines and circles in closed form, convergence."""
+
+import numpy as np
+import pytest
+import shapely
+from tests.unit.discrepancy.curves import level, line, ring, wavy
+from tests.unit.discrepancy.surfaces import sheet
+
+from strandline.discrepancy import ClosestPoint, closest_point
+from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
+from strandline.discrepancy.search.nearest import squared_distances
+from strandline.errors import InvalidInput, InvalidInterface
+from strandline.interface import Interface, PointErrors
+
+
+def test_sums_against_shapely():
+    for seed in range(3):
+        simulated, observed = wavy(66, seed, shift=0.1 * seed), wavy(40, seed + 1)
+        there = np.sum(shapely.distance(shapely.points(simulated.points), shapely.LineString(observed.points)) ** 2)
+        back = np.sum(shapely.distance(shapely.points(observed.points), shapely.LineString(simulated.points)) ** 2)
+        found = [ClosestPoint(direction=one)(simulated, observed) for one in DIRECTIONS]
+        assert found == pytest.approx([there, back, 0.5 * (there + back)], rel=1e-12)
+
+
+def test_a_point_is_projected_onto_segments_also_onto_the_last_one_of_a_closed_line():
+    assert ClosestPoint()(line((0.5, 0.1), (0.6, 0.1)), level(0.0, 2)) == pytest.approx(2 * 0.1**2)
+    square = line((0, 0), (1, 0), (1, 1), (0, 1), closed=True)
+    assert squared_distances(np.array([[-0.1, 0.5], [0.1, 0.4]]), square) == pytest.approx([0.01, 0.01])
+
+
+def test_length_weighting_is_the_mean_square_and_the_sum_grows_with_the_nodes():
+    for nodes in (2, 5, 66):
+        assert ClosestPoint(weighting="length")(level(0.1, nodes), level(0.0)) == pytest.approx(0.1**2)
+        assert ClosestPoint()(level(0.1, nodes), level(0.0)) == pytest.approx(nodes * 0.1**2)
+
+
+def test_weighting_converges_to_the_mean_square_with_order_two():
+    """A line at an angle: mean square 1/12. A sheet δ = 0.3 sin(5x) cos(4y) over a plane: fine midpoint quadrature."""
+
+    def tilted(nodes):
+        x = np.linspace(0.0, 1.0, nodes) ** 1.5
+        return Interface.polyline(np.stack([x, 0.5 * x], axis=1))
+
+    x, y = np.meshgrid(*2 * [(np.arange(1000) + 0.5) / 1000], indexing="ij")
+    height, slope = 0.3 * np.sin(5 * x) * np.cos(4 * y), (1.5 * np.cos(5 * x) * np.cos(4 * y)) ** 2
+    area = np.sqrt(1 + slope + (1.2 * np.sin(5 * x) * np.sin(4 * y)) ** 2)
+    measure = ClosestPoint(weighting="length")
+    lines = [measure(tilted(n), level(0.0, 3)) - 1 / 12 for n in (33, 65, 129)]
+    sheets = [measure(sheet(n, bend=0.3), sheet(2)) - (area * height**2).sum() / area.sum() for n in (33, 65, 129)]
+    for errors in np.abs([lines, sheets]):
+        assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+def test_concentric_rings():
+    """Outer nodes project onto inner nodes; inner nodes, turned by half a segment, onto the middle of outer edges."""
+    onto_edges = 32 * (1.3 * np.cos(np.pi / 32) - 1) ** 2
+    assert ClosestPoint()(ring(32, 1.3), ring(32)) == pytest.approx(32 * 0.3**2, rel=1e-12)
+    turned = ring(32, turned=0.5)
+    assert ClosestPoint(direction="to_simulated")(ring(32, 1.3), turned) == pytest.approx(onto_edges, rel=1e-12)
+
+
+def test_node_weights_add_up_to_the_length_or_area():
+    for interface in (wavy(30, 2), Interface.polyline(wavy(30, 2).points, closed=True), sheet(6, bend=0.2, seed=1)):
+        assert closest_point.node_weights(interface).sum() == pytest.approx(interface.sizes.sum())
+    assert closest_point.node_weights(level(0.0, 3)) == pytest.approx([0.25, 0.5, 0.25])
+    assert closest_point.node_weights(sheet(2)) == pytest.approx([1 / 3, 1 / 6, 1 / 6, 1 / 3])
+
+
+def test_parallel_sheets_whatever_their_orientation():
+    upper, lower = sheet(5, height=0.2), sheet(5)
+    for direction in DIRECTIONS:
+        assert ClosestPoint(direction=direction)(upper, lower.reversed()) == pytest.approx(25 * 0.2**2)
+        assert ClosestPoint(direction=direction, weighting="length")(upper, lower) == pytest.approx(0.2**2)
+    with pytest.raises(InvalidInterface, match="coordinates"):
+        ClosestPoint()(upper, level(0.0))
+
+
+def test_terms_are_told_only_where_the_observation_fixes_them():
+    observed = wavy(40, 2)
+    assert ClosestPoint(direction="to_simulated").terms(observed) == 40
+    assert ClosestPoint().terms(observed) is None
+    assert ClosestPoint(direction="to_simulated", weighting="length").terms(observed) is None
+    for options in ({"direction": "sideways"}, {"weighting": "area"}):
+        with pytest.raises(InvalidInput, match=f"{next(iter(options))} of the closest point"):
+            ClosestPoint(**options)
+
+
+def test_what_offsets_amount_to_is_the_measure_of_the_moved_interface() -> None:
+    """The observed points are twice as dense on one half, and fewer than the simulated nodes."""
+    x = np.concatenate([np.linspace(0.0, 1.0, 40, endpoint=False), np.linspace(1.0, 2.0, 81)])
+    observed, fine, sizes = Interface.polyline(np.stack([x, 0 * x], axis=1)), np.linspace(0.0, 2.0, 501), (1e-3, -2e-3)
+
+    def offset(x: np.ndarray, size: float) -> np.ndarray:
+        return np.asarray(size * (1 + np.sin(2 * x)) * x)
+
+    moved = [Interface.polyline(np.stack([fine, offset(fine, size)], axis=1)) for size in sizes]
+    for measure in (ClosestPoint(direction=d, weighting=w) for d in DIRECTIONS for w in WEIGHTINGS):
+        found = measure.of_offsets(np.array([offset(x, size) for size in sizes]), observed, len(fine))
+        np.testing.assert_allclose(found, [measure(one, observed) for one in moved], rtol=0.02)
+
+
+def test_noise_variance_of_a_mean_is_that_of_its_independent_points() -> None:
+    """A mean of n squared distances moves the inputs as one point with a variance of s²/n would."""
+    errors = PointErrors(0.01)
+    mean, total = (ClosestPoint(direction="to_simulated", weighting=one) for one in ("length", "sum"))
+    assert mean.noise_variance(errors, ring(200)) == pytest.approx(0.01**2 / 200, rel=1e-3)
+    assert total.noise_variance(errors, ring(200)) == pytest.approx(0.01**2, rel=1e-3)
+    assert ClosestPoint(weighting="length").noise_variance(errors, ring(200)) is None

@@ -1,0 +1,198 @@
+"""Oracles: parallel lines and circles in closed form, intersections by shapely."""
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from tests.unit.discrepancy.curves import line, ring
+
+from strandline.discrepancy import MeasurementLines, TrackedPoints
+from strandline.errors import InvalidInput, InvalidInterface
+from strandline.interface import Interface, PointErrors
+
+STRAIGHT = line((0, 0), (1, 0))
+
+
+def wavy(nodes: int, shift: float, seed: int) -> Interface:
+    x = np.linspace(0.0, 2.0, nodes)
+    wiggle = np.random.default_rng(seed).normal(0.0, 0.01, nodes)
+    return Interface.polyline(np.stack([x, shift + 0.3 * np.sin(3 * x) + wiggle], axis=1))
+
+
+def test_parallel_lines_give_n_times_the_gap_squared():
+    observed, simulated = line((0, 0), (1, 0), (3, 0)), line((0, 0.1), (3, 0.1))
+    assert MeasurementLines(7)(simulated, observed) == pytest.approx(7 * 0.1**2, rel=1e-13)
+
+
+def test_lines_stand_at_midpoints_of_equal_shares_with_the_observed_normal_whatever_the_nodes():
+    placed = MeasurementLines().place(line((0, 0), (1, 0), (1, 1)))
+    along = (np.arange(10) + 0.5) / 10 * 2.0
+    assert placed[:5] == pytest.approx(np.stack([along[:5], 0 * along[:5], np.zeros(5), np.ones(5)], axis=1))
+    assert placed[5:] == pytest.approx(np.stack([np.ones(5), along[5:] - 1, -np.ones(5), np.zeros(5)], axis=1))
+    coarse, fine = line((0, 0), (2, 0), (2, 1)), line((0, 0), (0.3, 0), (1.1, 0), (2, 0), (2, 0.77), (2, 1))
+    assert MeasurementLines(6).place(coarse) == pytest.approx(MeasurementLines(6).place(fine), abs=1e-14)
+
+
+def test_concentric_circles_along_given_radii():
+    inner, outer = ring(64), ring(64, 1.2)
+    nodes = inner.points[[0, 8, 24, 40]]
+    radii = MeasurementLines(np.hstack([nodes, 3 * nodes]))
+    assert radii(outer, inner) == pytest.approx(4 * 0.2**2, rel=1e-12)
+    assert radii.read(inner, outer).distances == pytest.approx([-0.2] * 4)
+
+
+def test_distances_against_shapely():
+    measure = MeasurementLines(10)
+    for seed in range(5):
+        observed, simulated = wavy(66, 0.0, seed), wavy(51, 0.05, seed + 100)
+        curve, reach = shapely.LineString(simulated.points), measure.reach_on(observed)
+        readings = measure.read(simulated, observed)
+        rows = zip(measure.place(observed), readings.distances, readings.missed, strict=True)
+        for (x, y, dx, dy), found, missed in rows:
+            ray = shapely.LineString([(x - reach * dx, y - reach * dy), (x + reach * dx, y + reach * dy)])
+            hits = [(p.x - x) * dx + (p.y - y) * dy for p in shapely.get_parts(ray.intersection(curve))]
+            assert missed == (not hits)
+            assert found == pytest.approx(min(hits, key=abs) if hits else reach, abs=1e-12)
+
+
+def test_given_line_starts_from_the_observed_crossing_nearest_to_its_point():
+    observed = line((0, 0), (2, 0), (2, 1), (0, 1))
+    near_top = MeasurementLines(((1.0, 0.9, 0.0, -2.0),))
+    assert near_top.place(observed)[0] == pytest.approx([1.0, 1.0, 0.0, -1.0])
+    assert near_top.read(line((0, 0.8), (2, 0.8)), observed).distances == pytest.approx([0.2])
+
+
+def test_of_several_crossings_the_nearest_counts_also_at_a_node_and_along_a_segment():
+    several = line((0, 0.2), (1, 0.2), (1, 0.05), (0, 0.05), (0, -0.1), (1, -0.1))
+    for simulated, expected in (
+        (several, 0.05),
+        (line((0, 0.3), (0.5, 0.1), (1, 0.3)), 0.1),
+        (line((0.5, 0.05), (0.5, 0.2)), 0.05),
+        (line((0.5, -0.2), (0.5, -0.1)), -0.1),
+        (line((0.5, -0.1), (0.5, 0.2)), 0.0),
+    ):
+        assert MeasurementLines(1).read(simulated, STRAIGHT).distances == pytest.approx([expected])
+    observed = wavy(66, 0.0, 3)
+    assert MeasurementLines()(observed, observed) < 1e-28
+
+
+def test_a_miss_counts_the_reach_without_a_jump():
+    short = line((0, 0.01), (0.5, 0.01))
+    assert MeasurementLines(4).read(short, STRAIGHT).missed.tolist() == [False, False, True, True]
+    assert MeasurementLines(4)(short, STRAIGHT) == pytest.approx(2 * 0.01**2 + 2 * 0.25**2)
+    measure = MeasurementLines(4, reach=0.1)
+    assert measure(short, STRAIGHT) == pytest.approx(2 * 0.01**2 + 2 * 0.1**2)
+    inside, outside = (measure(line((0, h), (1, h)), STRAIGHT) for h in (0.1 - 1e-9, 0.1 + 1e-9))
+    assert outside == pytest.approx(inside, rel=1e-7)
+
+
+def test_a_line_that_misses_the_observation_is_refused():
+    with pytest.raises(InvalidInput, match="line 1 misses the observed"):
+        MeasurementLines(((0.5, 0.0, 0.0, 1.0), (5.0, 0.0, 0.0, 1.0)))(STRAIGHT, STRAIGHT)
+
+
+INVALID = [
+    *(({"lines": lines}, "measurement lines") for lines in (0, -3, (), ((0.0, 0.0, 0.0, 0.0),), ((0.0, 0.0, 1.0),))),
+    ({"lines": ((0.0, math.nan, 1.0, 0.0),)}, "measurement lines"),
+    *(({name: value}, name) for name in ("reach", "smooth") for value in (0.0, -1.0, math.inf, math.nan)),
+    ({"lines": ((0.0, 0.0, 0.0, 1.0),), "smooth": 0.1}, "given lines"),
+    ({"trim": 0.5}, "trim"),
+    ({"trim": -0.1}, "trim"),
+    ({"lines": ((0.0, 0.9, 0.0, 1.0),), "trim": 0.1}, "trim"),
+]
+
+
+def test_options_that_cannot_be():
+    for options, said in INVALID:
+        with pytest.raises(InvalidInput, match=said):
+            MeasurementLines(**options)
+
+
+def half_circle(nodes: int = 201) -> Interface:
+    angle = np.linspace(0.0, np.pi, nodes)
+    return Interface.polyline(np.stack([-np.cos(angle), np.sin(angle)], axis=1))
+
+
+SPACING = float(half_circle().lengths[0])
+ROUGH = PointErrors(0.5 * SPACING)
+
+
+def directions_off(measure: MeasurementLines, observed: Interface) -> np.ndarray:
+    """Return the angles, degrees, between lines and radii of the half circle, away from its ends."""
+    lines = measure.place(observed)[5:-5]
+    outward = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    side = outward[:, 0] * lines[:, 3] - outward[:, 1] * lines[:, 2]
+    return np.degrees(np.arcsin(np.clip(side, -1, 1)))
+
+
+def test_directions_of_longer_pieces_are_steady():
+    noisy, observed = ROUGH.draw(half_circle(), np.random.default_rng(1)), wavy(66, 0.0, 1)
+    tiny, usual = (measure.place(observed) for measure in (MeasurementLines(smooth=1e-7), MeasurementLines()))
+    np.testing.assert_allclose(tiny, usual, atol=1e-6)
+    assert directions_off(MeasurementLines(40), noisy).std() > 20
+    assert directions_off(MeasurementLines(40, smooth=0.3), noisy).std() < 4
+    assert abs(directions_off(MeasurementLines(40, smooth=0.3), half_circle())).max() < 0.1
+
+
+def test_distances_along_steady_lines_have_the_noise_of_the_points():
+    def mean_square(measure: MeasurementLines) -> float:
+        """Return d² of the true outline over n s², in the mean over noisy observations."""
+        random, true = np.random.default_rng(2), half_circle()
+        squares = [measure(true, ROUGH.draw(true, random)) for _ in range(30)]
+        return float(np.mean(squares)) / (measure.terms(true) * ROUGH.sd**2)
+
+    assert 0.4 < mean_square(MeasurementLines(20, smooth=0.4)) < 1.2
+    assert mean_square(MeasurementLines(20)) > 1.5  # lines that turn with the noise
+
+
+def test_the_ends_of_an_open_outline_can_be_left_out():
+    long = line((0, 0), (2, 0))
+    np.testing.assert_allclose(MeasurementLines(4, trim=0.1).place(long)[:, 0], [0.4, 0.8, 1.2, 1.6], atol=1e-12)
+    np.testing.assert_allclose(MeasurementLines(4).place(long)[:, 0], [0.25, 0.75, 1.25, 1.75], atol=1e-12)
+    circle, errors = ring(400), PointErrors(1e-3, 0.3)
+    whole, trimmed = (MeasurementLines(20, smooth=0.1, trim=trim) for trim in (0.0, 0.25))
+    np.testing.assert_array_equal(whole.place(circle), trimmed.place(circle))
+    assert whole.noise_variance(errors, circle) == trimmed.noise_variance(errors, circle)
+
+
+def test_steady_lines_have_a_noise_variance():
+    seen = half_circle()
+    smooth, correlated = PointErrors(0.15 * SPACING), PointErrors(0.3 * SPACING, 2 * SPACING)
+    for lines in (MeasurementLines(10, smooth=0.2), MeasurementLines(((0.0, 0.9, 0.0, 1.0),))):
+        assert lines.noise_variance(smooth, seen) == pytest.approx(2 / 3 * smooth.sd**2)
+        expected = correlated.sd**2 * (2 + np.exp(-0.5)) / 3
+        assert lines.noise_variance(correlated, seen) == pytest.approx(expected, rel=1e-3)
+        assert lines.noise_variance(ROUGH, seen) is None
+    assert MeasurementLines(10).noise_variance(correlated, seen) is None
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2])
+def test_the_scatter_is_that_of_the_segments(share):
+    noisy = [PointErrors(share * SPACING).draw(half_circle(), np.random.default_rng(k)) for k in range(10)]
+    found = np.mean([MeasurementLines().scatter(one) for one in noisy])
+    assert found == pytest.approx(np.degrees(np.sqrt(2) * share), rel=0.15)
+    smoothed = np.mean([MeasurementLines(smooth=5 * SPACING).scatter(one) for one in noisy])
+    assert smoothed == pytest.approx(found / 5, rel=0.05)
+
+
+def test_curves_and_corners_do_not_scatter():
+    square = line((0, 0), (1, 0), (1, 1), (0, 1), closed=True).resampled(100)
+    assert MeasurementLines().scatter(square) < 1e-6
+    assert MeasurementLines().scatter(half_circle()) < 1e-6
+    assert MeasurementLines(((0.0, 0.0, 0.0, 1.0),)).scatter(wavy(66, 0.0, 1)) == 0.0
+    assert MeasurementLines().scatter(line((0, 0), (1, 0.5), (2, 0))) == 0.0
+
+
+def test_terms():
+    assert MeasurementLines().terms(STRAIGHT) == 10
+    assert MeasurementLines(((0, 0, 0, 1), (1, 0, 0, 1))).terms(STRAIGHT) == 2
+
+
+def test_tracked_points_is_the_sum_of_squared_displacements():
+    observed, simulated = wavy(20, 0.0, 1), wavy(20, 0.1, 2)
+    exact = sum(math.dist(p, q) ** 2 for p, q in zip(simulated.points, observed.points, strict=True))
+    assert TrackedPoints()(simulated, observed) == pytest.approx(exact, rel=1e-13)
+    assert TrackedPoints().terms(observed) == 40
+    with pytest.raises(InvalidInterface, match="correspond"):
+        TrackedPoints()(wavy(20, 0.0, 1), wavy(21, 0.0, 1))
