@@ -2,11 +2,12 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 export OMP_NUM_THREADS ?= 1
 # Keep compiled bytecode: hundreds of tests start a new Python process.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: env demo reproduce test test-all test-slurm check installed dist bench bench-env pyvbmc-env docs clean
+.PHONY: env demo reproduce test test-doors test-all check installed dist bench bench-env pyvbmc-env docs clean
 
 env: $(VENV)/.installed
 
@@ -28,23 +29,24 @@ demo: env
 reproduce: env
 	$(BIN)/python -m verification.reproduction
 
-# All tests except the statistical ones marked long.
+# What a change needs: the parts, one finished study of each kind, and the quickest of the doors.
 test: env
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not long" --ignore=tests/slurm
+	$(PYTEST) -m "not long and (smoke or not doors)" tests/unit tests/study tests/doors
+
+# The other doors: processes, browser, notebooks, Dask, UM-Bridge, CalculiX, and a SLURM that the tests start.
+# Skipped where programs are missing (Debian: slurmctld slurmd slurm-client munge calculix-ccx chromium).
+test-doors: env
+	$(PYTEST) -m "not long and not smoke" tests/doors
 
 test-all: env
-	$(BIN)/python -m pytest -n auto --dist loadgroup --ignore=tests/slurm
-	$(BIN)/python -m pytest tests/slurm
-
-# These tests start their own SLURM; skipped if its programs are missing (Debian: slurmctld slurmd slurm-client munge).
-test-slurm: env
-	$(BIN)/python -m pytest -m "not long" tests/slurm
+	$(PYTEST) tests
 
 check: $(VENV)/.installed-check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(PYTEST) -q -m "not long" tests/check
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	$(BIN)/python -m verification.validation.installed
 

@@ -1,13 +1,12 @@
 """Shared by all tests: double precision, a picture backend without a screen, one thread a process, signals as usual.
 
-JAX keeps what it compiles in pytest's cache, for the other processes of a run and for the next run. A cache of bounded
-size is written under a lock; without the bound, another process could read half a file.
+JAX keeps what it compiles for the other processes of a run and for the next run. A cache of bounded size is written
+under a lock; without the bound, another process could read half a file.
 """
 
 import os
 import signal
 import sys
-import tempfile
 import threading
 import warnings
 from collections.abc import Iterator
@@ -15,6 +14,14 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+# JAX reads these at its import, which not every test needs.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "compiled"))
+os.environ |= {
+    "JAX_ENABLE_X64": "true",
+    "JAX_COMPILATION_CACHE_MAX_SIZE": str(2**31),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.02",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+}
 
 # A background job ignores Ctrl-C, and a job under nohup ignores SIGHUP; the programs that they start inherit this.
 if threading.current_thread() is threading.main_thread():
@@ -27,13 +34,6 @@ import pytest
 
 TIERS = ("study", "doors", "statistical", "unit", "check")
 """Folders of tests, slowest files first: the quick ones come last, so that all processes finish together."""
-COMPILED = {
-    "JAX_ENABLE_X64": "true",
-    "JAX_COMPILATION_CACHE_MAX_SIZE": str(2**31),
-    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.02",
-    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-}
-"""Settings of JAX, which it reads at its import: not every test needs it."""
 
 
 def pytest_xdist_auto_num_workers() -> int:
@@ -47,11 +47,6 @@ def pytest_configure(config: pytest.Config) -> None:
     ArviZ warns at its first import of a day, which it notes in a file: processes that do so together get in each
     other's way, and the warning would be an error.
     """
-    cache = getattr(config, "cache", None)
-    os.environ.setdefault(
-        "JAX_COMPILATION_CACHE_DIR", str(cache.mkdir("compiled")) if cache else tempfile.mkdtemp(prefix="compiled-")
-    )
-    os.environ.update(COMPILED)
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
         with warnings.catch_warnings(action="ignore"):
             import arviz  # noqa: F401
@@ -61,12 +56,21 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Put the slow tiers first, where several processes share the tests by file."""
+    """Mark the doors; put the slow tiers first, where several processes share the tests by file."""
+    doors = Path(__file__).parent / "doors"
+    for item in items:
+        if item.path.is_relative_to(doors):
+            item.add_marker("doors")
     if config.getoption("dist", "no") != "loadfile":
         return
     rank = {folder: k for k, folder in enumerate(TIERS)}
     tests = Path(__file__).parent
     items.sort(key=lambda item: rank.get(item.path.relative_to(tests).parts[0], len(rank)))
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Leave the programs that tests start to choose their precision themselves."""
+    os.environ.pop("JAX_ENABLE_X64", None)
 
 
 @pytest.fixture(autouse=True)

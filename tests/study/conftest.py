@@ -1,9 +1,10 @@
-"""Finished studies, one for each kind of surrogate: made once a run, shared by the tests that look at them.
+"""Finished studies, one for each kind of surrogate: made once a run, shared by all processes that look at them.
 
-Tests that use the same study run in the same process (see the `conftest.py` above), so that each is made once. All are
-drafts; a test that changes a folder takes a copy of it.
+All are drafts. A test that changes a folder takes a copy of it.
 """
 
+import os
+import pickle
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from filelock import FileLock
 
 from strandline.runs import InProcess
 from strandline.studies import Outcome, Study, load_study, run_study
@@ -33,7 +35,24 @@ class Finished:
     outcome: Outcome
 
 
-Folders = pytest.TempPathFactory
+Share = Callable[..., Finished]
+
+
+@pytest.fixture(scope="session")
+def share(tmp_path_factory: pytest.TempPathFactory) -> Share:
+    """Run the study with other content than the beam's, unless another process of this run has done so."""
+    root = tmp_path_factory.getbasetemp()
+    root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
+
+    def shared(name: str, **content: Any) -> Finished:
+        place, kept = root / f"study-{name}" / "beam", root / f"study-{name}.pickle"
+        with FileLock(root / f"study-{name}.lock"):
+            if not kept.exists():
+                outcome = finish(place, **content).outcome
+                kept.write_bytes(pickle.dumps(outcome))
+        return Finished(place, load_study(place), pickle.loads(kept.read_bytes()))
+
+    return shared
 
 
 def finish(folder: Path, **content: Any) -> Finished:
@@ -43,28 +62,26 @@ def finish(folder: Path, **content: Any) -> Finished:
 
 
 @pytest.fixture(scope="session")
-def beam(tmp_path_factory: Folders) -> Finished:
+def beam(share: Share) -> Finished:
     """A surrogate of the log-likelihood, two measures, no noise in the observation."""
-    measures = [{"tracked_points": {}}, {"closest_point": {}}]
-    return finish(tmp_path_factory.mktemp("beam") / "beam", discrepancy=measures)
+    return share("beam", discrepancy=[{"tracked_points": {}}, {"closest_point": {}}])
 
 
 @pytest.fixture(scope="session")
-def field(tmp_path_factory: Folders) -> Finished:
+def field(share: Share) -> Finished:
     """A surrogate of the interface; the tilt is a nuisance input."""
     inputs = {
         "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"},
         "tilt": {"prior": {"uniform": [0.0, 0.04]}, "nuisance": True},
     }
     sampler = {**SAMPLER, "cut": {"values": 2}}
-    design = {"sobol": {"runs": 32}}
-    return finish(tmp_path_factory.mktemp("field") / "beam", inputs=inputs, design=design, **NOISY, sampler=sampler)
+    return share("field", **NOISY, inputs=inputs, design={"sobol": {"runs": 32}}, sampler=sampler)
 
 
 @pytest.fixture(scope="session")
-def active(tmp_path_factory: Folders) -> Finished:
+def active(share: Share) -> Finished:
     """A surrogate of the interface, whose runs an active design chose."""
-    return finish(tmp_path_factory.mktemp("active") / "beam", **NOISY, design={"active": {"runs": 40}})
+    return share("active", **NOISY, design={"active": {"runs": 40}})
 
 
 @pytest.fixture
