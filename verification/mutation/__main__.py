@@ -7,7 +7,7 @@ Results are kept and not repeated for the same mutant, until the text of its fil
 that survived unexplained, with tests as they are now; ``--confirm`` tries the tests that noticed mutants without a
 change, so that those that fail then do not count; and ``--record`` writes all results into `recorded.csv`.
 
-    python -m verification.mutation [--number 220] [--seed 1] [--share 1/2] [--seconds 60] [--again] [--far] [FILE ...]
+    python -m verification.mutation [--number 1000] [--seed 1] [--share 1/2] [--seconds 60] [--again] [--far] [FILE ...]
     python -m verification.mutation --confirm
     python -m verification.mutation --record
 """
@@ -24,7 +24,7 @@ from pathlib import Path
 
 from verification.mutation.covering import Covering, measured
 from verification.mutation.operators import Mutant
-from verification.mutation.places import FAR, NEAR, drawn, part_of
+from verification.mutation.places import TIERS, drawn, near, part_of
 from verification.mutation.results import (
     SURVIVED,
     Result,
@@ -46,7 +46,7 @@ RECORDED = Path(__file__).parent / "recorded.csv"
 @cache
 def covering_of(part: str, far: bool) -> Covering:
     """Return which tests execute which lines, of those that should notice changes in a part."""
-    folders = [ROOT / "tests" / folder for folder in (*NEAR[part], *(FAR if far else ()))]
+    folders = [ROOT / "tests" / folder for folder in (TIERS[:2] if far else near(part))]
     files = sorted({file.relative_to(ROOT) for folder in folders for file in folder.rglob("test_*.py")})
     (OUTPUT / "covering").mkdir(exist_ok=True)
     return measured(PACKAGE, files, OUTPUT / "covering")
@@ -109,7 +109,7 @@ def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description="Mutants that tests notice.")
     parser.add_argument("files", nargs="*", help="only mutants of these files, from the package's folder")
-    parser.add_argument("--number", type=int, default=220)
+    parser.add_argument("--number", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--share", default="1/1", help="k/n: only every nth mutant, from the kth on")
     parser.add_argument("--seconds", type=float, default=60.0, help="seconds of tests to try for each mutant")
@@ -126,7 +126,6 @@ def main() -> None:
         record(known.values(), RECORDED)
         print(table(list(known.values())).markdown())
         return
-    os.environ.setdefault("STRANDLINE_TEST_COMPILED", tempfile.mkdtemp(prefix="strandline-compiled-"))
     os.chdir(ROOT)
     prepare()
     if asked.confirm:

@@ -7,6 +7,7 @@ mutant that they do not notice counts as one that survived.
 """
 
 import json
+import os
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import coverage
 import pytest
+from filelock import FileLock
 from verification.mutation.results import fingerprint
 from verification.mutation.trial import UNCHECKED, Outcome, forked, run_tests
 
@@ -89,12 +91,14 @@ def measured(package: Path, files: Sequence[Path], kept: Path) -> Covering:
     """
     tests: dict[str, dict[int, dict[str, Sequence[str]]]] = {}
     seconds: dict[str, Mapping[str, float]] = {}
-    for file in files:
+    half = os.getpid() % 2  # two processes begin with different files
+    for file in (*files[half::2], *files[1 - half :: 2]):
         place, text = kept / (str(file).replace("/", "-") + ".json"), fingerprint(file)
-        found = json.loads(place.read_text("utf-8")) if place.exists() else {}
-        if found.get("text") != text:
-            found = {"text": text, **_measure(package, file, kept)}
-            place.write_text(json.dumps(found), "utf-8")
+        with FileLock(f"{place}.lock"):
+            found = json.loads(place.read_text("utf-8")) if place.exists() else {}
+            if found.get("text") != text:
+                found = {"text": text, **_measure(package, file, kept)}
+                place.write_text(json.dumps(found), "utf-8")
         seconds[str(file)] = found["seconds"]
         for name, lines in found["lines"].items():
             for line, functions in lines.items():
@@ -115,7 +119,7 @@ class _Clock:
 
 
 def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
-    data, times = kept / "coverage", kept / "seconds.json"
+    data, times = kept / f"coverage-{os.getpid()}", kept / f"seconds-{os.getpid()}.json"
     data.unlink(missing_ok=True)
 
     def run() -> int:
@@ -128,7 +132,7 @@ def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
         times.write_text(json.dumps(clock.seconds), "utf-8")
         return code
 
-    outcome: Outcome = forked(run, kept / "output.txt", 3600.0)
+    outcome: Outcome = forked(run, kept / f"output-{os.getpid()}.txt", 3600.0)
     if outcome.end != "passed":
         raise RuntimeError(f"tests in {file} do not pass without a change: {outcome}")
     read = coverage.CoverageData(str(data))

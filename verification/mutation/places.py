@@ -6,33 +6,35 @@ from zlib import crc32
 import numpy as np
 from verification.mutation.operators import Mutant, mutants
 
-__all__ = ["FAR", "NEAR", "PARTS", "drawn", "part_of"]
+__all__ = ["PARTS", "TIERS", "drawn", "near", "part_of"]
 
 PARTS = {
-    "sampler": ("smc",),
-    "posterior": ("posterior",),
-    "likelihood": ("likelihood",),
-    "discrepancy": ("discrepancy", "discrepancy/contours", "discrepancy/products", "discrepancy/search"),
-    "active design": ("design/active",),
-    "field surrogate": ("surrogate/field",),
-}
-"""What a posterior is trusted for: names of parts, and folders of the package."""
-NEAR = {
     "sampler": ("smc",),
     "posterior": ("posterior",),
     "likelihood": ("likelihood",),
     "discrepancy": ("discrepancy",),
     "active design": ("design/active",),
     "field surrogate": ("surrogate/field",),
+    "runs": ("runs",),
+    "readers": ("readers",),
+    "pictures": ("imaging",),
+    "studies": ("studies",),
 }
-"""Folders of tests of each part."""
-FAR = ("smc", "posterior", "likelihood", "discrepancy", "design/active", "surrogate", "interface", "calibration")
-"""Folders of tests that may notice too."""
+"""What a posterior is trusted for, and what brings runs, files and pictures to it: names of parts, and folders of the
+package with all that is in them."""
+TIERS = ("unit", "study", "doors")
+"""Folders of tests, quick ones first."""
 
 
 def part_of(file: Path) -> str:
     """Return the part of a file, from the package's folder."""
-    return next(part for part, folders in PARTS.items() if str(file.parent) in folders)
+    return next(part for part, folders in PARTS.items() if any(file.is_relative_to(one) for one in folders))
+
+
+def near(part: str) -> list[str]:
+    """Return the folders of tests of a part, quick ones first."""
+    rooms = {folder.partition("/")[0] for folder in PARTS[part]}
+    return [f"{tier}/{room}" for tier in TIERS for room in sorted(rooms)]
 
 
 def drawn(package: Path, number: int, seed: int) -> list[tuple[Path, Mutant]]:
@@ -49,7 +51,7 @@ def drawn(package: Path, number: int, seed: int) -> list[tuple[Path, Mutant]]:
     first: list[tuple[Path, Mutant]] = []
     others: list[tuple[float, Path, Mutant]] = []
     for folder in (folder for part in PARTS.values() for folder in part):
-        for file in sorted((package / folder).glob("*.py")):
+        for file in sorted((package / folder).rglob("*.py")):
             path, places = file.relative_to(package), mutants(file.read_text("utf-8"))
             random = np.random.default_rng([seed, crc32(str(path).encode())])
             ranks = random.random(len(places))

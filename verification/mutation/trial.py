@@ -45,6 +45,7 @@ class Outcome:
 
 def prepare() -> None:
     """Import what tests need, but nothing of strandline."""
+    importlib.import_module("tests.conftest")  # settings that JAX reads at its import
     for name in LIBRARIES:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
