@@ -35,14 +35,14 @@ def test_what_is_left_is_that_of_a_normal_posterior() -> None:
     """Draws of the posterior of a linear problem have the widths that the information predicts."""
     random = np.random.default_rng(1)
     slopes = np.array([[3.0, 1.0, 0.0], [0.0, 1.0, 2.0]])
-    draws = random.standard_normal((200_000, 3))
+    draws = random.standard_normal((50_000, 3))
     seen = slopes @ np.array([0.2, -0.1, 0.3])
     weights = np.exp(-0.5 * ((draws @ slopes.T - seen) ** 2).sum(axis=1))
     found = directions_of(np.cov(draws.T, aweights=weights))
     foretold = directions_of(np.linalg.inv(np.eye(3) + slopes.T @ slopes))
     for one, other in zip(found, foretold, strict=True):
-        assert one.left == pytest.approx(other.left, rel=0.02)
-        assert abs(one.weights @ other.weights) > 0.999
+        assert one.left == pytest.approx(other.left, rel=0.03)
+        assert abs(one.weights @ other.weights) > 0.998
 
 
 def test_combinations_that_are_equally_unknown_have_few_inputs_each() -> None:
@@ -54,8 +54,4 @@ def test_combinations_that_are_equally_unknown_have_few_inputs_each() -> None:
     covariance = unknown @ np.diag([1.0, 0.99]) @ unknown.T + 0.1 * known @ known.T
     words = {in_words(one, ("E", "V", "nu", "h")) for one in directions_of(covariance)[:2]}
     assert words == {"E up and V up (1 : 1)", "nu"}
-
-
-def test_words_leave_out_small_shares_and_say_which_way() -> None:
-    one = Direction(np.array([-0.1, 0.8, -0.59]), 0.9)
-    assert in_words(one, ("a", "b", "c")) == "b up and c down (1 : 0.74)"
+    assert in_words(Direction(np.array([-0.1, 0.8, -0.59]), 0.9), ("a", "b", "c")) == "b up and c down (1 : 0.74)"

@@ -31,15 +31,18 @@ def by_hand(x: np.ndarray, sd: float) -> np.ndarray:
     return np.asarray(rows.T @ rows)
 
 
-def test_the_whole_line() -> None:
-    np.testing.assert_allclose(fisher(view(PointErrors(0.01))), by_hand(X, 0.01))
-    np.testing.assert_allclose(fisher(view(CoordinateErrors(0.01))), by_hand(X, 0.01))
-
-
-def test_a_part_has_its_points_only() -> None:
-    half = focused(view(PointErrors(0.01)), LINE.points, part=(0.5, 1.0))
+def test_the_whole_line_a_part_and_other_points() -> None:
+    whole = view(PointErrors(0.01))
+    half = focused(whole, LINE.points, part=(0.5, 1.0))
+    few = focused(whole, LINE.points, part=(0.25, 0.75), points=5)
+    places = np.linspace(0.5, 1.5, 5)
     assert len(half.seen(LINE.points).points) == 21
+    np.testing.assert_allclose(few.seen(LINE.points).points[:, 0], places)
     np.testing.assert_allclose(fisher(half), by_hand(X[20:], 0.01))
+    np.testing.assert_allclose(fisher(few), by_hand(places, 0.01), rtol=2e-3)
+    for errors in (PointErrors(0.01), CoordinateErrors(0.01)):
+        np.testing.assert_allclose(fisher(view(errors)), by_hand(X, 0.01))
+        np.testing.assert_allclose(fisher(focused(view(errors), LINE.points, sd=0.005)), by_hand(X, 0.005))
 
 
 def test_views_of_two_models_have_the_same_points_if_one_arc_length_counts() -> None:
@@ -53,13 +56,6 @@ def test_views_of_two_models_have_the_same_points_if_one_arc_length_counts() -> 
         np.testing.assert_allclose(other.seen(LINE.points).points, one.seen(LINE.points).points)
 
 
-def test_points_at_equal_distances_along_a_part() -> None:
-    few = focused(view(PointErrors(0.01)), LINE.points, part=(0.25, 0.75), points=5)
-    places = np.linspace(0.5, 1.5, 5)
-    np.testing.assert_allclose(few.seen(LINE.points).points[:, 0], places)
-    np.testing.assert_allclose(fisher(few), by_hand(places, 0.01), rtol=2e-3)
-
-
 def test_errors_of_each_point_go_with_their_points() -> None:
     shares = tuple(np.linspace(1.0, 2.0, 41))
     half = focused(view(PointErrors(0.01, shares=shares)), LINE.points, part=(0.5, 1.0))
@@ -68,12 +64,6 @@ def test_errors_of_each_point_go_with_their_points() -> None:
     np.testing.assert_allclose(fisher(half), rows.T @ rows)
     few = focused(view(PointErrors(0.01, shares=shares)), LINE.points, points=5)
     assert few.errors == PointErrors(0.01)
-
-
-def test_another_error_of_each_point() -> None:
-    for errors in (PointErrors(0.01), CoordinateErrors(0.01)):
-        finer = focused(view(errors), LINE.points, sd=0.005)
-        np.testing.assert_allclose(fisher(finer), 4 * fisher(view(errors)))
 
 
 def test_a_closed_outline_keeps_its_closure_only_as_a_whole() -> None:
@@ -114,12 +104,9 @@ def test_displacement_in_standard_deviations() -> None:
     assert Observing({"": view(PointErrors(0.01))}, {"": LINE.points}).displacement(lower) == pytest.approx(3.0)
 
 
-def test_too_few_points_are_refused() -> None:
+def test_parts_of_surfaces_and_too_few_points_are_refused() -> None:
     with pytest.raises(InvalidInput, match="at least 3 points"):
         focused(view(PointErrors(0.01)), LINE.points, part=(0.0, 0.03))
-
-
-def test_parts_of_surfaces_are_refused() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     surface = Interface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     whole = View(footprint(surface, surface), PointErrors(0.01))

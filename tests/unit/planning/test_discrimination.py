@@ -10,7 +10,6 @@ from strandline.planning.discrimination import CLEAR, Discrimination, expected_d
 
 SIGNALS = 3
 CASES = {
-    "two": ([(0.0, 1.0), (1.5, 1.0)], [0.5, 0.5]),
     "uneven": ([(0.0, 0.6), (2.0, 1.5)], [0.8, 0.2]),
     "three": ([(0.0, 1.0), (1.5, 0.7), (-2.0, 1.2)], [0.5, 0.3, 0.2]),
     "alike": ([(0.0, 1.0), (0.0, 1.0)], [0.5, 0.5]),
@@ -23,7 +22,7 @@ def draws(models: list[tuple[float, float]], number: int, seed: int) -> list[np.
     return [mean + sd * random.standard_normal((number, SIGNALS)) for mean, sd in models]
 
 
-def exact(models: list[tuple[float, float]], shares: list[float], number: int = 200_000) -> tuple[float, float, float]:
+def exact(models: list[tuple[float, float]], shares: list[float], number: int = 50_000) -> tuple[float, float, float]:
     """Return the information, and how often the right model and a wrong one lead, from the normal densities of s."""
     random, log_prior, nats, clear, wrong = np.random.default_rng(9), np.log(shares), 0.0, 0.0, 0.0
     normals = [multivariate_normal(np.full(SIGNALS, m), (1 + sd**2) * np.eye(SIGNALS)) for m, sd in models]
@@ -38,25 +37,28 @@ def exact(models: list[tuple[float, float]], shares: list[float], number: int = 
     return nats, clear, wrong
 
 
-@pytest.mark.parametrize("planted", [False, True])
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_the_mutual_information(case: str, planted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_the_mutual_information(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted: the truth itself counts among the draws of its model, as if it had been known."""
-    if planted:
-        right = discrimination._log_densities
-        monkeypatch.setattr(discrimination, "_log_densities", lambda seen, draws, *, own: right(seen, draws, own=False))
     models, shares = CASES[case]
     nats, clear, wrong = exact(models, shares)
-    found = [
-        expected_discrimination(draws(models, 300, seed), shares, np.random.default_rng(100 + seed))
-        for seed in range(12)
-    ]
-    z = np.mean([(one.nats - nats) / max(one.error, 1e-3) for one in found])
-    assert (abs(z) < 1.0) is not planted
-    if not planted:
-        assert np.mean([one.clear for one in found]) == pytest.approx(clear, abs=0.03)
-        assert np.mean([one.wrong for one in found]) == pytest.approx(wrong, abs=0.03)
-        assert all(one.reliable for one in found)
+
+    def found() -> list[Discrimination]:
+        seeds = range(12)
+        return [expected_discrimination(draws(models, 300, k), shares, np.random.default_rng(100 + k)) for k in seeds]
+
+    def z(some: list[Discrimination]) -> float:
+        return abs(float(np.mean([(one.nats - nats) / max(one.error, 1e-3) for one in some])))
+
+    right = found()
+    assert z(right) < 0.8
+    assert np.mean([one.clear for one in right]) == pytest.approx(clear, abs=0.03)
+    assert np.mean([one.wrong for one in right]) == pytest.approx(wrong, abs=0.03)
+    assert all(one.reliable for one in right)
+    if case == "alike":
+        whole = discrimination._log_densities
+        monkeypatch.setattr(discrimination, "_log_densities", lambda seen, draws, *, own: whole(seen, draws, own=False))
+        assert z(found()) > 1.0
 
 
 def test_models_that_nothing_separates_and_those_that_anything_does() -> None:
@@ -77,17 +79,14 @@ def test_too_few_draws_are_reported() -> None:
     assert isinstance(expected_discrimination(draws([(0, 1), (1, 1)], 50, 1), [0.5, 0.5], random), Discrimination)
 
 
-@pytest.mark.parametrize(
-    ("shapes", "shares"),
-    [
+def test_what_is_refused() -> None:
+    for shapes, shares in (
         ([(5, 2)], [1.0]),
         ([(5, 2), (5, 3)], [0.5, 0.5]),
         ([(5, 2), (1, 2)], [0.5, 0.5]),
         ([(5, 2), (5, 2)], [0.5, 0.6]),
         ([(5, 2), (5, 2)], [0.0, 1.0]),
         ([(5, 2), (5, 2)], [0.5, 0.3, 0.2]),
-    ],
-)
-def test_what_is_refused(shapes: list[tuple[int, int]], shares: list[float]) -> None:
-    with pytest.raises(InvalidInput):
-        expected_discrimination([np.zeros(shape) for shape in shapes], shares, np.random.default_rng(1))
+    ):
+        with pytest.raises(InvalidInput):
+            expected_discrimination([np.zeros(shape) for shape in shapes], shares, np.random.default_rng(1))
