@@ -1,8 +1,7 @@
 """Which runs have no common points with most others."""
 
 import numpy as np
-import pytest
-from tests.discrepancy.surfaces import sheet
+from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.interface import Interface
 from strandline.surrogate.field.odd import flipped, odd_ones
@@ -24,11 +23,11 @@ def test_an_interface_of_another_kind_is_odd() -> None:
     assert found == {3: "its interface is a closed polyline, most others are an open polyline"}
 
 
-@pytest.mark.parametrize(("off", "is_flipped"), [(0.0, True), (0.2, True), (0.6, False)])
-def test_an_interface_close_to_another_one_in_the_opposite_direction_is_flipped(off: float, is_flipped: bool) -> None:
+def test_an_interface_close_to_another_one_in_the_opposite_direction_is_flipped() -> None:
     """Reversing the points of a line of length 1 moves them by 0.58, root mean square."""
     s = np.linspace(0.0, 1.0, 40)
     line = Interface.polyline(np.stack([s, 0 * s], axis=1))
-    other = Interface.polyline(np.stack([s, 0 * s + off * 0.58], axis=1))
-    assert flipped(other.reversed(), line) == is_flipped
-    assert not flipped(other, line)
+    for off, is_flipped in [(0.0, True), (0.2, True), (0.6, False)]:
+        other = Interface.polyline(np.stack([s, 0 * s + off * 0.58], axis=1))
+        assert flipped(other.reversed(), line) == is_flipped
+        assert not flipped(other, line)

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.special import softmax
 from shapely.geometry import LinearRing, Point, Polygon
-from tests.discrepancy.surfaces import divided, sheet, sphere
-from tests.surrogate.field.remeshed import Height, cap, disc, ellipsoid
+from tests.unit.discrepancy.surfaces import divided, sheet, sphere
+from tests.unit.surrogate.field.remeshed import Height, cap, disc, ellipsoid
 
 from strandline.design import sobol
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy
@@ -69,18 +70,6 @@ def test_a_surface_that_is_changed_in_place_is_not_taken_for_the_old_one() -> No
     assert np.abs(after - before).max() > 0.1
 
 
-def test_the_same_triangles_are_taken_node_by_node() -> None:
-    assert common_layout([sheet(5), sheet(5, height=0.1)]).way == "nodes"
-
-
-def test_a_surface_cut_finer_is_found_node_by_node() -> None:
-    """All nodes lie on the finer surface already, bent as it may be."""
-    surface = sheet(6, bend=0.2, seed=1)
-    points, error = registered(divided(surface), common_layout([surface, divided(surface)]))
-    np.testing.assert_allclose(points, surface.points, atol=1e-13)
-    assert error < 1e-13
-
-
 def pillow(nodes: int, seed: int | None, height: float) -> Interface:
     """Return a square that bulges and keeps its straight sides."""
     flat = sheet(nodes, seed=seed)
@@ -89,22 +78,23 @@ def pillow(nodes: int, seed: int | None, height: float) -> Interface:
 
 
 def test_nodes_go_along_the_normals_of_the_first_surface() -> None:
-    """Those of a flat square point upwards: only the heights change, which the other's triangles interpolate."""
+    """Those of a flat square point upwards, those of a sphere outwards; a surface cut finer is found node by node."""
     flat = pillow(15, 1, 0.0)
     points = projected(pillow(18, 2, 6.0), flat).points
     np.testing.assert_allclose(points[:, :2], flat.points[:, :2], atol=1e-13)
     x, y, z = points.T
     assert np.sqrt(np.mean((z - 6.0 * x * (1 - x) * y * (1 - y)) ** 2)) < 2e-3
-
-
-def test_the_nodes_of_a_sphere_go_along_its_radii() -> None:
-    ball, axes = ellipsoid((1.0, 1.0, 1.0), 3000, 1), (1.4, 1.0, 0.8)
-    points = projected(ellipsoid(axes, 2500, 2), ball).points
+    ball, axes = ellipsoid((1.0, 1.0, 1.0), 1200, 1), (1.4, 1.0, 0.8)
+    points = projected(ellipsoid(axes, 1000, 2), ball).points
     along = ball.points / np.linalg.norm(ball.points / np.array(axes), axis=1, keepdims=True)
-    assert np.sqrt(np.mean(np.sum((points - along) ** 2, axis=1))) < 4e-3
+    assert np.sqrt(np.mean(np.sum((points - along) ** 2, axis=1))) < 1e-2
+    surface = sheet(6, bend=0.2, seed=1)
+    points, error = registered(divided(surface), common_layout([surface, divided(surface)]))
+    np.testing.assert_allclose(points, surface.points, atol=1e-13)
+    assert error < 1e-13
 
 
-@pytest.mark.parametrize(("height", "lean"), [(0.3, 0.0), (0.7, 0.4), (-0.2, -0.5)])
+@pytest.mark.parametrize(("height", "lean"), [(0.7, 0.4), (-0.2, -0.5)])
 def test_caps_converge_with_the_square_of_the_mesh_size(height: float, lean: float) -> None:
     errors, misfits = [], []
     for rings in (6, 12, 24):
@@ -117,10 +107,9 @@ def test_caps_converge_with_the_square_of_the_mesh_size(height: float, lean: flo
     assert errors[-1] < misfits[-1] < 4 * errors[-1] + 1e-3
 
 
-@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.5, 1.0, 0.7)])
-def test_closed_surfaces_converge_with_the_square_of_the_mesh_size(axes: tuple[float, float, float]) -> None:
-    errors = []
-    for number in (200, 800, 3200):
+def test_closed_surfaces_converge_with_the_square_of_the_mesh_size() -> None:
+    errors, axes = [], (1.5, 1.0, 0.7)
+    for number in (200, 800):
         points = projected(ellipsoid(axes, number + 7, 1), ellipsoid((1.1, 0.9, 1.0), number, 2)).points
         gradient = np.linalg.norm(points / np.square(axes), axis=1)
         level = np.linalg.norm(points / np.array(axes), axis=1)
@@ -128,7 +117,7 @@ def test_closed_surfaces_converge_with_the_square_of_the_mesh_size(axes: tuple[f
     assert (orders(errors) > 1.7).all(), errors
 
 
-@pytest.mark.parametrize("radius", [0.6, 1.0, 1.7])
+@pytest.mark.parametrize("radius", [0.6, 1.7])
 def test_the_rim_stays_the_rim_where_it_moves(radius: float) -> None:
     """Its nodes are on the new rim, and all triangles keep their share of the area: none is stretched."""
     worst, misfits = [], []
@@ -141,8 +130,7 @@ def test_the_rim_stays_the_rim_where_it_moves(radius: float) -> None:
         np.testing.assert_allclose(on_rim[:, 2], 0.0, atol=1e-12)
         taken = Interface(found.points, first.cells)
         shares = (taken.areas / taken.areas.sum()) / (first.areas / first.areas.sum())
-        assert shares.min() > 0.5
-        assert shares.max() < 2.0
+        assert 0.5 < shares.min() < shares.max() < 2.0
     assert worst[0] < 0.01 * radius
     for series in (worst, misfits):
         assert orders(series)[0] > 1.5, series
@@ -157,34 +145,36 @@ def test_a_rim_that_is_left_behind_shows_in_the_error() -> None:
     around = np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])
     ring = LinearRing(found.points[around, :2])
     edge = [Point(p) for p in large.points[:, :2] if np.isclose(np.abs(p - 0.5).max(), 0.8)]
+    off_rim = [ring.distance(p) for p in edge]
+    everywhere = [Polygon(ring).distance(Point(p)) for p in large.points[:, :2]]
     assert len(edge) == 4 * 39
-    off_rim, inside = [ring.distance(p) for p in edge], Polygon(ring)
-    everywhere = [inside.distance(Point(p)) for p in large.points[:, :2]]
     assert max(off_rim) > 0.1
     assert found.error == pytest.approx(np.sqrt(np.mean(np.square(off_rim))), rel=1e-9)
     assert found.error > 1.5 * np.sqrt(np.mean(np.square(everywhere)))
 
 
-def revolved(profile: Callable[[np.ndarray], np.ndarray], rings: int, seed: int) -> Interface:
-    """Return the surface that a profile (share from the axis to the rim) -> (r, z) sweeps."""
-    flat, cells = disc(rings, seed)
+def mushroom(overhang: float, rings: int) -> Interface:
+    """Return a hat over a stem that is narrower by `overhang`: a profile that is swept around an axis."""
+    flat, cells = disc(rings, 2)
     share = np.linalg.norm(flat, axis=1)
-    r, z = profile(share).T
+    knots = np.array([[0.0, 0.6], [0.5, 0.5], [0.5 - overhang, 0.25], [1.0, 0.0]])
+    r, z = (np.interp(share, [0.0, 0.35, 0.65, 1.0], column) for column in knots.T)
     unit = np.divide(flat, share[:, None], out=np.zeros_like(flat), where=share[:, None] > 0)
     return Interface(np.column_stack([r[:, None] * unit, z]), cells)
 
 
-def mushroom(overhang: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the profile of a hat over a stem that is narrower by `overhang`."""
-    knots = np.array([[0.0, 0.6], [0.5, 0.5], [0.5 - overhang, 0.25], [1.0, 0.0]])
-    return lambda s: np.stack([np.interp(s, [0.0, 0.35, 0.65, 1.0], knots[:, k]) for k in range(2)], axis=1)
-
-
-def test_a_fold_that_is_lost_shows_in_the_error() -> None:
-    first = cap(bulge(0.0, 0.0), 14, 1)
-    steep, folded = (projected(revolved(mushroom(by), 16, 2), first) for by in (-0.1, 0.25))
+def test_a_fold_that_is_lost_shows_in_the_error_and_its_inside_is_not_taken_for_the_surface() -> None:
+    """Under the hat of the mushroom its lower side is nearest, which faces down; the foot and the hat face up."""
+    flat, round_one = cap(bulge(0.0, 0.0), 14, 1), cap(bulge(0.4, 0.0), 14, 1)
+    steep, folded = (projected(mushroom(by, 16), flat) for by in (-0.1, 0.25))
     assert steep.error < 0.015
     assert folded.error > 3 * steep.error
+    points = projected(mushroom(0.25, 40), round_one).points
+    r, z = np.linalg.norm(points[:, :2], axis=1), points[:, 2]
+    under = (r > 0.32) & (r < 0.45)
+    hat, foot = 0.6 - 0.2 * r, (1 - r) / 3
+    assert under.sum() > 30
+    assert (np.minimum(np.abs(z - hat), np.abs(z - foot))[under] < 0.01).all()
 
 
 def test_which_side_a_surface_faces_does_not_matter() -> None:
@@ -207,35 +197,6 @@ def test_a_body_that_moves_by_more_than_its_thickness_is_followed() -> None:
     np.testing.assert_allclose(found.points - by, first.points, atol=0.03)
 
 
-def test_the_inside_of_a_fold_is_not_taken_for_the_surface() -> None:
-    """Under the hat of the mushroom its lower side is nearest, which faces down; the foot and the hat face up."""
-    first = cap(bulge(0.4, 0.0), 14, 1)
-    points = projected(revolved(mushroom(0.25), 40, 2), first).points
-    r, z = np.linalg.norm(points[:, :2], axis=1), points[:, 2]
-    under = (r > 0.32) & (r < 0.45)
-    hat, foot = 0.6 - 0.2 * r, (1 - r) / 3
-    assert under.sum() > 30
-    assert (np.minimum(np.abs(z - hat), np.abs(z - foot))[under] < 0.01).all()
-
-
-def test_a_crossing_far_behind_is_not_taken_where_the_line_just_misses() -> None:
-    """A sheet moves aside by a sixth; behind its edge a line meets another sheet, ten times as far."""
-    first = sheet(7)
-    aside = Interface(first.points + np.array([1 / 6, 0.0, 0.1]), first.cells)
-    behind = Interface(sheet(7, size=4.0).points - np.array([1.0, 1.0, 5.0]), first.cells)
-    points = _along_normals(
-        first.points, np.arange(49), first.cells, both := together(aside, behind), cKDTree(both.centres)
-    )
-    expected = first.points + np.array([0.0, 0.0, 0.1])
-    expected[:, 0] = np.maximum(expected[:, 0], 1 / 6)
-    np.testing.assert_allclose(points, expected, atol=1e-12)
-
-
-def holed(surface: Interface, cell: int) -> Interface:
-    """Return the surface without a triangle."""
-    return Interface(surface.points, np.delete(surface.cells, cell, axis=0))
-
-
 def together(*surfaces: Interface) -> Interface:
     begins = np.cumsum([0] + [len(one.points) for one in surfaces[:-1]])
     cells = [one.cells + begin for one, begin in zip(surfaces, begins, strict=True)]
@@ -246,23 +207,34 @@ def shifted(surface: Interface, by: float) -> Interface:
     return Interface(surface.points + np.array([by, 0.0, 0.0]), surface.cells)
 
 
+def test_a_crossing_far_behind_is_not_taken_where_the_line_just_misses() -> None:
+    """A sheet moves aside by a sixth; behind its edge a line meets another sheet, ten times as far."""
+    first = sheet(7)
+    aside = Interface(first.points + np.array([1 / 6, 0.0, 0.1]), first.cells)
+    behind = Interface(sheet(7, size=4.0).points - np.array([1.0, 1.0, 5.0]), first.cells)
+    both = together(aside, behind)
+    points = _along_normals(first.points, np.arange(49), first.cells, both, cKDTree(both.centres))
+    expected = first.points + np.array([0.0, 0.0, 0.1])
+    expected[:, 0] = np.maximum(expected[:, 0], 1 / 6)
+    np.testing.assert_allclose(points, expected, atol=1e-12)
+
+
+CAP, HOLED = cap(bulge(0.3, 0.0), 6, 1), cap(bulge(0.3, 0.0), 7, 2)
+
+
 @pytest.mark.parametrize(
-    ("first", "other", "words"),
+    ("other", "words"),
     [
-        (cap(bulge(0.9, 0.0), 6, 1), sphere(1.0, 2), r"1 part\(s\), 1 rim\(s\), .* 1 in one run; .* 0 rim\(s\), .* 2"),
-        (cap(bulge(0.3, 0.0), 6, 1), holed(cap(bulge(0.3, 0.0), 7, 2), 0), r"1 rim\(s\).*2 rim\(s\)"),
-        (
-            cap(bulge(0.3, 0.0), 6, 1),
-            together(cap(bulge(0.3, 0.0), 6, 2), shifted(sphere(0.3, 1), 3.0)),
-            r"1 part\(s\).*2 part\(s\)",
-        ),
+        (sphere(1.0, 2), r"1 part\(s\), 1 rim\(s\), .* 1 in one run; .* 0 rim\(s\), .* 2"),
+        (Interface(HOLED.points, HOLED.cells[1:]), r"1 rim\(s\).*2 rim\(s\)"),
+        (together(HOLED, shifted(sphere(0.3, 1), 3.0)), r"1 part\(s\).*2 part\(s\)"),
     ],
 )
-def test_surfaces_of_other_kinds_are_refused(first: Interface, other: Interface, words: str) -> None:
+def test_surfaces_of_other_kinds_are_refused(other: Interface, words: str) -> None:
     with pytest.raises(InvalidInterface, match=words):
-        common_layout([first, other])
+        common_layout([CAP, other])
     with pytest.raises(InvalidInterface, match=words):
-        registered(other, common_layout([first, divided(first)]))
+        registered(other, common_layout([CAP, divided(CAP)]))
 
 
 def test_parts_and_holes_that_all_runs_have_are_fine() -> None:
@@ -274,8 +246,10 @@ def test_parts_and_holes_that_all_runs_have_are_fine() -> None:
     np.testing.assert_allclose(np.linalg.norm(points[-42:-6, :2], axis=1), 1.2, atol=0.02)
 
 
-def test_triangles_that_the_projection_turns_over_are_refused() -> None:
-    """Two discs with round sides that stand across each other: neither can be projected onto the other."""
+def test_triangles_that_the_projection_turns_over_or_flattens_are_refused() -> None:
+    """Two discs with round sides that stand across each other; a rim that shrinks to a notch, near whose tip all
+    nodes find the same point.
+    """
     lying, standing = ellipsoid((2.0, 1.0, 0.3), 800, 1), ellipsoid((0.3, 1.0, 2.0), 800, 2)
     with pytest.raises(InvalidInterface, match=r"triangle\(s\) of one run's surface (turned over|flattened) when"):
         common_layout([lying, standing])
@@ -284,10 +258,6 @@ def test_triangles_that_the_projection_turns_over_are_refused() -> None:
         found = Reference(ball).on(flat)
         assert isinstance(found, str)
         assert "turned over" in found
-
-
-def test_triangles_that_become_flat_are_refused() -> None:
-    """A rim that shrinks to a notch: the nodes near its tip all find the same point."""
     first = sheet(9)
     corner = Interface(np.array([[0.4, 0.4, 0.0], [0.6, 0.4, 0.0], [0.5, 0.6, 0.0]]), np.array([[0, 1, 2]]))
     with pytest.raises(InvalidInterface, match=r"flattened when .* at \(.*\) mm"):
@@ -296,22 +266,15 @@ def test_triangles_that_become_flat_are_refused() -> None:
 
 def test_a_flatter_run_is_the_reference_where_the_first_is_bent_too_much() -> None:
     """The normals of a high bulge meet below it; those of a low one fit onto the high."""
-    runs = [cap(bulge(height, 0.1), 12 + k % 3, k) for k, height in enumerate((1.2, 0.9, 0.3, -0.3))]
+    heights = (1.2, 0.9, 0.3, -0.3)
+    runs = [cap(bulge(height, 0.1), 12 + k % 3, k) for k, height in enumerate(heights)]
     layout = common_layout(runs)
     assert layout.template is runs[2]
-    for run, height in zip(runs, (1.2, 0.9, 0.3, -0.3), strict=True):
+    for run, height in zip(runs, heights, strict=True):
         points, error = registered(run, layout)
         assert off(points, bulge(height, 0.1)) < 0.01
         assert error < 0.01
     assert common_layout([runs[2], *runs]).template is runs[2]
-
-
-def test_polylines_and_surfaces_together_are_refused() -> None:
-    line = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 1.0]]))
-    with pytest.raises(InvalidInterface, match="polylines in some runs, surfaces in others"):
-        common_layout([sheet(4), line])
-    with pytest.raises(InvalidInterface, match="a polyline where the others are surfaces"):
-        registered(line, common_layout([sheet(4), sheet(5)]))
 
 
 LOW, HIGH = np.array([0.2, -0.4]), np.array([0.6, 0.4])
@@ -351,19 +314,14 @@ def moments(log_likelihood: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndar
     """Return the mean and the standard deviation of a posterior under a uniform prior, on a grid."""
     u, v = np.meshgrid(*2 * [(np.arange(16) + 0.5) / 16], indexing="ij")
     x = np.array([0.35, -0.25]) + np.array([0.1, 0.6]) * np.stack([u.ravel(), v.ravel()], axis=1)
-    values = log_likelihood(x)
-    weights = np.exp(values - values.max())
-    weights /= weights.sum()
+    weights = softmax(log_likelihood(x))
     mean = weights @ x
     return mean, np.sqrt(weights @ (x - mean) ** 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    ("measure", "noise", "rings"),
-    [
-        pytest.param(ClosestPoint(), 1.2e-2, 12, marks=pytest.mark.long),
-        (Currents(0.4, quadrature="centre"), 2e-3, 8),
-    ],
+    ("measure", "noise", "rings"), [(ClosestPoint(), 1.2e-2, 12), (Currents(0.4, quadrature="centre"), 2e-3, 8)]
 )
 def test_the_posterior_is_that_of_runs_on_one_mesh(measure: Discrepancy, noise: float, rings: int) -> None:
     """And that of the model itself, asked directly; the observed surface has a mesh of its own."""

@@ -24,12 +24,9 @@ def observed(gradients: bool, linear: bool, runs: int = 9) -> Observed:
     return Observed(z, values, slopes if gradients else None, linear)
 
 
-def plain(one: Observed, log_lengths: np.ndarray, log_nugget: float) -> float:
-    """Return the log density of contrasts that no mean reaches, s² at its largest likelihood, noise as in the code.
-
-    All by the inputs themselves: y = (values, ∂_1, ∂_2), covariances by automatic differentiation.
-    """
-    lengths, tau = np.exp(log_lengths), math.exp(log_nugget)
+@jax.jit
+def all_pairs(z: jax.Array, lengths: jax.Array) -> jax.Array:
+    """Return covariances of value and derivatives of all pairs (run, run, 3, 3), by automatic differentiation."""
 
     def kernel(a, b):
         return jnp.exp(-0.5 * jnp.sum(((a - b) / lengths) ** 2))
@@ -39,8 +36,17 @@ def plain(one: Observed, log_lengths: np.ndarray, log_nugget: float) -> float:
         mixed = jax.jacfwd(jax.grad(kernel, 0), 1)(a, b)
         return jnp.block([[k[None, None], by_b[None]], [by_a[:, None], mixed]])
 
+    return jax.vmap(jax.vmap(both, (None, 0)), (0, None))(z, z)
+
+
+def plain(one: Observed, log_lengths: np.ndarray, log_nugget: float) -> float:
+    """Return the log density of contrasts that no mean reaches, s² at its largest likelihood, noise as in the code.
+
+    All by the inputs themselves: y = (values, ∂_1, ∂_2).
+    """
+    lengths, tau = np.exp(log_lengths), math.exp(log_nugget)
     n, dim = one.z.shape
-    blocks = np.asarray(jax.vmap(jax.vmap(both, (None, 0)), (0, None))(one.z, one.z))
+    blocks = np.asarray(all_pairs(one.z, lengths))
     C = blocks.transpose(2, 0, 3, 1).reshape(3 * n, 3 * n)
     noise = tau * np.repeat([1.0, *(1 / lengths**2)], n)
     F = np.zeros((3 * n, 3 if one.linear else 1))
@@ -61,35 +67,21 @@ def plain(one: Observed, log_lengths: np.ndarray, log_nugget: float) -> float:
 
 
 @pytest.mark.parametrize(("gradients", "linear"), CASES)
-@pytest.mark.parametrize(("log_lengths", "log_nugget"), HYPERPARAMETERS)
-def test_the_value_is_the_density_of_contrasts(
-    gradients: bool, linear: bool, log_lengths: list[float], log_nugget: float
-) -> None:
-    one = observed(gradients, linear)
-    value, _ = restricted_evidence(one, np.array(log_lengths), log_nugget)
-    assert value == pytest.approx(plain(one, np.array(log_lengths), log_nugget), rel=1e-7, abs=1e-6)
-
-
-@pytest.mark.parametrize(("gradients", "linear"), CASES)
-@pytest.mark.parametrize(("log_lengths", "log_nugget"), HYPERPARAMETERS)
-def test_the_gradient_is_that_of_the_value(
-    gradients: bool, linear: bool, log_lengths: list[float], log_nugget: float
-) -> None:
-    one, at, step = observed(gradients, linear), np.array([*log_lengths, log_nugget]), 1e-4
-
-    def value(x: np.ndarray) -> float:
-        return restricted_evidence(one, x[:2], float(x[2]))[0]
-
-    _, slope = restricted_evidence(one, at[:2], float(at[2]))
-    differences = [(value(at + step * e) - value(at - step * e)) / (2 * step) for e in np.eye(3)]
-    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-4)
+def test_the_value_is_the_density_of_contrasts_and_the_gradient_is_its(gradients: bool, linear: bool) -> None:
+    one, step = observed(gradients, linear), 1e-4
+    for log_lengths, log_nugget in HYPERPARAMETERS:
+        at = np.array([*log_lengths, log_nugget])
+        value, slope = restricted_evidence(one, at[:2], log_nugget)
+        assert value == pytest.approx(plain(one, at[:2], log_nugget), rel=1e-7, abs=1e-6)
+        ends = [[restricted_evidence(one, x[:2], float(x[2]))[0] for x in (at + e, at - e)] for e in step * np.eye(3)]
+        differences = [(up - down) / (2 * step) for up, down in ends]
+        np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-4)
 
 
 @pytest.mark.parametrize(("gradients", "linear"), CASES)
 def test_the_precision_takes_no_notice_of_the_mean(gradients: bool, linear: bool) -> None:
     """P F = 0, and P y are the weights of the runs."""
-    one = observed(gradients, linear)
-    lengths = np.array([1.0, 1.5])
+    one, lengths = observed(gradients, linear), np.array([1.0, 1.5])
     found = condition_mode(one, lengths, 1e-4)
     np.testing.assert_allclose(found.precision @ found.trend, 0.0, atol=1e-7)
     np.testing.assert_allclose(found.precision @ one.scaled(lengths), found.alpha, atol=1e-6)
