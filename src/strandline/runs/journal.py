@@ -33,7 +33,7 @@ FORMAT_BYTE = 18
 """Byte of a database file: 1 with a rollback journal, 2 with a write-ahead log."""
 
 
-def journal_for(path: Path, *, environment: Mapping[str, str] | None = None) -> Journal:
+def journal_for(path: Path, *, environment: Mapping[str, str] | None = None, mounts: Path | None = None) -> Journal:
     """Return which journal the ledger at `path` should have.
 
     Raises:
@@ -49,14 +49,14 @@ def journal_for(path: Path, *, environment: Mapping[str, str] | None = None) -> 
             expected="wal or delete",
             remedy="Unset it to let the file system decide.",
         )
-    return "delete" if is_network(file_system(path)) else "wal"
+    return "delete" if is_network(file_system(path, mounts=mounts)) else "wal"
 
 
-def note(path: Path) -> str | None:
+def note(path: Path, *, mounts: Path | None = None) -> str | None:
     """Return a line for the user of a study if its ledger at `path` has a rollback journal; else None."""
-    if journal_for(path) == "wal":
+    if journal_for(path, mounts=mounts) == "wal":
         return None
-    kind = file_system(path)
+    kind = file_system(path, mounts=mounts)
     why = f"lies on a network file system ({kind})" if is_network(kind) else f"follows {VARIABLE}=delete"
     return f"the ledger {why}: a rollback journal keeps it safe there; each write takes a little longer"
 
@@ -83,7 +83,7 @@ def file_system(path: Path, *, mounts: Path | None = None) -> str | None:
     return found
 
 
-def settle(connection: sqlite3.Connection, path: Path) -> None:
+def settle(connection: sqlite3.Connection, path: Path, *, busy_seconds: float = BUSY_SECONDS) -> None:
     """Give the ledger at `path` the journal that it should have; `connection` must not have read it yet.
 
     Raises:
@@ -93,7 +93,7 @@ def settle(connection: sqlite3.Connection, path: Path) -> None:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         return
-    connection.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_SECONDS)}")
+    connection.execute(f"PRAGMA busy_timeout = {int(1000 * busy_seconds)}")
     connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # to read a write-ahead log without shared memory
     try:
         connection.execute("PRAGMA journal_mode = DELETE")

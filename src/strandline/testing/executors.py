@@ -170,8 +170,15 @@ def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -
     _require(early == [False] * len(requests), "a request was pulled while the record that it depends on was held back")
 
 
-def check_asks_beside_a_run(executor: Executor, *, workers: int) -> None:
-    """A free worker asks again even if no run ends, and makes further runs while a long one goes on."""
+def check_asks_beside_a_run(executor: Executor, *, workers: int, pause: float = 1.0, longest: float = 10.0) -> None:
+    """A free worker asks again even if no run ends, and makes further runs while a long one goes on.
+
+    Args:
+        executor: Executor to check.
+        workers: Number of runs that it makes at a time.
+        pause: Seconds without anything to start, after the first record.
+        longest: Seconds after which the long run ends in any case.
+    """
     if workers == 1:
         return
     requests = requests_for(Cantilever(), [600.0, 400.0, 300.0])
@@ -180,12 +187,12 @@ def check_asks_beside_a_run(executor: Executor, *, workers: int) -> None:
     def following() -> Iterator[RunRequest]:
         yield from requests[:2]
         yield from _not_now_until(lambda: bool(order))
-        later = time.monotonic() + 1.0
+        later = time.monotonic() + pause
         yield from _not_now_until(lambda: time.monotonic() > later)
         yield requests[2]
 
     with tempfile.TemporaryDirectory() as folder:
-        for record in executor(Patient(folder, others=1, longest=10.0), following()):
+        for record in executor(Patient(folder, others=1, longest=longest), following()):
             order.append(record.inputs["E"])
             if record.inputs["E"] == 300.0:
                 (Path(folder) / "done").touch()

@@ -81,8 +81,24 @@ class Submissions:
 
 
 @contextlib.contextmanager
-def opened(kind: str, address: str | None, workers: int, jobs: Mapping[str, Any]) -> Iterator[Cluster]:
+def opened(
+    kind: str,
+    address: str | None,
+    workers: int,
+    jobs: Mapping[str, Any],
+    *,
+    reach_seconds: float = REACH_SECONDS,
+    lost_process_seconds: int = LOST_PROCESS_SECONDS,
+) -> Iterator[Cluster]:
     """Yield a cluster with `workers` workers, or jobs; a cluster that was started here is ended afterwards.
+
+    Args:
+        kind: Kind of cluster.
+        address: Address of an existing scheduler; None: start a cluster.
+        workers: Number of workers or jobs.
+        jobs: Options of the jobs.
+        reach_seconds: Seconds to wait for the scheduler to answer.
+        lost_process_seconds: Seconds to wait for a worker on this machine to come back.
 
     Raises:
         InvalidInput: the cluster does not start, or does not answer.
@@ -91,15 +107,15 @@ def opened(kind: str, address: str | None, workers: int, jobs: Mapping[str, Any]
 
     with contextlib.ExitStack() as stack:
         if address is not None:
-            client = stack.enter_context(_client(address, address))
+            client = stack.enter_context(_client(address, address, reach_seconds))
             yield Cluster(client, address)
             return
         submissions = Submissions() if kind in ("slurm", "pbs") else None
         security = key_in_memory() if submissions is None else stack.enter_context(keys_in_files(_shared_folder(kind)))
         maker = _started(kind, workers, jobs, submissions, security)
         stack.callback(_end, maker)
-        client = stack.enter_context(_client(maker, str(maker.scheduler_address)))
-        patience = LOST_PROCESS_SECONDS if submissions is None else LOST_JOB_SECONDS
+        client = stack.enter_context(_client(maker, str(maker.scheduler_address), reach_seconds))
+        patience = lost_process_seconds if submissions is None else LOST_JOB_SECONDS
         stack.enter_context(dask.config.set({LOST_WORKER: f"{patience}s"}))
         yield Cluster(client, str(maker.scheduler_address), maker, submissions)
 
@@ -110,12 +126,12 @@ def _end(maker: Any) -> None:
 
 
 @contextlib.contextmanager
-def _client(place: Any, address: str) -> Iterator[Any]:
+def _client(place: Any, address: str, reach_seconds: float) -> Iterator[Any]:
     """Yield a client of the scheduler at `place`, an address or one of our clusters."""
     from distributed import Client
 
     try:
-        client: Any = Client(place, set_as_default=False, timeout=REACH_SECONDS)  # type: ignore[no-untyped-call]
+        client: Any = Client(place, set_as_default=False, timeout=reach_seconds)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
         raise InvalidInput(
             "Dask scheduler",

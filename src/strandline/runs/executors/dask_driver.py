@@ -50,6 +50,7 @@ class Driver:
         life: Seconds that a worker lives; None: no limit.
         least: Number of jobs to keep when fewer runs than jobs are left.
         most: Maximum number of threads to use.
+        silence_borne_seconds: How long the scheduler may be unreachable.
     """
 
     def __init__(
@@ -62,9 +63,11 @@ class Driver:
         life: float | None,
         least: int,
         most: int,
+        silence_borne_seconds: float = SILENCE_BORNE_SECONDS,
     ) -> None:
         self.cluster, self.setup, self.requests = cluster, setup, requests
         self.timeout, self.life, self.least, self.most = timeout, life, least, most
+        self.silence_borne_seconds = silence_borne_seconds
         self.session, self.number = uuid.uuid4().hex, 0
         self.exhausted = self.told_to_wait = False
         self.held: RunRequest | None = None
@@ -230,7 +233,7 @@ class Driver:
             self.threads = dict(self.cluster.client.nthreads())
         except (OSError, TimeoutError, RuntimeError) as error:
             self.threads, self.ready = {}, {}
-            if time.monotonic() > self.reached + SILENCE_BORNE_SECONDS:
+            if time.monotonic() > self.reached + self.silence_borne_seconds:
                 raise _out_of_reach(self.cluster.address, error) from error
             return
         self.reached = self.looked

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
@@ -14,6 +16,7 @@ from strandline.testing.executors import requests_for, same_outcome
 from strandline.testing.models import TwoLoads
 
 INPUTS = {"E": 0.1 + 0.2, "load": 1e-5}
+LINE = Interface.polyline(np.random.default_rng(1).random((5, 2)))
 
 
 def two_loads() -> RunRecord:
@@ -28,10 +31,15 @@ def two_loads() -> RunRecord:
 
 RECORDS = {
     "two conditions and sensitivities": two_loads(),
-    "one interface": RunRecord("a", INPUTS, "ok", {"": Interface.polyline(np.random.default_rng(1).random((5, 2)))}),
+    "one interface": RunRecord("a", INPUTS, "ok", {"": LINE}),
     "failed": RunRecord("b", INPUTS, "failed", {}, {"load": 0.5}, 2.0, "stalled", "it’s ∂-stuck\nlines", "log\n"),
     "bare": RunRecord("c", {}, "killed"),
 }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("runs")
 
 
 @pytest.mark.parametrize("record", RECORDS.values(), ids=RECORDS.keys())
@@ -43,21 +51,14 @@ def test_there_and_back(tmp_path: Path, record: RunRecord) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["7.run"]
 
 
-@pytest.mark.parametrize("place", [0, 30, 80, 200, 500, -1])
-def test_a_changed_byte_is_seen(tmp_path: Path, place: int) -> None:
-    path = tmp_path / "7.run"
-    write_run(path, RECORDS["one interface"])
+@settings(max_examples=20)
+@given(name=st.sampled_from(["one interface", "failed"]), place=st.floats(0, 1, exclude_max=True), cut=st.booleans())
+def test_a_changed_byte_or_a_missing_end_is_seen(folder: Path, name: str, place: float, cut: bool) -> None:
+    path = folder / "7.run"
+    write_run(path, RECORDS[name])
     content = bytearray(path.read_bytes())
-    content[place] ^= 1
-    path.write_bytes(content)
+    number = int(place * len(content))
+    content[number] ^= 1
+    path.write_bytes(content[:number] if cut else content)
     with pytest.raises(InvalidInput, match=r"7\.run"):
-        read_run(path)
-
-
-@pytest.mark.parametrize("kept", [0, 10, 90, 300])
-def test_a_truncated_file_is_seen(tmp_path: Path, kept: int) -> None:
-    path = tmp_path / "7.run"
-    write_run(path, RECORDS["failed"])
-    path.write_bytes(path.read_bytes()[:kept])
-    with pytest.raises(InvalidInput):
         read_run(path)

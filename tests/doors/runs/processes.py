@@ -1,0 +1,36 @@
+"""Processes that the tests start, look at and wait for."""
+
+import time
+from pathlib import Path
+
+
+def wait_until(condition, seconds):
+    """Return whether the condition holds, or comes to hold in time."""
+    deadline = time.monotonic() + seconds
+    while not (holds := condition()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return holds
+
+
+def _fields(pid):
+    """Return what the system says of a process after its name; nothing if there is none."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
+
+
+def alive(pid):
+    return _fields(pid)[:1] not in ([], ["Z"])
+
+
+def processes_of_group(group):
+    """Return the living processes of a process group."""
+    pids = [int(path.name) for path in Path("/proc").glob("[0-9]*")]
+    return [pid for pid in pids if _fields(pid)[2:3] == [str(group)] and alive(pid)]
+
+
+def pids(folder, file="calls"):
+    """Return the processes in the lines that a model has left, one for each of its runs."""
+    path = folder / file
+    return [int(line.split()[0]) for line in path.read_text().splitlines()] if path.exists() else []

@@ -1,0 +1,243 @@
+"""Executors: the conformance suite, the suite's own power, and what only worker processes must do."""
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+from tests.doors.runs.processes import pids, processes_of_group, wait_until
+
+from strandline.errors import InvalidInput
+from strandline.runs import NOT_NOW, InProcess, LocalProcesses
+from strandline.runs.on_call import OnCall
+from strandline.testing.executors import (
+    CHECKS,
+    CRASH_CHECKS,
+    TIMEOUT_CHECKS,
+    WAITING_CHECKS,
+    check_asks_beside_a_run,
+    requests_for,
+)
+from strandline.testing.models import Cantilever, Counted, Faulty, KilledWhileLoading, Slow
+
+ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+BESIDE = ["yields_in_order_of_completion", "pulls_when_a_worker_is_free", "stops_when_closed", "sigkill", "segfault"]
+ALONE = [
+    "answers_each_request_once",
+    "yields_in_order_of_completion",
+    "sigkill",
+    "huge_output",
+    "unpicklable_exception",
+]
+ALONE += ["returns_all_conditions_and_sensitivities", "gives_each_run_an_empty_folder", "system_exit", "nan"]
+
+
+@pytest.mark.parametrize(
+    ("workers", "check"), [*((2, name) for name in BESIDE), *((1, name) for name in ALONE)], ids=str
+)
+def test_local_processes_conform(workers, check):
+    (CHECKS | CRASH_CHECKS)[check](LocalProcesses(workers), workers=workers)
+
+
+@pytest.mark.parametrize("check", TIMEOUT_CHECKS)
+def test_local_processes_stop_hanging_runs(check):
+    TIMEOUT_CHECKS[check](LocalProcesses(1, timeout=0.6), workers=1)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_local_processes_wait_for_requests(workers):
+    for name in ("waits_for_what_follows", "hands_over_before_it_asks_again"):
+        WAITING_CHECKS[name](LocalProcesses(workers), workers=workers)
+
+
+def only_after_records(model, requests):
+    """A planted bug: once told to wait, ask again only after a record."""
+    records = 0
+
+    def asked():
+        told_at = None
+        while True:
+            request = NOT_NOW if told_at == records else next(requests, None)
+            if request is None:
+                return
+            told_at = records if request is NOT_NOW else None
+            yield request
+
+    for record in LocalProcesses(2)(model, asked()):
+        records += 1
+        yield record
+
+
+def test_local_processes_ask_beside_a_run_and_the_suite_catches_one_that_does_not():
+    check_asks_beside_a_run(LocalProcesses(2), workers=2, pause=0.2)
+    with pytest.raises(AssertionError, match="waits for the third"):
+        check_asks_beside_a_run(only_after_records, workers=2, pause=0.2, longest=1.5)
+
+
+def on_call(model, requests):
+    """Give requests one by one to a worker process that is kept."""
+    with contextlib.closing(OnCall(model)) as call:
+        for request in requests:
+            yield call(request)
+
+
+@pytest.mark.parametrize("executor", [LocalProcesses(2), on_call], ids=["local", "on call"])
+def test_workers_killed_while_they_load_are_replaced_and_not_for_ever(tmp_path, executor):
+    for name in ("thrice", "always"):
+        (tmp_path / name).mkdir()
+    model = KilledWhileLoading(str(tmp_path / "thrice"), times=3)
+    requests = requests_for(model)
+    assert [record.state for record in executor(model, requests)] == ["ok"] * len(requests)
+    assert len(list((tmp_path / "thrice").iterdir())) == 3
+    doomed = KilledWhileLoading(str(tmp_path / "always"), times=100)
+    with pytest.raises(InvalidInput, match=r"killed before they have loaded the model.*fewer workers"):
+        list(executor(doomed, requests))
+    assert len(list((tmp_path / "always").iterdir())) >= 11
+
+
+class Unloadable:
+    fingerprint = "test:unloadable"
+
+    def __reduce__(self):
+        return pickle.loads, (b"not a pickle",)
+
+    def __call__(self, inputs, workdir):
+        raise AssertionError
+
+
+def test_a_model_that_no_worker_can_load_is_one_clear_error():
+    with pytest.raises(InvalidInput, match="could not load the model") as caught:
+        list(LocalProcesses(2)(Unloadable(), requests_for(Cantilever())))
+    assert "UnpicklingError" in str(caught.value)
+
+
+def run_script(folder, body, *, guard="if __name__ == '__main__':", as_file=True):
+    """Run a script that defines a model with `body`, which then fails, and prints the message of its record."""
+    text = textwrap.dedent(f"""
+        import os
+        from strandline.runs import LocalProcesses, RunRequest
+        def model(inputs, workdir):
+            {body}
+            raise RuntimeError("enough")
+        {guard}
+            for record in LocalProcesses(1)(model, [RunRequest("a", {{"E": 1.0}})]):
+                print(record.message)
+        """)
+    (folder / "script.py").write_text(text)
+    command = [sys.executable, str(folder / "script.py")] if as_file else [sys.executable, "-c", text]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_a_model_of_a_guarded_script_is_run_on_one_thread(tmp_path, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    shown = "print(__name__, *(os.environ[name + '_NUM_THREADS'] for name in ('OMP', 'OPENBLAS', 'MKL')))"
+    done = run_script(tmp_path, shown)
+    assert done.returncode == 0, done.stderr
+    assert "RuntimeError: enough" in done.stdout
+    assert "__mp_main__ 1 1 1" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"guard": "if True:"}, "start the runs under `if __name__ == '__main__':`"),
+        ({"as_file": False}, "put the model into a module"),
+    ],
+)
+def test_a_script_that_no_worker_can_load_gets_the_remedy(tmp_path, options, said):
+    done = run_script(tmp_path, "pass", **options)
+    assert done.returncode != 0
+    assert said in done.stderr
+
+
+DRIVER = """
+import sys
+from strandline.runs import LocalProcesses
+from strandline.testing.executors import requests_for
+from strandline.testing.models import Counted, Faulty
+if __name__ == "__main__":
+    model = Counted(sys.argv[1], Faulty(fault=sys.argv[2], above=0.0))
+    for record in LocalProcesses(2)(model, requests_for(model)):
+        print(record)
+"""
+
+
+@pytest.fixture
+def driver(tmp_path):
+    """Start a driver whose two workers hang in the given way; return it and the workers' process ids."""
+    with contextlib.ExitStack() as stack:
+
+        def start(fault):
+            environment = {**os.environ, "TMPDIR": str(tmp_path)}
+            command = [sys.executable, "-c", DRIVER, str(tmp_path), fault]
+            process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, start_new_session=True)
+            stack.enter_context(process)
+            stack.callback(process.kill)
+            assert wait_until(lambda: len(pids(tmp_path)) == 2, 20)
+            return process, pids(tmp_path)
+
+        yield start
+
+
+@ON_LINUX
+@pytest.mark.parametrize("fault", ["hang_in_c", pytest.param("child", marks=pytest.mark.smoke)])
+def test_workers_and_their_children_vanish_when_the_driver_is_killed(driver, fault):
+    process, workers = driver(fault)
+    number = 2 if fault == "child" else 1
+    assert wait_until(lambda: all(len(processes_of_group(pid)) == number for pid in workers), 5)
+    process.kill()
+    assert wait_until(lambda: not any(processes_of_group(pid) for pid in workers), 3)
+
+
+@ON_LINUX
+def test_ctrl_c_stops_the_workers_and_removes_their_folders(driver, tmp_path):
+    process, workers = driver("hang_in_c")
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert stderr.decode().count("KeyboardInterrupt") == 1
+    assert not any(processes_of_group(pid) for pid in workers)
+    assert not list(tmp_path.glob("strandline-*"))
+
+
+@ON_LINUX
+def test_workers_ignore_ctrl_c_of_their_own(tmp_path):
+    model = Counted(str(tmp_path), Slow(seconds=0.2))
+    records = LocalProcesses(1)(model, requests_for(model)[:2])
+    first = next(records)
+    os.kill(pids(tmp_path)[0], signal.SIGINT)
+    assert first.ok
+    assert [record.state for record in records] == ["ok"]
+
+
+@ON_LINUX
+def test_closing_early_kills_busy_workers_and_children(tmp_path):
+    model = Counted(str(tmp_path), Faulty(fault="child", above=500.0))
+    records = LocalProcesses(1)(model, requests_for(model, [400.0, 600.0]))
+    next(records)
+    assert wait_until(lambda: len(pids(tmp_path)) == 2 and len(processes_of_group(pids(tmp_path)[1])) == 2, 10)
+    records.close()
+    assert wait_until(lambda: not any(processes_of_group(pid) for pid in pids(tmp_path)), 5)
+
+
+@pytest.mark.smoke
+def test_folders_are_removed_and_the_driver_stays_where_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    before, model = (os.getcwd(), dict(os.environ)), Faulty(fault="dirty", above=0.0)  # noqa: PTH109
+    for executor in (LocalProcesses(1), InProcess()):
+        assert all(record.ok for record in executor(model, requests_for(model)))
+    assert not list(tmp_path.iterdir())
+    assert (os.getcwd(), dict(os.environ)) == before  # noqa: PTH109
+
+
+def test_the_time_for_a_run_is_small():
+    records = LocalProcesses(1)(Cantilever(), requests_for(Cantilever(), [300.0 + 0.1 * k for k in range(300)]))
+    next(records)
+    begin = time.perf_counter()
+    assert sum(record.ok for record in records) == 299
+    assert (time.perf_counter() - begin) / 299 < 0.02, "the aim is 0.005 s; a busy machine gets some grace"

@@ -1,0 +1,140 @@
+"""A Dask cluster in jobs of a real SLURM: its silent traps, each of which would hang a campaign."""
+
+from collections import Counter
+from functools import partial
+
+import pytest
+from tests.doors.runs.processes import wait_until
+from tests.unit.runs.fakes import attempts, batches, campaign, design, states
+
+from strandline.errors import InvalidInput
+from strandline.runs.executors.dask import DaskCluster
+from strandline.runs.executors.dask_cluster import opened
+from strandline.runs.executors.dask_driver import Driver
+from strandline.runs.executors.packing import packed_model
+from strandline.testing.executors import requests_for
+from strandline.testing.models import Cantilever, Slow
+
+pytest.importorskip("dask_jobqueue", reason="the extra `dask` is not installed")
+JOBS = {"cores": 1, "memory": "400MB", "walltime": "00:30:00", "interface": "lo"}
+IN_JOBS = partial(DaskCluster, cluster="slurm", workers=1, jobs=JOBS)
+
+
+@pytest.fixture
+def path(slurm, tmp_path, monkeypatch):
+    """Give a place for a ledger; the logs of the jobs, and the keys, lie beside it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    return tmp_path / "ledger.sqlite"
+
+
+def some(number, first=300.0):
+    return design(*(first + 5.0 * k for k in range(number)))
+
+
+def job_ids(slurm):
+    return slurm.command("squeue", "--noheader", "--states=RUNNING", "--format=%i").split()
+
+
+def no_job_left(slurm):
+    return wait_until(lambda: not slurm.command("squeue", "--noheader"), 20)
+
+
+def test_a_cancelled_worker_is_replaced(slurm, path):
+    """Trap: with `scale()` alone the worker is never replaced, and the campaign hangs."""
+    ends, cancelled = [], []
+
+    def cancel(record, progress):
+        ends.append((record.state, record.failure_kind))
+        if not cancelled:
+            cancelled.extend(job_ids(slurm))
+            slurm.command("scancel", *cancelled)
+
+    done = campaign(path, Slow(seconds=1.0), some(4), IN_JOBS(), on_record=cancel)
+    assert len(cancelled) == 1
+    assert states(done) == ["ok"] * 4
+    assert Counter(ends) == {("ok", None): 4, ("killed", "worker_died"): 1}
+
+
+def short_of_time(model, requests):
+    """Have jobs that live for 36 s, of which 30 s are to spare and a run may take 3 s."""
+    with opened("slurm", None, 1, JOBS) as cluster:
+        limits = {"timeout": 3.0, "life": 36.0, "least": 1, "most": 1}
+        driver = Driver(cluster, packed_model(model), iter(requests), **limits)
+        try:
+            yield from driver.records()
+        finally:
+            driver.close()
+
+
+def test_a_worker_goes_before_its_walltime_cuts_a_run(slurm, path):
+    """Trap: a run that its job does not outlive is killed and submitted again, and again."""
+    ended, jobs = [], set()
+
+    def note(record, progress):
+        ended.append(record.state)
+        jobs.update(job_ids(slurm))
+
+    campaign(path, Slow(seconds=1.0), some(6), short_of_time, on_record=note)
+    assert ended == ["ok"] * 6
+    assert len(jobs) >= 2, "no job was replaced"
+
+
+def test_jobs_that_slurm_refuses_are_one_clear_error(slurm, path):
+    """Trap: Dask waits for ever for a worker whose job was never taken."""
+    executor = IN_JOBS(jobs=JOBS | {"queue": "nowhere"})
+    with pytest.raises(InvalidInput, match=r"takes no job.*Invalid partition.*executor\.dask\.jobs"):
+        list(executor(Cantilever(), requests_for(Cantilever())))
+    assert not job_ids(slurm)
+
+
+def test_a_full_queue_is_waited_for_and_no_job_is_left_behind(slurm, path):
+    for _ in range(6):
+        slurm.command("sbatch", "--output=/dev/null", "--wrap=sleep 4")
+    records = IN_JOBS(workers=2)(Slow(seconds=0.1), requests_for(Slow()))
+    assert next(records).ok
+    records.close()
+    assert no_job_left(slurm)
+
+
+def test_jobs_are_kept_from_batch_to_batch(slurm, path):
+    """A job that is cancelled while the driver chooses is replaced, and no run is lost by it."""
+    jobs = []
+
+    def choose(records):
+        jobs.append(job_ids(slurm))
+        if len(jobs) == 2:
+            slurm.command("scancel", *jobs[-1])
+            assert wait_until(lambda: job_ids(slurm) and not set(job_ids(slurm)) & set(jobs[-1]), 30)
+        return [] if len(jobs) == 3 else some(4, 300.0 + 100.0 * len(jobs))
+
+    assert states(batches(path, Cantilever(), [some(4)], choose, IN_JOBS())) == ["ok"] * 12
+    assert attempts(path) == [1] * 12
+    first, second, third = jobs
+    assert len(first) == len(third) == 1
+    assert second == first != third
+    assert no_job_left(slurm)
+
+
+def test_a_stranger_is_refused_and_sees_no_key(slurm, path, tmp_path):
+    import dask
+    import psutil
+    from distributed import Client
+
+    folder = tmp_path / "keys"
+    with (
+        dask.config.set({"jobqueue.slurm.shared-temp-directory": str(folder)}),
+        opened("slurm", None, 1, JOBS) as cluster,
+    ):
+        cluster.client.wait_for_workers(1, timeout=60)
+        assert cluster.address.startswith("tls://127.0.0.1:")
+        for address in (cluster.address, *cluster.client.nthreads()):
+            with pytest.raises(OSError, match=r"Timed out|reset by peer|TLS|SSL|closed"):
+                Client(address.replace("tls://", "tcp://"), timeout=1, set_as_default=False)
+        key = next(folder.glob("*/key.pem"))
+        assert key.stat().st_mode & 0o777 == 0o600
+        lines = [" ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"])]
+        assert any(str(key) in line for line in lines)
+        assert not any(key.read_text().splitlines()[1] in line for line in lines)
+        assert cluster.maker.scheduler.http_server.address == "127.0.0.1"
+    assert list(folder.iterdir()) == []

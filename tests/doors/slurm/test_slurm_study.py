@@ -1,0 +1,101 @@
+"""A study whose runs are jobs of a SLURM array, from the command line and on its page."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+
+import httpx
+import pytest
+from tests.doors.runs.processes import wait_until
+from tests.unit.runs.fakes import attempts
+
+from strandline.cli import main
+from strandline.runs import InProcess
+from strandline.studies import load_study, run_study
+from strandline.testing.studies import write_study
+
+SMALL = {
+    "draft": True,
+    "report": "none",
+    "design": {"sobol": {"runs": 12}},
+    "sampler": {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}},
+    "executor": {"slurm_array": {"poll": 0.3, "timeout": 50, "walltime": "00:05:00"}},
+}
+HELD = {**SMALL, "executor": {"slurm_array": {"poll": 0.3, "extra": ["--hold"]}}}
+STRANDLINE = [sys.executable, "-m", "strandline"]
+
+
+def test_detached_and_collected(slurm, tmp_path, capsys):
+    folder = write_study(tmp_path / "study", **SMALL)
+    main(["run", "--quiet", "--detach", str(folder)])
+    shown = capsys.readouterr().out
+    assert shown.startswith("13 runs are with SLURM")
+    assert f"strandline run {folder}" in shown
+    assert not (folder / "summary.json").exists()
+    main(["status", str(folder)])
+    assert "ok 0, failed 0, under way (or lost) 12" in capsys.readouterr().out
+    main(["run", "--quiet", str(folder)])
+    summary = json.loads((folder / "summary.json").read_text())
+    assert set(attempts(folder / "ledger.sqlite")) == {1}
+    here = run_study(load_study(write_study(tmp_path / "here", **SMALL)), executor=InProcess())
+    assert summary["inputs"] == json.loads(json.dumps(here.summary["inputs"]))
+    capsys.readouterr()
+    main(["run", "--quiet", "--detach", str(folder)])
+    assert "12 forward runs ok, 0 failed (0 new, 12 reused)" in capsys.readouterr().out, "nothing has changed"
+    (folder / "summary.json").unlink()
+    main(["run", "--quiet", "--detach", str(folder)])
+    assert "every run of the design is done" in capsys.readouterr().out
+
+
+def test_ctrl_c_says_what_goes_on(slurm, tmp_path):
+    folder = write_study(tmp_path / "study", **HELD)
+    with subprocess.Popen([*STRANDLINE, "run", "--quiet", str(folder)], stderr=subprocess.PIPE, text=True) as driver:
+        assert wait_until(lambda: list(folder.glob("slurm/*/job")), 60)
+        wait_until(lambda: False, 0.2)
+        driver.send_signal(signal.SIGINT)
+        _, stderr = driver.communicate(timeout=30)
+    assert driver.returncode == 130
+    assert "runs that go on in SLURM: 1 (`scancel --name=strandline-" in stderr
+    assert len(slurm.command("squeue", "--noheader", "--array").splitlines()) == 1
+
+
+@pytest.mark.smoke
+def test_detach_wants_an_executor_that_can(tmp_path, capsys):
+    folder = write_study(tmp_path / "study", **{**SMALL, "executor": {"in_process": {}}})
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "--detach", str(folder)])
+    assert ended.value.code == 2
+    assert "executor: {slurm_array: …}" in capsys.readouterr().err
+
+
+def released(slurm, until):
+    """Let every job go on, as it comes, until the event is set."""
+    while not until.wait(0.3):
+        for job in slurm.command("squeue", "--noheader", "--format=%A").split():
+            slurm.command("scontrol", "release", job, check=False)
+
+
+def test_the_page_shows_runs_as_slurm_makes_them(slurm, tmp_path):
+    """The page comes first: it has seen the study without a run."""
+    folder, done = write_study(tmp_path / "study", **HELD), threading.Event()
+    driver = subprocess.Popen([*STRANDLINE, "run", "--quiet", str(folder)], stderr=subprocess.DEVNULL)
+    page = subprocess.Popen([*STRANDLINE, "view", "--no-browser", str(folder)], stdout=subprocess.PIPE, text=True)
+    try:
+        address = page.stdout.readline().split()[-1]
+        with httpx.stream("GET", f"{address}events", timeout=60) as stream:
+            told = (json.loads(line[6:]) for line in stream.iter_lines() if line.startswith("data: "))
+            seen = (one for one in told if "ok" in one)
+            assert next(seen)["ok"] == 0
+            threading.Thread(target=released, args=(slurm, done), daemon=True).start()
+            last = next(one for one in seen if one["ok"] == 12)
+        assert last["failed"] == 0
+        assert len(httpx.get(f"{address}api/runs", timeout=60).json()["state"]) == 13, "with that of the observation"
+        assert driver.wait(timeout=120) == 0
+    finally:
+        done.set()
+        driver.terminate()
+        page.send_signal(signal.SIGINT)
+        page.communicate(timeout=60)
+    assert (folder / "summary.json").is_file()

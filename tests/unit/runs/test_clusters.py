@@ -1,0 +1,200 @@
+"""Executors for clusters, without a cluster: options, keys, what is submitted, and what comes back."""
+
+import os
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+
+from strandline.errors import InvalidInput
+from strandline.runs import LocalProcesses, RunRecord
+from strandline.runs.executors import dask_cluster
+from strandline.runs.executors.dask import DaskCluster
+from strandline.runs.executors.dask_security import keys_in_files
+from strandline.runs.executors.options import walltime_seconds
+from strandline.runs.executors.slurm_array import SlurmArray, _without_result
+from strandline.runs.executors.slurm_batch import Batch, known_batches
+from strandline.runs.run_file import read_run
+from strandline.testing.executors import requests_for, same_outcome
+from strandline.testing.models import Cantilever
+
+JOBS = {"cores": 1, "memory": "500MB", "walltime": "01:00:00"}
+SLURM = {"cluster": "slurm", "jobs": JOBS}
+BEAM = Cantilever()
+REQUESTS = requests_for(BEAM)
+
+
+def slurm_array(**options):
+    return SlurmArray(Path("slurm"), ("run",), **options)
+
+
+def test_a_walltime_is_read_as_slurm_writes_it():
+    seconds = {"05:30": 330, "02:30:15": 9015, "1-12": 129600, "2-01:30": 178200, "0-00:00:07": 7, "00:05:00": 300}
+    assert {text: walltime_seconds(text) for text in seconds} == seconds
+
+
+SENSELESS = [
+    (LocalProcesses, {"workers": 0}, "at least 1"),
+    (LocalProcesses, {"timeout": 0.0}, "seconds above 0"),
+    (LocalProcesses, {"timeout": float("nan")}, "seconds above 0"),
+    (LocalProcesses, {"timeout": 366 * 24 * 3600.0 + 1.0}, "a year"),
+    (DaskCluster, {"cluster": "moab"}, "local, slurm, pbs"),
+    (DaskCluster, {"cluster": "local", "address": "tcp://here:1"}, "one of the two"),
+    (DaskCluster, {"workers": 2, "maximum": 3}, "workers alone"),
+    (DaskCluster, {"maximum": 3}, "whose jobs come and go"),
+    (DaskCluster, {"address": "tcp://here:1", "workers": 3}, "the workers that the scheduler has"),
+    (DaskCluster, SLURM | {"minimum": 3, "maximum": 2}, "a maximum that is at least as large"),
+    (DaskCluster, SLURM | {"minimum": 3}, "a maximum that is at least as large"),
+    (DaskCluster, SLURM | {"minimum": -1, "maximum": 2}, "at least 0"),
+    (DaskCluster, {"jobs": JOBS}, "this cluster has no jobs"),
+    (DaskCluster, SLURM | {"jobs": {"cores": 1, "memory": "1GB"}}, "Add walltime"),
+    (DaskCluster, {"cluster": "pbs", "jobs": JOBS | {"project": "x"}}, "Remove project"),
+    (DaskCluster, SLURM | {"jobs": JOBS | {"walltime": "60"}}, "in quotes"),
+    (DaskCluster, SLURM | {"jobs": JOBS | {"cores": 0}}, "jobs.cores"),
+    (DaskCluster, SLURM | {"timeout": 3541.0}, "at most 3540 s"),
+    (slurm_array, {"timeout": 241.0, "walltime": "00:05:00"}, "at most 240 s"),
+    (slurm_array, {"max_jobs": 0}, "max_jobs"),
+    (slurm_array, {"poll": 0.0}, "seconds above 0"),
+]
+
+
+def test_senseless_options_are_refused():
+    """A run that outlives its job would be killed and submitted again, for ever and without an error."""
+    for executor, options, said in SENSELESS:
+        with pytest.raises(InvalidInput, match=said):
+            executor(**options)
+
+
+def test_options_at_their_bounds_are_taken():
+    assert DaskCluster(**SLURM, timeout=3540.0, minimum=2, maximum=2).kind == "slurm"
+    assert slurm_array(timeout=240.0, walltime="00:05:00", max_jobs=1).timeout == 240.0
+    assert LocalProcesses(1, timeout=366 * 24 * 3600.0).workers == 1
+
+
+def test_nothing_is_started_for_what_cannot_be_sent_or_for_no_request(monkeypatch):
+    monkeypatch.setattr("strandline.runs.executors.dask.opened", lambda *_: pytest.fail("a cluster was started"))
+    assert list(DaskCluster(**SLURM, workers=2)(BEAM, [])) == []
+    for executor in (DaskCluster(), LocalProcesses(1)):
+        pulled = iter(REQUESTS)
+        with pytest.raises(InvalidInput, match="cannot be sent to worker processes"):
+            executor(lambda inputs, workdir: None, pulled)
+        assert len(list(pulled)) == len(REQUESTS)
+
+
+@pytest.mark.parametrize("missing", ["distributed", "cryptography"])
+def test_a_missing_extra_names_its_install_command(monkeypatch, missing):
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(InvalidInput, match=rf'{missing}.*pip install "strandline\[dask\]"'):
+        list(DaskCluster(workers=1)(BEAM, REQUESTS))
+
+
+def test_the_scheduler_of_jobs_listens_at_one_address_and_shows_no_pages():
+    from distributed.utils import get_ip
+
+    options = dask_cluster._listening("slurm", {})
+    assert options == {"dashboard": False, "dashboard_address": "127.0.0.1:0", "host": get_ip()}
+    assert "host" not in dask_cluster._listening("slurm", {"interface": "ib0"})
+
+
+def test_files_of_keys_are_for_their_owner_and_go(tmp_path):
+    before = os.umask(0)
+    try:
+        with keys_in_files(tmp_path / "here") as security:
+            key, certificate = Path(security.tls_worker_key), Path(security.tls_ca_file)
+            assert "PRIVATE KEY" in key.read_text()
+            assert "PRIVATE KEY" not in certificate.read_text()
+            assert {path.stat().st_mode & 0o777 for path in (key, certificate)} == {0o600}
+            assert key.parent.stat().st_mode & 0o777 == 0o700
+    finally:
+        os.umask(before)
+    assert list((tmp_path / "here").iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(InvalidInput, match="shared-temp-directory"), keys_in_files(tmp_path / "file" / "below"):
+        pytest.fail("keys were written")
+
+
+def test_only_keys_of_drivers_of_this_machine_that_are_gone_are_removed(tmp_path, monkeypatch):
+    """A machine whose name begins like ours shares the folder; its process 2-… is no process 2 of ours."""
+    monkeypatch.setattr(socket, "gethostname", lambda: "node")
+    gone, mine = 999_999_999, os.getpid()
+    theirs, ours, alive = (tmp_path / f"dask-node-{rest}" for rest in (f"{gone}-{gone}-x1", f"{gone}-x1", f"{mine}-x1"))
+    for folder in (theirs, ours, alive):
+        folder.mkdir()
+    with keys_in_files(tmp_path):
+        assert [folder.exists() for folder in (theirs, ours, alive)] == [True, False, True]
+
+
+def test_the_options_of_an_array_are_those_of_sbatch():
+    fixed = ["--array=0-9", "--no-requeue", "--signal=B:USR1@45"]
+    assert slurm_array().options(10) == fixed
+    everything = slurm_array(
+        walltime="00:05:00", partition="p", account="a", cpus=2, memory="1G", max_running=3, extra=("--hold",)
+    ).options(10)
+    assert everything[:3] == ["--array=0-9%3", "--no-requeue", "--signal=B:USR1@30"]
+    assert everything[3:] == [
+        "--time=00:05:00",
+        "--partition=p",
+        "--account=a",
+        "--cpus-per-task=2",
+        "--mem=1G",
+        "--hold",
+    ]
+
+
+def new_batch(folder):
+    return Batch.new(folder, BEAM, REQUESTS, 50.0)
+
+
+def test_a_batch_is_read_as_it_was_written_and_keeps_what_came_back(tmp_path):
+    batch = new_batch(tmp_path)
+    batch.submitted("17")
+    again = Batch.read(batch.folder)
+    assert (again, again.job, again.timeout) == (batch, "17", 50.0)
+    record, other = (RunRecord(REQUESTS[0].key, REQUESTS[0].inputs, state) for state in ("failed", "killed"))
+    batch.put(0, record)
+    batch.put(0, other)
+    assert batch.present() == ({0: batch.folder / "results" / "0.run"}, frozenset())
+    assert same_outcome(read_run(batch.present()[0][0]), record), "the first result counts"
+    batch.take(0)
+    batch.take(1)
+    batch.put(0, other)
+    assert batch.present() == ({}, {0, 1})
+    assert batch.log_tail(0) == ""
+    (batch.folder / "logs" / "0.txt").write_text("x" * 9000 + "end")
+    assert len(batch.log_tail(0)) == 8192
+    batch.remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_batches_are_listed_oldest_first_without_those_that_another_driver_removes(tmp_path, monkeypatch):
+    made = [new_batch(tmp_path) for _ in range(3)]
+    assert [batch.name for batch in known_batches(tmp_path)] == [batch.name for batch in made]
+    read = Batch.read
+
+    def remove_the_others_first(folder):
+        for batch in made:
+            if batch.folder != folder:
+                batch.remove()
+        return read(folder)
+
+    monkeypatch.setattr(Batch, "read", remove_the_others_first)
+    assert len(list(known_batches(tmp_path))) == 1
+
+
+def test_a_job_without_a_result_is_told_by_its_state(tmp_path):
+    batch = new_batch(tmp_path)
+    (batch.folder / "logs" / "3.txt").write_text("the last words\n")
+    ends = {
+        "TIMEOUT": ("timeout", "walltime"),
+        "NODE_FAIL": ("killed", "node_failed"),
+        "CANCELLED+": ("killed", "cancelled"),
+        "OUT_OF_MEMORY": ("killed", "out_of_memory"),
+        "FAILED": ("killed", "worker_died"),
+        None: ("killed", "worker_died"),
+    }
+    for word, end in ends.items():
+        record = _without_result(batch, 3, REQUESTS[3], word)
+        assert (record.state, record.failure_kind) == end
+        assert record.log == "the last words"
+    assert "SLURM no longer knows it" in record.message

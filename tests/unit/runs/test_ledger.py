@@ -1,0 +1,375 @@
+"""The ledger: what goes in comes out, nothing is lost, and every misuse is one clear error."""
+
+import os
+import shutil
+import sqlite3
+import tempfile
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.unit.runs.fakes import campaign
+from tests.unit.runs.ledgers import BAD, LINE, ONE, RECORDS, SURFACE, TETRAHEDRON, TWO, exact, failed, put, tamper
+
+from strandline.errors import LedgerError
+from strandline.interface import Interface
+from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest, run_key, tables
+from strandline.runs.overview import Overview
+from strandline.runs.plans import Plan
+from strandline.testing.executors import same_outcome
+
+
+def test_everything_comes_back_bit_for_bit(path):
+    with Ledger.open(path, model="m", description="a beam") as ledger:
+        put(ledger, *RECORDS)
+    with Ledger.open(path, model="m") as ledger:
+        assert [exact(r) for r in ledger] == [exact(r) for r in RECORDS]
+        found = ledger.latest([r.key for r in RECORDS] + ["unknown"])
+        assert {k: exact(r) for k, r in found.items()} == {r.key: exact(r) for r in RECORDS}
+        assert (ledger.model, ledger.description) == ("m", "a beam")
+        restored = found["line"].interface.points
+        assert restored.dtype == np.float64
+        assert restored.flags.writeable
+        ledger.started(RunRequest("lost", {"E": 9.0}))
+        assert ledger.counts() == Counts(ok=4, failed=1, timeout=1, killed=1, invalid=1, open=1)
+        assert ledger.counts().total == 9
+        assert "lost" not in ledger.latest(["lost"])
+
+
+def test_more_keys_than_one_query_takes(path):
+    keys = {f"run {number}" for number in range(1201)}
+    with Ledger.open(path, model="m") as ledger:
+        with ledger._transaction():
+            put(ledger, *map(failed, keys))
+        assert set(ledger.latest(keys)) == keys
+        assert {record.key for record in ledger} == keys
+    with Overview(path) as overview:
+        assert len(overview.changes(1000, range(1, 800))) == 1201 - 1000 + 799
+
+
+def test_the_last_outcome_counts_and_attempts_are_counted(path):
+    killed = RunRecord("a", {}, "killed", failure_kind="worker_died")
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, killed, replace(killed, failure_kind="interrupted"))
+        ledger.started(RunRequest("a", {}))
+        assert (ledger.attempts("a"), ledger.open_attempts("a"), ledger.attempts("never")) == (2, 2, 0)
+        put(ledger, RunRecord("a", {}, "ok", {"": LINE}))
+        assert (ledger.attempts("a"), ledger.open_attempts("a")) == (3, 0)
+        assert ledger.latest(["a"])["a"].ok
+        assert ledger.counts() == Counts(ok=1)
+        assert [record.state for record in ledger] == ["ok"]
+        put(ledger, killed)
+        ledger.started(RunRequest("a", {}))
+        put(ledger, replace(killed, key="b"))
+        assert (ledger.attempts("a"), ledger.open_attempts("a")) == (5, 2)
+        assert (ledger.open_attempts("b"), ledger.open_attempts("never")) == (1, 0)
+
+
+def test_an_outcome_without_a_start_is_refused(path):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, ONE)
+        for record in (ONE, SURFACE):
+            with pytest.raises(LedgerError, match="started and has no outcome"):
+                ledger.finished(record)
+
+
+def test_nothing_is_ever_changed(path):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, TWO)
+        ledger.plan(Plan("digest", "beam", "m", ("E",), False, 1, (("two",),)))
+        ledger.exclude("two", "odd")
+        for name in ("sessions", "starts", "outcomes", "arrays", "plans", "exclusions"):
+            (column, *_) = ledger._connection.execute(f"SELECT * FROM {name}").description[0]
+            for verb in (f"UPDATE {name} SET {column} = 0", f"DELETE FROM {name}"):
+                with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+                    ledger._connection.execute(verb)
+
+
+DAMAGES = [
+    (ONE, "UPDATE outcomes SET points = zeroblob(length(points))"),
+    (ONE, "UPDATE outcomes SET points_shape = '[132, 1]'"),
+    (ONE, "UPDATE outcomes SET state = 'failed'"),
+    (ONE, "UPDATE outcomes SET diagnostics = '{\"iterations\": 8.0}'"),
+    (ONE, "UPDATE outcomes SET seconds = 0.5"),
+    (ONE, "UPDATE starts SET inputs = '{\"E\": 0.2}'"),
+    (TWO, "UPDATE arrays SET data = zeroblob(length(data)) WHERE role = 'sensitivity'"),
+    (TWO, "UPDATE arrays SET shape = '[132, 1]' WHERE role = 'points' AND condition = 'slow'"),
+    (TWO, "UPDATE arrays SET condition = 'fast' WHERE condition = 'slow'"),
+    (TWO, "UPDATE arrays SET input = 'E2' WHERE input = 'E'"),
+    (TWO, "DELETE FROM arrays WHERE role = 'sensitivity' AND input = 'nu'"),
+    (TWO, "DELETE FROM arrays"),
+    (TWO, "INSERT INTO arrays SELECT attempt, role, condition, 'x', shape, data FROM arrays WHERE input = 'nu'"),
+]
+
+
+def test_damage_to_a_run_is_noticed_and_the_run_named(path):
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, ONE, TWO)
+    tamper(path, *(f"DROP TRIGGER {name}" for name in ("outcomes_no_UPDATE", "starts_no_UPDATE")))
+    tamper(path, *(f"DROP TRIGGER arrays_no_{verb}" for verb in ("UPDATE", "DELETE")))
+    sound = path.read_bytes()
+    for record, damage in DAMAGES:
+        path.write_bytes(sound)
+        tamper(path, damage)
+        with (
+            Ledger.open(path, model="m", read_only=True) as ledger,
+            pytest.raises(LedgerError, match=f"run {record.key} in .* is damaged"),
+        ):
+            ledger.latest([record.key])
+
+
+def test_a_run_that_cannot_be_found_any_more_is_noticed(path):
+    """SQLite skips rows behind a damaged page, without an error: 64 bytes overwritten at 25 places."""
+    keys = [f"run {k}" for k in range(40)]
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, *(replace(ONE, key=key) for key in keys))
+    sound, rng, refused = path.read_bytes(), np.random.default_rng(3), []
+    for _ in range(25):
+        spoilt, place = bytearray(sound), int(rng.integers(4096, len(sound) - 64))
+        spoilt[place : place + 64] = rng.bytes(64)
+        path.write_bytes(spoilt)
+        try:
+            with Ledger.open(path, model="m") as ledger:
+                found = ledger.latest(keys)
+        except LedgerError as error:
+            refused.append(str(error))
+        else:
+            assert list(found) == keys
+            assert all(exact(found[key])[3] == exact(ONE)[3] for key in keys)
+    assert 4 < len(refused) < 25
+    assert all("damaged" in said for said in refused)
+
+
+def test_an_outcome_is_written_with_all_its_arrays_or_not_at_all(path):
+    with Ledger.open(path, model="m") as ledger:
+        ledger.started(RunRequest("two", {"E": 7.0}))
+        ledger._connection.execute(
+            "CREATE TEMP TRIGGER full BEFORE INSERT ON arrays WHEN NEW.input = 'nu' "
+            "BEGIN SELECT RAISE(ABORT, 'full'); END"
+        )
+        with pytest.raises(LedgerError, match="full"):
+            ledger.finished(TWO)
+        assert ledger._rows("SELECT count(*) FROM arrays") == [(0,)]
+        assert ledger.counts() == Counts(open=1)
+        ledger._connection.execute("DROP TRIGGER full")
+        ledger.finished(TWO)
+        assert exact(ledger.latest(["two"])["two"]) == exact(TWO)
+
+
+def test_a_ledger_of_another_model_is_refused_with_both_names(path):
+    Ledger.open(path, model="beam-1").close()
+    for read_only in (False, True):
+        with pytest.raises(LedgerError, match=r"beam-1 in the ledger, beam-2 now.*new study folder"):
+            Ledger.open(path, model="beam-2", read_only=read_only)
+    Ledger.open(path, model="beam-1").close()  # the refusal left no lock behind
+
+
+def overwritten(path):
+    data = bytearray(path.read_bytes())
+    data[4096:12288] = b"\xff" * 8192
+    path.write_bytes(data)
+
+
+NEWER = f"UPDATE meta SET value = '{tables.VERSION + 1}' WHERE key = 'schema_version'"
+SPOILT = {
+    "text": (lambda path: path.write_bytes(b"this is not a database" * 100), "damaged or not a ledger"),
+    "empty": (lambda path: path.write_bytes(b""), "damaged or not a ledger|cannot be read"),
+    "overwritten": (overwritten, "damaged"),
+    "foreign": (lambda path: (path.unlink(), tamper(path, "CREATE TABLE other (x)")), "cannot be read"),
+    "newer": (lambda path: tamper(path, NEWER), "newer strandline"),
+}
+
+
+@pytest.mark.parametrize("spoilt", SPOILT)
+def test_a_damaged_foreign_or_newer_file_is_refused(path, spoilt):
+    spoil, said = SPOILT[spoilt]
+    Ledger.open(path, model="m").close()
+    spoil(path)
+    for look in (
+        lambda: Ledger.open(path, model="m"),
+        lambda: Ledger.open(path, model="m", read_only=True),
+        lambda: Overview(path, model="m").runs(),
+    ):
+        with pytest.raises(LedgerError, match=said):
+            look()
+
+
+def test_what_cannot_be_opened_is_refused(path):
+    with pytest.raises(LedgerError, match="folder"):
+        Ledger.open(path.parent / "nowhere" / "ledger.sqlite", model="m")
+    for look in (lambda: Ledger.open(path, model="m", read_only=True), lambda: Overview(path)):
+        with pytest.raises(LedgerError, match="no such file"):
+            look()
+    with pytest.raises(LedgerError, match="fingerprint"):
+        Ledger.open(path, model=None)
+    assert not list(path.parent.iterdir())
+
+
+@contextmanager
+def folder_without_the_right_to_write():
+    """Give a folder that this process cannot write, even where the tests run as root."""
+    folder = Path(tempfile.mkdtemp())
+    try:
+        Ledger.open(folder / "ledger.sqlite", model="m").close()
+        for file in folder.iterdir():
+            file.chmod(0o444)
+        folder.chmod(0o555)
+        if os.geteuid() == 0:
+            os.seteuid(65534)
+        yield folder
+    finally:
+        if os.getuid() == 0:
+            os.seteuid(0)
+        folder.chmod(0o755)
+        shutil.rmtree(folder)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_but_can_be_read():
+    with folder_without_the_right_to_write() as folder:
+        before = sorted(folder.iterdir())
+        with pytest.raises(LedgerError, match="cannot be written"):
+            Ledger.open(folder / "other.sqlite", model="m")
+        with pytest.raises(LedgerError):
+            Ledger.open(folder / "ledger.sqlite", model="m")
+        with Ledger.open(folder / "ledger.sqlite", model="m", read_only=True) as ledger:
+            assert ledger.counts().total == 0
+        assert sorted(folder.iterdir()) == before
+
+
+def test_a_failure_while_creating_leaves_no_ledger(path, monkeypatch):
+    def full(connection, path):
+        raise sqlite3.OperationalError("disk full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(tables.journal, "settle", full)
+        with pytest.raises(LedgerError, match="disk full"):
+            Ledger.open(path, model="m")
+    assert not [file for file in path.parent.iterdir() if file.suffix != ".lock"]
+    Ledger.open(path, model="m").close()
+
+
+def test_a_reader_cannot_write(path):
+    Ledger.open(path, model="m").close()
+    with Ledger.open(path, model=None, read_only=True) as ledger:
+        for write in (
+            lambda: ledger.started(RunRequest("a", {})),
+            lambda: ledger.finished(failed("a")),
+            lambda: ledger.copy_from(path, ["a"]),
+            lambda: ledger.exclude("a", "odd"),
+            lambda: ledger.plan(Plan("digest", "beam", "m", ("E",), False, 1, (("two",),))),
+        ):
+            with pytest.raises(LedgerError, match="read_only"):
+                write()
+
+
+def test_a_reader_sees_what_a_driver_has_written_so_far(path):
+    with Ledger.open(path, model="m") as driver:
+        put(driver, TWO)
+        with Ledger.open(path, model="m", read_only=True) as reader:
+            assert reader.counts() == Counts(ok=1)
+            assert exact(reader.latest(["two"])["two"]) == exact(TWO)
+            driver.started(RunRequest("next", {"E": 7.0}))
+            assert reader.counts() == Counts(ok=1, open=1)
+            with driver._transaction():
+                put(driver, ONE)
+                assert reader.counts() == Counts(ok=1, open=1)
+            assert reader.counts() == Counts(ok=2, open=1)
+
+
+def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
+    first, second, third, other = (tmp_path / f"{name}.sqlite" for name in "abcd")
+    keys = [record.key for record in RECORDS] + ["unknown"]
+    with Ledger.open(first, model="m") as ledger:
+        put(ledger, *RECORDS, replace(ONE, key="excluded"))
+        ledger.exclude("excluded", "odd")
+    with Ledger.open(second, model="m") as ledger:
+        put(ledger, replace(ONE, interfaces={"": TETRAHEDRON}))
+        assert ledger.copy_from(first, [*keys, "excluded"]) == 5
+        assert ledger.copy_from(first, keys) == 0
+        found = ledger.latest([*keys, "excluded"])
+        assert set(found) == {"two", "steep", "line", "surface", "bad", "odd"}
+        assert found["line"].interface.dim == 3, "what is here already stays"
+        assert found["bad"].origin == str(first)
+        for record in (TWO, SURFACE, BAD):
+            assert exact(found[record.key])[:-1] == exact(record)[:-1]
+    with Ledger.open(third, model="m") as ledger:
+        assert ledger.copy_from(second, ["bad"]) == 1
+        assert ledger.latest(["bad"])["bad"].origin == str(first)
+    with Ledger.open(other, model="other") as ledger, pytest.raises(LedgerError, match="another model"):
+        ledger.copy_from(first, ["two"])
+
+
+LINES = [{"E": 1.0}, {"E": 2.0}, {"E": 3.0}]
+KEYS = [run_key("test:line", entry) for entry in LINES]
+
+
+class Line:
+    """Notes each run that is made."""
+
+    fingerprint = "test:line"
+
+    def __init__(self):
+        self.made = []
+
+    def __call__(self, inputs, workdir):
+        self.made.append(inputs["E"])
+        return Interface.polyline(np.array([[0.0, 0.0], [1.0, inputs["E"]]]))
+
+
+def states_of(path, model, policy=None):
+    return [record.state for record in campaign(path, model, LINES, policy=policy)]
+
+
+def test_an_excluded_run_is_not_used_and_not_made_again(path):
+    model = Line()
+    assert states_of(path, model) == ["ok"] * 3
+    with Ledger.open(path, model=model) as ledger:
+        before = ledger.latest(KEYS)
+        ledger.exclude(KEYS[1], "the mesh\nfolded")
+        after = ledger.latest(KEYS)
+        assert [record.state for record in ledger] == ["ok", "excluded", "ok"]
+    assert after[KEYS[1]].message == "excluded by hand: the mesh folded"
+    assert after[KEYS[1]].interfaces == {}
+    assert all(same_outcome(after[key], before[key]) for key in (KEYS[0], KEYS[2]))
+    with Overview(path) as overview:
+        assert [run.exclusion and run.exclusion.why for run in overview.runs()] == [None, "the mesh folded", None]
+        assert list(overview.exclusions()) == [KEYS[1]]
+    for policy in (None, FailurePolicy({"invalid": Retry(3)}), FailurePolicy(again=frozenset({"excluded"}))):
+        assert states_of(path, model, policy) == ["ok", "excluded", "ok"]
+    with Ledger.open(path, model=model) as ledger:
+        ledger.include(KEYS[1], "it was right")
+        assert same_outcome(ledger.latest(KEYS)[KEYS[1]], before[KEYS[1]])
+        rows = ledger._rows("SELECT key, excluded, why FROM exclusions")
+        assert rows == [(KEYS[1], 1, "the mesh folded"), (KEYS[1], 0, "it was right")], "every decision stays"
+    assert states_of(path, model) == ["ok", "ok", "ok"]
+    assert model.made == [1.0, 2.0, 3.0]
+
+
+def test_what_cannot_be_excluded_or_included(path):
+    states_of(path, Line())
+    with Ledger.open(path, model="test:line") as ledger:
+        with pytest.raises(LedgerError, match="a few words"):
+            ledger.exclude(KEYS[0], " ")
+        with pytest.raises(LedgerError, match="no outcome yet"):
+            ledger.exclude("unknown", "odd")
+        with pytest.raises(LedgerError, match="not excluded"):
+            ledger.include(KEYS[0])
+        ledger.exclude(KEYS[0], "odd")
+        with pytest.raises(LedgerError, match="excluded already"):
+            ledger.exclude(KEYS[0], "odd")
+
+
+def test_equal_outcomes_are_told_from_different_ones():
+    assert same_outcome(TWO, replace(TWO, seconds=9.0))
+    less = {"slow": {"E": TWO.sensitivities["slow"]["E"]}}
+    moved = Interface.polyline(np.nextafter(LINE.points, 1.0))
+    for other in (
+        replace(TWO, sensitivities=less),
+        replace(TWO, interfaces={"slow": LINE}),
+        replace(TWO, interfaces={**TWO.interfaces, "slow": moved}),
+        replace(TWO, diagnostics={"steps": 1.0}),
+        replace(TWO, state="failed"),
+    ):
+        assert not same_outcome(TWO, other)
