@@ -1,0 +1,416 @@
+"""Load paths, limit points and quasi-Newton steps: a bar with a closed-form limit load, SciPy, and the flow cell."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import ngsolve as ng
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from strandline.errors import ForwardModelError
+from strandline.models.biofilm import cell as cell_module
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.cell import FlowCell
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.continuation import ARRIVAL, ContinuationSettings, LoadedSystem, Traced, trace
+from strandline.models.biofilm.geometry import MESHES
+from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.model import Biofilm
+from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.steady import Steady, steady_state
+from strandline.models.biofilm.strain import Strain
+from strandline.models.biofilm.subdivision import Partition
+
+LIMIT = 3.0**-1.5
+"""Largest w(1 - w)(2 - w)/2, at w = 1 - 3^-1/2: the force that a Saint-Venant–Kirchhoff bar with ν = 0, E = 1 bears."""
+SPRING = 2.0
+SOFT = {"young": [144.0], "poisson": [0.42]}
+
+
+@dataclass(frozen=True)
+class Dense:
+    matrix: np.ndarray
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(self.matrix, right)
+
+
+@dataclass
+class Bar:
+    """A bar compressed by w behind a linear spring that is pressed to u - w; the load acts on the spring's end u."""
+
+    inverted_beyond: float = np.inf
+    weights: np.ndarray = field(default_factory=lambda: np.ones(2))
+    factorised: int = 0
+
+    def residual(self, x, load):
+        w, u = x
+        return np.array([w * (1 - w) * (2 - w) / 2 - SPRING * (u - w), SPRING * (u - w) - load])
+
+    def factorise(self, x, load):
+        self.factorised += 1
+        slope = 1 - 3 * x[0] + 1.5 * x[0] ** 2
+        return Dense(np.array([[slope + SPRING, -SPRING], [-SPRING, SPRING]]))
+
+    def by_load(self):
+        return np.array([0.0, -1.0])
+
+    def critical_strain(self, x, tangent):
+        return Strain(np.array([1.0, 0.0]), (0.5, 0.25))
+
+    def check(self, x) -> Mapping[str, float]:
+        if x[0] > self.inverted_beyond:
+            raise ForwardModelError("inverted_elements", "pressed too far", {"min_J_solid": -1.0})
+        return {"min_J_solid": float(1 - x[0])}
+
+
+def follow(bar: Bar, load: float, *, first_share: float = 0.7, budget: int = 0) -> Traced:
+    linear = np.array([load, load + load / SPRING])
+    settings = ContinuationSettings(maximum_jacobians=budget)
+    return trace(bar, linear=linear, load=load, first_load=first_share * load, settings=settings)
+
+
+def failure(run: Callable[..., object], *arguments: object, **options: object) -> ForwardModelError:
+    with pytest.raises(ForwardModelError) as caught:
+        run(*arguments, **options)
+    return caught.value
+
+
+def compression(load: float) -> float:
+    """Return w on the first branch at a load below the limit."""
+    return float(np.roots([1.0, -3.0, 2.0, -2.0 * load]).real.min())
+
+
+def test_bar_is_a_loaded_system():
+    assert isinstance(Bar(), LoadedSystem)
+
+
+@pytest.mark.parametrize(("share", "tolerance"), [(1.001, 1e-3), (1.5, 1e-3), (2.0, 1e-3), (5.0, 2e-2)])
+def test_limit_load_of_the_bar(share, tolerance):
+    """The last one folds within the first step, which begins with the slope at its predictor, not at its point."""
+    bar = Bar()
+    found = failure(follow, bar, share * LIMIT)
+    assert found.kind == "limit_point"
+    np.testing.assert_allclose(found.evidence["limit_load"], LIMIT, rtol=tolerance)
+    assert found.evidence["load_slope"] < 0
+    assert found.evidence["critical_strain"] > 1 - 3**-0.5
+    w = found.evidence["critical_strain"]
+    np.testing.assert_allclose(found.evidence["load_slope"], 0.5 * (2 - 6 * w + 3 * w**2), atol=2e-3)
+    assert 0.9 * LIMIT < found.evidence["load_reached"] <= found.evidence["limit_load"]
+    assert found.evidence["jacobians"] == bar.factorised
+    assert (found.evidence["critical_x"], found.evidence["critical_y"]) == (0.5, 0.25)
+
+
+@pytest.mark.parametrize("first_share", [0.3, 0.5, 0.7, 0.8])
+def test_every_load_below_the_limit_is_reached_on_the_first_branch(first_share):
+    """Just below the limit a step leads over load and fold at once; there is a state all the same."""
+    for share in (0.5, 0.9, 0.99, 0.992, 0.996, 0.998, 0.9999):
+        bar = Bar()
+        traced = follow(bar, share * LIMIT, first_share=first_share)
+        w = compression(share * LIMIT)
+        np.testing.assert_allclose(traced.x, [w, w + share * LIMIT / SPRING], atol=1e-9)
+        assert traced.jacobians == bar.factorised
+
+
+def test_budget_that_is_too_small_is_used_up_and_no_more():
+    whole = failure(follow, Bar(), 2 * LIMIT).evidence["jacobians"]
+    for budget in range(2, int(whole)):
+        bar = Bar()
+        found = failure(follow, bar, 2 * LIMIT, budget=budget)
+        assert found.kind == "continuation_stalled"
+        assert found.evidence["jacobians"] == bar.factorised == budget
+        assert 0 < found.evidence["load_reached"] < LIMIT
+        assert 0 < found.evidence["min_J_solid"] < 1
+
+
+def test_state_that_the_path_has_passed_is_found_beyond_the_budget():
+    load, bar = 0.9 * LIMIT, Bar()
+    traced = follow(bar, load, budget=2)
+    assert 2 < bar.factorised <= 2 + ARRIVAL.maximum_jacobians
+    np.testing.assert_allclose(traced.x[0], compression(load), atol=1e-9)
+
+
+@pytest.mark.parametrize("where", [0.1, 0.35])
+def test_inverted_elements_are_passed_on_with_the_load_reached(where):
+    bar = Bar(inverted_beyond=where)
+    found = failure(follow, bar, 0.999 * LIMIT, first_share=0.5)
+    assert found.kind == "inverted_elements"
+    assert found.evidence["jacobians"] == bar.factorised
+    assert found.evidence["min_J_solid"] == -1.0
+    if where < 0.2:
+        assert found.evidence["load_reached"] == 0.0
+    else:
+        np.testing.assert_allclose(found.evidence["load_reached"], where * (1 - where) * (2 - where) / 2, rtol=1e-2)
+        assert compression(found.evidence["load_reached"]) <= where + 1e-3
+
+
+@dataclass
+class Coupled:
+    """A chain of cubic springs that is pulled: smooth, unsymmetric, ten unknowns."""
+
+    factorised: int = 0
+
+    def residual(self, x):
+        left, right = np.append(0.0, x[:-1]), np.append(x[1:], 0.0)
+        return 3 * x - left - 1.5 * right + 0.3 * x**3 + np.sin(left * right) - 1.0
+
+    def factorise(self, x):
+        self.factorised += 1
+        h = 1e-6
+        columns = [(self.residual(x + h * e) - self.residual(x - h * e)) / (2 * h) for e in np.eye(len(x))]
+        return Dense(np.array(columns).T)
+
+
+def solved(system: Coupled, *, contraction: float) -> newton.NewtonSolution:
+    settings = newton.NewtonSettings(tolerance=1e-11, contraction=contraction)
+    return newton.solve(system, np.zeros(10), weights=np.ones(10), settings=settings)
+
+
+def test_quasi_newton_steps_reach_the_root_of_scipy_with_fewer_jacobians():
+    quasi, plain = Coupled(), Coupled()
+    found, pure = solved(quasi, contraction=0.5), solved(plain, contraction=0.0)
+    expected = root(quasi.residual, np.zeros(10), tol=1e-13)
+    assert expected.success
+    np.testing.assert_allclose(found.x, expected.x, atol=1e-9)
+    np.testing.assert_allclose(pure.x, expected.x, atol=1e-9)
+    assert quasi.factorised == found.jacobians < pure.jacobians == plain.factorised
+
+
+def test_quasi_newton_steps_are_those_of_broydens_good_update():
+    """Against the update of the matrix itself; they leave the steps with an unchanged Jacobian far behind."""
+    system = Coupled()
+    start = np.full(10, 0.5)
+    B = system.factorise(start).matrix
+    visited = [start]
+    while np.linalg.norm(system.residual(visited[-1])) > 1e-13 and len(visited) < 40:
+        s = -np.linalg.solve(B, system.residual(visited[-1]))
+        visited.append(visited[-1] + s)
+        B = B + np.outer(system.residual(visited[-1]), s) / (s @ s)
+    seen: list[np.ndarray] = []
+    watched = Coupled()
+    watched.residual = lambda x: (seen.append(x), system.residual(x))[1]  # type: ignore[method-assign]
+    watched.factorise = lambda x: system.factorise(x)  # type: ignore[method-assign]
+    settings = newton.NewtonSettings(tolerance=1e-12, contraction=0.9)
+    found = newton.solve(watched, start, weights=np.ones(10), settings=settings)
+    assert found.jacobians == 1
+    assert len(seen) > 6
+    for ours, theirs in zip(seen[:8], visited[:8], strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    unchanged, x = system.factorise(start), start
+    for _ in range(7):
+        x = x - unchanged.solve(system.residual(x))
+    assert np.linalg.norm(seen[7] - visited[-1]) < 1e-2 * np.linalg.norm(x - visited[-1])
+
+
+def test_lengths_are_weighted():
+    np.testing.assert_allclose(newton.length(np.array([3.0, 8.0]), np.array([1.0, 0.5])), np.sqrt(25 / 2))
+
+
+def test_count_of_the_system_itself_is_kept_in_the_evidence():
+    class Refusing(Coupled):
+        def factorise(self, x):
+            raise ForwardModelError("continuation_stalled", "no more", {"jacobians": 17.0})
+
+    found = failure(solved, Refusing(), contraction=0.5)
+    assert found.evidence["jacobians"] == 17.0
+
+
+@pytest.fixture(scope="module")
+def cell() -> FlowCell:
+    law = LAWS["saint_venant_kirchhoff"]
+    return FlowCell(Outline().interface(), MESHES["coarse"], channel=Channel(), partition=Partition(), law=law)
+
+
+def displaced(cell: FlowCell, field_of_d: object) -> np.ndarray:
+    """Return the unknowns of a state with a given displacement of the solid; zero is left where it is prescribed."""
+    cell.system.values[:] = 0.0
+    cell.system.state.components[2].Set(field_of_d, definedon=cell.mesh.Materials("|".join(cell.system.solids)))
+    x = np.array(cell.system.values[cell.system.free])
+    cell.system.values[:] = 0.0
+    return x
+
+
+def free_of_base(cell: FlowCell) -> np.ndarray:
+    """Mark the solid elements none of whose corners lie on the base, where d is kept at zero."""
+    elements = [e for e in cell.mesh.Elements(ng.VOL) if e.mat in cell.system.solids]
+    heights = np.array([[cell.mesh.vertices[v.nr].point[1] for v in e.vertices] for e in elements])
+    return heights.min(axis=1) > 1e-9
+
+
+def test_strains_of_a_uniform_gradient(cell):
+    """Away from the base, where d is kept at zero: ½ (0.3 + √(0.1² + 4·0.05²)) without rotation."""
+    G = np.array([[-0.2, 0.05], [0.05, -0.1]])
+    compression = 0.15 + np.sqrt(0.005)
+    x = displaced(cell, ng.CF((G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)))
+    inside = free_of_base(cell)
+    np.testing.assert_allclose(cell._strains._gradients(x)[inside], np.broadcast_to(G, (inside.sum(), 2, 2)), atol=1e-9)
+    thin, across, stretch = cell._strains._smallest_stretches(x)
+    np.testing.assert_allclose(stretch[inside], 1 - compression, atol=1e-9)
+    for number in np.flatnonzero(inside)[:3]:
+        strain = cell._strains._strain(int(number), thin, across)
+        np.testing.assert_allclose(strain.functional @ x, compression, atol=1e-9)
+
+
+def test_largest_compression_has_its_closed_form(cell):
+    """A d that vanishes with its gradient on the base: d_x = -a y², strain (0, -a y; -a y, 0), compression a y."""
+    a = 0.1
+    x = displaced(cell, ng.CF((-a * ng.y**2, 0.0)))
+    elements = [e for e in cell.mesh.Elements(ng.VOL) if e.mat in cell.system.solids]
+    centroids = [np.mean([cell.mesh.vertices[v.nr].point[1] for v in e.vertices]) for e in elements]
+    np.testing.assert_allclose(cell.largest_compression(x), a * max(centroids), atol=1e-9)
+    np.testing.assert_allclose(cell.largest_compression(-x), a * max(centroids), atol=1e-9)
+
+
+def squeezed(cell: FlowCell, centre: tuple[float, float], amount: float) -> np.ndarray:
+    """Return unknowns that squeeze the solid around a place, by ∇d = -amount·I there."""
+    x, y = ng.x - centre[0], ng.y - centre[1]
+    bump = -amount * ng.exp(-(x * x + y * y) / (2 * 0.08**2))
+    return displaced(cell, ng.CF((bump * x, bump * y)))
+
+
+@pytest.mark.parametrize("centre", [(0.8, 0.2), (1.1, 0.25)])
+def test_critical_strain_is_that_of_the_element_that_grows_fastest(cell, centre):
+    """Not of the most compressed one, which lies elsewhere; its rate is that of the smallest stretch's fall."""
+    state, tangent = squeezed(cell, (0.95, 0.3), 0.3), squeezed(cell, centre, 0.2)
+    strain = cell.critical_strain(state, tangent)
+    assert np.hypot(*(np.array(strain.place) - centre)) < 0.06
+
+    def stretches(x: np.ndarray) -> np.ndarray:
+        F = np.eye(2) + cell._strains._gradients(x)
+        return np.sqrt(np.linalg.eigvalsh(F.transpose(0, 2, 1) @ F)[:, 0])
+
+    h = 1e-4
+    fall = (stretches(state - h * tangent) - stretches(state + h * tangent)) / (2 * h)
+    np.testing.assert_allclose(strain.functional @ tangent, fall.max(), rtol=1e-5)
+    largest = cell.largest_strain(state)
+    assert np.hypot(*(np.array(largest.place) - [0.95, 0.3])) < 0.1
+    assert largest.place != strain.place
+
+
+def counted(cell: FlowCell, monkeypatch) -> list[int]:
+    calls: list[int] = []
+    whole = cell.factorise
+    monkeypatch.setattr(cell, "factorise", lambda x, load: (calls.append(1), whole(x, load))[1])
+    return calls
+
+
+@pytest.fixture(scope="module")
+def fold(cell) -> ForwardModelError:
+    return failure(cell.solve, **SOFT, rate=100.0)
+
+
+def test_soft_specimen_has_a_limit_point_below_the_inflow_wanted(fold):
+    evidence = fold.evidence
+    assert fold.kind == "limit_point"
+    assert evidence["load_slope"] < 0
+    assert 0 < evidence["load_reached"] <= evidence["limit_load"] < 100
+    assert 0 < evidence["min_J_solid"] < evidence["min_J_fluid"] < 1
+    assert f"{evidence['limit_load']:.4g} mm²/s" in str(fold)
+
+
+def test_beyond_the_limit_load_there_is_no_steady_state_and_below_it_there_is(cell, fold):
+    limit = fold.evidence["limit_load"]
+    below = cell.solve(**SOFT, rate=0.99 * limit)
+    assert 0 < below.min_J_solid < 1
+    assert np.abs(below.displacement).max() > 0.05
+    beyond = failure(cell.solve, **SOFT, rate=1.01 * limit)
+    assert beyond.kind == "limit_point"
+    np.testing.assert_allclose(beyond.evidence["limit_load"], limit, rtol=5e-3)
+
+
+def test_nothing_but_the_fold_hides_the_state_beyond_it(cell, fold):
+    """Damped Newton from the last state below, an independent way, finds the state at 0.99 and none at 1.01."""
+    limit = fold.evidence["limit_load"]
+    start = cell.solve(**SOFT, rate=0.985 * limit).unknowns
+    settings = newton.NewtonSettings(maximum_jacobians=25)
+
+    def at(share: float) -> newton.NewtonSolution:
+        load = share * limit / 100.0
+
+        class AtLoad:
+            def residual(self, x):
+                return cell.residual(x, load)
+
+            def factorise(self, x):
+                return cell.factorise(x, load)
+
+        return newton.solve(AtLoad(), start, weights=cell.weights, settings=settings)
+
+    np.testing.assert_allclose(at(0.99).x, cell.solve(**SOFT, rate=0.99 * limit).unknowns, atol=1e-7)
+    assert failure(at, 1.01).kind in {"newton_stalled", "newton_maxit"}
+
+
+@pytest.mark.parametrize("rate", [75.0, 100.0, 150.0])
+def test_budget_bounds_what_a_failure_costs(cell, monkeypatch, rate):
+    calls = counted(cell, monkeypatch)
+    found = failure(cell.solve, **SOFT, rate=rate, budget=5)
+    assert found.kind in {"limit_point", "continuation_stalled"}
+    assert 3 <= len(calls) <= 6
+    assert found.evidence["jacobians"] == len(calls)
+    assert 0 < found.evidence["load_reached"] < 74
+    assert found.evidence["min_J_fluid"] > 0
+    assert found.evidence["min_J_solid"] > 0
+
+
+def test_budget_leaves_successes_as_they_are(cell):
+    for young, poisson in ((400.0, 0.3), (270.0, 0.3), (220.0, 0.0)):
+        free, bounded = (cell.solve([young], [poisson], 100.0, budget=budget) for budget in (0, 5))
+        np.testing.assert_array_equal(free.unknowns, bounded.unknowns)
+
+
+def test_jacobians_are_counted_on_the_path_as_well(cell, monkeypatch, fold):
+    calls = counted(cell, monkeypatch)
+    for rate in (40.0, 0.97 * fold.evidence["limit_load"], 0.995 * fold.evidence["limit_load"]):
+        calls.clear()
+        assert cell.solve(**SOFT, rate=rate).jacobians == len(calls)
+
+
+def test_state_that_does_not_balance_is_refused(cell, monkeypatch):
+    def perturbed(bending, load, *, budget=0):
+        found = steady_state(bending, load, budget=budget)
+        return Steady(found.x * (1 + 1e-4), found.jacobians)
+
+    monkeypatch.setattr(cell_module, "steady_state", perturbed)
+    found = failure(cell.solve, [400.0], [0.3], 100.0)
+    assert found.kind == "unbalanced"
+    assert found.evidence["residual"] > 1e-6 * found.evidence["reaction"]
+
+
+def test_inverted_elements_are_found(cell):
+    bound = cell.check(np.zeros(len(cell.system.free)))
+    assert bound["min_J_fluid"] == bound["min_J_solid"] == pytest.approx(1.0)
+    found = failure(cell.check, squeezed(cell, (0.9, 0.25), 1.5))
+    assert found.kind == "inverted_elements"
+    assert found.evidence["min_J_solid"] < 0
+
+
+def test_soft_neo_hookean_solid_is_stopped_by_its_mesh(cell):
+    neo = FlowCell(
+        Outline().interface(), MESHES["coarse"], channel=Channel(), partition=Partition(), law=LAWS["neo_hookean"]
+    )
+    found = failure(neo.solve, [70.0], [0.3], 100.0)
+    assert found.kind == "inverted_elements"
+    assert found.evidence["min_J_fluid"] <= 0 < found.evidence["min_J_solid"]
+    assert 85 < found.evidence["load_reached"] < 100
+
+
+def test_just_above_the_critical_modulus_the_interface_still_follows_the_inflow():
+    """On the default mesh, at a place where Newton's method at once may end on the second branch."""
+    model = Biofilm()
+    inputs = {"E": 254.0, "nu": 0.31}
+    moved = [model({**inputs, "V_in": rate}).diagnostics["max_displacement"] for rate in (99.0, 100.0)]
+    assert moved[0] < moved[1]
+
+
+def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):
+    """The interface goes on as it began, further with each increase; the second branch would lead it back."""
+    limit = fold.evidence["limit_load"]
+    shares = np.array([0.9, 0.95, 0.98, 0.99, 0.995])
+    moved = [cell.solve(**SOFT, rate=share * limit) for share in shares]
+    largest = [np.linalg.norm(m.displacement, axis=1).max() for m in moved]
+    assert (np.diff(largest) > 0).all()
+    thinnest = [m.min_J_solid for m in moved]
+    assert (np.diff(thinnest) < 0).all()
+    rates = -np.diff(thinnest) / np.diff(shares)
+    assert (np.diff(rates) > 0).all()

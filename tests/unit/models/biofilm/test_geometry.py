@@ -1,0 +1,207 @@
+"""Outlines, channels, partitions and their meshes; element sizes in narrow gaps and at sharp bends."""
+
+import dataclasses
+import itertools
+from typing import Any
+
+import ngsolve as ng
+import numpy as np
+import pytest
+from tests.unit.models.biofilm.cells import largest
+
+from strandline.interface import Interface
+from strandline.models.biofilm import geometry
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
+from strandline.models.biofilm.model import Biofilm
+from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.sizes import FINER, MESHES, gap_sizes, is_adapted, segment_sizes
+from strandline.models.biofilm.subdivision import Partition, Subdivision
+
+COARSE, ROUGH = MESHES["coarse"], MeshSize(0.3, 0.1, 0.1, 0.5)
+STUDY = Outline().interface()
+CHANNEL = Channel()
+THREE = Partition.PRESETS["three_parts"]
+BUMP = ((0.5, 0.0), (0.6, 0.3), (0.9, 0.35), (1.2, 0.0))
+LAYER = Outline(((0.0, 0.3), (0.8, 0.35), (1.5, 0.6), (2.2, 0.35), (3.0, 0.3)))
+LONG = Channel(length=3.0)
+BOUNDARIES = {"base", "side", "inlet", "outlet", "top", "interface"}
+
+
+def polygon(*points: tuple[float, float]) -> Interface:
+    return Outline(tuple(points), spline=False, nodes=None).interface()
+
+
+def shoelace(points: np.ndarray) -> float:
+    x, y = points.T
+    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+
+
+def areas(mesh: Any) -> dict[str, float]:
+    one = ng.CF(1)
+    return {name: ng.Integrate(one, mesh, definedon=mesh.Materials(name)) for name in set(mesh.GetMaterials())}
+
+
+def points_on(mesh: Any, boundary: str) -> np.ndarray:
+    numbers = {v.nr for e in mesh.Elements(ng.BND) if e.mat == boundary for v in e.vertices}
+    return np.array([mesh.vertices[nr].point for nr in numbers])
+
+
+def arrays(mesh: Any) -> bytes:
+    points = np.array([vertex.point for vertex in mesh.vertices])
+    corners = np.array([[vertex.nr for vertex in element.vertices] for element in mesh.Elements(ng.VOL)])
+    return points.tobytes() + corners.tobytes()
+
+
+# --- outlines and their meshes
+
+
+def test_an_outline_is_kept_or_gets_nodes_between_its_ends_and_has_its_area_in_the_mesh():
+    interface = Interface.polyline(np.array(BUMP))
+    np.testing.assert_array_equal(Outline.of(interface, nodes=None).interface().points, np.array(BUMP))
+    outline = Outline.of(interface, nodes=31).interface()
+    assert len(outline.points) == 31
+    np.testing.assert_array_equal(outline.points[[0, -1]], np.array(BUMP)[[0, -1]])
+    found = areas(mesh_flow_cell(outline, COARSE, Channel(length=3.0, height=0.8)))
+    np.testing.assert_allclose(found["solid"], shoelace(outline.points), rtol=1e-12)
+    np.testing.assert_allclose(found["fluid"], 2.4 - found["solid"], rtol=1e-12)
+
+
+def test_the_mesh_has_each_interface_vertex_once_and_its_inlet_on_the_side_asked_for():
+    for inlet, x in (("left", 0.0), ("right", 2.0)):
+        mesh = mesh_flow_cell(Outline(nodes=34).interface(), COARSE, Channel(inlet=inlet))
+        assert set(points_on(mesh, "inlet")[:, 0]) == {x}
+    points = points_on(mesh, "interface")
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(len(points))
+    assert distance.min() > 1e-3
+
+
+def test_layer_covers_the_floor():
+    mesh = mesh_flow_cell(polygon((0.0, 0.2), (0.7, 0.3), (2.0, 0.1)), ROUGH)
+    assert set(mesh.GetBoundaries()) == BOUNDARIES
+    np.testing.assert_allclose(areas(mesh)["solid"], 0.5 * 0.7 * 0.5 + 0.5 * 1.3 * 0.4, rtol=1e-12)
+
+
+def test_layer_that_ends_on_the_floor():
+    """It starts on one end of the channel; the floor is bare beyond its foot. Ends close to a wall are on it."""
+    points = [(0.0, 0.2), (0.7, 0.3), (1.4, 0.0)]
+    off = [(1e-12, 0.2), (0.7, 0.3), (1.4, -1e-12)]
+    turned = [(2.0 - x, y) for x, y in reversed(points)]
+    for given in (points, off, turned):
+        mesh = mesh_flow_cell(polygon(*given), ROUGH)
+        assert set(mesh.GetBoundaries()) == BOUNDARIES | {"floor"}
+        found = areas(mesh)
+        np.testing.assert_allclose(found["solid"], 0.5 * 0.7 * 0.5 + 0.5 * 0.7 * 0.3, rtol=1e-9)
+        np.testing.assert_allclose(found["fluid"] + found["solid"], 2.0, rtol=1e-12)
+
+
+def test_two_bodies_have_their_areas_and_the_fluid_has_the_rest():
+    feet = [[(x, 0.0), (x + 0.1, 0.3), (x + 0.2, 0.3), (x + 0.3, 0.0)] for x in (0.8, 2.9)]
+    figure, parts = subdivide(polygon(*feet[0], *feet[1]), Channel(length=4.0), Partition())
+    assert parts == ["solid"]
+    np.testing.assert_allclose([figure.area(name) for name in ("solid", "solid@2")], 0.06)
+    np.testing.assert_allclose(figure.area("fluid"), 4.0 - 0.12)
+
+
+# --- parts
+
+
+def test_three_parts_fill_the_specimen_and_are_numbered_as_in_the_study():
+    mesh = mesh_flow_cell(STUDY, COARSE, CHANNEL, THREE)
+    found = areas(mesh)
+    assert set(found) == {"fluid", "solid1", "solid2", "solid3"}
+    parts = [found[f"solid{k}"] for k in (1, 2, 3)]
+    np.testing.assert_allclose(sum(parts), shoelace(STUDY.points), rtol=1e-12)
+    assert np.argmax(parts) == 1
+    heights: dict[str, list[float]] = {}
+    for element in mesh.Elements(ng.VOL):
+        y = np.mean([mesh.vertices[v.nr].point[1] for v in element.vertices])
+        heights.setdefault(element.mat, []).append(float(y))
+    assert max(heights["solid3"]) < min(np.mean(heights["solid1"]), np.mean(heights["solid2"]))
+
+
+def test_cutting_keeps_areas_and_shares_vertices():
+    figure = Subdivision([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], {"solid": [0, 1, 2, 3]})
+    parts = figure.cut(["solid"], ((-1.0, 0.3), (2.0, 0.6)))
+    parts = figure.cut(parts, ((0.5, -1.0), (0.5, 2.0)))
+    assert len(parts) == 4
+    np.testing.assert_allclose(sum(figure.area(name) for name in parts), 1.0, rtol=1e-14)
+    assert all(figure.area(name) > 0 for name in parts)
+    inner = [edge for edge in figure.edges() if edge.right is not None]
+    assert len(inner) == 4  # two cuts, each halved by the other
+    assert figure.cut(parts, ((0.6, 0.7), (0.8, 0.9))) == parts  # does not reach from side to side
+
+
+def test_a_cut_shares_its_new_vertices_with_the_neighbours():
+    corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0), (2.0, 2.0), (0.0, 2.0)]
+    figure = Subdivision(corners, {"a": [0, 1, 2, 3], "b": [3, 2, 4, 5]})
+    pieces = figure.cut(["a"], ((1.0, -1.0), (1.0, 1.5)))
+    assert sorted(figure.area(name) for name in pieces) == [1.0, 1.0]
+    assert len(figure.rings["b"]) == 5
+    assert sum(edge.right is not None for edge in figure.edges()) == 3
+
+
+# --- element sizes
+
+
+@pytest.mark.parametrize(("name", "partition"), [("coarse", THREE), ("default", Partition())])
+def test_the_meshes_of_the_study_are_those_of_fixed_sizes(name, partition, monkeypatch):
+    """To the bit, in each run: `posterior.nc` of the published studies depends on it."""
+    size = MESHES[name]
+    found = arrays(mesh_flow_cell(STUDY, size, CHANNEL, partition))
+    fixed = np.full(65, size.interface)
+    fixed[[0, -1]] = size.foot
+    monkeypatch.setattr(geometry, "segment_sizes", lambda interface, size: fixed)
+    monkeypatch.setattr(geometry, "gap_sizes", lambda interface, size, channel: np.empty((0, 3)))
+    assert arrays(mesh_flow_cell(STUDY, size, CHANNEL, partition)) == found
+    assert not is_adapted(STUDY, size, CHANNEL)
+
+
+@pytest.mark.parametrize("name", ["coarse", "default"])
+def test_a_narrow_gap_has_elements_across(name):
+    """As many as half a millimetre would have without the rule, and four at least."""
+    slit = Outline(((0.0, 0.8), (1.0, 0.8), (2.0, 0.8)), spline=False).interface()
+    top = np.sort(points_on(mesh_flow_cell(slit, MESHES[name], CHANNEL), "top")[:, 0])
+    assert np.diff(top).max() <= 1.2 * 0.2 * min(0.25, MESHES[name].far / 0.5)
+    wide = Outline(((0.5, 0.0), (1.0, 0.49), (1.5, 0.0)), spline=False).interface()
+    assert len(gap_sizes(wide, MESHES[name], CHANNEL)) == 0
+
+
+def test_a_gap_narrows_elements_nowhere_else():
+    bump = Outline(((0.5, 0.0), (0.7, 0.6), (1.0, 0.8), (1.3, 0.6), (1.5, 0.0))).interface()
+    places = gap_sizes(bump, COARSE, Channel(length=8.0))
+    assert 0.48 < places[:, 0].min() < places[:, 0].max() < 1.52
+    long, short = (mesh_flow_cell(bump, COARSE, Channel(length=x)).ne for x in (8.0, 2.0))
+    assert long - short < 6.0 / (0.43 * 0.18**2)
+
+
+def test_sharp_bends_have_several_elements_a_segment():
+    outline = polygon((0.6, 0.0), (0.7, 0.3), (1.0, 0.4), (1.3, 0.0))
+    vertices = np.array([v.point for v in mesh_flow_cell(outline, COARSE, CHANNEL).vertices])
+    start, end = outline.points[1:3]
+    along = (vertices - start) @ (end - start) / np.sum((end - start) ** 2)
+    (dx, dy), (x, y) = end - start, (vertices - start).T
+    on = (np.abs(dx * y - dy * x) < 1e-9) & (along > -1e-9) & (along < 1 + 1e-9)
+    assert on.sum() >= 5
+    np.testing.assert_array_equal(segment_sizes(LAYER.interface(), COARSE)[1:-1], COARSE.interface)
+
+
+def test_the_next_finer_mesh_is_finer():
+    sizes = [*MESHES.values(), FINER["fine"]]
+    assert [FINER[name] for name in MESHES] == sizes[1:]
+    for coarse, fine in itertools.pairwise(sizes):
+        assert all(getattr(fine, f.name) < getattr(coarse, f.name) for f in dataclasses.fields(fine))
+
+
+@pytest.mark.parametrize("rates", [pytest.param((), marks=pytest.mark.long), (("slow", 20.0), ("fast", 60.0))])
+def test_the_error_of_coarse_on_another_flow_cell_is_small_and_known(rates):
+    """A layer with a gap of 0.4 mm: with elements of fixed size 2.5 µm off, and without a word."""
+    soft = {"E": 150.0, "nu": 0.3, "V_in": 60.0}
+    model = Biofilm(mesh="coarse", material="neo_hookean", channel=LONG, outline=LAYER, inflow_rates=rates)
+    coarse, finer = model(soft).interfaces, model.on_finer_mesh(soft)
+    assert coarse.keys() == finer.keys()
+    if not rates:
+        true = dataclasses.replace(model, mesh="default")(soft).interfaces
+        np.testing.assert_array_equal(finer[""].points, true[""].points)
+    for name in coarse:
+        assert 0 < largest(coarse[name].points - finer[name].points) < 0.5e-3
