@@ -45,70 +45,48 @@ CASES = {
 }
 
 
-@pytest.fixture(params=CASES)
-def case(request):
-    prior, (logpdf, cdf) = CASES[request.param]
-    return prior, logpdf, cdf
-
-
 def inner_points(prior: Prior) -> np.ndarray:
     return np.asarray(prior.quantile(np.linspace(0.001, 0.999, 101)))
 
 
-def test_log_density_and_cdf_against_scipy(case):
-    prior, logpdf, cdf = case
-    x = inner_points(prior)
+def bounds(prior: Prior) -> list[tuple[float, float, float]]:
+    """Return each finite end of the support, a point beyond it, and the mass below that point."""
+    low, high = prior.support
+    return [one for one in ((low, low - 1.0, 0.0), (high, high + 1.0, 1.0)) if math.isfinite(one[0])]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_prior_is_that_of_scipy_and_a_density(name):
+    prior, (logpdf, cdf) = CASES[name]
+    x, p = inner_points(prior), np.linspace(0.0005, 0.9995, 201)
     assert prior.log_density(x) == pytest.approx(logpdf(x), abs=1e-10)
     assert prior.cdf(x) == pytest.approx(cdf(x), abs=1e-12)
-
-
-def test_density_integrates_to_one(case):
-    prior, _, _ = case
+    assert prior.cdf(prior.quantile(p)) == pytest.approx(p, abs=1e-11)
+    assert prior.quantile(prior.cdf(x)) == pytest.approx(x, rel=1e-9)
     low, high = prior.support
     low, high = max(low, float(prior.quantile(1e-13))), min(high, float(prior.quantile(1 - 1e-13)))
     total, _ = integrate.quad(lambda x: math.exp(float(prior.log_density(x))), low, high, epsabs=1e-11, limit=200)
     assert total == pytest.approx(1.0, abs=1e-9)
+    for edge, outside, mass in bounds(prior):
+        assert float(prior.log_density(outside)) == -math.inf
+        assert float(prior.cdf(outside)) == mass
+        assert float(prior.quantile(mass)) == pytest.approx(edge)
 
 
-def test_quantile_inverts_cdf(case):
-    prior, _, _ = case
-    p = np.linspace(0.0005, 0.9995, 201)
-    assert prior.cdf(prior.quantile(p)) == pytest.approx(p, abs=1e-11)
-    x = inner_points(prior)
-    assert prior.quantile(prior.cdf(x)) == pytest.approx(x, rel=1e-9)
-
-
-def test_outside_the_support_there_is_nothing(case):
-    prior, _, _ = case
-    low, high = prior.support
-    for edge, outside, mass in ((low, low - 1.0, 0.0), (high, high + 1.0, 1.0)):
-        if math.isfinite(edge):
-            assert float(prior.log_density(outside)) == -math.inf
-            assert float(prior.cdf(outside)) == mass
-            assert float(prior.quantile(mass)) == pytest.approx(edge)
-
-
-def test_jax_and_jit_agree_with_numpy(case):
-    prior, _, _ = case
-    low, high = prior.support
-    x = np.concatenate([inner_points(prior), [max(low, -50.0) - 1.0, min(high, 2000.0) + 1.0]])
+@pytest.mark.parametrize("name", CASES)
+def test_a_prior_on_jax_is_that_on_numpy_with_a_gradient(name):
+    prior, _ = CASES[name]
+    x = np.concatenate([inner_points(prior), [outside for _, outside, _ in bounds(prior)]])
     exact = np.asarray(prior.log_density(x))
     assert np.asarray(prior.log_density(jnp.asarray(x))) == pytest.approx(exact, rel=1e-12, abs=1e-12)
     assert np.asarray(jax.jit(prior.log_density)(x)) == pytest.approx(exact, rel=1e-12, abs=1e-12)
-
-
-def test_gradient_against_finite_differences_and_finite_outside(case):
-    prior, _, _ = case
     x = inner_points(prior)[5:-5]
     slope = jax.vmap(jax.grad(prior.log_density))(jnp.asarray(x))
     h = 1e-5 * (x[-1] - x[0])
     rounding = 1e-14 / h
     differences = (np.asarray(prior.log_density(x + h)) - np.asarray(prior.log_density(x - h))) / (2 * h)
     assert np.asarray(slope) == pytest.approx(differences, rel=1e-5, abs=rounding + 1e-9)
-    low, high = prior.support
-    for outside in (low - 1.0, high + 1.0):
-        if math.isfinite(outside):
-            assert np.isfinite(jax.grad(prior.log_density)(outside))
+    assert all(np.isfinite(jax.grad(prior.log_density)(outside)) for _, outside, _ in bounds(prior))
 
 
 def test_modes_of_the_study():
@@ -141,12 +119,6 @@ def test_a_truncation_far_in_the_tail_is_still_normalised():
     assert total == pytest.approx(1.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("low", "high"), [(8.0, 9.0), (-40.0, -39.0)])
-def test_a_truncation_without_mass_is_refused(low, high):
-    with pytest.raises(InvalidInput, match="keeps no mass"):
-        Truncated(Normal(0.0, 1.0), low, high)
-
-
 def test_truncate_leaves_alone_what_needs_no_cut():
     prior = Uniform(0.0, 1.0)
     assert truncate(prior, -1.0, 1.0) is prior
@@ -154,26 +126,27 @@ def test_truncate_leaves_alone_what_needs_no_cut():
     assert truncate(prior, 0.5, 2.0).support == (0.5, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: Uniform(1.0, 0.0), "bounds of the uniform"),
-        (lambda: Uniform(0.0, math.inf), "bounds of the uniform"),
-        (lambda: Normal(0.0, 0.0), "sd of the normal"),
-        (lambda: Normal(math.nan, 1.0), "mean of the normal"),
-        (lambda: LogUniform(0.0, 1.0), "low of the loguniform"),
-        (lambda: LogUniform(2.0, 1.0), "bounds of the loguniform"),
-        (lambda: LogNormal(0.0, -1.0), "sigma of the lognormal"),
-        (lambda: LogNormal(math.inf, 1.0), "mu of the lognormal"),
-        (lambda: ScaledBeta(0.0, 1.0, 0.0, 1.0), "a of the beta"),
-        (lambda: ScaledBeta(1.0, math.nan, 0.0, 1.0), "b of the beta"),
-        (lambda: ScaledBeta(1.0, 1.0, 1.0, 1.0), "bounds of the beta"),
-        (lambda: Truncated(Normal(0.0, 1.0), 1.0, 0.0), "bounds of the truncated"),
-    ],
-)
-def test_invalid_numbers_are_refused_by_name(make, named):
-    with pytest.raises(InvalidInput, match=named):
-        make()
+REFUSED = {
+    "bounds of the uniform": (Uniform, (1.0, 0.0), (0.0, math.inf)),
+    "sd of the normal": (Normal, (0.0, 0.0)),
+    "mean of the normal": (Normal, (math.nan, 1.0)),
+    "low of the loguniform": (LogUniform, (0.0, 1.0)),
+    "bounds of the loguniform": (LogUniform, (2.0, 1.0)),
+    "sigma of the lognormal": (LogNormal, (0.0, -1.0)),
+    "mu of the lognormal": (LogNormal, (math.inf, 1.0)),
+    "a of the beta": (ScaledBeta, (0.0, 1.0, 0.0, 1.0)),
+    "b of the beta": (ScaledBeta, (1.0, math.nan, 0.0, 1.0)),
+    "bounds of the beta": (ScaledBeta, (1.0, 1.0, 1.0, 1.0)),
+    "bounds of the truncated": (Truncated, (Normal(0.0, 1.0), 1.0, 0.0)),
+    "keeps no mass": (Truncated, (Normal(0.0, 1.0), 8.0, 9.0), (Normal(0.0, 1.0), -40.0, -39.0)),
+}
+
+
+def test_invalid_numbers_are_refused_by_name():
+    for named, (kind, *given) in REFUSED.items():
+        for numbers in given:
+            with pytest.raises(InvalidInput, match=named):
+                kind(*numbers)
 
 
 def test_registry_names_classes_that_satisfy_the_protocol():

@@ -1,39 +1,21 @@
 """Units and symbols as figures and tables have them."""
 
-import pytest
-
 from strandline.parameters import Parameter
 from strandline.priors import Uniform
 from strandline.typeset import figure_text, html_text, unit_text
 
-
-@pytest.mark.parametrize(
-    ("unit", "text"),
-    [
-        ("mm^2/s", "mm² s⁻¹"),
-        ("mm²/s", "mm² s⁻¹"),
-        ("mm**2 / s", "mm² s⁻¹"),
-        ("Pa", "Pa"),
-        ("1", ""),
-        ("1/Pa", "Pa⁻¹"),
-        ("J/(kg K)", "J kg⁻¹ K⁻¹"),
-        ("kg/m/s", "kg m⁻¹ s⁻¹"),
-        ("N*m", "N m"),
-        ("m^0.5", "m^0.5"),
-        (r"$\frac{$", r"$\frac{$"),
-    ],
-)  # fmt: skip
-def test_units(unit: str, text: str) -> None:
-    assert unit_text(unit).replace("\u00a0", " ") == text
+UNITS = {
+    "mm^2/s": "mm² s⁻¹", "mm²/s": "mm² s⁻¹", "mm**2 / s": "mm² s⁻¹", "Pa": "Pa", "1": "", "1/Pa": "Pa⁻¹",
+    "J/(kg K)": "J kg⁻¹ K⁻¹", "kg/m/s": "kg m⁻¹ s⁻¹", "N*m": "N m", "m^0.5": "m^0.5", r"$\frac{$": r"$\frac{$",
+}  # fmt: skip
 
 
-def test_a_unit_does_not_break_over_lines() -> None:
-    assert " " not in unit_text("mm^2/s")
-
-
-@pytest.mark.parametrize(("unit", "text"), [("Pa", "Pa⁻¹"), ("mm^2/s", "mm⁻² s"), ("m^0.5", "1/(m^0.5)"), ("1", "")])
-def test_the_inverse_of_a_unit(unit: str, text: str) -> None:
-    assert unit_text(unit, inverse=True).replace("\u00a0", " ") == text
+def test_units() -> None:
+    for unit, text in UNITS.items():
+        assert unit_text(unit).replace("\u00a0", " ") == text
+    assert " " not in unit_text("mm^2/s")  # it does not break over lines
+    for unit, text in {"Pa": "Pa⁻¹", "mm^2/s": "mm⁻² s", "m^0.5": "1/(m^0.5)", "1": ""}.items():
+        assert unit_text(unit, inverse=True).replace("\u00a0", " ") == text
 
 
 def test_an_underscore_begins_an_index() -> None:
