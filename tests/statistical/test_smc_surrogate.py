@@ -1,8 +1,4 @@
-"""The sampler on surrogates against integrals of the same surrogate, over seeds, in two and in seven dimensions.
-
-In 2-D the reference is a tensor Gauss-Legendre rule, in 7-D importance sampling from a heavy-tailed proposal: neither
-knows anything of tempering, resampling or moves.
-"""
+"""The sampler on a surrogate against a tensor Gauss-Legendre rule of the same surrogate, over seeds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,14 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
 
 from strandline.design import sobol
 from strandline.smc import STUDY, SMCResult, SMCSettings, sample, steps
 from strandline.surrogate import KERNELS, GaussianProcess, batched_mean, condition
 
 PARTICLES, LIMIT = 5000, 4.5
-STUDY_OF_SEVEN = SMCSettings(rejuvenation_steps=30, zeta=0.998)
 HASTY = SMCSettings(rejuvenation_steps=1, zeta=0.9, resample_below=0.0)
 Log = Callable[[Any], Any]
 
@@ -149,79 +143,3 @@ def test_a_summary_that_forgets_the_weights_is_noticed(ridge: GaussianProcess, e
     assert right.worst_z < LIMIT
     assert wrong.worst_z > 2 * LIMIT
     assert rms(wrong.sd) > 0.1
-
-
-def seven() -> GaussianProcess:
-    """Return a surrogate of a quadratic form with standard deviations of 0.25 to 0.05 along axes of its own."""
-    axes = np.linalg.qr(np.random.default_rng(3).normal(size=(7, 7)))[0]
-    x = sobol(600, 7)
-    z = (x - 0.5) @ axes / np.geomspace(0.25, 0.05, 7)
-    lengths = np.full(7, 6.0)
-    return condition(
-        x,
-        -0.5 * (z**2).sum(axis=1),
-        kernel=KERNELS["matern32_product"],
-        length_scale=lengths,
-        signal_variance=1e6,
-        nugget=1e-3,
-    )
-
-
-def importance(mean: Log, pilot: SMCResult, batches: int = 40, size: int = 25_000) -> tuple[Reference, float]:
-    """Return the moments by importance sampling, and its effective sample size.
-
-    Proposals are a Student t of 6 degrees around the pilot's particles, a tenth of them uniform; the pilot may be wrong
-    by any amount and the result remains unbiased.
-    """
-    rng, compiled = np.random.default_rng(0), jax.jit(mean)
-    w = np.exp(pilot.log_weights)
-    centre = w @ pilot.positions
-    shape = 1.2 * (w[:, None] * (pilot.positions - centre)).T @ (pilot.positions - centre)
-    student = stats.multivariate_t(centre, shape, df=6, seed=rng)
-    points, logs = [], []
-    for _ in range(batches):
-        x = np.where(rng.random((size, 1)) < 0.1, rng.random((size, 7)), student.rvs(size))
-        inside = ((x >= 0) & (x <= 1)).all(axis=1)
-        proposal = np.logaddexp(np.log(0.9) + student.logpdf(x), np.log(0.1) + np.where(inside, 0.0, -np.inf))
-        points.append(x)
-        logs.append(np.where(inside, np.asarray(compiled(x)), -np.inf) - proposal)
-    x, log_w = np.concatenate(points), np.concatenate(logs)
-    w = np.exp(log_w - log_w.max())
-    log_evidence = float(np.log(w.mean()) + log_w.max())
-    return Reference(*moments(x, w / w.sum()), log_evidence), float(w.sum() ** 2 / (w**2).sum())
-
-
-@pytest.fixture(scope="module")
-def mean_of_seven() -> Log:
-    return batched_mean(seven())
-
-
-@pytest.fixture(scope="module")
-def exact_seven(mean_of_seven: Log) -> Reference:
-    exact, size = importance(mean_of_seven, sampled(mean_of_seven, 7, SMCSettings(), 99))
-    assert size > 100_000  # the reference's own error is below 0.004 standard deviations
-    return exact
-
-
-@pytest.mark.long
-def test_seven_inputs_need_a_twentieth_of_the_evaluations(mean_of_seven: Log, exact_seven: Reference) -> None:
-    """Over 20 seeds of the default settings: rms of every mean and sd below 0.03 sd; the study's steps are counted."""
-    runs = [sampled(mean_of_seven, 7, SMCSettings(), seed) for seed in range(20)]
-    found = errors(runs, exact_seven)
-    few = 1000  # the study's number of steps does not depend on the number of particles
-    study = sampled(mean_of_seven, 7, STUDY_OF_SEVEN, 1, few).likelihood_evaluations / few
-    saved = study / np.mean([r.likelihood_evaluations / PARTICLES for r in runs])
-    print(f"\nrms mean {rms(found.mean):.4f} sd, sd {rms(found.sd):.4f}, log Z {rms(found.log_evidence):.4f}")
-    print(f"{saved:.1f} times fewer evaluations")
-    print(f"worst {np.abs(found.all).max(axis=0).round(4)}, z {found.worst_z:.2f}")
-    assert rms(found.mean) < 0.03
-    assert rms(found.sd) < 0.03
-    assert rms(found.log_evidence) < 0.1
-    assert saved >= 20
-
-
-@pytest.mark.long
-def test_too_few_moves_in_seven_dimensions_are_noticed(mean_of_seven: Log, exact_seven: Reference) -> None:
-    hurried = SMCSettings(rejuvenation_steps=1)
-    found = errors([sampled(mean_of_seven, 7, hurried, seed) for seed in range(6)], exact_seven)
-    assert max(rms(found.mean), rms(found.sd)) > 0.1

@@ -92,9 +92,9 @@ class Source:
                 return np.asarray(x[0])
 
 
-def prior_source(knowledge: Knowledge, space: ParameterSpace) -> Source:
-    """Return the prior, as far as runs succeed."""
-    points = space.prior_quantiles(sobol(POINTS, space.dim, scramble=SCRAMBLE))
+def prior_source(knowledge: Knowledge, space: ParameterSpace, *, number: int = POINTS) -> Source:
+    """Return the prior, as far as runs succeed, represented by a number of draws."""
+    points = space.prior_quantiles(sobol(number, space.dim, scramble=SCRAMBLE))
     feasible = knowledge.log_feasibility(points)
     return Source(
         knowledge=knowledge,
@@ -108,8 +108,13 @@ def prior_source(knowledge: Knowledge, space: ParameterSpace) -> Source:
     )
 
 
-def posterior_source(knowledge: Knowledge, posterior: Posterior) -> Source:
+def posterior_source(knowledge: Knowledge, posterior: Posterior, *, number: int = POINTS) -> Source:
     """Return the posterior, with weights by the log-likelihood of the predicted interface.
+
+    Args:
+        knowledge: Surrogate of the interface and its likelihood.
+        posterior: The stored posterior.
+        number: Number of equally weighted draws that represent it.
 
     Raises:
         InvalidInput: Hardly any draws have weight, since the posterior was computed from another likelihood.
@@ -126,16 +131,16 @@ def posterior_source(knowledge: Knowledge, posterior: Posterior) -> Source:
             remedy="Make more runs where the posterior lies, or draw the truths from the prior.",
         )
     weights = np.exp(log_softmax(log_weights))
-    drawn = systematic_indices(weights, POINTS, np.random.default_rng(0))
+    drawn = systematic_indices(weights, number, np.random.default_rng(0))
     chosen, counts = np.unique(drawn, return_counts=True)
     points = draws[chosen]
     return Source(
         knowledge=knowledge,
         space=posterior.space,
         points=points,
-        log_weights=np.log(counts / POINTS),
+        log_weights=np.log(counts / number),
         coefficients=knowledge.surrogate.mean(points),
-        number=POINTS,
+        number=number,
         log_norm=posterior.log_evidence + float(logsumexp(log_weights)),
         from_posterior=True,
     )

@@ -1,0 +1,171 @@
+"""The likelihood through a surrogate of the field, against brute force and closed forms."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from tests.unit.likelihood.near_arches import widened
+
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset, TrackedPoints
+from strandline.interface import Interface, Observation, PointErrors
+from strandline.likelihood import FieldLikelihood, OnHost, noise_length
+from strandline.smc import SMCSettings, sample
+from strandline.surrogate.field import FieldTraining, fit_field
+from strandline.testing.densities import gaussian
+from strandline.testing.models import TwoLoads
+
+NOISE = 0.1
+RUNS = np.linspace(320.0, 540.0, 6)[:, None]
+AT = np.array([[330.0], [401.0], [470.0], [550.0]])
+WIDE = 3e5
+"""Makes the variance of the field count for as much as the noise."""
+
+
+def interfaces(E: float) -> dict[str, Interface]:
+    return dict(TwoLoads()({"E": E, "load": 1e-5}, Path()).interfaces)
+
+
+@cache
+def likelihood(measure: Discrepancy = TrackedPoints()) -> FieldLikelihood:  # noqa: B008
+    """Return log L of E from two outlines of a beam, learnt from few runs; its displacement goes with 1/E: one mode."""
+    runs = [interfaces(float(E)) for E in RUNS[:, 0]]
+    surrogate = fit_field(FieldTraining(RUNS, runs, None, np.array([300.0]), np.array([560.0])))
+    observations = tuple(Observation(one, NOISE**2, name) for name, one in interfaces(400.0).items())
+    return FieldLikelihood(surrogate, observations, measure)
+
+
+def with_tail(found: FieldLikelihood, size: float) -> FieldLikelihood:
+    """Return the likelihood with two further modes of this standard deviation, for what the first one leaves."""
+    modes = found.surrogate.modes
+    rows = np.random.default_rng(3).standard_normal((3, modes.basis.shape[1]))
+    rows[0] = modes.basis[0]
+    rest = np.linalg.qr(rows.T)[0].T[1:]
+    return replace(found, surrogate=replace(found.surrogate, modes=replace(modes, tail=size * rest)))
+
+
+def test_plug_in_is_the_measure_on_the_predicted_interface() -> None:
+    found = likelihood(ClosestPoint())
+    for x, value in zip(AT, found.plug_in(AT), strict=True):
+        predicted = found.surrogate.interfaces(x)
+        squares = [found.discrepancy(predicted[o.condition], o.interface) for o in found.observations]
+        assert value == pytest.approx(-0.5 * sum(squares) / NOISE**2, rel=1e-9)
+    np.testing.assert_array_equal(found.at(found.surrogate.mean(AT)), found.plug_in(AT))
+    known = widened(likelihood(), 0.0)
+    np.testing.assert_allclose(known.expected(AT), known.plug_in(AT), rtol=1e-9, atol=1e-7)
+
+
+def brute_force(found: FieldLikelihood, number: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
+    """Return log E[L] by independent draws of all modes and of what they leave, and its standard errors."""
+    rng, surrogate = np.random.default_rng(1), found.surrogate
+    values, errors = [], []
+    for x in AT:
+        predicted = surrogate.predict(x[None])
+        drawn = predicted.mean + np.sqrt(predicted.variance) * rng.standard_normal((number, predicted.mean.shape[1]))
+        tail = rng.standard_normal((number, len(surrogate.modes.tail))) @ surrogate.modes.tail
+        fields = surrogate.modes.mean + (drawn @ surrogate.modes.basis + tail) / surrogate.modes.roots
+        seen = np.concatenate([o.interface.points.ravel() for o in found.observations])
+        L = np.exp(-0.5 * np.sum((fields - seen) ** 2, axis=1) / found.observations[0].noise.scale)
+        values.append(np.log(L.mean()))
+        errors.append(L.std() / L.mean() / np.sqrt(number))
+    return np.array(values), np.array(errors)
+
+
+@pytest.mark.parametrize("tail", [0.0, 0.005])
+def test_expected_is_the_mean_over_all_fields(tail: float) -> None:
+    """Sixteen fields for twenty thousand. Planted: variances of a quarter show."""
+    found = with_tail(widened(likelihood(), WIDE), tail)
+    exact, errors = brute_force(found)
+    assert errors.max() < 0.04
+    plug_in, expected = found.plug_in(AT), found.expected(AT)
+    assert np.abs(exact - plug_in).max() > 0.3
+    assert np.abs(exact - expected).max() < 0.1 + 0.1 * np.abs(exact - plug_in).max()
+    assert np.abs(exact - with_tail(widened(likelihood(), WIDE / 4), tail).expected(AT)).max() > 0.3
+
+
+def test_points_do_not_depend_on_what_they_are_asked_with() -> None:
+    found = widened(likelihood(), 3.0)
+    together = found.expected(AT)
+    np.testing.assert_allclose([found.expected(x[None])[0] for x in AT], together, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose([found.plug_in(x[None])[0] for x in AT], found.plug_in(AT), rtol=1e-8, atol=1e-10)
+
+
+def test_left_out_is_predicted_from_the_others() -> None:
+    """At the runs themselves the field is known; a run that is left out is a worse place."""
+    found, true = likelihood(), []
+    for E in RUNS[:, 0]:
+        run = interfaces(float(E))
+        true.append(-50 * sum(found.discrepancy(run[o.condition], o.interface) for o in found.observations))
+    at_runs, left_out = found.expected(RUNS), found.left_out(np.arange(6)).log_expected
+    assert np.abs(at_runs - true).max() < 0.02 * np.abs(left_out - true).max()
+    np.testing.assert_array_equal(found.left_out(np.array([4, 1])).log_expected, left_out[[4, 1]])
+
+
+def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields() -> None:
+    """It is that of 4000 fields drawn at each point, and at least twice as large at a run that is left out."""
+    found, x = likelihood(), np.array([[335.0], [402.0]])
+    predicted = found.surrogate.predict(x)
+    z = np.random.default_rng(1).standard_normal((4000, 2, predicted.mean.shape[1]))
+    fields = predicted.mean + np.sqrt(predicted.variance) * z
+    drawn = np.stack([found.at(fields[:, k]).var() for k in range(2)])
+    np.testing.assert_allclose(found.variances(x), drawn, rtol=0.15)
+    assert (found.variances(RUNS) < 0.5 * found.left_out(np.arange(6)).variances).all()
+
+
+EXACT = gaussian(np.array([0.3, -0.2]), np.array([[1.0, 0.5], [0.5, 0.8]]))
+
+
+def scores(shift: float) -> np.ndarray:
+    """Return the z-score of each mean over five seeds; `shift` plants a bug in the log-likelihood's centre."""
+    host, means = OnHost(lambda x: np.asarray(EXACT.log_likelihood(x + shift))), []
+    for seed in range(5):
+        initial = EXACT.draw_prior(np.random.default_rng(seed), 500)
+        settings = SMCSettings(rejuvenation_steps=6, zeta=0.5)
+        found = sample(jax.random.key(seed), host, EXACT.log_prior, initial, settings=settings)
+        means.append(np.exp(np.asarray(found.log_weights)) @ np.asarray(found.positions))
+    return np.asarray((np.mean(means, axis=0) - EXACT.mean) / (np.std(means, axis=0, ddof=1) / np.sqrt(5)))
+
+
+def test_a_function_on_the_host_is_sampled_and_a_shifted_one_shows() -> None:
+    assert np.abs(scores(0.0)).max() < 4
+    assert np.abs(scores(0.1)).max() > 4
+
+
+LINE = Interface.polyline(np.stack([np.linspace(0, 2, 21), np.zeros(21)], axis=1))
+
+
+def test_the_noise_length_of_tracked_points() -> None:
+    """A shift δ of n nodes has d² = n δ², so that d² = σ_N² at δ = σ_N/√n; it is half the extent at most."""
+    assert noise_length(Observation(LINE, 0.01**2), TrackedPoints()) == pytest.approx(0.01 / np.sqrt(21), rel=1e-5)
+    assert noise_length(Observation(LINE, 1e6), TrackedPoints()) == pytest.approx(1.0)
+
+
+def test_the_noise_length_is_that_of_the_local_noise_however_small() -> None:
+    """A stated shift leaves the shape as well known; 1e-9 mm is far below the first shift that is tried."""
+    angle = np.linspace(0.0, np.pi, 41)
+    arc = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    small, shifted, large = (
+        noise_length(Observation(arc, errors), NormalOffset())
+        for errors in (PointErrors(1e-9), PointErrors(1e-9, shift=0.1), PointErrors(1e-3, shift=0.1))
+    )
+    assert small == shifted == pytest.approx(1e-6 * large, rel=0.01)
+
+
+def test_many_points_of_a_rough_outline_have_the_noise_length_of_few() -> None:
+    """Neighbouring points err together, so more of them tell no more; means stand for them, in double precision."""
+    angle = np.linspace(-2.6, 2.6, 1500)
+    radius = 1.35 + 1.3e-3 * np.sin(150 * angle)
+    arc = np.stack([radius * np.sin(angle), -radius * np.cos(angle)], axis=1)
+    few, many = (Observation(Interface.polyline(arc[::k]), PointErrors(1.3e-3, 0.039)) for k in (3, 1))
+    assert noise_length(many, NormalOffset()) == pytest.approx(noise_length(few, NormalOffset()), rel=0.1)
+
+
+def test_the_noise_length_of_currents() -> None:
+    """Across, d² = 2·width·√(2π)·length·(1 - exp(-δ²/2 width²)) but for the ends; along, it is larger: ends only."""
+    width, noise = 0.05, 0.0002
+    along = Interface.polyline(np.stack([np.zeros(21), np.linspace(0, 2, 21)], axis=1))
+    found = noise_length(Observation(along, noise), Currents(width))
+    across = width * np.sqrt(-2 * np.log(1 - noise / (2 * width * np.sqrt(2 * np.pi) * 2)))
+    assert across < found < 10 * across

@@ -1,0 +1,128 @@
+"""One odd run among many is named and left out; where all are odd, the measure is to blame."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from strandline.discrepancy import ClosestPoint, NormalOffset, TrackedPoints
+from strandline.errors import CampaignStopped, InvalidInterface, NoCommonPoints
+from strandline.interface import Interface, Observation, PointErrors
+from strandline.likelihood.set_aside import Judge, says_whether_runs_succeed
+from strandline.runs import FailurePolicy, RunRecord
+
+ERROR = NoCommonPoints("interfaces", value="different", expected="alike", remedy="none")
+CLOSEST = {"closest_point": ClosestPoint()}
+
+
+def curve(height: float, number: int = 9) -> np.ndarray:
+    s = np.linspace(0.0, 1.0, number)
+    return np.stack([s, height * np.sin(np.pi * s)], axis=1)
+
+
+def record(number: int, points: np.ndarray, *, closed: bool = False) -> RunRecord:
+    interface = Interface.polyline(points, closed=closed)
+    return RunRecord(f"key{number:03d}", {"E": 300.0 + number}, "ok", {"": interface})
+
+
+def regular(number: int = 20) -> list[RunRecord]:
+    return [record(i, curve(0.2 + 0.01 * i)) for i in range(number)]
+
+
+def judge(measures: Mapping[str, Any] | None = None, **policy: Any) -> Judge:
+    seen = Observation(Interface.polyline(curve(0.3)), 0.01)
+    return Judge((seen,), measures or {"tracked_points": TrackedPoints()}, FailurePolicy(**policy))
+
+
+@pytest.mark.parametrize(
+    ("kind", "odd"),
+    [("not_comparable", curve(0.3, 11)), ("not_comparable", curve(0.3) * 1e160), ("flipped", curve(0.31)[::-1])],
+)
+def test_one_odd_run_is_named_and_left_out(kind: str, odd: np.ndarray) -> None:
+    records, found = [*regular(), record(99, odd)], judge()
+    used = found.usable(records)
+    assert [one.ok for one in used] == [True] * 20 + [False]
+    assert used[:20] == tuple(records[:20])
+    assert (used[-1].state, used[-1].failure_kind, used[-1].interfaces) == ("invalid", kind, {})
+    (aside,) = found.set_aside(records)
+    assert (aside.key, aside.inputs, aside.kind) == ("key099", {"E": 399.0}, kind)
+    assert aside.why
+    assert not says_whether_runs_succeed(used[-1])
+    assert found.set_aside(found.usable(used)) == (aside,)
+
+
+def test_good_runs_are_what_they_were() -> None:
+    """Most runs flipped is how the model runs; where no run can be compared, the measure says why."""
+    records, found = regular(), judge()
+    assert found.usable(records) == tuple(records)
+    assert found.set_aside(records) == ()
+    likelihood = found.likelihoods["tracked_points"]
+    assert [found.value("tracked_points", one) for one in records] == [likelihood(one.interfaces) for one in records]
+    flipped = [record(i, curve(0.3 + 0.001 * i)[::-1]) for i in range(8)]
+    assert all(one.ok for one in judge().usable(flipped))
+    with pytest.raises(InvalidInterface, match="do not correspond"):
+        judge().usable([record(i, curve(0.3, 11)) for i in range(5)])
+
+
+def test_the_errors_of_each_point_are_turned_with_the_points() -> None:
+    errors = PointErrors.of_each(np.linspace(0.001, 0.01, 21))
+    seen = Observation(Interface.polyline(curve(0.3, 21)[::-1]), errors)
+    found = Judge((seen,), {"normal_offset": NormalOffset()}, FailurePolicy())
+    found.usable(regular())
+    (turned,) = found.observations
+    assert found.turned == ("",)
+    assert isinstance(turned.noise, PointErrors)
+    np.testing.assert_allclose(turned.noise.sds(turned.interface), errors.sds(seen.interface)[::-1])
+
+
+def test_another_measure_leaves_out_its_runs_alone() -> None:
+    records = [*regular(), record(99, curve(0.3, 11))]
+    found = judge({**CLOSEST, "tracked_points": TrackedPoints()})
+    assert all(one.ok for one in found.usable(records))
+    assert np.isfinite(found.value("closest_point", records[-1]))
+    assert np.isnan(found.value("tracked_points", records[-1]))
+    (aside,) = found.set_aside(records)
+    assert (aside.key, aside.measure) == ("key099", "tracked_points")
+
+
+def test_the_policy_counts_what_is_set_aside() -> None:
+    records = [*regular(2), *(record(50 + i, curve(0.3, 11)) for i in range(8))]
+    with pytest.raises(CampaignStopped, match="8 of 10"):
+        judge(stop_after=5, stop_share=0.8).usable(records)
+    with pytest.raises(CampaignStopped, match=r"key050.*not_comparable"):
+        judge(actions={"not_comparable": "abort"}).usable(records)
+    assert sum(one.ok for one in judge().usable(records)) == 2
+
+
+@pytest.mark.parametrize(("good", "odd"), [(20, 1), (38, 2)])
+def test_few_closed_interfaces_among_open_ones_are_exceptions(good: int, odd: int) -> None:
+    records, found = regular(good), judge(CLOSEST)
+    records += [record(90 + i, curve(0.9 + i), closed=True) for i in range(odd)]
+    assert all(one.ok for one in found.usable(records))
+    found.without_exceptions(records, ERROR)
+    assert [one.ok for one in found.usable(records)] == [True] * good + [False] * odd
+    assert found.set_aside(records)[0].why == "its interface is a closed polyline, most others are an open polyline"
+    found.forget_exceptions()
+    assert all(one.ok for one in found.usable(records))
+
+
+@pytest.mark.parametrize(("closed", "height"), [(3, 0.9), (1, 0.3)])
+def test_many_of_them_or_the_best_one_are_no_exceptions(closed: int, height: float) -> None:
+    """With three of 20 another topology is common; a closed run nearest to the observation matters."""
+    records = [one for one in regular() if one.inputs["E"] != 310.0]
+    records += [record(90 + i, curve(height + 0.01 * i), closed=True) for i in range(closed)]
+    found = judge(CLOSEST)
+    found.usable(records)
+    with pytest.raises(NoCommonPoints):
+        found.without_exceptions(records, ERROR)
+
+
+def test_coordinates_far_beyond_the_observed_extent_are_told() -> None:
+    """The observation is 1 mm long and lies 10 mm from the origin."""
+    away = np.array([10.0, 0.0])
+    seen = Observation(Interface.polyline(curve(0.3) + away), 0.01)
+    records = [record(i, curve(0.2 + 0.01 * i) + away) for i in range(20)] + [record(99, curve(0.3) + 1e9)]
+    found = Judge((seen,), {"tracked_points": TrackedPoints()}, FailurePolicy())
+    assert [one.ok for one in found.usable(records)] == [True] * 20 + [False]
+    assert "at most 1e+06 times the observed interface's extent of 1 mm" in found.set_aside(records)[0].why
