@@ -34,3 +34,21 @@ def pids(folder, file="calls"):
     """Return the processes in the lines that a model has left, one for each of its runs."""
     path = folder / file
     return [int(line.split()[0]) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def driven_by(place, **limits):
+    """Return a Dask executor that opens the cluster `place()` and whose driver has other limits than the product's."""
+    from strandline.runs.executors.dask_driver import Driver
+    from strandline.runs.executors.packing import packed_model
+
+    limits = {"timeout": None, "life": None, "least": 1, "most": 1, **limits}
+
+    def execute(model, requests):
+        with place() as cluster:
+            driver = Driver(cluster, packed_model(model), iter(requests), **limits)
+            try:
+                yield from driver.records()
+            finally:
+                driver.close()
+
+    return execute

@@ -6,12 +6,11 @@ import random
 import signal
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import pytest
 from tests.doors.runs.processes import pids, wait_until
-from tests.unit.runs.fakes import batches, calls, campaign, counts, design, repeated, states, stiffnesses
+from tests.unit.runs.fakes import Seen, batches, calls, campaign, counts, design, repeated, states, stiffnesses
 
 from strandline.runs import Counts, Ledger, LocalProcesses
 from strandline.runs.journal import VARIABLE
@@ -48,29 +47,18 @@ def test_results_come_in_the_order_of_the_design(path, marks):
         assert record.interface.points.tobytes() == direct.interface.points.tobytes()
 
 
-def test_a_run_whose_process_vanished_is_tried_again_before_its_batch_is_closed(path, marks):
-    ends, shown = [], []
-
-    def choose(records):
-        shown.append(stiffnesses(records))
-        return design(500) if len(shown) == 1 else []
-
-    note = lambda record, progress: ends.append(record.state)  # noqa: E731
-    model, executor = CrashesOnce(str(marks)), LocalProcesses(2)
-    done = batches(path, model, [design(300, 400)], choose, executor, on_record=note, patience=float("inf"))
-    assert Counter(ends) == {"killed": 3, "ok": 3}
-    assert states(done) == ["ok"] * 3
-    assert shown == [[300.0, 400.0], [300.0, 400.0, 500.0]]
-    assert counts(path) == Counts(ok=3)
+def test_a_run_whose_process_vanished_is_tried_again(path, marks):
+    seen, model = Seen(), CrashesOnce(str(marks))
+    assert states(campaign(path, model, design(300, 400), LocalProcesses(2), on_record=seen)) == ["ok", "ok"]
+    assert sorted(seen.states) == ["killed", "killed", "ok", "ok"]
 
 
 def test_a_run_that_ends_each_process_is_given_up_and_says_how(path, tmp_path):
-    model, made = Counted(str(tmp_path), Faulty(fault="exit", above=450.0)), []
-    options = {"maximum_attempts": 2, "on_record": lambda record, progress: made.append(record)}
-    done = campaign(path, model, design(400, 500), LocalProcesses(1), **options)
+    model, seen = Counted(str(tmp_path), Faulty(fault="exit", above=450.0)), Seen()
+    done = campaign(path, model, design(400, 500), LocalProcesses(1), maximum_attempts=2, on_record=seen)
     assert states(done) == ["ok", "killed"]
-    assert states(made) == ["ok", "killed", "killed"]
-    assert all("exit code 3" in record.message and "about to leave" in record.message for record in made[1:])
+    assert seen.states == ["ok", "killed", "killed"]
+    assert all("exit code 3" in record.message and "about to leave" in record.message for record, _ in seen[1:])
     assert sorted(calls(tmp_path).values()) == [1, 2]
 
 

@@ -4,14 +4,12 @@ from collections import Counter
 from functools import partial
 
 import pytest
-from tests.doors.runs.processes import wait_until
+from tests.doors.runs.processes import driven_by, wait_until
 from tests.unit.runs.fakes import attempts, batches, campaign, design, states
 
 from strandline.errors import InvalidInput
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.dask_cluster import opened
-from strandline.runs.executors.dask_driver import Driver
-from strandline.runs.executors.packing import packed_model
 from strandline.testing.executors import requests_for
 from strandline.testing.models import Cantilever, Slow
 
@@ -56,26 +54,19 @@ def test_a_cancelled_worker_is_replaced(slurm, path):
     assert Counter(ends) == {("ok", None): 4, ("killed", "worker_died"): 1}
 
 
-def short_of_time(model, requests):
-    """Have jobs that live for 36 s, of which 30 s are to spare and a run may take 3 s."""
-    with opened("slurm", None, 1, JOBS) as cluster:
-        limits = {"timeout": 3.0, "life": 36.0, "least": 1, "most": 1}
-        driver = Driver(cluster, packed_model(model), iter(requests), **limits)
-        try:
-            yield from driver.records()
-        finally:
-            driver.close()
-
-
 def test_a_worker_goes_before_its_walltime_cuts_a_run(slurm, path):
-    """Trap: a run that its job does not outlive is killed and submitted again, and again."""
+    """Trap: a run that its job does not outlive is killed and submitted again, and again.
+
+    The jobs live for 36 s, of which 30 s are to spare and a run may take 3 s.
+    """
     ended, jobs = [], set()
 
     def note(record, progress):
         ended.append(record.state)
         jobs.update(job_ids(slurm))
 
-    campaign(path, Slow(seconds=1.0), some(6), short_of_time, on_record=note)
+    executor = driven_by(partial(opened, "slurm", None, 1, JOBS), timeout=3.0, life=36.0)
+    campaign(path, Slow(seconds=1.0), some(6), executor, on_record=note)
     assert ended == ["ok"] * 6
     assert len(jobs) >= 2, "no job was replaced"
 
@@ -114,27 +105,3 @@ def test_jobs_are_kept_from_batch_to_batch(slurm, path):
     assert len(first) == len(third) == 1
     assert second == first != third
     assert no_job_left(slurm)
-
-
-def test_a_stranger_is_refused_and_sees_no_key(slurm, path, tmp_path):
-    import dask
-    import psutil
-    from distributed import Client
-
-    folder = tmp_path / "keys"
-    with (
-        dask.config.set({"jobqueue.slurm.shared-temp-directory": str(folder)}),
-        opened("slurm", None, 1, JOBS) as cluster,
-    ):
-        cluster.client.wait_for_workers(1, timeout=60)
-        assert cluster.address.startswith("tls://127.0.0.1:")
-        for address in (cluster.address, *cluster.client.nthreads()):
-            with pytest.raises(OSError, match=r"Timed out|reset by peer|TLS|SSL|closed"):
-                Client(address.replace("tls://", "tcp://"), timeout=1, set_as_default=False)
-        key = next(folder.glob("*/key.pem"))
-        assert key.stat().st_mode & 0o777 == 0o600
-        lines = [" ".join(process.info["cmdline"] or ()) for process in psutil.process_iter(["cmdline"])]
-        assert any(str(key) in line for line in lines)
-        assert not any(key.read_text().splitlines()[1] in line for line in lines)
-        assert cluster.maker.scheduler.http_server.address == "127.0.0.1"
-    assert list(folder.iterdir()) == []

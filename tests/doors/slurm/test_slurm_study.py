@@ -1,12 +1,10 @@
-"""A study whose runs are jobs of a SLURM array, from the command line and on its page."""
+"""A study whose runs are jobs of a SLURM array, from the command line."""
 
 import json
 import signal
 import subprocess
 import sys
-import threading
 
-import httpx
 import pytest
 from tests.doors.runs.processes import wait_until
 from tests.unit.runs.fakes import attempts
@@ -68,34 +66,3 @@ def test_detach_wants_an_executor_that_can(tmp_path, capsys):
         main(["run", "--detach", str(folder)])
     assert ended.value.code == 2
     assert "executor: {slurm_array: …}" in capsys.readouterr().err
-
-
-def released(slurm, until):
-    """Let every job go on, as it comes, until the event is set."""
-    while not until.wait(0.3):
-        for job in slurm.command("squeue", "--noheader", "--format=%A").split():
-            slurm.command("scontrol", "release", job, check=False)
-
-
-def test_the_page_shows_runs_as_slurm_makes_them(slurm, tmp_path):
-    """The page comes first: it has seen the study without a run."""
-    folder, done = write_study(tmp_path / "study", **HELD), threading.Event()
-    driver = subprocess.Popen([*STRANDLINE, "run", "--quiet", str(folder)], stderr=subprocess.DEVNULL)
-    page = subprocess.Popen([*STRANDLINE, "view", "--no-browser", str(folder)], stdout=subprocess.PIPE, text=True)
-    try:
-        address = page.stdout.readline().split()[-1]
-        with httpx.stream("GET", f"{address}events", timeout=60) as stream:
-            told = (json.loads(line[6:]) for line in stream.iter_lines() if line.startswith("data: "))
-            seen = (one for one in told if "ok" in one)
-            assert next(seen)["ok"] == 0
-            threading.Thread(target=released, args=(slurm, done), daemon=True).start()
-            last = next(one for one in seen if one["ok"] == 12)
-        assert last["failed"] == 0
-        assert len(httpx.get(f"{address}api/runs", timeout=60).json()["state"]) == 13, "with that of the observation"
-        assert driver.wait(timeout=120) == 0
-    finally:
-        done.set()
-        driver.terminate()
-        page.send_signal(signal.SIGINT)
-        page.communicate(timeout=60)
-    assert (folder / "summary.json").is_file()

@@ -72,6 +72,21 @@ def repeated(path):
         return connection.execute(sql).fetchone()[0]
 
 
+class Seen(list):
+    """Keeps the records, each with the progress, that a campaign tells of."""
+
+    def __call__(self, record, progress):
+        self.append((record, progress))
+
+    @property
+    def states(self):
+        return [record.state for record, _ in self]
+
+    @property
+    def stiffnesses(self):
+        return [record.inputs["E"] for record, _ in self]
+
+
 class Moody:
     """Fails a given number of times at a stiffness before it succeeds there; counts its calls."""
 

@@ -3,20 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from tests.unit.runs.fakes import (
-    Elsewhere,
-    Noted,
-    attempts,
-    begun_before,
-    calls,
-    campaign,
-    counts,
-    design,
-    key_of,
-    repeated,
-    states,
-    stiffnesses,
-)
+from tests.unit.runs import fakes
+from tests.unit.runs.fakes import Elsewhere, Noted, Seen, begun_before, campaign, counts, design, states
 
 from strandline.errors import InvalidInput, LedgerError, NumericsError
 from strandline.runs import Counts, InProcess, Ledger, Progress, RunRecord, run_campaign
@@ -29,28 +17,25 @@ def alike(first, second, *, strict=True):
 
 
 def test_only_what_is_missing_is_run_and_equal_inputs_once(path, tmp_path):
-    model, seen = Counted(str(tmp_path)), []
+    model, seen = Counted(str(tmp_path)), Seen()
     first = campaign(path, model, design(300, 400, 300, 300))
-    assert stiffnesses(first) == [300.0, 400.0, 300.0, 300.0]
+    assert fakes.stiffnesses(first) == [300.0, 400.0, 300.0, 300.0]
     assert first[0] is first[2] is first[3]
-    second = campaign(path, model, design(300, 500, 400), on_record=lambda r, p: seen.append((r.inputs["E"], p)))
-    assert sorted(calls(tmp_path).values()) == [1, 1, 1]
+    second = campaign(path, model, design(300, 500, 400), on_record=seen)
+    assert sorted(fakes.calls(tmp_path).values()) == [1, 1, 1]
     assert alike(first[:2], [second[0], second[2]])
-    ((stiffness, progress),) = seen
-    assert stiffness == 500.0
+    ((record, progress),) = seen
+    assert record.inputs["E"] == 500.0
     assert progress == Progress(3, 3, 3, 0, 2, progress.elapsed)
 
 
 def test_failures_are_data_and_final(path):
-    model, seen, inputs = Faulty(fault="exception", above=450.0), [], design(400, 500, -1)
-    done = campaign(path, model, inputs, on_record=lambda _, progress: seen.append(progress))
-    assert [(r.state, r.failure_kind) for r in done] == [
-        ("ok", None),
-        ("failed", "exception"),
-        ("failed", "nonpositive_stiffness"),
-    ]
-    assert [(p.total, p.finished, p.ok, p.failed) for p in seen] == [(3, 1, 1, 0), (3, 2, 1, 1), (3, 3, 1, 2)]
-    assert seen[0].remaining_seconds == pytest.approx(2 * seen[0].elapsed)
+    model, seen, inputs = Faulty(fault="exception", above=450.0), Seen(), design(400, 500, -1)
+    done = campaign(path, model, inputs, on_record=seen)
+    assert states(done) == ["ok", "failed", "failed"]
+    assert [record.failure_kind for record in done] == [None, "exception", "nonpositive_stiffness"]
+    assert [(p.total, p.finished, p.ok, p.failed) for _, p in seen] == [(3, 1, 1, 0), (3, 2, 1, 1), (3, 3, 1, 2)]
+    assert seen[0][1].remaining_seconds == pytest.approx(2 * seen[0][1].elapsed)
     assert Progress(3, 1, 1, 0, 1, 5.0).remaining_seconds is None
     again = campaign(path, model, inputs, on_record=lambda *_: pytest.fail("nothing was missing"))
     assert alike(done, again)
@@ -82,7 +67,7 @@ def test_runs_without_sensitivities_are_made_again_where_they_are_asked_for(path
     assert alike(second, campaign(path, asked, [*inputs, *design(500)], idle))
     assert alike(campaign(path, plain, inputs, idle), second, strict=False), "the newer outcome counts"
     assert idle.made == []
-    assert repeated(path) == 2
+    assert fakes.repeated(path) == 2
 
 
 def dying(model, requests):
@@ -106,7 +91,7 @@ def test_only_runs_with_sensitivities_are_copied_where_they_are_asked_for(path, 
     inputs, other = design(300, 400, -1), tmp_path / "other.sqlite"
     (steep,) = campaign(other, TwoLoads(sensitivities=True), inputs[:1])
     campaign(other, TwoLoads(), inputs)
-    keys = [key_of(TwoLoads(), entry) for entry in inputs]
+    keys = [fakes.key_of(TwoLoads(), entry) for entry in inputs]
     campaign(path, TwoLoads(), inputs[:1])
     with Ledger.open(path, model=TwoLoads()) as ledger:
         assert ledger.copy_from(other, keys, sensitivities=True) == 2
@@ -127,10 +112,8 @@ def test_a_run_lost_with_its_driver_too_often_is_given_up(path):
 
 
 def test_a_run_that_was_killed_too_often_is_given_up_and_says_so(path):
-    made = []
-    (killed,) = campaign(
-        path, Cantilever(), design(300), dying, maximum_attempts=2, on_record=lambda r, _: made.append(r)
-    )
+    made = Seen()
+    (killed,) = campaign(path, Cantilever(), design(300), dying, maximum_attempts=2, on_record=made)
     assert (killed.state, killed.failure_kind, len(made)) == ("killed", "worker_died", 2)
     (again,) = campaign(path, Cantilever(), design(300), Noted(), maximum_attempts=2)
     assert again.message.startswith("gone\ngiven up after 2 attempts")
@@ -157,7 +140,7 @@ def test_an_interruption_keeps_what_is_finished_and_costs_no_attempt(path, tmp_p
         campaign(path, interrupted, inputs, maximum_attempts=1)
     assert counts(path) == Counts(ok=2, killed=1)
     assert states(campaign(path, model, inputs, maximum_attempts=1)) == ["ok"] * 4
-    assert max(calls(tmp_path).values()) == 1
+    assert max(fakes.calls(tmp_path).values()) == 1
 
 
 class Forgetful(Ledger):
@@ -171,7 +154,7 @@ def test_the_count_of_repeated_runs_sees_a_forgetful_ledger(path):
     for _ in range(2):
         with Forgetful.open(path, model=Cantilever()) as ledger:
             run_campaign(Cantilever(), design(300, 400), ledger=ledger, executor=InProcess())
-    assert repeated(path) == 2
+    assert fakes.repeated(path) == 2
 
 
 def answering(answer):
@@ -235,7 +218,7 @@ def test_runs_that_go_on_without_a_driver_stay_open_and_the_next_driver_collects
         assert ledger.open_runs(done) == frozenset()
     assert states(campaign(path, Cantilever(), inputs, executor, maximum_attempts=1)) == ["ok"] * 4
     assert executor.submitted == [300.0, 400.0, 500.0, 600.0]
-    assert attempts(path) == [1, 1, 1, 1]
+    assert fakes.attempts(path) == [1, 1, 1, 1]
 
 
 def test_a_run_that_was_killed_elsewhere_is_submitted_again_and_each_time_counts(path):
@@ -244,7 +227,7 @@ def test_a_run_that_was_killed_elsewhere_is_submitted_again_and_each_time_counts
     assert done.ok
     assert (given_up.state, given_up.failure_kind) == ("killed", "node_failed")
     assert sorted(executor.submitted) == [300.0] * 3 + [400.0] * 3
-    assert attempts(path) == [3, 3]
+    assert fakes.attempts(path) == [3, 3]
 
 
 def test_what_the_executor_does_not_know_any_more_is_started_again(path):
@@ -252,7 +235,7 @@ def test_what_the_executor_does_not_know_any_more_is_started_again(path):
     interrupted_after_one(path, executor, inputs)
     executor.waiting.clear()
     assert states(campaign(path, Cantilever(), inputs, executor)) == ["ok", "ok"]
-    assert attempts(path) == [1, 2]
+    assert fakes.attempts(path) == [1, 2]
 
 
 def test_runs_of_an_executor_that_does_not_say_what_is_out_are_repeated(path):

@@ -4,21 +4,21 @@ import os
 import shutil
 import sqlite3
 import tempfile
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.unit.runs.fakes import campaign
+from tests.unit.runs.fakes import Noted, campaign, design, key_of, states
 from tests.unit.runs.ledgers import BAD, LINE, ONE, RECORDS, SURFACE, TETRAHEDRON, TWO, exact, failed, put, tamper
 
 from strandline.errors import LedgerError
 from strandline.interface import Interface
-from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest, run_key, tables
+from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest, tables
 from strandline.runs.overview import Overview
 from strandline.runs.plans import Plan
 from strandline.testing.executors import same_outcome
+from strandline.testing.models import Cantilever
 
 
 def test_everything_comes_back_bit_for_bit(path):
@@ -207,35 +207,32 @@ def test_what_cannot_be_opened_is_refused(path):
     assert not list(path.parent.iterdir())
 
 
-@contextmanager
-def folder_without_the_right_to_write():
-    """Give a folder that this process cannot write, even where the tests run as root."""
+@pytest.fixture
+def unwritable():
+    """Give the place of a ledger in a folder that this process cannot write, even where the tests run as root."""
     folder = Path(tempfile.mkdtemp())
-    try:
-        Ledger.open(folder / "ledger.sqlite", model="m").close()
-        for file in folder.iterdir():
-            file.chmod(0o444)
-        folder.chmod(0o555)
-        if os.geteuid() == 0:
-            os.seteuid(65534)
-        yield folder
-    finally:
-        if os.getuid() == 0:
-            os.seteuid(0)
-        folder.chmod(0o755)
-        shutil.rmtree(folder)
+    Ledger.open(folder / "ledger.sqlite", model="m").close()
+    for file in folder.iterdir():
+        file.chmod(0o444)
+    folder.chmod(0o555)
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    yield folder / "ledger.sqlite"
+    if root:
+        os.seteuid(0)
+    folder.chmod(0o755)
+    shutil.rmtree(folder)
 
 
-def test_a_folder_that_cannot_be_written_is_refused_but_can_be_read():
-    with folder_without_the_right_to_write() as folder:
-        before = sorted(folder.iterdir())
+def test_a_folder_that_cannot_be_written_is_refused_but_can_be_read(unwritable):
+    before = sorted(unwritable.parent.iterdir())
+    for name in ("other.sqlite", "ledger.sqlite"):
         with pytest.raises(LedgerError, match="cannot be written"):
-            Ledger.open(folder / "other.sqlite", model="m")
-        with pytest.raises(LedgerError):
-            Ledger.open(folder / "ledger.sqlite", model="m")
-        with Ledger.open(folder / "ledger.sqlite", model="m", read_only=True) as ledger:
-            assert ledger.counts().total == 0
-        assert sorted(folder.iterdir()) == before
+            Ledger.open(unwritable.with_name(name), model="m")
+    with Ledger.open(unwritable, model="m", read_only=True) as ledger:
+        assert ledger.counts().total == 0
+    assert sorted(unwritable.parent.iterdir()) == before
 
 
 def test_a_failure_while_creating_leaves_no_ledger(path, monkeypatch):
@@ -301,64 +298,42 @@ def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
         ledger.copy_from(first, ["two"])
 
 
-LINES = [{"E": 1.0}, {"E": 2.0}, {"E": 3.0}]
-KEYS = [run_key("test:line", entry) for entry in LINES]
-
-
-class Line:
-    """Notes each run that is made."""
-
-    fingerprint = "test:line"
-
-    def __init__(self):
-        self.made = []
-
-    def __call__(self, inputs, workdir):
-        self.made.append(inputs["E"])
-        return Interface.polyline(np.array([[0.0, 0.0], [1.0, inputs["E"]]]))
-
-
-def states_of(path, model, policy=None):
-    return [record.state for record in campaign(path, model, LINES, policy=policy)]
-
-
 def test_an_excluded_run_is_not_used_and_not_made_again(path):
-    model = Line()
-    assert states_of(path, model) == ["ok"] * 3
+    model, inputs, executor = Cantilever(), design(300, 400, 500), Noted()
+    keys = [key_of(model, entry) for entry in inputs]
+    made = campaign(path, model, inputs, executor)
     with Ledger.open(path, model=model) as ledger:
-        before = ledger.latest(KEYS)
-        ledger.exclude(KEYS[1], "the mesh\nfolded")
-        after = ledger.latest(KEYS)
-        assert [record.state for record in ledger] == ["ok", "excluded", "ok"]
-    assert after[KEYS[1]].message == "excluded by hand: the mesh folded"
-    assert after[KEYS[1]].interfaces == {}
-    assert all(same_outcome(after[key], before[key]) for key in (KEYS[0], KEYS[2]))
+        ledger.exclude(keys[1], "the mesh\nfolded")
+        after = ledger.latest(keys)
+        assert states(ledger) == ["ok", "excluded", "ok"]
+    assert (after[keys[1]].message, after[keys[1]].interfaces) == ("excluded by hand: the mesh folded", {})
+    assert same_outcome(after[keys[0]], made[0])
     with Overview(path) as overview:
         assert [run.exclusion and run.exclusion.why for run in overview.runs()] == [None, "the mesh folded", None]
-        assert list(overview.exclusions()) == [KEYS[1]]
+        assert list(overview.exclusions()) == [keys[1]]
     for policy in (None, FailurePolicy({"invalid": Retry(3)}), FailurePolicy(again=frozenset({"excluded"}))):
-        assert states_of(path, model, policy) == ["ok", "excluded", "ok"]
+        assert states(campaign(path, model, inputs, executor, policy=policy)) == ["ok", "excluded", "ok"]
     with Ledger.open(path, model=model) as ledger:
-        ledger.include(KEYS[1], "it was right")
-        assert same_outcome(ledger.latest(KEYS)[KEYS[1]], before[KEYS[1]])
+        ledger.include(keys[1], "it was right")
         rows = ledger._rows("SELECT key, excluded, why FROM exclusions")
-        assert rows == [(KEYS[1], 1, "the mesh folded"), (KEYS[1], 0, "it was right")], "every decision stays"
-    assert states_of(path, model) == ["ok", "ok", "ok"]
-    assert model.made == [1.0, 2.0, 3.0]
+        assert rows == [(keys[1], 1, "the mesh folded"), (keys[1], 0, "it was right")], "every decision stays"
+    again = campaign(path, model, inputs, executor)
+    assert all(same_outcome(*pair) for pair in zip(again, made, strict=True))
+    assert executor.made == [300.0, 400.0, 500.0]
 
 
 def test_what_cannot_be_excluded_or_included(path):
-    states_of(path, Line())
-    with Ledger.open(path, model="test:line") as ledger:
-        with pytest.raises(LedgerError, match="a few words"):
-            ledger.exclude(KEYS[0], " ")
-        with pytest.raises(LedgerError, match="no outcome yet"):
-            ledger.exclude("unknown", "odd")
-        with pytest.raises(LedgerError, match="not excluded"):
-            ledger.include(KEYS[0])
-        ledger.exclude(KEYS[0], "odd")
-        with pytest.raises(LedgerError, match="excluded already"):
-            ledger.exclude(KEYS[0], "odd")
+    with Ledger.open(path, model="m") as ledger:
+        put(ledger, ONE, BAD)
+        ledger.exclude("bad", "odd")
+        for decide, said in (
+            (lambda: ledger.exclude("line", " "), "a few words"),
+            (lambda: ledger.exclude("unknown", "odd"), "no outcome yet"),
+            (lambda: ledger.include("line"), "not excluded"),
+            (lambda: ledger.exclude("bad", "odd"), "excluded already"),
+        ):
+            with pytest.raises(LedgerError, match=said):
+                decide()
 
 
 def test_equal_outcomes_are_told_from_different_ones():
