@@ -14,14 +14,13 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from strandline.cli import main
 from strandline.errors import InvalidInput
 from strandline.studies import load_study
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SHIPPED = sorted(path.parent for place in ("studies", "examples") for path in (ROOT / place).glob("*/study.yaml"))
-SEED, CASES, ON_THE_COMMAND_LINE = 20260, 2000, 40
+SEED, FEW, MANY = 20260, 80, 2000
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 0.5, -0.0, 2**31, 2**63, 10**30, 10**299, 1e12, 1e-300, 1e300, 1.7e308, 5e-324,
     float("nan"), float("inf"), "", " ", "nan", "inf", "80", "1_0", "1e-5", "1e999", "١٢", "Ⅳ", "²", "a/b", "../..",
@@ -150,43 +149,13 @@ def found_in(folder: Path, seed: int, number: int) -> list[str]:
 
 def test_mutated_studies(tmp_path: Path) -> None:
     assert len(SHIPPED) >= 14
-    found = found_in(tmp_path, SEED, CASES)
-    assert not found, f"{len(found)} of {CASES}:\n" + "\n".join(found[:20])
+    assert found_in(tmp_path, SEED, FEW) == []
 
 
 @pytest.mark.long
 def test_other_mutated_studies(tmp_path: Path) -> None:
     seed = time.time_ns()
-    print(f"seed {seed}")
-    found = found_in(tmp_path, seed, CASES)
-    assert not found, f"seed {seed}: {len(found)} of {CASES}:\n" + "\n".join(found[:20])
-
-
-class _ParsedError(Exception):
-    """Raised in place of the forward run."""
-
-
-def test_the_command_line_on_mutated_studies(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def stop(*_: object) -> None:
-        raise _ParsedError
-
-    monkeypatch.setattr("strandline.cli.check._forward_run", stop)
-    refused = 0
-    for path, text in study_texts(tmp_path, SEED + 1, ON_THE_COMMAND_LINE):
-        (path / "study.yaml").write_text(text, encoding="utf-8", errors="surrogatepass")
-        before = entries(path)
-        with pytest.raises((SystemExit, _ParsedError)) as ended:
-            main(["check", str(path)])
-        shown = capsys.readouterr()
-        assert shown.out == ""
-        assert entries(path) == before
-        if isinstance(ended.value, SystemExit):
-            refused += 1
-            assert ended.value.code == 2
-            assert len(shown.err.splitlines()) == 1, shown.err
-    assert ON_THE_COMMAND_LINE / 2 < refused < ON_THE_COMMAND_LINE
+    assert found_in(tmp_path, seed, MANY) == [], f"seed {seed}"
 
 
 VALUES = st.recursive(
@@ -196,7 +165,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=150, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, suppress_health_check=list(HealthCheck))
 @given(place=st.sampled_from(sorted(places(dict(BEAM_STUDY)), key=str)), value=VALUES)
 def test_any_value_anywhere(tmp_path: Path, place: tuple[Any, ...], value: Any) -> None:
     content = json.loads(json.dumps(dict(BEAM_STUDY)))

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.unit.studies.refused import message_of, not_refused
+from tests.unit.studies.test_refusals import BIOFILM
 from verification.validation.command_faults import FAULTS
 
 import strandline
 from strandline.cli import main
-from strandline.errors import InvalidStudy
 from strandline.likelihood import set_aside
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.command.model import CommandModel
@@ -24,12 +25,6 @@ from strandline.studies import load_study
 from strandline.testing.studies import undeclared_beam, write_study
 
 SOURCES = Path(strandline.__file__).parent
-BIOFILM: dict[str, Any] = {
-    "model": {"biofilm": {"mesh": "coarse"}},
-    "fixed": {"V_in": 100, "nu": 0.3},
-    "inputs": {"E": {"prior": {"uniform": [100, 800]}, "unit": "Pa"}},
-    "observation": {"synthetic": {"E": 400, "nu": 0.3, "V_in": 100}},
-}
 PLACES = {"ForwardModelError": 0, "_failure": 0, "InvalidResult": 0, "_lost": 1, "_ended": 2}
 """Where calls that make a failure have its kind."""
 NO_POLICY = {"stopped", "lost"}
@@ -50,43 +45,27 @@ def kinds_in(tree: ast.AST) -> Iterator[str]:
         yield from (node.value for node in given if isinstance(node, ast.Constant) and isinstance(node.value, str))
 
 
-@pytest.mark.parametrize(
-    ("model", "folder"), [(Biofilm, "biofilm"), (CommandModel, "command"), (UMBridgeModel, "umbridge")]
-)
-def test_what_a_model_raises_is_declared(model: Any, folder: str) -> None:
-    raised = raised_in(f"models/{folder}")
-    assert raised - {*COMMON_KINDS} == {*model.failure_kinds} - raised_in("readers")
-    assert len({*model.failure_kinds, *COMMON_KINDS}) == len(model.failure_kinds) + len(COMMON_KINDS)
-
-
-def test_what_ends_runs_of_any_model_is_known() -> None:
+def test_what_the_code_raises_is_declared() -> None:
+    for model, folder in ((Biofilm, "biofilm"), (CommandModel, "command"), (UMBridgeModel, "umbridge")):
+        assert raised_in(f"models/{folder}") - {*COMMON_KINDS} == {*model.failure_kinds} - raised_in("readers")
+        assert len({*model.failure_kinds, *COMMON_KINDS}) == len(model.failure_kinds) + len(COMMON_KINDS)
     assert raised_in("runs") | {kind for _, kind in ENDINGS.values()} | set_aside.KINDS == {*COMMON_KINDS, *NO_POLICY}
-
-
-def test_faults_of_commands_have_words_of_theirs() -> None:
     assert {fault.kind for fault in FAULTS if fault.kind} <= {*CommandModel.failure_kinds, *COMMON_KINDS}
 
 
-@pytest.mark.parametrize(
-    ("kind", "hint"), [("timout", "Did you mean timeout?"), ("limit-point", "limit_point?"), ("exit_code", "Choose")]
-)
-def test_a_word_that_the_model_cannot_end_with_gets_one_clear_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, hint: str
-) -> None:
-    folder = write_study(tmp_path / "study", **BIOFILM, failures={"kinds": {"invalid": "continue", kind: "abort"}})
-    with pytest.raises(SystemExit) as caught:
-        main(["run", str(folder)])
-    said = capsys.readouterr().err
-    assert (caught.value.code, said.count("\n")) == (2, 1)
-    assert f"failures.kinds: got {kind}; expected one of failed, timeout, killed, invalid, limit_point, " in said
-    assert hint in said
-    assert [path.name for path in folder.iterdir()] == ["study.yaml"]
+def kinds(*words: str) -> dict[str, Any]:
+    return {"failures": {"kinds": dict.fromkeys(words, "abort")}}
 
 
-@pytest.mark.parametrize("kind", ["failed", "killed", "limit_point", "out_of_memory", "non_finite"])
-def test_a_word_of_the_model_or_of_any_run_is_taken(tmp_path: Path, kind: str) -> None:
-    study = load_study(write_study(tmp_path, **BIOFILM, failures={"kinds": {kind: "abort"}}))
-    assert study.settings.failures.actions == {kind: "abort"}
+def test_a_word_that_the_model_cannot_end_with_is_refused(tmp_path: Path) -> None:
+    rows = [
+        (kinds("invalid", kind), f"failures.kinds: got {kind}; expected one of failed, timeout, killed, invalid", hint)
+        for kind, hint in (("timout", "mean timeout?"), ("limit-point", "limit_point?"), ("exit_code", "Choose"))
+    ]
+    assert not_refused(tmp_path, rows, **BIOFILM) == []
+    known = kinds("failed", "killed", "limit_point", "out_of_memory", "non_finite")
+    study = load_study(write_study(tmp_path, **BIOFILM, **known))
+    assert study.settings.failures.actions == known["failures"]["kinds"]
 
 
 class Telling:
@@ -99,32 +78,26 @@ class Telling:
         return undeclared_beam(inputs, workdir)
 
 
-telling = Telling()
-
-
 def test_a_function_may_declare_its_kinds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     function = "strandline.testing.studies:beam"
     assert declared_failure_kinds(PythonModel(function)) is None
-    monkeypatch.setattr(function.replace(":", "."), telling)
+    monkeypatch.setattr(function.replace(":", "."), Telling())
     assert declared_failure_kinds(PythonModel(function)) == ("large_deflection",)
-    load_study(write_study(tmp_path, failures={"kinds": {"large_deflection": "abort"}}))
-    with pytest.raises(InvalidStudy, match="Did you mean large_deflection"):
-        load_study(write_study(tmp_path, failures={"kinds": {"large_deflexion": "abort"}}))
-
-
-def checked(capsys: pytest.CaptureFixture[str], folder: Path) -> list[str]:
-    main(["check", str(folder)])
-    return [line.strip() for line in capsys.readouterr().out.splitlines() if "failures.kinds" in line]
+    assert message_of(write_study(tmp_path, **kinds("large_deflection"))) == ""
+    assert "Did you mean large_deflection" in message_of(write_study(tmp_path, **kinds("large_deflexion")))
 
 
 def test_check_warns_of_a_word_where_kinds_are_not_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    kinds = {"timeout": {"retry": 1}, "large_deflexion": "abort"}
-    folder = write_study(tmp_path / "study", failures={"kinds": kinds})
-    (line,) = checked(capsys, folder)
+    folder = write_study(tmp_path / "study", failures={"kinds": {"timeout": {"retry": 1}, "large_deflexion": "abort"}})
+
+    def warnings() -> list[str]:
+        main(["check", str(folder)])
+        return [line.strip() for line in capsys.readouterr().out.splitlines() if "failures.kinds" in line]
+
+    (line,) = warnings()
     assert line.startswith("warning: failures.kinds.large_deflexion: no run has ended with it yet")
-    study = load_study(folder)
-    key = study.runs.design_keys[0]
+    key = load_study(folder).runs.design_keys[0]
     with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
         ledger.started(RunRequest(key, {"E": 1.0}))
         ledger.finished(RunRecord(key, {"E": 1.0}, "failed", failure_kind="large_deflexion"))
-    assert checked(capsys, folder) == []
+    assert warnings() == []
