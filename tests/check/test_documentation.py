@@ -37,7 +37,7 @@ from strandline.studies.keys.observation import ObservationFile
 from strandline.surrogate import KERNELS
 from strandline.testing.studies import BEAM_STUDY, write_study
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 

@@ -25,7 +25,7 @@ from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Outline
 from strandline.runs import InProcess, RunRecord, RunRequest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 COARSE = MESHES["coarse"]
 PEAK = """
 from verification.benchmarks.forward import peak_memory

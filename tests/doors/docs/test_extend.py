@@ -32,7 +32,7 @@ from strandline.testing import (
 )
 from strandline.testing.studies import write_study
 
-PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "extend.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "how-to" / "extend.md").read_text("utf-8")
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from nbclient import NotebookClient
 
-NOTEBOOKS = Path(__file__).parents[2] / "docs" / "notebooks"
+NOTEBOOKS = Path(__file__).parents[3] / "docs" / "notebooks"
 FOUND = {"own-simulator": {"E": 400.0}, "picture-to-posterior": {"gamma": 72.4, "b": 1.3}, "what-next": {"E": 400.0}}
 """True values of inputs, by notebook."""
 SLOW = [pytest.param(name, marks=pytest.mark.long) for name in ("picture-to-posterior", "what-next")]

@@ -28,7 +28,7 @@ from strandline.models.protocol import declared_conditions
 from strandline.studies import load_study
 from strandline.studies.template import write_template
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TUTORIALS = ROOT / "docs" / "tutorials"
 PAGES = sorted(path.name for path in TUTORIALS.glob("*.md"))
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]

@@ -9,7 +9,7 @@ import pytest
 from verification.mutation.covering import Covering
 from verification.mutation.places import PARTS, drawn
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 PROGRAM = """
 import json, sys
 from pathlib import Path

@@ -12,7 +12,7 @@ from strandline.errors import InvalidInput
 from verification.reproduction import STUDIES, Plan, Reproduction, reproduce
 
 pytestmark = pytest.mark.xdist_group("reproduction")  # one process makes what all of them look at
-SHIPPED = Path(__file__).parents[3] / "studies"
+SHIPPED = Path(__file__).parents[4] / "studies"
 SMALL = Plan(
     table=(6, 4, 2), nodes=(33, 17, 11), checks=4, nested=(24, 48), larger=(100, 200), sizes=(24, 48), tests=8, draws=20
 )  # fmt: skip

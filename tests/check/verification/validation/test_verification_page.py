@@ -9,7 +9,7 @@ from verification.validation.tables import Table, from_json, observed_orders, pu
 
 from strandline.models.biofilm.materials import LAWS
 
-EXPLANATION = Path(__file__).parents[3] / "docs" / "explanation"
+EXPLANATION = Path(__file__).parents[4] / "docs" / "explanation"
 PAGE = (EXPLANATION / "forward-model.md").read_text("utf-8")
 TABLES = {
     name: from_json(data)
