@@ -7,7 +7,7 @@ export OMP_NUM_THREADS ?= 1
 # Keep compiled bytecode: hundreds of tests start a new Python process.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: env demo reproduce test test-doors test-all check installed dist bench bench-env pyvbmc-env docs clean
+.PHONY: env demo reproduce test test-doors test-all check styled documented installed dist bench bench-env pyvbmc-env docs clean
 
 env: $(VENV)/.installed
 
@@ -41,14 +41,19 @@ test-doors: env
 test-all: env
 	$(PYTEST) tests
 
+# The parts of a check run two at a time; what each prints stays together.
 check: $(VENV)/.installed-check
+	$(MAKE) --no-print-directory -j2 -O installed documented styled
+
+styled: $(VENV)/.installed-check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(PYTEST) -q -m "not long" tests/check
+
+documented: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
-	$(BIN)/python -m verification.validation.installed
 
 # Test the wheel alone, in empty environments, with this Python and the newest one found (see STRANDLINE_PYTHONS).
 installed: $(VENV)/.installed-check
