@@ -32,54 +32,10 @@ def marks(tmp_path):
 
 
 @pytest.mark.smoke
-def test_results_come_in_the_order_of_the_design(path, marks):
-    model, inputs, completed = Patient(str(marks), others=2), design(600, 400, 300), []
-
-    def mark(record, progress):
-        completed.append(record.inputs["E"])
-        (marks / str(progress.finished)).touch()
-
-    done = campaign(path, model, inputs, LocalProcesses(2), on_record=mark)
-    assert completed == [400.0, 300.0, 600.0]
-    assert [dict(record.inputs) for record in done] == inputs
-    for record in done:
-        direct = Cantilever()(record.inputs, path.parent)
-        assert record.interface.points.tobytes() == direct.interface.points.tobytes()
-
-
 def test_a_run_whose_process_vanished_is_tried_again(path, marks):
     seen, model = Seen(), CrashesOnce(str(marks))
     assert states(campaign(path, model, design(300, 400), LocalProcesses(2), on_record=seen)) == ["ok", "ok"]
     assert sorted(seen.states) == ["killed", "killed", "ok", "ok"]
-
-
-def test_a_run_that_ends_each_process_is_given_up_and_says_how(path, tmp_path):
-    model, seen = Counted(str(tmp_path), Faulty(fault="exit", above=450.0)), Seen()
-    done = campaign(path, model, design(400, 500), LocalProcesses(1), maximum_attempts=2, on_record=seen)
-    assert states(done) == ["ok", "killed"]
-    assert seen.states == ["ok", "killed", "killed"]
-    assert all("exit code 3" in record.message and "about to leave" in record.message for record, _ in seen[1:])
-    assert sorted(calls(tmp_path).values()) == [1, 2]
-
-
-def test_a_killed_worker_is_the_end_of_one_attempt_only(path, tmp_path):
-    """An innocent worker is shot from outside while it works: its run is repeated, no other."""
-    model, shot = Counted(str(tmp_path), Slow(seconds=0.3)), []
-
-    def running():
-        ended = calls(tmp_path, "ends")
-        lines = (line.partition(" ") for line in (tmp_path / "calls").read_text().splitlines())
-        return [int(pid) for pid, _, run in lines if run not in ended]
-
-    def shoot(record, progress):
-        if not shot:
-            assert wait_until(running, 10)
-            shot.append(running()[-1])
-            os.kill(shot[0], signal.SIGKILL)
-
-    done = campaign(path, model, design(300, 320, 340, 360, 380, 400), LocalProcesses(2), on_record=shoot)
-    assert states(done) == ["ok"] * 6
-    assert sorted(calls(tmp_path).values()) == [1, 1, 1, 1, 1, 2]
 
 
 class Aging:

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,10 +14,10 @@ from typing import ClassVar
 
 import pytest
 from tests.doors.runs.processes import alive, driven_by, pids, wait_until
-from tests.unit.runs.fakes import attempts, batches, campaign, counts, design
+from tests.unit.runs.fakes import Seen, batches, campaign, counts, design
 
 from strandline.errors import InvalidInput
-from strandline.runs import Counts, InProcess
+from strandline.runs import InProcess
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.dask_cluster import opened
 from strandline.testing.executors import (
@@ -108,54 +109,29 @@ def test_a_closed_campaign_and_a_killed_driver_leave_no_run_at_the_scheduler(add
 
 
 @dataclass(frozen=True)
-class StaysTheFirstTime:
-    """Leaves the number of its Dask worker and stays, the first time that it is called at `stays`."""
+class KillsItsDaskWorker:
+    """Takes the Dask worker down, as the end of a walltime does, in the first `times` runs at 330."""
 
     folder: str
-    stays: float = 330.0
-    fingerprint: ClassVar[str] = "test:stays-the-first-time"
-
-    @property
-    def mark(self):
-        return Path(self.folder) / "worker"
+    times: int
+    fingerprint: ClassVar[str] = "test:kills-its-dask-worker"
 
     def __call__(self, inputs, workdir):
-        if inputs["E"] == self.stays and not self.mark.exists():
-            (workdir / "worker").write_text(str(os.getppid()))
-            (workdir / "worker").rename(self.mark)
+        with (Path(self.folder) / "calls").open("a") as calls:
+            calls.write(f"{os.getpid()} {inputs['E']}\n")
+        if inputs["E"] == 330.0 and (Path(self.folder) / "calls").read_text().count(" 330.0\n") <= self.times:
+            os.kill(os.getppid(), signal.SIGKILL)
             time.sleep(60)
         return Cantilever()(inputs, workdir)
 
 
 def test_a_killed_dask_worker_costs_its_own_run_alone(tmp_path):
     """Trap: Dask condemns what waits behind a run whose worker dies (KilledWorker), or repeats the run unasked."""
-    model, seen, path = StaysTheFirstTime(str(tmp_path)), [], tmp_path / "ledger.sqlite"
-
-    def shoot(record, progress):
-        seen.append((record.state, record.failure_kind))
-        if len(seen) == 5:  # runs are handed out in their order: it has been, and stays
-            assert wait_until(model.mark.exists, 20)
-            os.kill(int(model.mark.read_text()), signal.SIGKILL)
-
-    inputs = design(*range(300, 380, 10))
-    campaign(path, Counted(str(tmp_path), model), inputs, DaskCluster(workers=2), on_record=shoot)
-    assert counts(path) == Counts(ok=8)
-    assert seen.count(("killed", "worker_died")) == 1
-    assert len(seen) == len(pids(tmp_path)) == 9
-
-
-@dataclass(frozen=True)
-class KillsItsDaskWorker:
-    """Takes the Dask worker of each run down, as the end of a walltime does."""
-
-    folder: str
-    fingerprint: ClassVar[str] = "test:kills-its-dask-worker"
-
-    def __call__(self, inputs, workdir):
-        with (Path(self.folder) / "calls").open("a") as calls:
-            calls.write(f"{os.getpid()}\n")
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(60)
+    model, seen, inputs = KillsItsDaskWorker(str(tmp_path), times=1), Seen(), design(*range(300, 380, 10))
+    campaign(tmp_path / "ledger.sqlite", model, inputs, DaskCluster(workers=2), on_record=seen)
+    assert Counter(seen.states) == {"ok": 8, "killed": 1}
+    assert {record.failure_kind for record, _ in seen} == {None, "worker_died"}
+    assert len(pids(tmp_path)) == 9
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -169,8 +145,8 @@ def test_a_run_whose_worker_vanishes_each_time_is_given_up(tmp_path, monkeypatch
     if late:
         monkeypatch.setattr("distributed.nanny.Nanny._on_worker_exit", leave_alone)
         executor = driven_by(partial(opened, "local", None, 1, {}, lost_process_seconds=1))
-    model = KillsItsDaskWorker(str(tmp_path))
-    (record,) = campaign(tmp_path / "ledger.sqlite", model, [{"E": 300.0}], executor, maximum_attempts=2)
+    model = KillsItsDaskWorker(str(tmp_path), times=9)
+    (record,) = campaign(tmp_path / "ledger.sqlite", model, design(330), executor, maximum_attempts=2)
     assert (record.state, record.failure_kind, bool(left)) == ("killed", "worker_died", late)
     assert len(pids(tmp_path)) == 2
 
@@ -290,22 +266,6 @@ def test_each_worker_is_started_once_for_all_batches(tmp_path):
     assert alike(in_batches(tmp_path, DaskCluster(workers=2)), tmp_path / "here")
     assert len(processes(tmp_path)) in (2, 4), "one that comes late may find nothing to do"
     assert not any(map(alive, processes(tmp_path)))
-
-
-@pytest.mark.long
-def test_a_worker_killed_between_batches_is_replaced(tmp_path):
-    """The Dask worker before the second batch; the process beside it, which makes the runs, before the third."""
-
-    def kill(number):
-        process = processes(tmp_path)[-number]
-        os.kill(process, signal.SIGKILL)
-        assert wait_until(lambda: not alive(process), 10)
-        wait_until(lambda: False, 1.2)  # as long as learning may take: the driver's last look is out of date
-
-    done = in_batches(tmp_path, DaskCluster(workers=1), kill)
-    assert alike(done, tmp_path / "here")
-    assert len(processes(tmp_path)) == 2 * 3
-    assert set(attempts(tmp_path / "ledger.sqlite")) == {1}
 
 
 def test_nothing_is_left_behind_after_an_error_between_batches(tmp_path):

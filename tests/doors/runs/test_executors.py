@@ -27,7 +27,7 @@ from strandline.testing.models import Cantilever, Counted, Faulty, KilledWhileLo
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 ALONE = ["answers_each_request_once", "yields_in_order_of_completion", "returns_all_conditions_and_sensitivities"]
-ALONE += ["gives_each_run_an_empty_folder", "unpicklable_exception", "system_exit", "nan", "sigkill", "huge_output"]
+ALONE += ["gives_each_run_an_empty_folder", "unpicklable_exception", "system_exit", "nan", "exit", "huge_output"]
 BESIDE = ["yields_in_order_of_completion", "pulls_when_a_worker_is_free", "stops_when_closed", "sigkill", "segfault"]
 
 

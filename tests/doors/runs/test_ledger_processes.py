@@ -1,6 +1,5 @@
 """Ledgers between processes: one driver at a time, readers beside it, and what a killed one leaves."""
 
-import contextlib
 import os
 import signal
 import socket
@@ -15,32 +14,19 @@ from tests.doors.runs.processes import wait_until
 from tests.unit.runs.ledgers import failed, put
 
 from strandline.errors import LedgerError
-from strandline.runs import Counts, Ledger, RunRequest, journal, tables
+from strandline.runs import Counts, Ledger, journal, tables
 from strandline.runs.journal import VARIABLE
 from strandline.runs.overview import Overview
 
 DRIVER = """
 import sys
-from strandline.runs import Ledger, RunRecord, RunRequest
-with Ledger.open(sys.argv[1], model="m") as ledger:
-    for key in sys.argv[2:]:
-        ledger.started(RunRequest(key, {}))
-        ledger.finished(RunRecord(key, {}, "failed"))
+from strandline.runs import Ledger
+with Ledger.open(sys.argv[1], model="m"):
     print("open", flush=True)
     sys.stdin.readline()
 print("closed", flush=True)
 sys.stdin.read()
 """
-
-
-@contextlib.contextmanager
-def driver(path, *keys):
-    """Give another driver, which has ended these runs and keeps the ledger until it is told to leave."""
-    command = [sys.executable, "-c", DRIVER, str(path), *keys]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "open\n"
-        yield process
-        process.communicate()
 
 
 @pytest.fixture
@@ -50,7 +36,9 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.mark.smoke
 def test_a_second_driver_is_refused_and_told_who_the_first_is(path):
-    with driver(path) as first:
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", DRIVER, str(path)], stdin=pipe, stdout=pipe, text=True) as first:
+        assert first.stdout.readline() == "open\n"
         with pytest.raises(LedgerError, match=f"locked.*another run is using it.*process {first.pid} "):
             Ledger.open(path, model="m")
         with Ledger.open(path, model="m", read_only=True) as reader, Overview(path) as overview:
@@ -64,20 +52,10 @@ def test_a_second_driver_is_refused_and_told_who_the_first_is(path):
             assert first.stdout.readline() == "closed\n"
             if Path("/proc/self/fd").is_dir():
                 assert overview.driver().at_work is False
+        first.communicate()
     with Overview(path) as overview:
         assert overview.driver().at_work is False
     Ledger.open(path, model="m").close()
-
-
-def test_a_driver_that_took_a_ledger_over_is_named(path):
-    with Ledger.open(path, model="m") as ledger:
-        ledger.started(RunRequest("a", {}))
-        path.with_suffix(".lock").unlink()
-        with driver(path, "a") as second, pytest.raises(LedgerError, match=f"took over .* process {second.pid} on "):
-            ledger.finished(failed("a"))
-    with Ledger.open(path, model="m") as after:
-        assert after.counts() == Counts(failed=1)
-        assert after.attempts("a") == 2
 
 
 WRITER = """

@@ -236,12 +236,3 @@ def test_what_the_executor_does_not_know_any_more_is_started_again(path):
     executor.waiting.clear()
     assert states(campaign(path, Cantilever(), inputs, executor)) == ["ok", "ok"]
     assert fakes.attempts(path) == [1, 2]
-
-
-def test_runs_of_an_executor_that_does_not_say_what_is_out_are_repeated(path):
-    executor, inputs = Elsewhere(), design(300, 400)
-    interrupted_after_one(path, executor.__call__, inputs)
-    assert counts(path) == Counts(ok=1, killed=1)
-    executor.waiting.clear()
-    campaign(path, Cantilever(), inputs, executor.__call__)
-    assert executor.submitted == [300.0, 400.0, 400.0]
