@@ -54,12 +54,13 @@ def _number(file: BinaryIO, form: str) -> int:
     return int(struct.unpack(form, content)[0])
 
 
-def require_parts(path: Path, page: Any) -> None:
+def require_parts(path: Path, page: Any, *, most: int = MOST_UNPACKED) -> None:
     """Refuse a page that lacks strips or tiles, which tifffile fills with 0, or that unpacks to much more than it is.
 
     Args:
         path: Path of the file.
         page: Page that tifffile read.
+        most: Bytes to which each may unpack, if the page is not larger.
 
     Raises:
         EOFError: A strip or a tile is missing.
@@ -71,7 +72,7 @@ def require_parts(path: Path, page: Any) -> None:
         raise EOFError(f"{expected - found} of its {expected} strips or tiles are missing")
     if int(page.compression) not in DEFLATE:
         return
-    bound = max(MOST_UNPACKED, 2 * page.nbytes)
+    bound = max(most, 2 * page.nbytes)
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
         if count * LARGEST_RATIO <= bound:
             continue

@@ -1,11 +1,14 @@
-"""Samples along normals, and which of them count."""
+"""Samples along normals and which of them count; the light of the columns of a picture."""
 
 import numpy as np
 import pytest
-from tests.imaging.pictures import circle, grid
+from tests.unit.imaging.pictures import circle, grid, shadow, steep
 
 from strandline.imaging.course import course_through, smoothed
 from strandline.imaging.strip import grey_values, inside_polygon, strip_along
+from strandline.imaging.template import columns_levelled
+
+Y = np.array([2.0, 60.0, 117.0])
 
 
 def test_samples_of_a_plane_are_exact() -> None:
@@ -61,3 +64,34 @@ def test_inside_a_polygon() -> None:
     inside = inside_polygon(np.stack([x, y], axis=-1), np.array([[4.5, 3.5], [10.5, 3.5], [10.5, 8.5], [4.5, 8.5]]))
     assert inside.sum() == 30
     assert inside[4:9, 5:11].all()
+
+
+def ratio(slope: float, light: np.ndarray, off: float = 0.0) -> np.ndarray:
+    """Return levelled samples over those of the evenly lit picture, if the edge is sought `off` px from its place."""
+    course = course_through(np.stack([50 + slope * (Y - 60), Y], axis=1), closed=False, sigma=3.0)
+    even = strip_along(grey_values(steep(slope)), course, reach=20.0)
+    lit = strip_along(grey_values(steep(slope) * light), course, reach=20.0)
+    columns = course.at(np.broadcast_to(even.places, even.samples.shape))[..., 0].round().astype(int)
+    profile = even.samples[len(even.samples) // 2]
+    offsets = np.full(len(course.points), off)
+    expected = np.interp(even.places - offsets[:, None], even.places, profile)
+    levelled = columns_levelled(lit, expected, offsets, columns)
+    return np.asarray(levelled.samples[even.usable] / even.samples[even.usable])
+
+
+def test_a_shadow_along_columns_is_taken_out_but_an_edge_sought_two_pixels_off_is_no_shadow() -> None:
+    for slope in (0.2, 0.4):
+        levelled = ratio(slope, shadow(55.0, width=8.0))
+        assert levelled.std() / levelled.mean() < 0.12
+    for slope in (0.0, 0.2):
+        levelled = ratio(slope, np.ones(100), off=2.0)
+        assert levelled.std() / levelled.mean() < 0.05
+        assert levelled.mean() == pytest.approx(1.0, abs=0.03)
+
+
+def test_nothing_is_done_where_nothing_can_be_used() -> None:
+    course = course_through(np.stack([np.full(3, 50.0), Y], axis=1), closed=False, sigma=3.0)
+    strip = strip_along(grey_values(np.full((120, 100), np.nan)), course, reach=20.0)
+    columns = np.full(strip.samples.shape, 50)
+    levelled = columns_levelled(strip, np.ones(strip.samples.shape), np.zeros(len(strip.samples)), columns)
+    np.testing.assert_array_equal(levelled.samples, strip.samples)

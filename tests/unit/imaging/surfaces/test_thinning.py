@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.discrepancy.surfaces import sphere
+from tests.unit.discrepancy.surfaces import sphere
 
 from strandline.imaging.surfaces.mesh import Mesh, cut, vector_areas
 from strandline.imaging.surfaces.thinning import thinned

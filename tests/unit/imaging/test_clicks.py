@@ -45,6 +45,9 @@ def test_a_file_keeps_every_digit(tmp_path: Path) -> None:
     assert after.path.tobytes() == before.path.tobytes()
     assert (after.closed, after.scale, after.origin, after.size) == (True, before.scale, before.origin, (100, 80))
     assert [p.name for p in tmp_path.iterdir()] == ["scan.path.json"]
+    assert after.first_path.closed
+    np.testing.assert_array_equal(after.first_path.points, before.path)
+    assert after.pixel_mm == pytest.approx(0.2 / 50)  # the scale bar has 30 by 40 pixels
 
 
 def test_what_is_optional_may_be_missing(tmp_path: Path) -> None:
@@ -52,16 +55,10 @@ def test_what_is_optional_may_be_missing(tmp_path: Path) -> None:
     assert (found.scale, found.origin, found.closed, found.exclude, found.fixed) == (None, None, False, (), ())
     assert found.pixel_mm is None
     assert read_clicks(written(tmp_path, scale=None, origin=None, exclude=None)).scale is None
-
-
-def test_the_scale_bar_gives_the_size_of_a_pixel() -> None:
-    assert clicks().pixel_mm == pytest.approx(0.2 / 50)  # 30 by 40 pixels
-
-
-def test_the_path_is_the_first_path() -> None:
-    found = clicks(closed=True).first_path
-    assert found.closed
-    np.testing.assert_array_equal(found.points, clicks().path)
+    found = read_clicks(written(tmp_path, path=[], fixed=[SQUARE]))  # such a picture needs no path
+    assert (len(found.path), len(found.fixed)) == (0, 1)
+    whole = [[-0.5, -0.5], [99.5, -0.5], [99.5, 79.5], [-0.5, 79.5]]  # corners of pixels at the border
+    assert read_clicks(written(tmp_path, exclude=[whole])).exclude[0].tolist() == whole
 
 
 def test_another_picture_is_refused() -> None:
@@ -73,14 +70,7 @@ def test_another_picture_is_refused() -> None:
         clicks().require_picture(SHA, (80, 100))
 
 
-def test_a_picture_with_a_fixed_region_needs_no_path(tmp_path: Path) -> None:
-    corners = np.array([[1.0, 1.0], [9.0, 1.0], [9.0, 9.0]])
-    write_clicks(clicks(path=np.zeros((0, 2)), fixed=(corners,)), tmp_path / "a.path.json")
-    found = read_clicks(tmp_path / "a.path.json")
-    assert (len(found.path), len(found.fixed)) == (0, 1)
-
-
-BOW_TIE = [[10, 10], [20, 20], [20, 10], [10, 20]]
+BAR = {"from": [1, 1], "to": [5, 1], "length_mm": 1}
 MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"path": ...}, "path is missing"),
     ({"sha256": ...}, "sha256 is missing"),
@@ -100,25 +90,25 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"path": [[1, 1], ["a", 2], [3, 3]]}, "the path: point 2"),
     ({"path": [[1, 1], [True, 2], [3, 3]]}, "the path: point 2"),
     ({"path": [[1, 1], [2, float("nan")], [3, 3]]}, "the path: point 2 is not finite"),
-    ({"path": [[1, 1], [2, float("inf")], [3, 3]]}, "the path: point 2 is not finite"),
     ({"path": [[1, 1], [2, 10**400], [3, 3]]}, "the path: point 2 is not finite"),
     ({"path": [[1, 1], [2, 2], [2, 2], [3, 1]]}, "points 2 and 3 coincide"),
     ({"path": [[1, 1], [9, 2], [4, 8], [1, 1]], "closed": True}, "points 4 and 1 coincide"),
     ({"path": [[1, 1], [2, 2], [99.6, 3]]}, r"point 3 is outside the picture: .*-0.5 to 99.5 and y from -0.5 to 79.5"),
     ({"path": [[1, -0.6], [2, 2], [3, 3]]}, "point 1 is outside the picture"),
-    ({"path": BOW_TIE}, r"the path crosses or touches itself: got \(15, 15\) px"),
+    ({"path": [[10, 10], [20, 20], [20, 10], [10, 20]]}, r"crosses or touches itself: got \(15, 15\) px"),
     ({"path": [[10, 10], [20, 20], [10, 20], [20, 10.5]], "closed": True}, "crosses or touches itself"),
     ({"path": [[10, 10], [20, 10], [12, 10]]}, "crosses or touches itself"),
     ({"origin": [1]}, "origin: point 1"),
     ({"origin": [1, float("nan")]}, "origin: point 1 is not finite"),
     ({"scale": [1, 2]}, "scale bar: got"),
     ({"scale": {"from": [1, 1], "to": [5, 1]}}, "scale bar: length_mm is missing"),
-    ({"scale": {"from": [1, 1], "to": [1, 1], "length_mm": 1}}, "scale bar of no length"),
-    ({"scale": {"from": [1, 1], "to": [5, 1], "length_mm": 0}}, "length of the scale bar: got 0"),
-    ({"scale": {"from": [1, 1], "to": [5, 1], "length_mm": "1 mm"}}, "length of the scale bar: got 1 mm"),
-    ({"scale": {"from": [1, 1], "to": [5, 1], "length_mm": float("inf")}}, "length of the scale bar: got inf"),
-    ({"scale": {"from": [1, 1], "to": [5, 1], "length_mm": 10**400}}, "length of the scale bar: got inf"),
-    ({"scale": {"from": [1, 1], "to": [500, 1], "length_mm": 1}}, "scale bar: point 2 is outside"),
+    ({"scale": {**BAR, "to": [1, 1]}}, "scale bar of no length"),
+    ({"scale": {**BAR, "length_mm": 0}}, "length of the scale bar: got 0"),
+    ({"scale": {**BAR, "length_mm": "1 mm"}}, "length of the scale bar: got 1 mm"),
+    ({"scale": {**BAR, "length_mm": True}}, "length of the scale bar: got True"),
+    ({"scale": {**BAR, "length_mm": float("inf")}}, "length of the scale bar: got inf"),
+    ({"scale": {**BAR, "length_mm": 10**400}}, "length of the scale bar: got inf"),
+    ({"scale": {**BAR, "to": [500, 1]}}, "scale bar: point 2 is outside"),
     ({"exclude": 3}, "exclude: got 3"),
     ({"exclude": [SQUARE, SQUARE[:2]]}, "exclude: region 2 has too few points: got 2"),
     ({"fixed": [[[1, 1], [2, 2], [3, float("nan")]]]}, "fixed: region 1: point 3 is not finite"),
@@ -126,36 +116,12 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "message"), MISTAKES, ids=[m for _, m in MISTAKES])
-def test_a_mistake_is_one_line(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match=message) as caught:
-        read_clicks(written(tmp_path, **changes))
-    assert str(caught.value).startswith("scan.path.json: ")
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 100_000, b'{"path": 1' + b"0" * 5000 + b"}"])
-def test_what_is_not_json_is_refused(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "scan.path.json"
-    path.write_bytes(content)
-    with pytest.raises(InvalidInput, match=r"scan.path.json: is not JSON"):
-        read_clicks(path)
-
-
-@pytest.mark.parametrize(
-    ("there", "said"),
-    [
-        ((), "the folder has no file of clicks; expected a file of clicks, PICTURE.path.json"),
-        (("IMG_1.path.json", "notes.txt"), "has IMG_1.path.json; expected .* Did you mean IMG_1.path.json"),
-        (("other.path.json", "scans.path.json"), "has other.path.json, scans.*; .* Did you mean scans.path.json"),
-        (("IMG_20260817.path.json", "IMG_20260818.path.json"), "has IMG_2.* Move it there"),
-    ],
-)
-def test_a_missing_file_is_looked_for_beside(tmp_path: Path, there: tuple[str, ...], said: str) -> None:
-    for name in there:
-        (tmp_path / name).touch()
-    with pytest.raises(InvalidInput, match=f"^scan.path.json: cannot be read: .*{said}"):
-        read_clicks(tmp_path / "scan.path.json")
+def test_a_mistake_is_one_line(tmp_path: Path) -> None:
+    for changes, message in MISTAKES:
+        with pytest.raises(InvalidInput, match=message) as caught:
+            read_clicks(written(tmp_path, **changes))
+        assert str(caught.value).startswith("scan.path.json: ")
+        assert "\n" not in str(caught.value)
 
 
 def test_files_that_cannot_hold_clicks_are_refused(tmp_path: Path) -> None:
@@ -164,14 +130,31 @@ def test_files_that_cannot_hold_clicks_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="cannot be read: got Is a directory"):
         read_clicks(path)
     path.rmdir()
-    path.write_text("[1]")
-    with pytest.raises(InvalidInput, match="is no file of clicks: got a list"):
-        read_clicks(path)
-    path.write_bytes(b" " * (LARGEST + 1))
-    with pytest.raises(InvalidInput, match="size of the file"):
-        read_clicks(path)
+    for content, said in (
+        (b"", "is not JSON"),
+        (b"\xff\xfe", "is not JSON"),
+        (b"[" * 100_000, "is not JSON"),
+        (b'{"path": 1' + b"0" * 5000 + b"}", "is not JSON"),
+        (b"[1]", "is no file of clicks: got a list"),
+        (b" " * (LARGEST + 1), ".*size of the file"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(InvalidInput, match=f"scan.path.json: {said}"):
+            read_clicks(path)
 
 
-def test_regions_may_cover_the_corner_of_a_pixel_at_the_border(tmp_path: Path) -> None:
-    whole = [[-0.5, -0.5], [99.5, -0.5], [99.5, 79.5], [-0.5, 79.5]]
-    assert read_clicks(written(tmp_path, exclude=[whole])).exclude[0].tolist() == whole
+def test_a_missing_file_is_looked_for_beside(tmp_path: Path) -> None:
+    for number, (there, said) in enumerate(
+        (
+            ((), "the folder has no file of clicks; expected a file of clicks, PICTURE.path.json"),
+            (("IMG_1.path.json", "notes.txt"), "has IMG_1.path.json; expected .* Did you mean IMG_1.path.json"),
+            (("other.path.json", "scans.path.json"), "has other.path.json, scans.*; .* Did you mean scans.path.json"),
+            (("IMG_20260817.path.json", "IMG_20260818.path.json"), "has IMG_2.* Move it there"),
+        )
+    ):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        for name in there:
+            (folder / name).touch()
+        with pytest.raises(InvalidInput, match=f"^scan.path.json: cannot be read: .*{said}"):
+            read_clicks(folder / "scan.path.json")

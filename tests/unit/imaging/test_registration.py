@@ -1,5 +1,7 @@
 """Registration of two pictures on what does not move: known motions, and errors that it states itself."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -12,10 +14,15 @@ ALL = [np.array([[8.0, 8.0], [112.0, 8.0], [112.0, 82.0], [8.0, 82.0]])]
 SHIFT, TURN = (3.2, -1.7), 0.6
 
 
+@lru_cache
+def texture() -> np.ndarray:
+    smooth = gaussian_filter(np.random.default_rng(99).standard_normal((260, 260)), 4.0)
+    return smooth / smooth.std()
+
+
 def scene(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return a smooth texture at these places, the same whenever it is asked for."""
-    texture = gaussian_filter(np.random.default_rng(99).standard_normal((260, 260)), 4.0)
-    return map_coordinates(texture / texture.std(), [y + 60, x + 60], order=3)
+    return map_coordinates(texture(), [y + 60, x + 60], order=3)
 
 
 def line(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -47,14 +54,12 @@ def error(found: Registration, shift: tuple[float, float] = SHIFT, turn: float =
 @pytest.mark.parametrize("stretch", [(1.0, 1.0), (2.0, 1.0)])
 def test_a_known_motion_is_found(stretch: tuple[float, float]) -> None:
     found = registered(*pair(stretch=stretch), ALL, pixel=stretch)
-    assert np.abs(error(found)[:2]).max() < 0.1
-    assert abs(error(found)[2]) < 0.1
+    assert np.abs(error(found)).max() < 0.1
     assert found.correlation > 0.8
 
 
 def test_height_and_width_of_a_pixel_must_not_be_mixed_up() -> None:
-    found = registered(*pair(stretch=(2.0, 1.0)), ALL)
-    assert np.abs(error(found)[:2]).max() > 0.5
+    assert np.abs(error(registered(*pair(stretch=(2.0, 1.0)), ALL))[:2]).max() > 0.5
 
 
 def test_points_follow() -> None:
@@ -73,7 +78,7 @@ def right(rms: np.ndarray) -> bool:
 
 
 def test_its_errors_are_its_own() -> None:
-    found = [registered(*pair(noise=1.0, seed=seed), ALL) for seed in range(24)]
+    found = [registered(*pair(noise=1.0, seed=seed), ALL) for seed in range(10)]
     own = np.array([[one.shift_sd, one.shift_sd, one.rotation_sd] for one in found])
     rms = np.sqrt(np.mean((np.array([error(one) for one in found]) / own) ** 2, axis=0))
     rms = np.array([rms[:2].mean(), rms[2]])
@@ -108,21 +113,19 @@ def speckled(seed: int) -> np.ndarray:
 
 def test_speckle() -> None:
     """The noise of bright places is large; the slopes are noisy too and must not count as information."""
-    found = np.array([speckled(seed) for seed in range(20)])
+    found = np.array([speckled(seed) for seed in range(6)])
     assert 0.5 < np.sqrt(np.mean(found[:, 0] ** 2)) < 1.5
     assert np.median(found[:, 1]) < 2.0
 
 
 def test_what_cannot_be_registered_is_refused() -> None:
     first, second = pair()
-    with pytest.raises(InvalidInput, match="fixed regions of the picture"):
-        registered(first, second, [np.array([[8.0, 8.0], [14.0, 8.0], [14.0, 14.0]])])
     other = np.random.default_rng(5).standard_normal(SHAPE)
-    with pytest.raises(InvalidInput, match="correlation"):
-        registered(first, other, ALL)
-
-
-def test_regions_that_the_other_picture_does_not_show_are_refused() -> None:
-    first, second = pair()
-    with pytest.raises(InvalidInput, match="fixed regions in the other picture: got 0"):
-        registered(first, second[:40, :50], [np.array([[60.0, 50.0], [110.0, 50.0], [110.0, 80.0], [60.0, 80.0]])])
+    outside = np.array([[60.0, 50.0], [110.0, 50.0], [110.0, 80.0], [60.0, 80.0]])
+    for seen, regions, said in (
+        (second, [np.array([[8.0, 8.0], [14.0, 8.0], [14.0, 14.0]])], "fixed regions of the picture"),
+        (other, ALL, "correlation"),
+        (second[:40, :50], [outside], "fixed regions in the other picture: got 0"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            registered(first, seen, regions)

@@ -1,0 +1,88 @@
+"""Picture files written by the description of their format, and how tests read them."""
+
+import io
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from jaxtyping import Shaped
+
+from strandline.errors import InvalidInput
+from strandline.imaging.picture import Picture
+from strandline.imaging.read import read_picture
+from strandline.imaging.reading import PictureReading
+
+SQUARE = {"size": 2.0, "unit": "um"}
+
+
+def reading(**options: Any) -> PictureReading:
+    return PictureReading.from_options(options, "observation.image")
+
+
+def read(path: Path, **options: Any) -> Picture:
+    return read_picture(path, reading(**{"pixel": SQUARE, **options}))
+
+
+def refusal(path: Path, **options: Any) -> str:
+    """Return the message with which the picture is refused, and require that it is one line."""
+    with pytest.raises(InvalidInput) as caught:
+        read(path, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert path.name in message
+    assert len(message) < 700
+    return message
+
+
+def png(width: int, height: int, pixels: bytes, *, bits: int = 8, colour: int = 0) -> bytes:
+    """Return a PNG file of rows of pixels, each after the byte of its filter."""
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    content = b"\x89PNG\r\n\x1a\n"
+    for kind, data in ((b"IHDR", header), (b"IDAT", zlib.compress(pixels)), (b"IEND", b"")):
+        content += struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    return content
+
+
+def oct_file(header: str, pixels: bytes) -> bytes:
+    """Return a Thorlabs scan, which is an archive of a header and numbers."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("Header.xml", header)
+        archive.writestr("data\\Intensity.data", pixels)
+    return file.getvalue()
+
+
+def of_size(rows: object, columns: object) -> str:
+    """Return the header of a scan of one frame."""
+    entry = f'<DataFile SizeZ="{rows}" SizeX="{columns}">data\\Intensity.data</DataFile>'
+    return f"<Ocity><DataFiles>{entry}</DataFiles></Ocity>"
+
+
+def scan(path: Path, values: Shaped[np.ndarray, "..."], *, header: str = "") -> None:
+    """Write a Thorlabs scan whose frames (y, z, x) measure 1.5 mm in depth, 3.1 mm in x and 0.4 mm in y."""
+    frames, rows, columns = values.shape
+    header = header or (
+        '<?xml version="1.0"?><Ocity><Acquisition><RefractiveIndex>1.000000</RefractiveIndex></Acquisition><DataFiles>'
+        '<DataFile Type="Colored" SizeZ="4" SizeX="4">data\\VideoImage.data</DataFile>'
+        f'<DataFile Type="Real" SizeZ="{rows}" SizeX="{columns}" SizeY="{frames}" RangeZ="1.5" RangeX="3.1" '
+        'RangeY="0.4" BytesPerPixel="4">data\\Intensity.data</DataFile></DataFiles></Ocity>'
+    )
+    path.write_bytes(oct_file(header, np.ascontiguousarray(values.transpose(0, 2, 1)).astype("<f4").tobytes()))
+
+
+def with_tag(content: bytes, tag: str, value: int, *, form: str = "<I", at: int = 0) -> bytes:
+    """Return a TIFF file with another number in a tag of its first page, or in its list of numbers."""
+    with tifffile.TiffFile(io.BytesIO(content)) as tif:
+        place = tif.pages[0].tags[tag].valueoffset + at
+    return content[:place] + struct.pack(form, value) + content[place + struct.calcsize(form) :]
+
+
+def tiff(values: Shaped[np.ndarray, "..."], **how: Any) -> bytes:
+    file = io.BytesIO()
+    tifffile.imwrite(file, values, **{"photometric": "minisblack", "metadata": None, **how})
+    return file.getvalue()

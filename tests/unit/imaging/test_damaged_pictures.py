@@ -1,0 +1,245 @@
+"""Files that cannot be used: one line each, before memory is taken."""
+
+import io
+import struct
+import sys
+import zlib
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from tests.unit.imaging.files import oct_file, of_size, png, read, refusal, tiff, with_tag
+
+from strandline.errors import InvalidInput
+from strandline.imaging.files.contents import PictureFile, require_pixels
+from strandline.imaging.files.tiff_pages import require_parts
+from strandline.imaging.read import read_picture, read_stack
+from strandline.imaging.reading import PictureReading
+
+HUGE = 200_000
+"""Rows and columns of a picture of 40 gigapixels."""
+NOISE = np.random.default_rng(2).integers(0, 65536, (64, 80)).astype(np.uint16)
+
+
+def by_pillow(values: np.ndarray, kind: str, **how: Any) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(values).save(file, kind, **how)
+    return file.getvalue()
+
+
+def npy(values: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, values)
+    return file.getvalue()
+
+
+def hdf5(values: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    with h5py.File(file, "w") as archive:
+        archive["a"] = values
+    return file.getvalue()
+
+
+WHOLE = {
+    "a.png": by_pillow(NOISE, "PNG"),
+    "a.jpg": by_pillow((NOISE // 256).astype(np.uint8), "JPEG", quality=95),
+    "a.tif": tiff(NOISE),
+    "strips.tif": tiff(NOISE, rowsperstrip=8, compression="zlib"),
+    "tiles.tif": tiff(NOISE, tile=(16, 16)),
+    "stack.tif": tiff(np.stack([NOISE, NOISE, NOISE])),
+    "a.h5": hdf5(NOISE),
+    "a.npy": npy(NOISE),
+    "a.oct": oct_file(of_size(64, 80), NOISE.astype("<f4").tobytes()),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("damaged")
+
+
+@pytest.mark.parametrize("name", WHOLE)
+@settings(max_examples=10)
+@given(share=st.floats(0.0, 0.99), flipped=st.lists(st.floats(0.0, 0.999), max_size=3))
+def test_a_damaged_file_is_refused_in_one_line_or_read(
+    folder: Path, name: str, share: float, flipped: list[float]
+) -> None:
+    """A file that is cut off is always refused. Bits of HDF5 are not flipped: its library is not safe against it."""
+    (folder / name).write_bytes(WHOLE[name][: int(share * len(WHOLE[name]))])
+    refusal(folder / name, scale="intensity")
+    content = bytearray(WHOLE[name])
+    for place in flipped if name != "a.h5" else ():
+        content[int(place * len(content))] ^= 0xFF
+    (folder / name).write_bytes(bytes(content))
+    with suppress(InvalidInput):
+        assert np.isfinite(read(folder / name, scale="intensity").values).all()
+        return
+    refusal(folder / name, scale="intensity")
+
+
+def test_garbage_and_other_formats_are_refused(tmp_path: Path) -> None:
+    for name in ("a.png", "a.jpg", "a.tif", "a.oct", "a.h5", "a.mat", "a.npy"):
+        for content in (b"", b"x", b"II*\0" + bytes(200), b"PK\3\4" + bytes(100), bytes(5000), WHOLE["a.png"]):
+            if content != WHOLE[name.replace("mat", "h5")]:
+                (tmp_path / name).write_bytes(content)
+                refusal(tmp_path / name, scale="intensity")
+
+
+def test_a_flipped_bit_in_compressed_numbers_is_refused(tmp_path: Path) -> None:
+    for name in ("a.png", "strips.tif"):
+        content = bytearray(WHOLE[name])
+        content[len(content) // 2] ^= 0xFF
+        (tmp_path / name).write_bytes(bytes(content))
+        refusal(tmp_path / name)
+
+
+def huge_npy() -> bytes:
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (HUGE, HUGE)})
+    return file.getvalue() + bytes(64)
+
+
+def huge_jpeg() -> bytes:
+    content = by_pillow(np.zeros((8, 8), np.uint8), "JPEG")
+    place = content.index(b"\xff\xc0") + 5
+    return content[:place] + struct.pack(">HH", 65000, 65000) + content[place + 4 :]
+
+
+def test_a_huge_header_is_refused(tmp_path: Path) -> None:
+    small = tiff(np.zeros((4, 4), np.uint8))
+    for name, content in (
+        ("a.png", png(HUGE, HUGE, b"")),
+        ("a.tif", with_tag(with_tag(small, "ImageWidth", HUGE), "ImageLength", HUGE)),
+        ("a.npy", huge_npy()),
+        ("a.oct", oct_file(of_size(HUGE, HUGE), bytes(64))),
+        ("a.jpg", huge_jpeg()),
+    ):
+        (tmp_path / name).write_bytes(content)
+        message = refusal(tmp_path / name, scale="intensity")
+        assert ("from 1 to 400 million pixels" in message) or (name == "a.npy" and "mmap length" in message)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", (HUGE, HUGE), "u1", chunks=(64, 64))[:2, :2] = 1
+    assert "from 1 to 400 million pixels" in refusal(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.create_dataset("a", (5, 10_000, 10_000), "u1", chunks=(1, 64, 64))[:, :2, :2] = 1
+    how = PictureReading.from_options({"pixel": {"size": 2.0, "z": 7.0, "unit": "um"}}, "image")
+    with pytest.raises(InvalidInput, match=r"b\.h5 has no size that can be read: got 5 × 10000 × 10000"):
+        read_stack(tmp_path / "b.h5", how)
+
+
+def test_the_bound_on_pixels_is_that_of_this_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    require_pixels("a", 20_000, 20_000)
+    for sizes in ((20_000, 20_001), (0, 5), (-2, -2)):
+        with pytest.raises(InvalidInput, match=f"got {sizes[0]} × {sizes[1]}"):
+            require_pixels("a", *sizes)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
+    (tmp_path / "a.png").write_bytes(WHOLE["a.png"])
+    assert read(tmp_path / "a.png").values.shape == NOISE.shape
+
+
+def test_files_that_unpack_without_end_are_refused(tmp_path: Path) -> None:
+    """An archive with more numbers than pixels, a TIFF file with a strip of 16 MB, headers that grow."""
+    (tmp_path / "a.oct").write_bytes(oct_file(of_size(10, 10), bytes(5_000_000)))
+    assert "an intensity of another length: got 5000000" in refusal(tmp_path / "a.oct", scale="dB")
+    entities = "".join(f'<!ENTITY a{k + 1} "{f"&a{k};" * 10}">' for k in range(9))
+    bomb = f'<!DOCTYPE x [<!ENTITY a0 "0123456789">{entities}]><Ocity>&a9;</Ocity>'
+    for header in (bomb, "<Ocity>" + " " * (1 << 24) + "</Ocity>"):
+        (tmp_path / "a.oct").write_bytes(oct_file(header, bytes(400)))
+        assert "has a header that cannot be read" in refusal(tmp_path / "a.oct", scale="dB")
+    content, packed = tiff(NOISE, compression="zlib"), zlib.compress(bytes(1 << 24), 9)
+    content = with_tag(with_tag(content, "StripOffsets", len(content)), "StripByteCounts", len(packed))
+    (tmp_path / "a.tif").write_bytes(content + packed)
+    (tmp_path / "b.tif").write_bytes(tiff(np.tile(NOISE, (20, 20)), compression="zlib"))
+    with tifffile.TiffFile(tmp_path / "a.tif") as bad, tifffile.TiffFile(tmp_path / "b.tif") as good:
+        with pytest.raises(ValueError, match="unpack to more than its pixels"):
+            require_parts(tmp_path / "a.tif", bad.pages[0], most=1 << 20)
+        require_parts(tmp_path / "b.tif", good.pages[0], most=1 << 20)
+
+
+def test_pages_of_a_tiff_that_are_incomplete_are_refused(tmp_path: Path) -> None:
+    tiles = tiff(NOISE, tile=(16, 16))
+    entries = struct.unpack("<H", WHOLE["a.tif"][8:10])[0]
+    circle = bytearray(WHOLE["a.tif"])
+    circle[10 + 12 * entries : 14 + 12 * entries] = struct.pack("<I", 8)
+    for content, said in (
+        (with_tag(tiles, "ImageLength", 64000), "19980 of its 20000 strips or tiles are missing"),
+        (with_tag(tiles, "TileByteCounts", 0, form="<H", at=4), "1 of its 20 strips or tiles are missing"),
+        (bytes(circle), "pages lie in a circle"),
+    ):
+        (tmp_path / "a.tif").write_bytes(content)
+        assert said in refusal(tmp_path / "a.tif")
+
+
+def test_a_scan_of_an_odd_size_is_refused(tmp_path: Path) -> None:
+    for size in ("", "0", "-4", "4.5", "1e3", "99999999999"):
+        (tmp_path / "a.oct").write_bytes(oct_file(of_size(size, 10), bytes(400)))
+        assert "SizeZ in its header" in refusal(tmp_path / "a.oct", scale="dB")
+
+
+def test_numbers_that_are_no_finite_pixels_are_refused(tmp_path: Path) -> None:
+    for bad in (np.nan, np.inf, -np.inf):
+        values = NOISE.astype(np.float32)
+        values[3, 4:7] = bad
+        (tmp_path / "a.tif").write_bytes(tiff(values))
+        assert "not finite: got 3 of 5120" in refusal(tmp_path / "a.tif")
+    objects = np.array([[{}, {}]], dtype=object)
+    for array in (*(np.zeros(shape) for shape in ((0, 5), (5, 0), (0, 5, 5), (7,), ())), objects, np.array([["a"]])):
+        np.save(tmp_path / "a.npy", array, allow_pickle=True)
+        refusal(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", NOISE + 1j)
+    assert "complex128" in refusal(tmp_path / "a.npy")
+
+
+def test_unusual_colours_are_refused(tmp_path: Path) -> None:
+    Image.new("CMYK", (8, 8)).save(tmp_path / "a.jpg")
+    assert "CMYK" in refusal(tmp_path / "a.jpg")
+    colours = {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)}
+    (tmp_path / "a.tif").write_bytes(tiff(np.zeros((8, 8), np.uint8), **colours))
+    assert "PALETTE" in refusal(tmp_path / "a.tif")
+
+
+def test_missing_files_folders_and_unknown_formats(tmp_path: Path) -> None:
+    assert "is missing" in refusal(tmp_path / "a.png")
+    (tmp_path / "b.png").mkdir()
+    assert "folder b.png: got no picture in it" in refusal(tmp_path / "b.png")
+    (tmp_path / "c.bmp").write_bytes(b"BM")
+    assert "unknown format: got .bmp; expected .png" in refusal(tmp_path / "c.bmp")
+    (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(500))
+    assert "'-v7.3'" in refusal(tmp_path / "a.mat")
+
+
+def test_arrays_that_were_never_written_or_lie_in_other_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "raw").write_bytes(bytes(100))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", (10, 10), "u1")
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.create_dataset("a", (10, 10), "u1", external=[("raw", 0, 100)])
+    assert "was never written" in refusal(tmp_path / "a.h5")
+    assert "refers to other files" in refusal(tmp_path / "b.h5")
+
+
+def test_a_missing_package_names_its_install_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.tif").write_bytes(by_pillow((NOISE // 256).astype(np.uint8), "TIFF", compression="tiff_lzw"))
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    assert "pip install imagecodecs" in refusal(tmp_path / "a.tif")
+    monkeypatch.setitem(sys.modules, "tifffile", None)
+    assert 'pip install "strandline[image]"' in refusal(tmp_path / "a.tif")
+
+
+def test_a_reader_of_the_users_own(tmp_path: Path) -> None:
+    (tmp_path / "a.raw").write_bytes(NOISE.tobytes())
+    how = {"pixel": {"size": 1, "unit": "um"}, "reader": f"{__name__}:read_raw"}
+    found = read_picture(tmp_path / "a.raw", PictureReading.from_options(how, "image"))
+    np.testing.assert_array_equal(found.values, NOISE)
+
+
+def read_raw(path: Path, how: PictureReading, name: str) -> PictureFile:
+    values = np.fromfile(path, np.uint16).reshape(NOISE.shape)
+    return PictureFile(NOISE.shape, lambda frame: values)
