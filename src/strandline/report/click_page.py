@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from strandline.imaging.clicks import Clicks
 from strandline.imaging.clicks_file import as_json
-from strandline.report.click_picture import shown
+from strandline.report.click_picture import MOST_PIXELS, shown
 from strandline.report.inline import embedded, script_hash
 from strandline.report.page import template
 
@@ -47,6 +47,7 @@ def click_page(
     sha256: str,
     clicks: Clicks | None = None,
     pixel_mm: tuple[float, float] | None = None,
+    most_pixels: int = MOST_PIXELS,
 ) -> str:
     """Return the page for one picture, as HTML.
 
@@ -58,6 +59,7 @@ def click_page(
         sha256: SHA-256 checksum of the picture's file, in hexadecimal.
         clicks: What was marked before.
         pixel_mm: Width and height of a pixel if they are known, in mm; the page shows the picture in its true shape.
+        most_pixels: Largest picture that the page shows as it is, in pixels.
 
     Raises:
         InvalidInput: `clicks` belong to another picture, or the picture has no finite value.
@@ -65,7 +67,7 @@ def click_page(
     height, width = values.shape
     if clicks is not None:
         clicks.require_picture(sha256, (width, height))
-    png, factor = shown(values)
+    png, factor = shown(values, most_pixels=most_pixels)
     given = {
         "name": name,
         "sha256": sha256.lower(),

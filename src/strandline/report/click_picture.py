@@ -34,25 +34,30 @@ class Shown(NamedTuple):
     factor: int
 
 
-def shown(values: Float[np.ndarray, "row column"]) -> Shown:
+def shown(values: Float[np.ndarray, "row column"], *, most_pixels: int = MOST_PIXELS) -> Shown:
     """Return a picture for the screen; values that are not finite are black.
+
+    Args:
+        values: Grey values.
+        most_pixels: Largest picture that is shown as it is, in pixels.
 
     Raises:
         InvalidInput: There is no finite value.
     """
     from PIL import Image
 
-    factor = _factor(*values.shape)
+    height, width = values.shape
+    factor = _factor(height, width, most_pixels)
     grey = np.round(255 * _reduced(_shaded(values), factor)).astype(np.uint8)
     buffer = io.BytesIO()
     Image.fromarray(np.asarray(grey, dtype=np.uint8)).save(buffer, format="png")
     return Shown(buffer.getvalue(), factor)
 
 
-def _factor(height: int, width: int) -> int:
+def _factor(height: int, width: int, most_pixels: int) -> int:
     """Return the smallest factor that makes the picture small enough."""
     factor = max(1, math.ceil(max(height, width) / LONGEST_SIDE))
-    while math.ceil(height / factor) * math.ceil(width / factor) > MOST_PIXELS:
+    while math.ceil(height / factor) * math.ceil(width / factor) > most_pixels:
         factor += 1
     return factor
 
