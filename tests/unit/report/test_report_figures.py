@@ -1,0 +1,137 @@
+"""What the figures and the page of a report owe to print, to small and dark screens, and to a posterior in doubt."""
+
+import base64
+import io
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from PIL import Image
+from tests.unit.report.plots.drawn import entries
+
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.posterior import Offsets, Posterior, Reading
+from strandline.priors import Uniform
+from strandline.report import page as pages
+from strandline.report.captioned import Captioned, whole
+from strandline.report.field_figures import _as_stated as as_stated
+from strandline.report.figures import _reading
+from strandline.report.lighter import fitted
+from strandline.report.page import _fitted, _marked, _saved, _unbroken
+from strandline.report.plots import plot_run_offsets, plot_tempering
+from strandline.report.plots.style import DOUBLE, SINGLE
+
+TEMPLATES = Path(pages.__file__).parent / "templates"
+CSS = (TEMPLATES / "style.css").read_text("utf-8")
+
+
+def tempering() -> Any:
+    return plot_tempering([1.0], [10.0], [0.3])
+
+
+def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:
+    """The figure shows the observed interface as measured; a caption without that would blame the model."""
+    line = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]))
+    assert as_stated(Observation(line, PointErrors(0.01, length=0.1))) == ""
+    assert "its unknown shift can" in as_stated(Observation(line, PointErrors(0.01, shift=0.1)))
+    assert "its unknown rotation and scale can" in as_stated(Observation(line, UnknownErrors(rotation=1.0, scale=0.01)))
+
+
+def test_the_mark_is_on_figures_of_the_posterior() -> None:
+    for name, section, marked in (
+        ("marginals", "posterior", True),
+        ("cut_marginals", "uncertainty", True),
+        ("predictive_slow", "certificate", True),
+        ("run_history", "certificate", False),
+    ):
+        shown: Any = _marked(Captioned(name, section, "", tempering()), "not converged")
+        assert bool(shown.figure.get_suptitle()) == marked
+        assert not _marked(Captioned(name, section, "", tempering()), None).figure.get_suptitle()
+
+
+def test_pictures_for_print_have_300_dots_an_inch_with_all_labels_on_them(tmp_path: Path) -> None:
+    """The number of tick labels, and so their width, depends on the font size at the moment of drawing."""
+    s = np.linspace(0.0, 1.45, 60)
+    some = Offsets(s, 1e-3 * np.where(s < 0.7, 2.18, 1.18) * np.sin(4.4 * s))
+    axes = plot_run_offsets(some, {f"{k} best run, log-likelihood −1.048": some for k in ("second", "third", "fourth")})
+    shown = _saved(Captioned("offsets", "data", "", whole(axes.figure)), tmp_path)
+    png, pdf = ((tmp_path / f"offsets.{kind}").read_bytes() for kind in ("png", "pdf"))
+    assert base64.b64decode(shown["data"]) == png
+    width = struct.unpack(">II", png[16:24])[0] / 300
+    assert width in (pytest.approx(SINGLE, abs=0.01), pytest.approx(DOUBLE, abs=0.01))
+    assert imread(io.BytesIO(png))[:, :5, :3].min() == 1.0, "the label at the left is cut off"
+    assert pdf[:5] == b"%PDF-"
+    assert b"/Type3" not in pdf
+    _saved(Captioned("draft", "data", "", tempering()), tmp_path, draft=True)
+    with Image.open(tmp_path / "draft.png") as picture:
+        assert picture.info["dpi"] == pytest.approx((60, 60), abs=0.1)
+    assert not (tmp_path / "draft.pdf").exists()
+
+
+def test_the_largest_pictures_become_smaller_until_all_fit() -> None:
+    random = np.random.default_rng(0)
+
+    def noise(size: int) -> str:
+        out = io.BytesIO()
+        Image.fromarray(random.integers(0, 255, (size, size, 3), dtype=np.uint8)).save(out, format="png")
+        return base64.b64encode(out.getvalue()).decode("ascii")
+
+    small, large = noise(20), noise(80)
+    room = len(small) + len(large)
+    assert fitted([small, large], room) == [small, large]
+    items = _fitted([{"name": "a", "data": small}, {"name": "b", "data": large}], room - 1)
+    assert items[0] == {"name": "a", "data": small}
+    with Image.open(io.BytesIO(base64.b64decode(items[1]["data"]))) as picture:
+        assert picture.size == (40, 40)
+    both = fitted([small, large], 1)
+    assert [len(one) < len(other) for one, other in zip(both, [small, large], strict=True)] == [True, True]
+
+
+def reading(calibrated: int) -> Reading:
+    flow = Parameter("V", Uniform(0.0, 1.0), nuisance=True)
+    space = ParameterSpace((flow, *(Parameter(name, Uniform(0.0, 1.0)) for name in "abc"[:calibrated])))
+    draws = np.random.default_rng(0).random((300, space.dim))
+    return Reading(Posterior(space, draws, np.full(300, -np.log(300)), np.zeros(300), np.zeros(300), 0.0))
+
+
+def test_a_reading_under_uncertainty_leaves_out_the_nuisance_input_and_laplace() -> None:
+    """One calibrated input is among the marginals."""
+    assert not list(_reading("cut", reading(1), None))
+    for calibrated in (2, 3):
+        (shown,) = _reading("cut", reading(calibrated), {"a": 0.5, "b": 0.5, "c": 0.5, "V": 0.5})
+        assert (shown.name, shown.section) == ("posterior_cut", "uncertainty")
+        assert "cut reading" in shown.caption
+        labels = {text for ax in shown.figure.axes for text in (ax.get_xlabel(), ax.get_ylabel())}
+        assert set("abc"[:calibrated]) <= labels
+        assert "V" not in labels
+        if calibrated == 2:
+            assert "MAP (fullest bin)" in entries(shown.figure)
+            assert not any("Laplace" in text for text in entries(shown.figure))
+
+
+def test_no_number_breaks_over_lines() -> None:
+    numbers = {"-0.8": "−0.8", "5e-05": "5·10⁻⁵", "1.2e+06": "1.2·10⁶", "nan": "nan"}
+    for text, shown in numbers.items():
+        assert _unbroken(text).replace("\u00a0", "") == shown
+        assert not re.search("[ -]", _unbroken(text))
+
+
+def test_styles_of_print_dark_and_narrow_screens_and_names_that_keep_their_capitals() -> None:
+    """Jinja's `capitalize` makes all other letters small: E would become e."""
+    printed = CSS[CSS.index("@media print") :]
+    assert "white-space: pre-wrap" in printed
+    assert "max-height" in printed
+    assert "content: attr(data-label)" in CSS[CSS.index("@media (max-width: 600px)") :]
+    dark = CSS[CSS.index("prefers-color-scheme: dark") : CSS.index("* { box-sizing")]
+    light = set(re.findall(r"(--\w+):", CSS[: CSS.index("@media")]))
+    assert light <= set(re.findall(r"(--\w+):", dark))
+    assert "figure img { background: #fff" in dark
+    assert all(color.startswith("var(") or color == "#fff" for color in re.findall(r"background: ([^;]+);", CSS))
+    files = list(TEMPLATES.glob("*.j2"))
+    assert len(files) > 1
+    assert not [one.name for one in files if "capitalize" in one.read_text("utf-8")]
