@@ -1,5 +1,6 @@
 """Processes that the tests start, look at and wait for."""
 
+import pickle
 import time
 from pathlib import Path
 
@@ -52,3 +53,12 @@ def driven_by(place, **limits):
                 driver.close()
 
     return execute
+
+
+class Unloadable:
+    """A model that no worker process can load."""
+
+    fingerprint = "test:unloadable"
+
+    def __reduce__(self):
+        return pickle.loads, (b"not a pickle",)

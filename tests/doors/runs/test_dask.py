@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
-from tests.doors.runs.processes import alive, driven_by, pids, wait_until
+from tests.doors.runs.processes import Unloadable, alive, driven_by, pids, wait_until
 from tests.unit.runs.fakes import Seen, batches, campaign, counts, design
 
 from strandline.errors import InvalidInput
@@ -188,15 +188,8 @@ def test_a_scheduler_that_is_not_there_is_one_clear_error():
         pytest.fail("there is a scheduler")
 
 
-class Unloadable:
-    fingerprint = "test:unloadable"
-
-    def __reduce__(self):
-        return int, ("no number",)
-
-
 def test_a_model_that_no_worker_can_load_is_one_clear_error(address):
-    with pytest.raises(InvalidInput, match=r"could not load the model.*no number"):
+    with pytest.raises(InvalidInput, match=r"could not load the model(.|\n)*UnpicklingError"):
         list(DaskCluster(address=address)(Unloadable(), requests_for(BEAM)))
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -10,7 +9,7 @@ import textwrap
 import time
 
 import pytest
-from tests.doors.runs.processes import pids, processes_of_group, wait_until
+from tests.doors.runs.processes import Unloadable, pids, processes_of_group, wait_until
 
 from strandline.errors import InvalidInput
 from strandline.runs import NOT_NOW, InProcess, LocalProcesses
@@ -87,13 +86,6 @@ def test_workers_killed_while_they_load_are_replaced_and_not_for_ever(tmp_path, 
     for_ever = KilledWhileLoading(str(tmp_path), times=100)
     with pytest.raises(InvalidInput, match="killed before they have loaded the model: got 11 times"):
         list(executor(for_ever, requests_for(for_ever)))
-
-
-class Unloadable:
-    fingerprint = "test:unloadable"
-
-    def __reduce__(self):
-        return pickle.loads, (b"not a pickle",)
 
 
 def test_a_model_that_no_worker_can_load_is_one_clear_error():
