@@ -69,8 +69,10 @@ class Log:
 class Tree:
     """The command's process and all its descendants."""
 
-    def __init__(self, arguments: list[str], environment: dict[str, str], log: Log) -> None:
-        self.log, self.lifeline_lost = log, False
+    def __init__(
+        self, arguments: list[str], environment: dict[str, str], log: Log, *, longest_poll: float = LONGEST_POLL
+    ) -> None:
+        self.log, self.lifeline_lost, self.longest_poll = log, False, longest_poll
         self.status: int | None = None
         self.output, write_end = os.pipe()
         woken, wake = os.pipe()
@@ -86,8 +88,8 @@ class Tree:
         os.close(write_end)
 
     def wait(self, deadline: float) -> None:
-        """Pass on output until something happens, at most until `deadline` or for `LONGEST_POLL` seconds."""
-        patience = min(max(0.0, deadline - time.monotonic()), LONGEST_POLL)
+        """Pass on output until something happens, at most until `deadline` or for `longest_poll` seconds."""
+        patience = min(max(0.0, deadline - time.monotonic()), self.longest_poll)
         for descriptor, _ in self.poll.poll(1000 * patience + 1):
             if descriptor == self.output:
                 self._read()
@@ -215,14 +217,14 @@ def request() -> dict[str, object] | None:
     return found
 
 
-def run(asked) -> dict[str, object]:  # type: ignore[no-untyped-def]
+def run(asked, *, longest_poll: float = LONGEST_POLL) -> dict[str, object]:  # type: ignore[no-untyped-def]
     """Run the command until it ends; return how it ended."""
     log = Log(asked["log"], asked["log_limit"])
     began = time.monotonic()
     deadline = float("inf") if asked["timeout"] is None else began + asked["timeout"]
     oom_before = oom_kills()
     try:
-        tree = Tree(asked["arguments"], asked["environment"], log)
+        tree = Tree(asked["arguments"], asked["environment"], log, longest_poll=longest_poll)
     except OSError as error:
         log.close()
         return {"error": error.strerror or str(error), "errno": error.errno}

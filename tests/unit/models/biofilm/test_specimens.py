@@ -5,7 +5,6 @@ import pytest
 from tests.unit.models.biofilm.cells import (
     INPUTS,
     coarse,
-    coarse_cell,
     largest,
     mirrored,
     moved,
@@ -38,21 +37,25 @@ def pair(second: list[list[float]] = SECOND, **options) -> Biofilm:
 
 @pytest.fixture(scope="module")
 def three() -> Biofilm:
-    return coarse(partition="three_parts")
+    return coarse(material="fung", partition="three_parts")
 
 
 def test_parts_of_equal_material_are_one_body_and_each_part_is_its_own(three):
-    equal = {f"{name}{k}": INPUTS[name] for k in (1, 2, 3) for name in ("E", "nu")} | {"V_in": 100.0}
+    one = {"E": 400.0, "nu": 0.3, "exponent": 1.0}
+    equal = {f"{name}{k}": value for k in (1, 2, 3) for name, value in one.items()} | {"V_in": 100.0}
     assert [item.name for item in three.inputs] == list(equal)
     base = moved(three, equal)
-    assert np.abs(base - moved(coarse(), INPUTS)).max() < 3e-4  # two coarse meshes, each 0.15 µm from the truth
-    changes = [np.abs(moved(three, {**equal, f"E{k}": 800.0}) - base).max() for k in (1, 2, 3)]
-    assert min(changes) > 1e-3
-    assert len({round(change, 5) for change in changes}) == 3
+    single = moved(coarse(material="fung"), one | {"V_in": 100.0})
+    assert np.abs(base - single).max() < 3e-4  # two coarse meshes, each 0.15 µm from the truth
+    for name, value, least in (("E", 800.0, 1e-3), ("exponent", 6.0, 1e-6)):
+        changes = [np.abs(moved(three, {**equal, f"{name}{k}": value}) - base).max() for k in (1, 2, 3)]
+        assert min(changes) > least
+        assert len({round(change, 7) for change in changes}) == 3
 
 
 def test_a_softer_largest_part_bends_more(three):
     inputs = {"E1": 500.0, "nu1": 0.2, "E2": 200.0, "nu2": 0.1, "E3": 1000.0, "nu3": 0.3, "V_in": 100.0}
+    inputs |= {f"exponent{k}": 0.0 for k in (1, 2, 3)}
     base = np.abs(moved(three, inputs)).max()
     assert 0.03 < base < 0.06
     softer = [np.abs(moved(three, inputs | {name: 0.8 * inputs[name]})).max() for name in ("E1", "E2", "E3")]
@@ -60,27 +63,7 @@ def test_a_softer_largest_part_bends_more(three):
     assert np.argmax(softer) == 1
 
 
-def test_each_part_has_its_own_further_parameters():
-    model = coarse(material="fung", partition="three_parts")
-    names = [item.name for item in model.inputs]
-    assert names == ["E1", "nu1", "exponent1", "E2", "nu2", "exponent2", "E3", "nu3", "exponent3", "V_in"]
-    values = dict(zip(names, (300.0, 0.3, 0.0) * 3 + (100.0,), strict=True))
-    base = moved(model, values)
-    changes = [np.abs(moved(model, values | {f"exponent{k}": 5.0}) - base).max() for k in (1, 2, 3)]
-    assert min(changes) > 1e-6
-    assert len({round(change, 7) for change in changes}) == 3
-
-
 # --- channels and layers
-
-
-def test_flow_from_the_right_over_the_mirrored_outline_is_the_mirror_image():
-    bump = ((0.5, 0.0), (0.8, 0.35), (1.1, 0.35), (1.4, 0.0))
-    turned = tuple((2.0 - x, y) for x, y in reversed(bump))
-    left = moved(Biofilm(mesh="coarse", outline=Outline(bump)), INPUTS)
-    right = moved(Biofilm(mesh="coarse", outline=Outline(turned), channel=Channel(inlet="right")), INPUTS)
-    np.testing.assert_allclose(mirrored(right), left, atol=3e-4)  # the meshes are no mirror images
-    assert left[:, 0].mean() > 0
 
 
 def test_a_larger_channel_loads_less_and_an_open_outlet_counts_only_near_it():
@@ -116,17 +99,6 @@ def test_an_outline_of_two_bodies_keeps_their_feet_and_shares_its_nodes():
     np.testing.assert_array_equal(kept, FIRST + SECOND)
 
 
-def test_a_second_body_that_is_tiny_and_far_downstream_does_not_matter():
-    tiny = pair([[3.3, 0], [3.34, 0.02], [3.36, 0.02], [3.4, 0]])
-    alone = moved(neo_hookean(channel=LONG, outline={"points": FIRST, "nodes": 30}), SLOW)
-    found = moved(tiny, SLOW)
-    first, second = (found[body] for body in bodies(tiny.undeformed().points))
-    nodes = np.linspace(0, 1, len(first)), np.linspace(0, 1, len(alone))
-    again = np.stack([np.interp(nodes[1], nodes[0], column) for column in first.T], axis=1)
-    np.testing.assert_allclose(again, alone, atol=2e-2 * np.abs(alone).max())
-    assert np.abs(second).max() < 1e-2 * np.abs(alone).max()
-
-
 def test_two_bodies_in_flow_from_the_right_are_the_mirror_image_and_their_forces_balance():
     left, right = (pair(channel={"inlet": inlet}) for inlet in ("left", "right"))
     shift = moved(left, SLOW)
@@ -135,6 +107,7 @@ def test_two_bodies_in_flow_from_the_right_are_the_mirror_image_and_their_forces
     cell = _flow_cell(left._geometry)
     cell.solve([400.0], [0.3], 50.0)
     assert max(force_imbalance(cell)) < 1e-8
+    assert mass_imbalance(cell) < 1e-9
 
 
 def test_creeping_flow_past_stiff_twins_is_reversible():
@@ -184,12 +157,5 @@ def test_a_partly_held_foot_has_its_mirror_image_and_sensitivities():
     left = moved(model, SLOW)
     right = moved(neo_hookean(outline={"points": points}, clamped=[[1.1, 1.4]], channel={"inlet": "right"}), SLOW)
     np.testing.assert_allclose(mirrored(right), left, atol=2e-2 * np.abs(left).max())
+    assert left[:, 0].mean() > 0
     assert sensitivity_error(model, SLOW) < 1e-6
-
-
-def test_forces_balance_and_mass_is_conserved():
-    """The reaction at the base equals the fluid's force on the interface: row selection conserves momentum."""
-    cell = coarse_cell()
-    cell.solve([400.0], [0.3], 80.0)
-    assert max(force_imbalance(cell)) < 1e-8
-    assert mass_imbalance(cell) < 1e-9

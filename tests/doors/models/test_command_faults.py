@@ -1,0 +1,313 @@
+"""Simulators that misbehave: each run ends as it must, harms no other, and leaves no process behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from verification.validation.command_faults import FAULTS, MARKER, left_after, processes_with, study, zombies
+
+from strandline.models.command import supervisor
+from strandline.models.command.model import CommandModel
+from strandline.models.command.process import LOG_LIMIT
+from strandline.runs import Counts, InProcess, Ledger, LocalProcesses, RunRecord, RunRequest, run_campaign
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")
+
+HANGING = """
+import os, signal, time
+for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+    signal.signal(number, signal.SIG_IGN)
+for _ in range(2):
+    if os.fork() == 0:
+        os.setsid()
+        if os.fork() != 0:
+            os._exit(0)
+open("started", "w").close()
+while True:
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def marker() -> Iterator[str]:
+    """A text in the environment of a test's processes; the test's own leftovers are ended after it."""
+    text = uuid.uuid4().hex
+    yield text
+    for pid in processes_with(text):
+        os.kill(pid, signal.SIGKILL)
+
+
+Ended = tuple[Path, dict[str, RunRecord], Mapping[int, int]]
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    """The folder and the records of one campaign of all faults, and the processes that it left."""
+    folder, marker = tmp_path_factory.mktemp("faults"), uuid.uuid4().hex
+    model = replace(study(folder, marker), timeout=2.0, grace=0.2)
+    inputs = [{"fault": float(k)} for k in range(len(FAULTS))]
+    with Ledger.open(folder / "ledger.sqlite", model=model) as ledger:
+        records = run_campaign(model, inputs, ledger=ledger, executor=LocalProcesses(workers=2, timeout=60.0))
+    return folder, dict(zip((fault.what for fault in FAULTS), records, strict=True)), left_after(marker)
+
+
+def test_each_fault_ends_as_it_must_and_leaves_nothing(ended: Ended) -> None:
+    folder, records, left = ended
+    assert zombies() == []
+    assert [fault.what for number, fault in enumerate(FAULTS) if left[number]] == []
+    found = {what: (record.state, record.failure_kind) for what, record in records.items()}
+    assert found == {fault.what: (fault.state, fault.kind) for fault in FAULTS}
+    for number, fault in enumerate(FAULTS):
+        record = records[fault.what]
+        kept = list((folder / "runs").glob(f"{record.key[:12]}-*"))
+        assert len(kept) == (3 if record.state == "killed" else 1)  # a killed run is tried again, twice
+        if record.ok:
+            continue
+        assert any(str(folder) in str(record.message) for folder in kept)
+        if fault.kind not in ("command_not_found", "template"):
+            last = "yyyy" if "one line" in fault.what else f"this is {number}"
+            assert last in str(record.message)
+            assert last in record.log
+
+
+def test_messages_end_with_a_traceback_and_prints_are_kept_at_both_ends(ended: Ended) -> None:
+    folder, records, _ = ended
+    raised = records["raises an exception"]
+    assert str(raised.message).rstrip().endswith("RuntimeError: diverged")
+    assert raised.diagnostics == {"exit_code": 1.0}
+    (log,) = (folder / "runs").glob(f"{records['prints 100 MB'].key[:12]}-1/command.log")
+    text = log.read_bytes()
+    assert 2 * LOG_LIMIT < len(text) < 2 * LOG_LIMIT + 100
+    assert text.startswith(b"this is ")
+    assert text.endswith(b"the end\n")
+    assert b"bytes left out" in text
+    assert len(str(records["prints 100 MB in one line, and fails"].message)) < 5000
+
+
+def test_a_process_that_is_left_and_a_zombie_would_be_seen(marker: str) -> None:
+    process = subprocess.Popen(["sleep", "600"], env={**os.environ, MARKER: f"{marker}-3-"})
+    assert left_after(marker)[3] == 1
+    process.kill()
+    until(lambda: bool(zombies()))
+    assert zombies() == [process.pid]
+    process.wait()
+    assert left_after(marker)[3] == 0
+
+
+def hanging(folder: Path, marker: str, **options: Any) -> CommandModel:
+    (folder / "hang.py").write_text(HANGING)
+    return CommandModel(
+        command=["{{ python }}", "hang.py"],
+        files=["hang.py"],
+        environment={MARKER: f"{marker}-0-"},
+        result={"file": "interface.csv", "unit": "mm"},
+        folder=folder,
+        **options,
+    )
+
+
+def until(happened: Callable[[], bool], patience: float = 30.0) -> None:
+    """Wait until something has happened."""
+    deadline = time.monotonic() + patience
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def started(marker: str, number: int) -> None:
+    """Wait until `number` processes with the marker run."""
+    until(lambda: len(processes_with(marker)) >= number)
+
+
+def test_the_executors_own_timeout_leaves_nothing(tmp_path: Path, marker: str) -> None:
+    executor = LocalProcesses(workers=1, timeout=1.0)
+    (record,) = executor(hanging(tmp_path, marker), [RunRequest("key", {})])
+    assert (record.state, record.failure_kind) == ("timeout", "timeout")
+    assert left_after(marker, patience=5.0)[0] == 0
+
+
+def test_a_closed_campaign_leaves_nothing(tmp_path: Path, marker: str) -> None:
+    def requests() -> Iterator[RunRequest]:
+        yield RunRequest("first", {})
+        started(marker, 4)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(LocalProcesses(workers=2)(hanging(tmp_path, marker), requests()))
+    assert left_after(marker, patience=5.0)[0] == 0
+
+
+DRIVER = """
+import sys
+from pathlib import Path
+sys.path[:] = {path!r}
+from strandline.models.command.model import CommandModel
+from strandline.runs import {executor}, RunRequest
+model = CommandModel(
+    command=["{{{{ python }}}}", "hang.py"], files=["hang.py"], environment={{{name!r}: {marker!r}}},
+    result={{"file": "interface.csv", "unit": "mm"}}, folder=Path({folder!r}), grace=0.2,
+)
+if __name__ == "__main__":
+    list({executor}({options})(model, [RunRequest("key", {{}})]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("executor", "options", "number"),
+    [
+        ("LocalProcesses", "workers=1", signal.SIGKILL),
+        ("InProcess", "", signal.SIGKILL),
+        ("InProcess", "", signal.SIGINT),
+    ],
+    ids=["driver of workers killed", "single process killed", "single process interrupted"],
+)
+def test_nothing_outlives_the_driver(
+    tmp_path: Path, marker: str, executor: str, options: str, number: signal.Signals
+) -> None:
+    hanging(tmp_path, marker)
+    script = tmp_path / "driver.py"
+    script.write_text(
+        DRIVER.format(
+            path=sys.path,
+            executor=executor,
+            options=options,
+            name=MARKER,
+            marker=f"{marker}-0-",
+            folder=str(tmp_path),
+        )
+    )
+    driver = subprocess.Popen([sys.executable, str(script)], stderr=subprocess.DEVNULL)
+    try:
+        started(marker, 5)  # the supervisor, the simulator and three of its children
+        driver.send_signal(number)
+        driver.wait(30.0)
+    finally:
+        driver.kill()
+        driver.wait()
+    assert left_after(marker, patience=10.0)[0] == 0
+
+
+KILLED_ONCE = """
+cat number.txt
+mark="{folder}/$(cat number.txt)"
+if [ ! -e "$mark" ]; then
+    touch "$mark"
+    case $(cat number.txt) in
+        *[02468]) kill -9 $$ ;;
+        *) kill -9 $PPID; sleep 60 ;;
+    esac
+fi
+printf 'x,y\\n0,0\\n1,1\\n' > out.csv
+"""
+
+
+def killed_once(folder: Path) -> CommandModel:
+    """A simulator whose first attempt is killed by signal 9, or loses its supervisor so, in turn."""
+    (folder / "marks").mkdir()
+    (folder / "run.sh").write_text(KILLED_ONCE.format(folder=folder / "marks"))
+    (folder / "in.j2").write_text("{{ number | int }}")
+    return CommandModel(
+        command=["/bin/sh", "run.sh"],
+        files=["run.sh"],
+        templates={"in.j2": "number.txt"},
+        result={"file": "out.csv", "unit": "mm"},
+        keep="none",
+        folder=folder,
+    )
+
+
+def test_none_of_eight_children_killed_by_signal_9_becomes_a_final_failure(tmp_path: Path) -> None:
+    model, ends = killed_once(tmp_path), []
+    inputs = [{"number": float(k)} for k in range(8)]
+    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
+        records = run_campaign(
+            model,
+            inputs,
+            ledger=ledger,
+            executor=LocalProcesses(workers=2),
+            on_record=lambda record, _: ends.append((record.state, record.failure_kind)),
+        )
+        assert ledger.counts() == Counts(ok=8)
+    assert all(record.ok for record in records)
+    assert Counter(ends) == {("killed", "simulator_killed"): 4, ("killed", "supervisor_died"): 4, ("ok", None): 8}
+
+
+def shell(folder: Path, script: str, **options: Any) -> CommandModel:
+    """Return a simulator that is a script."""
+    (folder / "run.sh").write_text(script)
+    result = {"file": "out.csv", "unit": "mm"}
+    return CommandModel(command=["/bin/sh", "run.sh"], files=["run.sh"], result=result, folder=folder, **options)
+
+
+def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path: Path) -> None:
+    model = shell(tmp_path, "kill -9 $$")
+    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
+        (record,) = run_campaign(model, [{}], ledger=ledger, executor=InProcess(), maximum_attempts=2)
+        assert (record.state, record.failure_kind) == ("killed", "simulator_killed")
+        assert ledger.attempts(record.key) == 2
+    with Ledger.open(tmp_path / "other.sqlite", model=model) as other:
+        assert other.copy_from(tmp_path / "ledger.sqlite", [record.key]) == 0
+
+
+SHORT = {"timeout": 0.3, "grace": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("script", "options", "state", "kind"),
+    [
+        ("sh -c 'kill -9 $$'; exit $?", {}, "killed", "simulator_killed"),
+        ("exit 137", {"exit_codes": [0, 137]}, "invalid", "result_missing"),
+        ("kill -9 $$", {"exit_codes": "any"}, "killed", "simulator_killed"),
+        ("kill -TERM $$", {}, "failed", "exit_code"),
+        ("printf 'x,y\\n0,0\\n1,1\\n' > out.csv", {"timeout": 3.16e7}, "ok", None),  # waited for in slices
+        ("trap '' TERM; while :; do sleep 0.1; done", SHORT, "timeout", "timeout"),
+    ],
+    ids=["child of a shell", "137 allowed", "any exit code", "SIGTERM", "a year", "our own SIGKILL"],
+)
+@pytest.mark.smoke
+def test_only_a_foreign_sigkill_is_an_infrastructure_failure(
+    tmp_path: Path, script: str, options: Any, state: str, kind: str | None
+) -> None:
+    (record,) = InProcess()(shell(tmp_path, script, keep="none", **options), [RunRequest("key", {})])
+    assert (record.state, record.failure_kind) == (state, kind), record.message
+    assert record.seconds < 15.0
+
+
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")  # JAX, where another test has started it
+def test_an_end_between_two_slices_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The supervisor itself, with slices of a hundredth of a second."""
+    monkeypatch.setattr(supervisor, "descendants", lambda _: [])  # those of this process are none of its
+    waits: list[float] = []
+    monkeypatch.setattr(supervisor.Tree, "wait", _counted(supervisor.Tree.wait, waits))
+    stdin = os.pipe()
+    saved = os.dup(0)
+    os.dup2(stdin[0], 0)
+    try:
+        asked = {"log": str(tmp_path / "log"), "log_limit": 100, "timeout": 1e300, "grace": 0.1}
+        asked |= {"arguments": ["/bin/sleep", "0.2"], "environment": {}}
+        ended = supervisor.run(asked, longest_poll=0.01)
+    finally:
+        os.dup2(saved, 0)
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        for descriptor in (*stdin, saved):
+            os.close(descriptor)
+    assert (ended["exit_code"], ended["timeout"]) == (0, False)
+    assert len(waits) > 5
+
+
+def _counted(method: Any, waits: list[float]) -> Any:
+    def counting(self: Any, deadline: float) -> None:
+        waits.append(deadline)
+        method(self, deadline)
+
+    return counting

@@ -1,0 +1,225 @@
+"""The server of UM-Bridge over HTTP: the suite that the reference implementation judges, its client, connections."""
+
+import contextlib
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import httpx
+import pytest
+import umbridge
+from tests.unit.models.umbridge.served import AT, BARE, WHOLE, served, whole
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.models.umbridge.answers import ServedModel
+from strandline.models.umbridge.client import TOKEN_VARIABLE, Client
+from strandline.models.umbridge.door import Door
+from strandline.models.umbridge.server import UMBridgeServer
+from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest
+
+TOKEN = "0123456789abcdef"
+POST = b"POST /Evaluate HTTP/1.1\r\nHost: localhost\r\n"
+NO_REQUESTS = [
+    b"nonsense\r\n\r\n",
+    b"GET http://[::1\r\n\r\n",
+    b"GET http://[::1 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    b"GET //[::1/Info HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    b"GET * HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    b"GET /Info HTTP/1.0\r\n\r\n",
+    POST + b"Content-Length: -1\r\n\r\n",
+    POST + b"Content-Length: 99999999999999999999999\r\n\r\n",
+    POST + b"Content-Length: " + b"0" * 20 + b"99999999999\r\n\r\n",
+    POST + b"Content-Length: " + b"9" * 5001 + b"\r\n\r\n",
+    POST + b"Content-Length: 2\r\nContent-Length: 3\r\n\r\n{}",
+    POST + "Content-Length: ²\r\n\r\n".encode("latin-1"),
+    POST + b"Transfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n",
+    b"PUT /Evaluate HTTP/1.1\r\nHost: localhost\r\nContent-Length: 2\r\n\r\n{}",
+    b"GET /" + b"a" * 70000 + b" HTTP/1.1\r\n\r\n",
+    b"GET /Info HTTP/99999999999999999999.1\r\n\r\n",
+    b"GET /Info HTTP/1.1\r\n" + b"a: b\r\n" * 200 + b"\r\n",
+]
+
+
+def until(happened: Callable[[], bool], patience: float = 30.0) -> None:
+    """Wait until something has happened."""
+    deadline = time.monotonic() + patience
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def ours() -> Iterator[str]:
+    with served(WHOLE, BARE) as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def reference() -> Iterator[str]:
+    """A server of the reference implementation in a process of its own."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    peer = Path(__file__).with_name("umbridge_peer.py")
+    process = subprocess.Popen([sys.executable, str(peer), str(port)], stdout=subprocess.DEVNULL)
+    url = f"http://127.0.0.1:{port}"
+
+    def answers() -> bool:
+        assert process.poll() is None
+        with contextlib.suppress(httpx.TransportError):
+            return bool(httpx.get(f"{url}/Info", trust_env=False, verify=False))
+        return False
+
+    try:
+        until(answers, patience=60.0)
+        yield url
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("name", ["whole", "bare"])
+@pytest.mark.smoke
+def test_it_passes_its_own_suite_over_http(ours: str, name: str) -> None:
+    for check in {**CHECKS, **STRICT_CHECKS}.values():
+        check(ModelUnderTest(ours, name, AT))
+
+
+def test_so_does_the_reference_but_it_has_no_errors_for_malformed_requests(reference: str) -> None:
+    for check in CHECKS.values():
+        for name in ("whole", "bare"):
+            check(ModelUnderTest(reference, name, AT))
+    for name in ("malformed_json", "wrong_types", "missing_keys", "large_requests"):
+        with pytest.raises(AssertionError):
+            STRICT_CHECKS[name](ModelUnderTest(reference, "whole", AT))
+
+
+@pytest.mark.smoke
+def test_the_reference_client_gets_the_same_numbers(ours: str) -> None:
+    model = umbridge.HTTPModel(ours, "whole")
+    x, y = AT[0]
+    assert umbridge.supported_models(ours) == ["whole", "bare"]
+    assert (model.get_input_sizes(), model.get_output_sizes()) == ([2], [3])
+    assert model(AT) == [[x * x, x * y, y]]
+    assert model.gradient(0, 0, AT, [1.0, 10.0, 100.0]) == [2 * x + 10 * y, 10 * x + 100]
+    assert model.apply_jacobian(0, 0, AT, [3.0, 4.0]) == [6 * x, 3 * y + 4 * x, 4.0]
+    assert not model.supports_apply_hessian()
+    with pytest.raises(Exception, match="ModelError: singular: the matrix is singular"):
+        model([[2.0, 0.0]])
+
+
+@pytest.mark.smoke
+def test_what_is_no_proper_request_gets_an_error_and_the_next_one_an_answer(
+    ours: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    address = httpx.URL(ours)
+    for sent in NO_REQUESTS:
+        with socket.create_connection((address.host, address.port or 0), timeout=10) as connection:
+            connection.sendall(sent)
+            connection.shutdown(socket.SHUT_WR)
+            reply = b"".join(iter(lambda connection=connection: connection.recv(65536), b""))
+        assert set(json.loads(reply.rpartition(b"\r\n")[2])["error"]) == {"type", "message"}, sent
+        assert b" 4" in reply.partition(b"\r\n")[0] or reply.startswith((b"{", b"HTTP/1.1 5"))
+        assert ModelUnderTest(ours, "whole", AT).ask("Evaluate", input=AT)
+    assert capfd.readouterr().err == ""
+
+
+def test_it_listens_on_this_machine_alone_unless_told_otherwise() -> None:
+    with UMBridgeServer([BARE], port=0) as server:
+        assert server.server_address[0] == "127.0.0.1"
+        with pytest.raises(InvalidInput, match="port"):
+            UMBridgeServer([BARE], port=server.server_address[1])
+
+
+def test_a_token_is_sent_by_our_client_and_by_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    with served(WHOLE, door=Door.of("127.0.0.1", token=TOKEN)) as url:
+        answer = httpx.get(f"{url}/Info", trust_env=False, verify=False)
+        assert (answer.status_code, answer.json()["error"]["type"]) == (401, "Unauthorized")
+        x, y = AT[0]
+        assert umbridge.HTTPModel(url.replace("//", f"//any:{TOKEN}@"), "whole")(AT) == [[x * x, x * y, y]]
+        client = Client(url, "whole")
+        monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
+        with pytest.raises(ForwardModelError, match="needs its token") as caught:
+            client.describe()
+        assert caught.value.kind == "protocol"
+        monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)
+        assert client.describe().input_sizes == (2,)
+        assert client.evaluate(AT, [3])[0].tolist() == [x * x, x * y, y]
+
+
+# --- many connections
+
+
+@contextlib.contextmanager
+def silent(url: str, number: int) -> Iterator[list[socket.socket]]:
+    address = httpx.URL(url)
+    opened = [socket.create_connection((address.host, address.port or 0), timeout=10) for _ in range(number)]
+    try:
+        yield opened
+    finally:
+        for connection in opened:
+            connection.close()
+
+
+def test_requests_at_once_are_all_answered() -> None:
+    together = threading.Barrier(8, timeout=30)
+
+    def waits(blocks: list[list[float]]) -> list[list[float]]:
+        together.wait()
+        return whole(blocks)
+
+    with served(replace(BARE, evaluate=waits)) as url, ThreadPoolExecutor(8) as pool:
+        model = ModelUnderTest(url, "bare", AT)
+        answers = pool.map(lambda y: model.ask("Evaluate", input=[[0.5, y]])["output"], map(float, range(8)))
+        assert list(answers) == [[[0.25, 0.5 * y, y]] for y in range(8)]
+
+
+def test_silent_connections_take_no_more_threads_than_there_are_places_and_make_way() -> None:
+    before = threading.active_count()
+    with served(BARE, connections=4) as url, silent(url, 9):
+        assert ModelUnderTest(url, "bare", AT).ask("Evaluate", input=AT)
+        assert threading.active_count() <= before + 1 + 4
+
+
+def test_silent_and_dripping_connections_are_ended_in_time() -> None:
+    before = threading.active_count()
+    with served(BARE, connections=30, patience=0.2) as url, silent(url, 20) as opened:
+        dripping = opened.pop()
+        sent = 0
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            while sent < 200:
+                dripping.sendall(b"G")
+                sent += 1
+                time.sleep(0.05)
+        assert sent < 200
+        for connection in opened:
+            assert connection.recv(1) == b""
+        until(lambda: threading.active_count() <= before + 1)
+
+
+def test_a_connection_at_work_is_not_ended() -> None:
+    begun, going = threading.Event(), threading.Event()
+
+    def slow(blocks: list[list[float]]) -> list[list[float]]:
+        begun.set()
+        going.wait(10)
+        return blocks
+
+    answers: list[object] = []
+    with served(ServedModel("slow", (2,), (2,), slow), connections=1, patience=0.1) as url:
+        model = ModelUnderTest(url, "slow", AT)
+        asking = threading.Thread(target=lambda: answers.append(model.ask("Evaluate", input=AT)))
+        asking.start()
+        assert begun.wait(10)
+        turned_away = httpx.get(f"{url}/Info", trust_env=False, verify=False)
+        going.set()
+        asking.join()
+    assert (turned_away.status_code, turned_away.json()["error"]["type"]) == (503, "Busy")
+    assert answers == [{"output": AT}]

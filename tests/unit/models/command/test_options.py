@@ -1,0 +1,154 @@
+"""The model that runs a command: what it refuses before a run, and what its fingerprint covers."""
+
+import errno
+import json
+import pickle
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.unit.models.command.commands import ECHO, filled, model, study
+
+from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
+from strandline.models.command import model as command_model
+from strandline.models.command import process, supervisor
+from strandline.models.protocol import fingerprint
+from strandline.studies import load_study
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return filled(tmp_path / "study")
+
+
+def test_the_fingerprint_follows_what_results_depend_on(folder: Path, tmp_path: Path) -> None:
+    base = fingerprint(model(folder))
+    assert fingerprint(model(Path(shutil.copytree(folder, tmp_path / "elsewhere")))) == base
+    assert fingerprint(pickle.loads(pickle.dumps(model(folder)))) == base
+    for harmless in ({"timeout": 9.0}, {"keep": "all"}, {"grace": 1.0}):
+        assert fingerprint(model(folder, **harmless)) == base
+    changes: list[dict[str, Any]] = [
+        {"command": ["/bin/sh", "./run.sh"]},
+        {"environment": {"A": "1"}},
+        {"result": {"file": "out.csv", "unit": "m"}},
+        {"result": {"file": "out.csv", "unit": "mm", "count": 2}},
+        {"version": "2"},
+        {"templates": {"in.j2": "input2.txt"}},
+        {"post": ["true"]},
+    ]
+    prints = {base, *(fingerprint(model(folder, **change)) for change in changes)}
+    for name, text in (("in.j2", "{{ a }} "), ("run.sh", ECHO + " ")):
+        (folder / name).write_text(text)
+        prints.add(fingerprint(model(folder)))
+    assert len(prints) == 1 + len(changes) + 2
+
+
+@pytest.mark.parametrize("place", ["templates", "files"])
+def test_no_source_leads_out_of_the_study_folder(folder: Path, place: str) -> None:
+    (folder.parent / "secret").write_text("secret")
+    (folder / "link.txt").symlink_to(folder.parent / "secret")
+    (folder / "linked").symlink_to(folder.parent)
+    for name in ("../secret", "/etc/hostname", "link.txt", "sub/../../secret", "", ".", "linked/secret"):
+        with pytest.raises(InvalidInput, match=place):
+            model(folder, **{place: {name: "x.txt"} if place == "templates" else [name]})
+
+
+def test_no_target_and_no_result_leads_out_of_the_runs_folder(folder: Path) -> None:
+    for name in ("../x", "/tmp/x", "a/../../x", "", "a\nb", "..\\x", "dir/"):
+        for place, change in (
+            ("templates", {"templates": {"in.j2": name}}),
+            (r"result\.file", {"result": {"file": name, "unit": "mm"}}),
+            (r"success\.file", {"success": {"log": "x", "file": name}}),
+        ):
+            with pytest.raises(InvalidInput, match=place):
+                model(folder, **change)
+
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"result": None}, "either result"),
+    ({"results": {"a": {"file": "a.csv", "unit": "mm"}}}, "either result"),
+    ({"result": {"file": "a.csv"}}, "result.unit"),
+    ({"keep": "some"}, "all, failed, none"),
+    ({"timeout": 0.0}, "seconds above 0"),
+    ({"exit_codes": [0.5]}, "a list such as [0, 1]"),
+    ({"success": {"text": "x"}}, "{log: TEXT}"),
+    ({"environment": {"A=B": "c"}}, "environment"),
+    ({"command": []}, "program and arguments"),
+    ({"command": ["a\0b"]}, "program and arguments"),
+    ({"command": "cp a b"}, "program and arguments as a list"),
+    ({"shell": True}, "one text for /bin/sh"),
+    ({"files": "run.sh"}, "a list of names"),
+    ({"files": ["run.sh", "run.sh"]}, "for the second time"),
+    ({"templates": {"in.j2": "command.log"}}, "written by strandline"),
+    ({"inputs": {"a": {"min": 0}}}, "some of high, low, meaning, unit"),
+    ({"inputs": {"a": {"low": 1, "high": 0}}}, "low below high"),
+]
+
+
+def test_options_that_cannot_be(folder: Path) -> None:
+    for changes, words in REFUSED:
+        with pytest.raises(InvalidInput) as caught:
+            model(folder, **changes)
+        assert words in str(caught.value), changes
+
+
+def test_mistakes_in_templates_are_refused_at_load(tmp_path: Path) -> None:
+    folder = study(tmp_path)
+    for text, words in (
+        ("line\n{{ b }}", "in.j2, line 2: unknown variable: got b; expected one of a, load, python"),
+        ("{% if a > 1 %}\n\n{{ aa }}{% endif %}", "in.j2, line 3: unknown variable: got aa"),
+        ("{{ a }\n", "in.j2, line 1"),
+        ("{{ load }}", "the input a is used in no template"),
+        ("{{ a }} \udcff", "cannot be read"),
+    ):
+        (folder / "in.j2").write_bytes(text.encode("utf-8", "surrogateescape"))
+        with pytest.raises(InvalidStudy) as caught:
+            load_study(folder)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_study_names_the_key_that_is_wrong_and_checks_declared_inputs(tmp_path: Path) -> None:
+    declared = {"a": {"unit": "Pa", "low": 0}, "load": {}}
+    assert load_study(study(tmp_path, inputs=declared)).space.names == ("a",)
+    for changes, words in (
+        ({"inputs": {**declared, "a": {"unit": "MPa"}}}, "Pa"),
+        ({"inputs": {**declared, "a": {"unit": "Pa", "low": "3e0"}}}, r"in \[3, inf\]"),
+        ({"result": {"file": "../x.csv", "unit": "mm"}}, "model.command.result.file"),
+        ({"folder": "elsewhere"}, "unknown option: got folder"),
+        ({"comand": ["x"]}, r"Did you mean command\?"),
+    ):
+        with pytest.raises(InvalidStudy, match=words):
+            load_study(study(tmp_path, **changes))
+
+
+def test_tags_of_yaml_are_refused(tmp_path: Path) -> None:
+    folder = study(tmp_path)
+    text = json.dumps(json.loads((folder / "study.yaml").read_text()) | {"model": "MODEL"})
+    tag = f'!!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path ["{tmp_path}/sprung"]]'
+    (folder / "study.yaml").write_text(text.replace('"MODEL"', tag))
+    with pytest.raises(InvalidStudy, match="not valid YAML"):
+        load_study(folder)
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_an_error_keeps_state_and_log_on_its_way() -> None:
+    error = pickle.loads(pickle.dumps(ForwardModelError("k", "m", {"a": 1.0}, state="invalid", log="l")))
+    assert (error.kind, error.message, error.evidence, error.state, error.log) == ("k", "m", {"a": 1.0}, "invalid", "l")
+    assert ForwardModelError("timeout", "m").state == "timeout"
+    assert ForwardModelError("other", "m").state == "failed"
+
+
+def test_lack_of_memory_says_so_and_is_tried_again(tmp_path: Path) -> None:
+    assert supervisor.oom_kills() >= 0
+    answer = {"exit_code": -9, "timeout": False, "seconds": 1.0, "tail": "", "left": 0, "out_of_memory": True}
+    ended = process._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
+    assert ended.killed
+    error = command_model._killed(ended, "solver")
+    assert (error.kind, error.state) == ("out_of_memory", "killed")
+    assert "out of memory" in error.message
+    answer = {"error": "Cannot allocate memory", "errno": errno.ENOMEM}
+    with pytest.raises(ForwardModelError, match="Cannot allocate memory") as caught:
+        process._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
+    assert (caught.value.kind, caught.value.state) == ("out_of_memory", "killed")
