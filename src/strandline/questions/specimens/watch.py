@@ -67,6 +67,30 @@ def watch_specimens(
         InvalidInput: As `open_specimens`.
         InvalidStudy: As `open_specimens`, or the folder cannot be written to.
     """
+    return watched(study, seed=seed, measure=measure, ready=ready, going_on=going_on)
+
+
+def watched(
+    study: Study,
+    *,
+    seed: int = 1,
+    measure: str | None = None,
+    ready: Callable[[int], None],
+    going_on: Callable[[], bool],
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> Iterator[Arrived]:
+    """Yield what `watch_specimens` does, by another clock.
+
+    Args:
+        study: As for `watch_specimens`, as are the next four.
+        seed: Seed.
+        measure: Name of a measure.
+        ready: Function called with the number of known specimens.
+        going_on: Function that returns whether to look once more.
+        clock: Function that returns the seconds since some time.
+        wait: Function that waits for so many seconds.
+    """
     require_writable(study.folder)
     opened = open_specimens(study, seed=seed, measure=measure)
     template = opened.begin.knowledge.surrogate.layouts[""].template
@@ -77,22 +101,21 @@ def watch_specimens(
         ready(len(found.posteriors))
         while going_on():
             for path in opened.files.paths:
-                since = _complete(path, seen)
+                since = _complete(path, seen, clock())
                 if since is None:
                     continue
-                begun = time.monotonic()
+                begun = clock()
                 answered = posteriors_of_files(opened, [path], processes=1, known={})
                 answer = answered.posteriors[0] if answered.posteriors else answered.refused[0]
                 if isinstance(answer, SpecimenPosterior) or begun - seen[path].since >= PATIENCE:
                     seen[path].done = True
-                    yield Arrived(answer, time.monotonic() - begun + PAUSE)
-            time.sleep(PAUSE)
+                    yield Arrived(answer, clock() - begun + PAUSE)
+            wait(PAUSE)
 
 
-def _complete(path: Path, seen: dict[Path, _Seen]) -> float | None:
+def _complete(path: Path, seen: dict[Path, _Seen], now: float) -> float | None:
     """Return since when a file has not changed; None if it is done with, or was not looked at twice."""
-    now, state = time.monotonic(), _state(path)
-    before = seen.get(path)
+    state, before = _state(path), seen.get(path)
     if before is None or before.state != state:
         seen[path] = _Seen(state, now)
         return None

@@ -1,19 +1,16 @@
-"""What the reference pages say of a result's keys, what a result has, and the type of a check."""
+"""What the reference pages say of a result's keys, and what a result has."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Check", "described_in", "keys_of"]
-
-Check = Callable[[Sequence[str], str, Path], None]
-"""Function that takes a command, the words of its refusal and the folder in which it must write nothing."""
+__all__ = ["described_in", "keys_of"]
 
 
 def described_in(page: str) -> set[str]:
     """Return the keys in the tables of a page in docs/reference."""
-    text = (Path(__file__).parents[2] / "docs" / "reference" / page).read_text("utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "reference" / page).read_text("utf-8")
     rows = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
     return {key for row in rows for key in re.findall(r"`([^`]+)`", row)}
 
