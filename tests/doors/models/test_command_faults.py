@@ -258,28 +258,22 @@ def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path: P
         assert other.copy_from(tmp_path / "ledger.sqlite", [record.key]) == 0
 
 
-SHORT = {"timeout": 0.3, "grace": 0.1}
+OUTCOMES: list[tuple[str, dict[str, Any], str, str | None]] = [
+    ("sh -c 'kill -9 $$'; exit $?", {}, "killed", "simulator_killed"),
+    ("exit 137", {"exit_codes": [0, 137]}, "invalid", "result_missing"),
+    ("kill -9 $$", {"exit_codes": "any"}, "killed", "simulator_killed"),
+    ("kill -TERM $$", {}, "failed", "exit_code"),
+    ("printf 'x,y\\n0,0\\n1,1\\n' > out.csv", {"timeout": 3.16e7}, "ok", None),  # waited for in slices
+    ("trap '' TERM; while :; do sleep 0.1; done", {"timeout": 0.3, "grace": 0.1}, "timeout", "timeout"),
+]
 
 
-@pytest.mark.parametrize(
-    ("script", "options", "state", "kind"),
-    [
-        ("sh -c 'kill -9 $$'; exit $?", {}, "killed", "simulator_killed"),
-        ("exit 137", {"exit_codes": [0, 137]}, "invalid", "result_missing"),
-        ("kill -9 $$", {"exit_codes": "any"}, "killed", "simulator_killed"),
-        ("kill -TERM $$", {}, "failed", "exit_code"),
-        ("printf 'x,y\\n0,0\\n1,1\\n' > out.csv", {"timeout": 3.16e7}, "ok", None),  # waited for in slices
-        ("trap '' TERM; while :; do sleep 0.1; done", SHORT, "timeout", "timeout"),
-    ],
-    ids=["child of a shell", "137 allowed", "any exit code", "SIGTERM", "a year", "our own SIGKILL"],
-)
 @pytest.mark.smoke
-def test_only_a_foreign_sigkill_is_an_infrastructure_failure(
-    tmp_path: Path, script: str, options: Any, state: str, kind: str | None
-) -> None:
-    (record,) = InProcess()(shell(tmp_path, script, keep="none", **options), [RunRequest("key", {})])
-    assert (record.state, record.failure_kind) == (state, kind), record.message
-    assert record.seconds < 15.0
+def test_only_a_foreign_sigkill_is_an_infrastructure_failure(tmp_path: Path) -> None:
+    for script, options, state, kind in OUTCOMES:
+        (record,) = InProcess()(shell(tmp_path, script, keep="none", **options), [RunRequest("key", {})])
+        assert (record.state, record.failure_kind) == (state, kind), f"{script}: {record.message}"
+        assert record.seconds < 15.0
 
 
 @pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")  # JAX, where another test has started it

@@ -237,7 +237,10 @@ def test_what_a_server_says_behind_the_first_line_is_the_log() -> None:
     assert len(record.log) <= client_module.LONGEST_LOG
 
 
-@pytest.mark.parametrize("kind", ["timeout", "model_error", "protocol", "non_finite", "connection"])
+KINDS = ("model_error", "protocol", "non_finite", "connection")
+
+
+@pytest.mark.parametrize("kind", ["timeout", *(pytest.param(kind, marks=pytest.mark.smoke) for kind in KINDS)])
 def test_a_server_that_misbehaves_costs_the_runs_that_it_hits(kind: str) -> None:
     for reply, message in [(reply, words) for reply, failure, words in MISHAPS.values() if failure == kind]:
         with hostile(reply) as (url, paths):

@@ -75,7 +75,7 @@ def outcome(model: Biofilm, inputs: Mapping[str, float]) -> Any:
 
 
 def in_box(number: int) -> list[dict[str, float]]:
-    points = qmc.scale(qmc.Sobol(2, scramble=False).random(number), [100, -0.8], [800, 0.5])
+    points = qmc.scale(qmc.Sobol(2, scramble=False).random_base2(5)[:number], [100, -0.8], [800, 0.5])
     return [{"E": float(E), "nu": float(nu), "V_in": 100.0} for E, nu in points]
 
 
@@ -85,7 +85,7 @@ def in_box(number: int) -> list[dict[str, float]]:
 def test_they_end_like_cold_runs_and_most_need_no_jacobian(anchored: Biofilm, cold: Biofilm) -> None:
     kept, started = 0, 0
     outside = [{"E": 900.0, "nu": 0.3, "V_in": 100.0}, {"E": 400.0, "nu": 0.3, "V_in": 99.0}]
-    for inputs in [*in_box(16), *outside]:
+    for inputs in [*in_box(12), *outside]:
         ours, theirs = outcome(anchored, inputs), outcome(cold, inputs)
         assert len(ours) == len(theirs)
         assert anchored.is_prepared(inputs) == (len(ours) == 2 and ours[1]["anchored"] == 1.0)
@@ -104,7 +104,7 @@ def test_they_end_like_cold_runs_and_most_need_no_jacobian(anchored: Biofilm, co
             assert ours[0] == theirs[0]
         if inputs in outside:
             assert figures == theirs[1] | {"anchored": 0.0}
-    assert started > 10
+    assert started > 7
     assert kept >= started - 2
     assert not cold.is_prepared(USUAL)
 

@@ -205,25 +205,14 @@ def displaced(cell: FlowCell, field_of_d: object) -> np.ndarray:
     return x
 
 
-def free_of_base(cell: FlowCell) -> np.ndarray:
-    """Mark the solid elements none of whose corners lie on the base, where d is kept at zero."""
+def test_gradients_of_a_uniform_displacement(cell):
+    """Away from the base, where d is kept at zero."""
+    G = np.array([[-0.2, 0.05], [0.03, -0.1]])
+    x = displaced(cell, ng.CF((G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)))
     elements = [e for e in cell.mesh.Elements(ng.VOL) if e.mat in cell.system.solids]
     heights = np.array([[cell.mesh.vertices[v.nr].point[1] for v in e.vertices] for e in elements])
-    return heights.min(axis=1) > 1e-9
-
-
-def test_strains_of_a_uniform_gradient(cell):
-    """Away from the base, where d is kept at zero: ½ (0.3 + √(0.1² + 4·0.05²)) without rotation."""
-    G = np.array([[-0.2, 0.05], [0.05, -0.1]])
-    compression = 0.15 + np.sqrt(0.005)
-    x = displaced(cell, ng.CF((G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)))
-    inside = free_of_base(cell)
-    np.testing.assert_allclose(cell._strains._gradients(x)[inside], np.broadcast_to(G, (inside.sum(), 2, 2)), atol=1e-9)
-    thin, across, stretch = cell._strains._smallest_stretches(x)
-    np.testing.assert_allclose(stretch[inside], 1 - compression, atol=1e-9)
-    for number in np.flatnonzero(inside)[:3]:
-        strain = cell._strains._strain(int(number), thin, across)
-        np.testing.assert_allclose(strain.functional @ x, compression, atol=1e-9)
+    found = cell._strains._gradients(x)[heights.min(axis=1) > 1e-9]
+    np.testing.assert_allclose(found, np.broadcast_to(G, found.shape), atol=1e-9)
 
 
 def test_largest_compression_has_its_closed_form(cell):
@@ -288,28 +277,6 @@ def test_soft_specimen_has_a_limit_point_below_the_inflow_wanted(cell, fold):
     beyond = failure(cell.solve, **SOFT, rate=1.01 * limit)
     assert beyond.kind == "limit_point"
     np.testing.assert_allclose(beyond.evidence["limit_load"], limit, rtol=5e-3)
-
-
-def test_nothing_but_the_fold_hides_the_state_beyond_it(cell, fold):
-    """Damped Newton from the last state below, an independent way, finds the state at 0.99 and none at 1.01."""
-    limit = fold.evidence["limit_load"]
-    start = cell.solve(**SOFT, rate=0.985 * limit).unknowns
-    settings = newton.NewtonSettings(maximum_jacobians=25)
-
-    def at(share: float) -> newton.NewtonSolution:
-        load = share * limit / 100.0
-
-        class AtLoad:
-            def residual(self, x):
-                return cell.residual(x, load)
-
-            def factorise(self, x):
-                return cell.factorise(x, load)
-
-        return newton.solve(AtLoad(), start, weights=cell.weights, settings=settings)
-
-    np.testing.assert_allclose(at(0.99).x, cell.solve(**SOFT, rate=0.99 * limit).unknowns, atol=1e-7)
-    assert failure(at, 1.01).kind in {"newton_stalled", "newton_maxit"}
 
 
 def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):

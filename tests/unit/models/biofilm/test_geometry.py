@@ -7,13 +7,11 @@ from typing import Any
 import ngsolve as ng
 import numpy as np
 import pytest
-from tests.unit.models.biofilm.cells import largest
 
 from strandline.interface import Interface
 from strandline.models.biofilm import geometry
 from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell, subdivide
-from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.sizes import FINER, MESHES, gap_sizes, is_adapted, segment_sizes
 from strandline.models.biofilm.subdivision import Partition, Subdivision
@@ -24,7 +22,6 @@ CHANNEL = Channel()
 THREE = Partition.PRESETS["three_parts"]
 BUMP = ((0.5, 0.0), (0.6, 0.3), (0.9, 0.35), (1.2, 0.0))
 LAYER = Outline(((0.0, 0.3), (0.8, 0.35), (1.5, 0.6), (2.2, 0.35), (3.0, 0.3)))
-LONG = Channel(length=3.0)
 BOUNDARIES = {"base", "side", "inlet", "outlet", "top", "interface"}
 
 
@@ -177,17 +174,3 @@ def test_the_next_finer_mesh_is_finer():
     assert [FINER[name] for name in MESHES] == sizes[1:]
     for coarse, fine in itertools.pairwise(sizes):
         assert all(getattr(fine, f.name) < getattr(coarse, f.name) for f in dataclasses.fields(fine))
-
-
-@pytest.mark.parametrize("rates", [pytest.param((), marks=pytest.mark.long), (("slow", 20.0), ("fast", 60.0))])
-def test_the_error_of_coarse_on_another_flow_cell_is_small_and_known(rates):
-    """A layer with a gap of 0.4 mm: with elements of fixed size 2.5 µm off, and without a word."""
-    soft = {"E": 150.0, "nu": 0.3, "V_in": 60.0}
-    model = Biofilm(mesh="coarse", material="neo_hookean", channel=LONG, outline=LAYER, inflow_rates=rates)
-    coarse, finer = model(soft).interfaces, model.on_finer_mesh(soft)
-    assert coarse.keys() == finer.keys()
-    if not rates:
-        true = dataclasses.replace(model, mesh="default")(soft).interfaces
-        np.testing.assert_array_equal(finer[""].points, true[""].points)
-    for name in coarse:
-        assert 0 < largest(coarse[name].points - finer[name].points) < 0.5e-3
