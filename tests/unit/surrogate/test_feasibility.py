@@ -22,14 +22,14 @@ def test_without_a_failure_among_the_last_runs_every_run_succeeds() -> None:
     assert (learn_feasibility(Z, HALF, largest=41).log_probability(GRID) < 0.0).all()
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.6, 2.0])
-def test_a_half_plane_of_failures_is_found(turn: float) -> None:
-    direction = np.array([math.cos(turn), math.sin(turn)])
-    found = learn_feasibility(Z, Z @ direction < 0.4)
-    distance, probability = GRID @ direction - 0.4, np.exp(found.log_probability(GRID))
-    assert (probability[distance < -0.6] > 0.8).all()
-    assert (probability[distance > 0.6] < 0.2).all()
-    assert found.spread == SPREADS[-1]
+def test_a_half_plane_of_failures_is_found() -> None:
+    for turn in (0.0, 0.6, 2.0):
+        direction = np.array([math.cos(turn), math.sin(turn)])
+        found = learn_feasibility(Z, Z @ direction < 0.4)
+        distance, probability = GRID @ direction - 0.4, np.exp(found.log_probability(GRID))
+        assert (probability[distance < -0.6] > 0.8).all()
+        assert (probability[distance > 0.6] < 0.2).all()
+        assert found.spread == SPREADS[-1]
 
 
 def spread(ok: np.ndarray) -> float:

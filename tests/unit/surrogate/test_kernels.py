@@ -1,5 +1,7 @@
 """Every kernel against scikit-learn, automatic differentiation, finite differences and what a correlation must be."""
 
+from itertools import product
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,10 +70,9 @@ def test_the_jax_form_equals_the_plain_one(names):
 
 
 @EVERY
-@pytest.mark.parametrize("number", [2, 33, 300])
-def test_pairs_fill_the_lower_triangle(names, number):
-    x, lower = offsets(number), np.tril_indices(number)
-    for kernel in (KERNELS[name] for name in names):
+def test_pairs_fill_the_lower_triangle(names):
+    for number, kernel in product((2, 33, 300), (KERNELS[name] for name in names)):
+        x, lower = offsets(number), np.tril_indices(number)
         lengths = as_lengths(kernel, 0.7, 3) * np.linspace(1.0, 2.0, 3 if kernel.per_input else 1)
         expected = 2.5 * kernel.value((x[:, None] - x) / lengths) + 0.1 * np.eye(number)
         for unit in (np.ones(len(lengths)), lengths):
@@ -81,12 +82,11 @@ def test_pairs_fill_the_lower_triangle(names, number):
 
 
 @EVERY
-@pytest.mark.parametrize("number", [2, 33, 300])
-def test_pairs_differentiate_by_each_log_length(names, number):
-    x, rng = offsets(number), np.random.default_rng(2)
-    alpha, precision = rng.normal(size=number), np.asfortranarray(rng.normal(size=(number, number)))
-    weight, step = np.tril(np.outer(alpha, alpha) - precision, -1), 1e-6
-    for kernel in (KERNELS[name] for name in names):
+def test_pairs_differentiate_by_each_log_length(names):
+    for number, kernel in product((2, 33, 300), (KERNELS[name] for name in names)):
+        x, rng, step = offsets(number), np.random.default_rng(2), 1e-6
+        alpha, precision = rng.normal(size=number), np.asfortranarray(rng.normal(size=(number, number)))
+        weight = np.tril(np.outer(alpha, alpha) - precision, -1)
         count = 3 if kernel.per_input else 1
         lengths, pairs = 0.7 * np.linspace(1.0, 2.0, count), kernel.pairs(x, unit=np.ones(count))
         found = pairs.by_log_lengths(alpha, precision, inverse_lengths=1 / lengths)
@@ -117,20 +117,14 @@ def test_lengths_are_one_number_or_one_for_each_input():
     assert as_lengths(several, np.array([1.0, 2.0]), 2).tolist() == [1.0, 2.0]
     assert as_length_scale(one, np.array([0.7])) == 0.7
     assert as_length_scale(several, np.array([0.7, 1.0])).tolist() == [0.7, 1.0]
-
-
-@pytest.mark.parametrize(
-    ("name", "length", "words"),
-    [
+    for name, length, words in [
         ("matern32", np.array([1.0, 2.0]), "positive number. Give"),
         ("matern32_product", np.array([1.0, 2.0]), "one positive number, or 3"),
         ("matern32_product", np.array([1.0, 0.0, 2.0]), "positive"),
         ("matern32", -1.0, "positive"),
-    ],
-)
-def test_other_lengths_are_refused(name, length, words):
-    with pytest.raises(InvalidInput, match=words):
-        as_lengths(KERNELS[name], length, 3)
+    ]:
+        with pytest.raises(InvalidInput, match=words):
+            as_lengths(KERNELS[name], length, 3)
 
 
 def test_the_decay_is_the_exponential_function():

@@ -64,23 +64,16 @@ def test_lengths_of_their_own_help_where_inputs_differ():
     assert several < 0.7 * one
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1e5])
-def test_any_noise_level_is_fitted(scale):
-    x = design(100)
-    surrogate = fit_log_likelihood(x, scale * ridge(x))
-    assert surrogate.validation.loo_rms < 0.01 * np.ptp(scale * ridge(x))
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "kernel", "error", "words"),
-    [
-        (design(3), ridge(design(3)), "matern32", TooFewRuns, "at least 4"),
-        (design(9), ridge(design(9))[:8], "matern32", InvalidInput, "one log-likelihood for each run"),
-        (design(9), np.full(9, -2.5), "matern32", NumericsError, "all 9 training targets equal -2.5"),
-        (design(9) * [1, 0] + [0, 0.2], ridge(design(9)), "matern32", InvalidInput, "column 1"),
-        (design(9), ridge(design(9)), "gauss", InvalidInput, "kernel"),
-    ],
-)
-def test_unusable_data_is_refused(x, y, kernel, error, words):
-    with pytest.raises(error, match=words):
-        fit_log_likelihood(x, y, kernel=kernel)
+def test_any_noise_level_is_fitted_and_unusable_data_is_refused():
+    x, y = design(100), ridge(design(100))
+    for scale in (1e-3, 1e5):
+        assert fit_log_likelihood(x, scale * y).validation.loo_rms < 0.01 * np.ptp(scale * y)
+    for few, values, kernel, error, words in [
+        (x[:3], y[:3], "matern32", TooFewRuns, "at least 4"),
+        (x[:9], y[:8], "matern32", InvalidInput, "one log-likelihood for each run"),
+        (x[:9], np.full(9, -2.5), "matern32", NumericsError, "all 9 training targets equal -2.5"),
+        (x[:9] * [1, 0] + [0, 0.2], y[:9], "matern32", InvalidInput, "column 1"),
+        (x[:9], y[:9], "gauss", InvalidInput, "kernel"),
+    ]:
+        with pytest.raises(error, match=words):
+            fit_log_likelihood(few, values, kernel=kernel)

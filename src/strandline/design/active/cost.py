@@ -1,7 +1,7 @@
 """Cost of choosing a batch, in seconds to compare interfaces, estimated before any batch is chosen."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Float
@@ -30,12 +30,16 @@ QUICK = 0.2
 REPEATS = 3
 """The fastest comparison counts, because other work on the machine slows comparisons down."""
 
+Clocks = tuple[Callable[[], float], ...]
+
 
 def seconds_of_a_batch(
     observations: tuple[Observation, ...],
     discrepancy: Discrepancy,
     simulated: Mapping[str, Interface],
     dim: int,
+    *,
+    clocks: Clocks = (time.perf_counter, time.process_time),
 ) -> float:
     """Return the seconds that comparing interfaces takes in the choice of one batch, estimated by a trial.
 
@@ -44,12 +48,13 @@ def seconds_of_a_batch(
         discrepancy: the measure that defines the posterior.
         simulated: an interface of each condition, as the simulator returns it.
         dim: number of inputs.
+        clocks: functions that return seconds; the one counts by which a comparison takes least.
     """
     total = 0.0
     for seen in observations:
         template = simulated[seen.condition]
         measure, width = compared(seen, discrepancy, len(template.points)).measure, noise_length(seen, discrepancy)
-        each = _seconds_of_one(seen, measure, template, width)
+        each = _seconds_of_one(seen, measure, template, width, clocks)
         total += each * (NEARBY if _has_nearby(measure, seen, len(template.points)) else FROM_THE_PRIOR)
     return total * PARTICLES.get(dim, MANY_INPUTS_PARTICLES)
 
@@ -58,21 +63,27 @@ def _has_nearby(measure: Discrepancy, seen: Observation, nodes: int) -> bool:
     return seen.interface.dim == 2 and (isinstance(measure, WhitenedOffset) or follows_offsets(measure, seen, nodes))
 
 
-def _seconds_of_one(seen: Observation, measure: Discrepancy, simulated: Interface, width: float) -> float:
+def _seconds_of_one(
+    seen: Observation, measure: Discrepancy, simulated: Interface, width: float, clocks: Clocks
+) -> float:
     """Return the seconds per comparison in a batch of interfaces that are at most `width`, mm, apart."""
     for number in TRIED:
         points = simulated.points + width * np.linspace(-1.0, 1.0, number)[:, None, None]
         squared_discrepancies(measure, points, simulated, seen.interface)  # compiles, and fills caches
-        seconds = min(_seconds(seen, measure, simulated, points) for _ in range(REPEATS))
+        seconds = min(_seconds(seen, measure, simulated, points, clocks) for _ in range(REPEATS))
         if seconds > QUICK:
             break
     return seconds / number
 
 
 def _seconds(
-    seen: Observation, discrepancy: Discrepancy, simulated: Interface, points: Float[np.ndarray, "run point xyz"]
+    seen: Observation,
+    discrepancy: Discrepancy,
+    simulated: Interface,
+    points: Float[np.ndarray, "run point xyz"],
+    clocks: Clocks,
 ) -> float:
     """Return the seconds to compare all interfaces once: wall-clock time, or processor time if that is less."""
-    begun, used = time.perf_counter(), time.process_time()
+    begun = [clock() for clock in clocks]
     squared_discrepancies(discrepancy, points, simulated, seen.interface)
-    return min(time.perf_counter() - begun, time.process_time() - used)
+    return min(clock() - start for clock, start in zip(clocks, begun, strict=True))

@@ -3,7 +3,6 @@
 from itertools import product
 
 import numpy as np
-import pytest
 
 from strandline.surrogate.field.warping import WARPS, Warping, eligible
 
@@ -32,12 +31,12 @@ def test_gradients_follow_the_chain_rule_and_the_box_spans_what_a_uniform_distri
         np.testing.assert_allclose(ends, np.sqrt(3.0) * np.array([[-1, -1], [1, 1]]), rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", list(WARPS))
-def test_a_warp_is_monotone_and_its_slope_its_derivative(name: str) -> None:
+def test_a_warp_is_monotone_and_its_slope_its_derivative() -> None:
     x = np.linspace(0.2, 9.0, 200)
-    values = WARPS[name].apply(x)
-    assert len(set(np.sign(np.diff(values)))) == 1
-    np.testing.assert_allclose(WARPS[name].slope(x)[1:-1], np.gradient(values, x)[1:-1], rtol=0.06)
+    for warp in WARPS.values():
+        values = warp.apply(x)
+        assert len(set(np.sign(np.diff(values)))) == 1
+        np.testing.assert_allclose(warp.slope(x)[1:-1], np.gradient(values, x)[1:-1], rtol=0.06)
 
 
 def test_only_wide_and_positive_inputs_are_warped() -> None:
