@@ -25,10 +25,21 @@ KEEP_ALIVE = 15.0
 
 @dataclass
 class Desk:
-    """What all requests share: the study, threads that do the work, and a bell that rings when something is new."""
+    """What all requests share: the study, threads that do the work, and a bell that rings when something is new.
+
+    Args:
+        viewed: The study.
+        door: Who may see the page.
+        patience: Seconds for which the first counts and the first posterior wait until a page has got the runs.
+        rings: How often the bell has rung.
+        streams: Number of open streams of events.
+        closing: Whether all streams are to end.
+        problem: What is wrong with the ledger; empty if nothing is.
+    """
 
     viewed: ViewedStudy
     door: Door
+    patience: float = PATIENCE
     rings: int = 0
     streams: int = 0
     closing: bool = False
@@ -68,7 +79,7 @@ class Desk:
             await self.read(self.viewed.feed.update)
             self._state = {"version": self.viewed.feed.version}
             await self.ring()
-            await asyncio.wait_for(self._runs_given.wait(), PATIENCE)
+            await asyncio.wait_for(self._runs_given.wait(), self.patience)
         while True:
             try:
                 new = await self.read(self._look)

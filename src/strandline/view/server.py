@@ -22,7 +22,7 @@ except ImportError as error:
         remedy="Install them: pip install 'strandline[view]'",
     ) from error
 
-from strandline.view.desk import Desk
+from strandline.view.desk import PATIENCE, Desk
 from strandline.view.requests import application  # after the check: it imports tornado too
 
 __all__ = ["Server", "serving"]
@@ -38,13 +38,14 @@ class Server:
         study: The study.
         port: Port to listen on; 0 takes any free one.
         door: Who may see the page.
+        patience: Seconds for which the first counts and the first posterior wait until a page has got the runs.
 
     Raises:
         InvalidInput: The port cannot be used.
     """
 
-    def __init__(self, study: Study, *, port: int = 0, door: Door | None = None) -> None:
-        self.viewed, self.door = ViewedStudy(study), door or Door()
+    def __init__(self, study: Study, *, port: int = 0, door: Door | None = None, patience: float = PATIENCE) -> None:
+        self.viewed, self.door, self._patience = ViewedStudy(study), door or Door(), patience
         try:
             self._socket = socket.create_server((ADDRESS, port))
         except (OSError, OverflowError) as error:
@@ -81,7 +82,7 @@ class Server:
     async def _serve(self, started: Callable[[], None]) -> None:
         ended, loop = asyncio.Event(), asyncio.get_running_loop()
         self._stop = lambda: loop.call_soon_threadsafe(ended.set)
-        desk = Desk(self.viewed, self.door)
+        desk = Desk(self.viewed, self.door, self._patience)
         server = HTTPServer(application(desk), max_body_size=LARGEST_BODY)
         server.add_socket(self._socket)
         watching = [asyncio.create_task(desk.watch_runs()), asyncio.create_task(desk.watch_posterior())]
@@ -99,14 +100,15 @@ class Server:
 
 
 @contextmanager
-def serving(study: Study, *, port: int = 0) -> Iterator[Server]:
+def serving(study: Study, *, port: int = 0, patience: float = PATIENCE) -> Iterator[Server]:
     """Serve a study in a thread of its own, and stop at the end.
 
     Args:
         study: The study.
         port: Port to listen on; 0 takes any free one.
+        patience: As of `Server`.
     """
-    server, ready = Server(study, port=port), threading.Event()
+    server, ready = Server(study, port=port, patience=patience), threading.Event()
     thread = threading.Thread(target=server.run, args=(ready.set,), daemon=True)
     thread.start()
     ready.wait()

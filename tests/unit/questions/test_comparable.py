@@ -90,7 +90,8 @@ def test_what_cannot_be_compared(home: Path) -> None:
     for changes, words in REFUSED:
         with pytest.raises(InvalidStudy, match=words):
             require_comparable({"tilted": one, "other": study(home, "other", **changes)})
-    stiffer = study(home, "other", inputs={"E": {**E, "prior": {"uniform": [300, 600]}}})
+    fixed = {"load": 1e-5, "tilt": 0.015}
+    stiffer = study(home, "other", inputs={"E": {**E, "prior": {"uniform": [300, 600]}}}, fixed=fixed)
     without = study(home, "straight", inputs={"tilt": TILT}, fixed={"load": 1e-5, "E": 400})
     with pytest.raises(InvalidStudy, match="tilted and stiffer cannot be compared: the supports"):
         require_comparable({"straight": without, "tilted": one, "stiffer": stiffer})

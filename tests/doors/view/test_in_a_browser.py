@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.studies.test_pictures import height, written
-from tests.view.conftest import SMALL
+from tests.doors.view.conftest import SMALL
+from tests.unit.studies.hump import height, written
 
 import strandline as sl
 from strandline.discrepancy.normal_offset import signed_distances
@@ -32,12 +32,12 @@ from strandline.testing.studies import beam as quick
 
 
 def beam(inputs, workdir):
-    time.sleep(0.25)
+    time.sleep(0.15)
     if inputs["E"] > 520:
         raise ForwardModelError("too_stiff", "the beam is too stiff")
     return quick(inputs, workdir)
 """
-"""A model with a quarter of a second for a run, and failures."""
+"""A model with some time for a run, and failures."""
 SCREENS = [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")]
 
 
@@ -181,7 +181,7 @@ def test_a_run_is_shown_with_its_offset(person: Person, folder: Path) -> None:
     person.page.click("#run-back")
     person.waits_for(lambda: person.page.input_value("#run-row") == "7")
     person.page.click("#run-last")
-    person.waits_for(lambda: person.page.input_value("#run-row") == "25")
+    person.waits_for(lambda: person.page.input_value("#run-row") == "33")
 
 
 def test_a_click_on_a_point_shows_its_run(person: Person) -> None:

@@ -1,0 +1,31 @@
+"""A finished study of a beam that learns the interface, shared by the tests of its page."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.study.conftest import NOISY, SAMPLER, finish
+
+SMALL: dict[str, Any] = {
+    **NOISY,
+    "design": {"sobol": {"runs": 32}},
+    "sampler": {**SAMPLER, "cut": {"values": 2}},
+    "inputs": {
+        "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"},
+        "tilt": {"prior": {"uniform": [0.0, 0.04]}, "nuisance": True},
+    },
+    "draft": True,
+    "report": "none",
+}
+
+
+@pytest.fixture(scope="session")
+def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return finish(tmp_path_factory.mktemp("view") / "beam", **SMALL).folder
+
+
+@pytest.fixture
+def folder(analysed: Path, tmp_path: Path) -> Path:
+    """A copy of the study, which the test may change."""
+    return Path(shutil.copytree(analysed, tmp_path / "beam"))

@@ -1,0 +1,177 @@
+"""What the page is told of a study: what it says, its runs, its posterior, and what other assumptions would give."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.study.conftest import Finished
+
+import strandline as sl
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.testing.studies import beam as true_beam
+from strandline.testing.studies import write_study
+from strandline.view import viewed as module
+from strandline.view.assumptions import knobs_of
+from strandline.view.viewed import ViewedStudy
+
+Copy = Callable[[Finished], Path]
+HIDDEN = ("-shm", "-wal", ".lock")
+
+
+def opened(folder: Path) -> ViewedStudy:
+    """Return a study as the page sees it once it has the runs and the posterior."""
+    viewed = ViewedStudy(sl.load_study(folder))
+    viewed.feed.update()
+    viewed.newest.refresh(viewed.feed.succeeded)
+    return viewed
+
+
+@pytest.fixture(scope="module")
+def viewed(field: Finished) -> ViewedStudy:
+    return opened(field.folder)
+
+
+def digests(folder: Path) -> dict[str, str]:
+    files = [path for path in folder.iterdir() if path.is_file() and not path.name.endswith(HIDDEN)]
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def test_it_says_what_the_study_says_and_changes_nothing(viewed: ViewedStudy, field: Finished) -> None:
+    before = digests(field.folder)
+    facts = viewed.facts
+    assert (facts["name"], facts["fixed"], facts["flow"]) == ("beam", {"load": 1e-5}, False)
+    assert [(one["name"], one["nuisance"]) for one in facts["inputs"]] == [("E", False), ("tilt", True)]
+    assert len(facts["conditions"][0]["observed"][0]) == 17
+    posterior, summary = viewed.posterior, json.loads((field.folder / "summary.json").read_text("utf-8"))
+    assert (posterior["source"], posterior["why_none"], len(posterior["history"])) == ("stored", "", 1)
+    for name, item in summary["inputs"].items():
+        assert posterior["mean"][name] == pytest.approx(item["mean"], abs=0.1 * item["sd"])
+        assert posterior["sd"][name] == pytest.approx(item["sd"], rel=0.06)
+        assert len(posterior["draws"][name]) == 2000
+    assert posterior["surrogate"]["good"]
+    assert posterior["knobs"]["noise"]["now"] == {"sd": 3.0, "unit": "µm"}
+    runs = viewed.feed.since(0)
+    assert runs["total"] == 33
+    assert set(runs["state"]) == {"ok"}
+    run = viewed.run(3)
+    assert run is not None
+    assert run["inputs"]["E"] == pytest.approx(runs["inputs"]["E"][3], rel=1e-5)
+    assert len(run["interfaces"][""]["offsets"]) == 17
+    assert [place for place in range(33) if (viewed.run(place) or {})["observes"]] == [0]
+    assert viewed.run(33) is None
+    state = viewed.state
+    assert (state["ok"], state["results"], state["edited"]) == (32, "current", False)
+    assert state["summary"]["misfit"]["verdict"] == summary["misfit"]["verdict"]
+    json.dumps([facts, posterior, runs, run, state], allow_nan=False)
+    assert digests(field.folder) == before
+
+
+def test_predictions_are_those_of_the_model(viewed: ViewedStudy) -> None:
+    inputs = {"E": 430.0, "tilt": 0.013}
+    found = viewed.predict(inputs)
+    true = true_beam({**inputs, "load": 1e-5}, Path()).interfaces[""]
+    assert found["conditions"][""]["line"][1] == pytest.approx(true.points[:, 1].tolist(), abs=2e-4)
+    assert found["success"] > 0.9
+    assert found["conditions"][""]["sd_um"] < 1
+
+
+def test_other_assumptions_are_those_of_what_if(viewed: ViewedStudy, field: Finished, copy_of: Copy) -> None:
+    """The slider says what the command says, by other weights or by new draws, which are judged by all of them."""
+    study = sl.load_study(copy_of(field))
+    asked = {"noise": 1.5, "priors": {"E": {"normal": [420.0, 30.0]}}}
+    narrow = {"E": {"normal": [380.0, 12.0]}}
+    truth = sl.what_if(study, [{"noise": {"sd": 4.5, "unit": "um"}, "prior": asked["priors"]}, {"prior": narrow}])
+    answers = {one.alternative.kind: one for one in truth.answers}
+    both = answers["several"].draws
+    assert both is not None
+    quick, again = viewed.ask(asked, again=False), viewed.ask(asked, again=True)
+    for found in (quick, again):
+        for k, name in enumerate(study.space.names):
+            assert found["mean"][name] == pytest.approx(both.mean[k], abs=0.15 * both.sd[k])
+            assert found["sd"][name] == pytest.approx(both.sd[k], rel=0.12)
+    assert quick["by"] == "reweighting"
+    assert quick["effective"] > 100
+    assert len(quick["weights"]) == 2000
+    assert viewed.ask({}, again=False)["effective"] == pytest.approx(2000, rel=1e-6)
+    fixed = viewed.ask({"fixed": {"tilt": 0.01}}, again=False)
+    assert set(fixed["draws"]["tilt"]) == {0.01}
+    found, answer = viewed.ask({"priors": narrow}, again=True), answers["prior"]
+    assert answer.draws is not None
+    assert (found["by"], found["k_hat"]) == (answer.by, pytest.approx(answer.k_hat))
+    assert found["mean"]["E"] == pytest.approx(float(answer.draws.mean[0]))
+    assert len(found["draws"]["E"]) == 2000
+
+
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    ("predict", {"E": 430}, r"tilt: got nothing; expected a number in its box, \[0, 0.04\]"),
+    ("predict", {"E": 4300, "tilt": 0.01}, r"E: got 4300; expected a number in its box, \[300, 560\]"),
+    ("predict", {"E": True, "tilt": 0.01}, "E: got True"),
+    ("ask", {"noise": 0}, "noise: got 0; expected a number from 0.2 to 5"),
+    ("ask", {"length_um": 201}, "length_um: got 201; expected a number from 0 to 200"),
+    ("ask", {"nose": 1}, "assumptions: got nose; expected some of"),
+    ("ask", {"measure": "currents"}, "measure: got currents; expected one of normal_offset, tracked"),
+    ("ask", {"measure": ["x"]}, r"measure: got \['x'\]"),
+    ("ask", {"priors": {"E": {"norml": [1, 2]}}}, "norml"),
+    ("ask", {"priors": {"F": {"normal": [1, 2]}}}, "input: got F; expected one of E, tilt"),
+    ("ask", {"priors": [1]}, "priors and fixed: got something else"),
+    ("ask", {"fixed": {"E": 400}}, "at least one calibrated input left"),
+    ("ask", {"fixed": {"tilt": 0.05}}, "tilt: got 0.05; expected a number from 0 to 0.04"),
+    ("flow", {"E": 400, "tilt": 0.01}, "expected a model that offers its fields"),
+]
+
+
+def test_what_makes_no_sense_is_refused(viewed: ViewedStudy) -> None:
+    for name, given, words in REFUSED:
+        options: dict[str, Any] = {"ask": {"again": False}, "flow": {"condition": ""}}.get(name, {})
+        with pytest.raises(InvalidInput, match=words) as caught:
+            getattr(viewed, name)(given, **options)
+        assert "\n" not in str(caught.value)
+
+
+def test_an_answer_is_of_one_posterior(field: Finished, copy_of: Copy, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The posterior of fewer runs is ready while the earlier one is being told."""
+    viewed = opened(copy_of(field))
+    study = viewed.study
+
+    def meanwhile(*given: Any) -> Any:
+        monkeypatch.setattr(module, "knobs_of", knobs_of)
+        with study.runs.ledger() as ledger:
+            ledger.exclude(study.runs.design_keys[3], "looks wrong")
+        viewed.newest.refresh(viewed.feed.succeeded - 1)
+        return knobs_of(*given)
+
+    monkeypatch.setattr(module, "knobs_of", meanwhile)
+    during, after = viewed.posterior, viewed.posterior
+    for told, made in ((during, 1), (after, 2)):
+        assert len(told["history"]) == made
+        for name, one in told["history"][-1]["mean"].items():
+            assert told["mean"][name] == pytest.approx(one, rel=1e-12)
+    viewed.feed.update()
+    row = viewed.feed.since(0)["state"].index("excluded")
+    assert (viewed.run(row) or {})["excluded"] == "looks wrong"
+    assert viewed.newest.shown.history[0]["moved"] is None
+    assert viewed.newest.shown.history[1]["moved"] is not None
+
+
+def test_a_posterior_is_due_after_a_tenth_more_runs(tmp_path: Path) -> None:
+    feed = ViewedStudy(sl.load_study(write_study(tmp_path))).newest
+    assert [feed.due(made) for made in (3, 4)] == [False, True]
+    feed._tried = 100
+    assert [feed.due(made) for made in (109, 110)] == [False, True]
+    assert feed.shown.source == "none"
+
+
+def test_a_study_without_runs(tmp_path: Path) -> None:
+    viewed = ViewedStudy(sl.load_study(write_study(tmp_path)))
+    assert viewed.posterior["why_none"] == "too few forward runs have ended yet"
+    assert viewed.feed.since(0)["total"] == 0
+    for ask in (lambda: viewed.ask({"noise": 2.0}, again=False), lambda: viewed.predict({"E": 400, "tilt": 0.0})):
+        with pytest.raises(InvalidInput, match="too few forward runs have ended yet"):
+            ask()
+    viewed.require_ledger()
+    (tmp_path / "summary.json").write_text("{}")
+    with pytest.raises(InvalidStudy, match=r"no file .*ledger\.sqlite"):
+        viewed.require_ledger()
