@@ -13,14 +13,14 @@ Row = tuple[Any, ...]
 
 def message_of(folder: Path) -> str:
     """Return the one line with which the study is refused; empty if it is not."""
-    before = sorted(folder.iterdir())
+    before, message = sorted(folder.iterdir()), ""
     try:
         load_study(folder)
     except InvalidInput as error:
-        assert sorted(folder.iterdir()) == before
-        assert "\n" not in str(error)
-        return str(error)
-    return ""
+        message = str(error)
+    assert sorted(folder.iterdir()) == before
+    assert "\n" not in message
+    return message
 
 
 def not_refused(folder: Path, rows: Iterable[Row], **base: Any) -> list[str]:
