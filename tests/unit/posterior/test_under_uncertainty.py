@@ -144,25 +144,22 @@ def test_summaries_are_those_of_the_calibrated_columns(joint):
     assert [mode_bins(dim) for dim in (1, 2, 3, 4, 6)] == [30, 30, 20, 10, 10]
 
 
-def test_values_of_one_input_are_the_middles_of_strata():
+def test_values_of_nuisance_inputs_are_the_middles_of_strata():
     prior = ScaledBeta(2.6, 1.4, 0.0, 110.0)
     space = ParameterSpace((Parameter("E", Uniform(0.0, 1.0)), Parameter("V", prior, nuisance=True)))
     values = nuisance_values(space, 32)
     assert values.shape == (32, 1)
     np.testing.assert_allclose(prior.cdf(values[:, 0]), (np.arange(32) + 0.5) / 32, atol=1e-12)
-
-
-@pytest.mark.parametrize("number", [32, 20])
-def test_values_of_several_inputs_fill_the_square(number):
     two = [Parameter(name, Uniform(0.0, 1.0), nuisance=True) for name in ("s", "t")]
-    values = nuisance_values(ParameterSpace((two[0], Parameter("E", Uniform(0.0, 1.0)), two[1])), number)
-    assert values.shape == (number, 2)
-    assert ((values > 0) & (values < 1)).all()
-    for column in values.T:
-        np.testing.assert_array_equal(np.sort(column * 32 - 0.5) % 1, 0.0)
-        assert len(set(column.tolist())) == number
-    if number == 32:
-        assert (np.histogram2d(*values.T, bins=(4, 8))[0] == 1).all()
+    both = ParameterSpace((two[0], Parameter("E", Uniform(0.0, 1.0)), two[1]))
+    for number in (20, 32):
+        values = nuisance_values(both, number)
+        assert values.shape == (number, 2)
+        assert ((values > 0) & (values < 1)).all()
+        for column in values.T:
+            np.testing.assert_array_equal(np.sort(column * 32 - 0.5) % 1, 0.0)
+            assert len(set(column.tolist())) == number
+    assert (np.histogram2d(*values.T, bins=(4, 8))[0] == 1).all(), "the last ones fill the square"
 
 
 def test_what_is_refused():

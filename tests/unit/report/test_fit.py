@@ -63,9 +63,9 @@ def test_a_single_run_proves_nothing() -> None:
     assert verdict(condition(FINE), run_alone=True).text.startswith("The model explains")
 
 
-@pytest.mark.parametrize(
-    ("p", "d", "waves", "length", "flagged"),
-    [
+def test_the_limits() -> None:
+    """The least p-value counts four times; s²ℓ is 4.9 times the stated one for 0.05 mm, 2.9 times for 0.03 mm."""
+    for p, d, waves, length, flagged in (
         (0.0026, 0.5, 0.5, 0.02, False),
         (0.0024, 0.5, 0.5, 0.02, True),
         (0.5, 0.0024, 0.5, 0.02, True),
@@ -74,14 +74,11 @@ def test_a_single_run_proves_nothing() -> None:
         (0.04, 0.5, 0.5, 0.05, True),
         (0.06, 0.5, 0.5, 0.05, False),
         (0.04, 0.5, 0.5, 0.03, False),
-    ],
-)
-def test_the_limits(p: float, d: float, waves: float, length: float, flagged: bool) -> None:
-    """The least p-value counts four times; s²ℓ is 4.9 times the stated one for 0.05 mm, 2.9 times for 0.03 mm."""
-    found = verdict(condition(FINE, length=length), p=p, d=d, waves=waves)
-    assert found.flagged == flagged
-    assert ("vary slowly along the observed interface" in found.text) == (flagged and waves < 0.01)
-    assert ("s²ℓ of the residuals is 4.9 times" in found.text) == (flagged and length == 0.05)
+    ):
+        found = verdict(condition(FINE, length=length), p=p, d=d, waves=waves)
+        assert found.flagged == flagged, (p, d, waves, length)
+        assert ("vary slowly along the observed interface" in found.text) == (flagged and waves < 0.01)
+        assert ("s²ℓ of the residuals is 4.9 times" in found.text) == (flagged and length == 0.05)
 
 
 def test_noise_that_was_fitted_to_the_residuals_explains_them_unless_they_are_smooth() -> None:
@@ -104,24 +101,20 @@ def strained(stated: dict[str, float], removed: dict[str, tuple[float, ...]]) ->
     return replace(condition(FINE), stated=StatedErrors(PointErrors(0.001, **stated), assumed=False), removed=removed)
 
 
-@pytest.mark.parametrize(
-    ("stated", "removed", "words"),
-    [
+def test_a_position_that_is_far_from_the_stated_one_is_flagged() -> None:
+    cases: list[tuple[dict[str, float], dict[str, tuple[float, ...]], str]] = [
         ({"shift": 0.005}, {"shift": (0.03, 0.04)}, "shifted by 50 µm, 10 times the stated 5 µm"),
         ({"rotation": 0.5}, {"rotation": (-2.5,)}, "turned by 2.5°, 5 times the stated 0.5°"),
         ({"scale": 0.005}, {"scale": (0.03,)}, "scaled by 3 %, 6 times the stated 0.5 %"),
         ({"offset": 0.002, "shift": 0.005}, {"shift": (0.02, 0.0), "offset": (-0.012,)}, "moved along its normals by"),
-    ],
-)
-def test_a_position_that_is_far_from_the_stated_one_is_flagged(
-    stated: dict[str, float], removed: dict[str, tuple[float, ...]], words: str
-) -> None:
-    found = verdict(strained(stated, removed))
-    assert found.flagged
-    assert f"the observed interface of condition V50 would have to be {words}" in found.text
-    near = {name: tuple(0.4 * one for one in sizes) for name, sizes in removed.items()}
-    assert not verdict(strained(stated, near)).flagged
-    assert not verdict(strained(stated, removed), run_alone=True).flagged
+    ]
+    for stated, removed, words in cases:
+        found = verdict(strained(stated, removed))
+        assert found.flagged
+        assert f"the observed interface of condition V50 would have to be {words}" in found.text
+        near = {name: tuple(0.4 * one for one in sizes) for name, sizes in removed.items()}
+        assert not verdict(strained(stated, near)).flagged
+        assert not verdict(strained(stated, removed), run_alone=True).flagged
 
 
 def test_a_position_that_is_unlikely_is_a_warning() -> None:
