@@ -1,11 +1,13 @@
-"""Many repeated experiments: ranks stay inside their bands, and small mistakes leave them."""
+"""Many repeated experiments: ranks and intervals are what they say, right models are seldom flagged; mistakes show."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.unit.calibration import test_misfit as misfit
 from tests.unit.calibration.arches import SD
 from tests.unit.calibration.test_coverage import from_prior, least_p, repeated
+from tests.unit.likelihood import test_inferred_noise as inferred
 
 from strandline.discrepancy import NormalOffset
 from strandline.interface import GaussianNoise, Noise, PointErrors
@@ -40,3 +42,20 @@ def test_mistakes_show_in_many_replicates(
     found = repeated(from_prior(noise, NormalOffset()), analysed, number)
     assert not found.calibrated
     assert word in found.verdict
+
+
+def test_coverage_with_unknown_noise() -> None:
+    """Planted: correlated points taken as independent, with an sd that is known."""
+    scores, planted = [], []
+    for seed in range(100):
+        for found, noise in ((scores, inferred.UNKNOWN), (planted, PointErrors(inferred.ERRORS.sd))):
+            mean, sd = inferred.grid(inferred.observed(seed, noise=noise), 41)
+            found.append((inferred.TRUTH - mean) / sd)
+    covered = (np.abs(scores) < 1.645).mean(axis=0)
+    assert ((covered > 0.82) & (covered < 0.97)).all()
+    assert (np.abs(planted) < 1.645).mean(axis=0).min() < 0.7
+
+
+@pytest.mark.parametrize("errors", [misfit.LOCAL, misfit.ALL], ids=["local", "all"])
+def test_a_right_model_is_flagged_in_one_case_of_twenty_at_most(errors: PointErrors) -> None:
+    assert misfit.flagged(errors, 200, misfit.FULL) <= 10

@@ -94,9 +94,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", ["cut", "two modes"])
-def test_halves_agree_where_the_sampler_is_right(name: str) -> None:
-    assert RIGHT[name].check(5000, 0).agree
+def test_halves_agree_where_the_sampler_is_right() -> None:
+    for name in ("cut", "two modes"):
+        assert RIGHT[name].check(5000, 0).agree
 
 
 def test_a_narrow_mode_is_reported() -> None:

@@ -33,11 +33,7 @@ def replicates(
 
     return [
         sample(
-            jax.random.key(seed),
-            log_likelihood,
-            target.log_prior,
-            target.draw_prior(rng, particles),
-            settings=settings,
+            jax.random.key(seed), log_likelihood, target.log_prior, target.draw_prior(rng, particles), settings=settings
         )
         for seed in range(number)
     ]

@@ -126,18 +126,6 @@ def test_currents_are_calibrated_by_too(tmp_path: Path) -> None:
     assert sd_error < 0.1
 
 
-@pytest.mark.long
-def test_another_seed_gives_other_draws_of_the_same_posterior_and_a_fixed_design_too(
-    found: Calibration, tmp_path: Path
-) -> None:
-    other = answer(tmp_path / "other.sqlite", problem(), replace(ACTIVE, seed=2))
-    assert not same(other, found)
-    assert exact().off(other)[0] < 0.12
-    fixed = answer(tmp_path / "fixed.sqlite", problem(), replace(ACTIVE, runs=24, active=None))
-    assert len(fixed.records) == 24
-    assert exact().off(fixed)[0] < 0.12
-
-
 class Stopped(Exception):
     """The driver is stopped."""
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal, multivariate_t, norm
+from scipy.stats import multivariate_normal, multivariate_t
 
 from strandline.calibration import importance_sampler as module
 from strandline.calibration.importance_sampler import Pool, StudentMixture, effective_size, fitted, followed
@@ -75,18 +75,6 @@ def test_two_modes_keep_their_shares() -> None:
     shares = [one.weights[one.draws[:, 0] < 0.45].sum() for one in found]
     assert np.mean(shares) == pytest.approx(0.3, abs=0.03)
     assert np.std(shares) < 0.06
-
-
-def test_a_bent_ridge() -> None:
-    """y given x is Gaussian around a parabola: the marginal of x is known."""
-
-    def target(x: np.ndarray) -> np.ndarray:
-        ridge = 0.3 + 2.0 * (x[:, 0] - 0.5) ** 2
-        return np.asarray(norm(0.5, 0.12).logpdf(x[:, 0]) + norm(ridge, 0.02).logpdf(x[:, 1]))
-
-    found = [sampled(target, seed=seed) for seed in range(8)]
-    assert np.mean([one.mean[0] for one in found]) == pytest.approx(0.5, abs=0.012)
-    assert np.mean([one.sd[0] for one in found]) == pytest.approx(0.12, rel=0.08)
 
 
 def test_seven_inputs() -> None:

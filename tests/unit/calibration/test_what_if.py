@@ -144,17 +144,17 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_an_answer_is_that_of_the_true_model_and_a_planted_bug_shows(name: str) -> None:
-    alternative, observations, measure = CASES[name]()
-    truth = Exact(alternative.space, observations, measure)
-    found = answered(now(), alternative, seed=1)
-    assert found.by == ("importance" if name in ("far prior", "much sharper") else "reweighting")
-    assert (found.log_evidence_change is not None) == alternative.by_prior_alone
-    assert distance(found, truth, evidence=alternative.by_prior_alone) < FAR
-    for plant in PLANTED.get(name, []):
-        with pytest.MonkeyPatch.context() as patch:
-            assert distance(answered(plant(patch), alternative, seed=1), truth) > 2 * FAR
+def test_an_answer_is_that_of_the_true_model_and_a_planted_bug_shows() -> None:
+    for name, case in CASES.items():
+        alternative, observations, measure = case()
+        truth = Exact(alternative.space, observations, measure)
+        found = answered(now(), alternative, seed=1)
+        assert found.by == ("importance" if name in ("far prior", "much sharper") else "reweighting"), name
+        assert (found.log_evidence_change is not None) == alternative.by_prior_alone
+        assert distance(found, truth, evidence=alternative.by_prior_alone) < FAR, name
+        for plant in PLANTED.get(name, []):
+            with pytest.MonkeyPatch.context() as patch:
+                assert distance(answered(plant(patch), alternative, seed=1), truth) > 2 * FAR, plant
 
 
 def test_a_fixed_input_is_known() -> None:
@@ -235,19 +235,19 @@ def test_a_surrogate_that_is_too_coarse_or_of_another_likelihood_gives_no_answer
     assert re.search(r"draws: it errs by \S+ µm, and the local noise hides \S+ µm$", without.why_not)
 
 
-@pytest.mark.parametrize("name", ["narrow prior", "much sharper"])
-def test_errors_of_shifts_cover_their_scatter(name: str) -> None:
+def test_errors_of_shifts_cover_their_scatter() -> None:
     """Over posteriors by other draws: of draws in common, and of two samples."""
-    found = []
-    for seed in range(8):
-        chosen = np.random.default_rng(seed).choice(DRAWS, 1500, p=now().weighted.weights)
-        parts = {one: getattr(now(), one)[chosen] for one in ("draws", "log_likelihood", "log_prior")}
-        part = replace(now(), **parts, log_weights=np.full(1500, -math.log(1500)))
-        found.append(answered(part, CASES[name]()[0], seed=seed))
-    scatter = np.std([one.shift for one in found], axis=0, ddof=1)
-    stated = np.mean([one.shift_error for one in found], axis=0)
-    assert (scatter < 1.7 * stated).all()
-    assert (scatter > stated / 2.8).all()
+    for name in ("narrow prior", "much sharper"):
+        alternative, found = CASES[name]()[0], []
+        for seed in range(8):
+            chosen = np.random.default_rng(seed).choice(DRAWS, 1500, p=now().weighted.weights)
+            parts = {one: getattr(now(), one)[chosen] for one in ("draws", "log_likelihood", "log_prior")}
+            part = replace(now(), **parts, log_weights=np.full(1500, -math.log(1500)))
+            found.append(answered(part, alternative, seed=seed))
+        scatter = np.std([one.shift for one in found], axis=0, ddof=1)
+        stated = np.mean([one.shift_error for one in found], axis=0)
+        assert (scatter < 1.7 * stated).all()
+        assert (scatter > stated / 2.8).all()
 
 
 def test_what_moves() -> None:

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from tests.unit.discrepancy.surfaces import sheet, sphere
 
-from strandline.discrepancy import (
-    ClosestPoint,
-    Currents,
-    Discrepancy,
-    MeasurementLines,
-    TrackedPoints,
-    WhitenedOffset,
-)
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, TrackedPoints, WhitenedOffset
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors
 from strandline.likelihood.noise_rule import _shapes, fitting_variance, noise_variance
@@ -39,20 +32,15 @@ def by_rule(measure: Discrepancy, errors: PointErrors, *, number: int = 61, draw
     return fitting_variance(measure, arches, arch(), AT, STEPS, arch(number), errors, draws=draws)
 
 
-@pytest.mark.parametrize(
-    ("measure", "errors"),
-    [
+def test_closed_forms_agree_with_the_general_rule() -> None:
+    for measure, errors in (
         (TO_SIMULATED, CORRELATED),
         (MEAN, CORRELATED),
         (Currents(0.1), PointErrors(0.002, 0.03)),
         (MeasurementLines(20), PointErrors(0.001)),
         (MeasurementLines(10, smooth=0.1), PointErrors(0.001, 0.03)),
-    ],
-    ids=str,
-)
-def test_closed_forms_agree_with_the_general_rule(measure: Discrepancy, errors: PointErrors) -> None:
-    expected = measure.noise_variance(errors, arch())  # type: ignore[attr-defined]
-    assert by_rule(measure, errors) == pytest.approx(expected, rel=0.35)
+    ):
+        assert by_rule(measure, errors) == pytest.approx(measure.noise_variance(errors, arch()), rel=0.35), measure
 
 
 def test_the_rule_knows_what_independent_residuals_are() -> None:
@@ -69,11 +57,11 @@ def test_a_square_of_the_sd_is_wrong_for_a_mean() -> None:
     assert by_rule(MEAN, FINE) < 0.05 * 0.002**2
 
 
-@pytest.mark.parametrize("measure", [ClosestPoint(), Currents(0.1), MEAN], ids=str)
-def test_smooth_shapes_stand_for_the_inputs(measure: Discrepancy) -> None:
+def test_smooth_shapes_stand_for_the_inputs() -> None:
     """Before any run, the variance is nearly that which the model's own inputs ask for."""
     errors = PointErrors(0.002, 0.02)
-    assert noise_variance(measure, arch(), errors, 61) == pytest.approx(by_rule(measure, errors), rel=0.4)
+    for measure in (ClosestPoint(), Currents(0.1), MEAN):
+        assert noise_variance(measure, arch(), errors, 61) == pytest.approx(by_rule(measure, errors), rel=0.4), measure
 
 
 def test_which_variance_is_taken() -> None:
@@ -93,18 +81,13 @@ def test_tracked_points_err_along_the_interface_as_much_as_across_it() -> None:
         assert noise_variance(TrackedPoints(), arch(), errors, 61) == pytest.approx(expected, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("measure", "length"),
-    [(TO_SIMULATED, 0.15), (MEAN, 0.0), (Currents(0.6, quadrature="centre"), 0.0)],
-    ids=str,
-)
-def test_closed_forms_agree_with_the_rule_on_a_surface(measure: ClosestPoint | Currents, length: float) -> None:
+def test_closed_forms_agree_with_the_rule_on_a_surface() -> None:
     """The rule sees only a function; a square of the sd alone would be off by far more."""
-    surface, errors = sphere(1.0, 2), PointErrors(0.01, length)
-    closed = measure.noise_variance(errors, surface)
-    assert closed is not None
-    by_draws = noise_variance(lambda a, b: measure(a, b), surface, errors, len(surface.points), draws=20)
-    assert closed == pytest.approx(by_draws, rel=0.4)
+    surface, centre = sphere(1.0, 2), Currents(0.6, quadrature="centre")
+    for measure, length in ((TO_SIMULATED, 0.15), (MEAN, 0.0), (centre, 0.0)):
+        errors = PointErrors(0.01, length)
+        by_draws = noise_variance(lambda a, b: measure(a, b), surface, errors, len(surface.points), draws=20)  # noqa: B023
+        assert measure.noise_variance(errors, surface) == pytest.approx(by_draws, rel=0.4), measure
 
 
 def test_smooth_shapes_move_a_surface_along_its_normals_whatever_its_size() -> None:

@@ -10,7 +10,6 @@ from tests.unit.likelihood.near_arches import ALL, LOCAL, around, by, likelihood
 
 from strandline.discrepancy import Currents
 from strandline.interface import PointErrors, UnknownErrors
-from strandline.likelihood import FieldLikelihood
 from strandline.likelihood.parabolas import FittedParabola, Parabolas, log_gain, mean_of_draws, numbers
 from strandline.surrogate.field import FieldPrediction
 
@@ -79,14 +78,14 @@ def test_quadrature_of_one_mode_agrees() -> None:
     np.testing.assert_allclose(drawn(saturating, found), np.log(rows) - 0.5 * np.log(6 * np.pi), atol=0.05)
 
 
-@pytest.mark.parametrize("f", [curved, saturating])
-def test_draws_weigh_off_what_the_parabola_misses(f: LogLikelihood) -> None:
+def test_draws_weigh_off_what_the_parabola_misses() -> None:
     found = fields(6, 1.0, 2.0)
-    exact = plain(f, found)
-    closed = f(found.mean) + log_gain(fitted(f, 6).parabolas(found.mean), found.variance, f(found.mean))
-    assert np.sqrt(np.mean((drawn(f, found) - exact) ** 2)) < 0.05
-    assert np.sqrt(np.mean((closed - exact) ** 2)) < 0.15
-    assert np.sqrt(np.mean((plain(f, found, 16) - exact) ** 2)) > 0.3
+    for f in (curved, saturating):
+        exact = plain(f, found)
+        closed = f(found.mean) + log_gain(fitted(f, 6).parabolas(found.mean), found.variance, f(found.mean))
+        assert np.sqrt(np.mean((drawn(f, found) - exact) ** 2)) < 0.05
+        assert np.sqrt(np.mean((closed - exact) ** 2)) < 0.15
+        assert np.sqrt(np.mean((plain(f, found, 16) - exact) ** 2)) > 0.3
 
 
 def test_a_parabola_that_is_wrong_does_little_harm() -> None:
@@ -139,22 +138,21 @@ def test_residuals_near_the_best_fit_give_the_same_as_matrices(errors: PointErro
         assert value == pytest.approx(exact, abs=0.02 * abs(gained))
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        pytest.param(lambda: likelihood(UnknownErrors()), id="unknown errors"),
-        pytest.param(lambda: by(Currents(0.03), 0.004), id="currents"),
-        pytest.param(lambda: by(Currents(0.03, quadrature="centre"), 0.004), id="no likelihood nearby"),
-    ],
-)
-def test_measures_average_as_plain_draws_of_the_field_do(make: Callable[[], FieldLikelihood]) -> None:
-    found, x = widened(make(), 1e7), around(LOCAL, 40)[:2]
-    predicted, random = found.surrogate.predict(x), np.random.default_rng(3)
-    for row, value in enumerate(found.expected(x)):
-        noise = random.standard_normal((1000, predicted.mean.shape[1]))
-        draws = predicted.mean[row] + np.sqrt(predicted.variance[row]) * noise
-        each = found._of(draws, random.standard_normal((1000, len(found.surrogate.modes.tail))))
-        exact = logsumexp(each) - np.log(len(each))
-        error = np.std(np.exp(each - exact)) / np.sqrt(len(each))
-        assert abs(value - exact) < 0.1 + 3 * error
-        assert error < 0.15
+def test_measures_average_as_plain_draws_of_the_field_do() -> None:
+    """With unknown errors, by a measure that is followed nearby, and by one that is not."""
+    x, random = around(LOCAL, 40)[:2], np.random.default_rng(3)
+    for known in (
+        likelihood(UnknownErrors()),
+        by(Currents(0.03), 0.004),
+        by(Currents(0.03, quadrature="centre"), 0.004),
+    ):
+        found = widened(known, 1e7)
+        predicted = found.surrogate.predict(x)
+        for row, value in enumerate(found.expected(x)):
+            noise = random.standard_normal((1000, predicted.mean.shape[1]))
+            draws = predicted.mean[row] + np.sqrt(predicted.variance[row]) * noise
+            each = found._of(draws, random.standard_normal((1000, len(found.surrogate.modes.tail))))
+            exact = logsumexp(each) - np.log(len(each))
+            error = np.std(np.exp(each - exact)) / np.sqrt(len(each))
+            assert abs(value - exact) < 0.1 + 3 * error
+            assert error < 0.15
