@@ -84,10 +84,6 @@ def test_product_of_two_segments_against_adaptive_quadrature(width):
     assert Currents(width, tolerance=1e-10).inner(first, second) == pytest.approx(exact, abs=1e-8)
 
 
-def test_perpendicular_segments_are_orthogonal():
-    assert Currents(0.3).inner(line((0, 0), (1, 0)), line((0.5, -1), (0.5, 1))) == pytest.approx(0.0, abs=1e-15)
-
-
 def test_refined_norm_does_not_depend_on_the_nodes():
     observed, simulated = Interface.polyline(ARC), Interface.polyline(ARC + np.array([0.0, 0.002]) * ARC[:, :1])
     for width, parts, seed in ((3e-4, 2, None), (0.005, 7, None), (0.05, 3, 1), (10.0, 3, 1)):
@@ -95,16 +91,6 @@ def test_refined_norm_does_not_depend_on_the_nodes():
         other = measure(subdivided(simulated, parts, seed), subdivided(observed, parts + 1))
         bound = measure.tolerance * measure.inner(observed, observed)
         assert other == pytest.approx(measure(simulated, observed), abs=bound)
-
-
-def test_centre_rule_depends_on_the_nodes_where_segments_are_longer_than_the_width():
-    """The trap: σ = 0.005 mm and ℓ = 0.022 mm; nodes shifted by half a segment along one and the same line."""
-    x = 0.022 * np.arange(66)
-    line = Interface.polyline(np.stack([x, 0 * x], axis=1))
-    shifted = Interface.polyline(np.stack([np.concatenate([x[:1], x[1:] - 0.011, x[-1:]]), np.zeros(67)], axis=1))
-    centre, refined = Currents(0.005, quadrature="centre"), Currents(0.005)
-    assert centre(shifted, line) > 0.5 * centre.inner(line, line)
-    assert refined(shifted, line) < 1e-6 * refined.inner(line, line)
 
 
 def test_centre_rule_is_the_double_sum_of_the_paper_and_converges_to_the_refined_norm():

@@ -172,20 +172,6 @@ def test_distances_in_closed_form() -> None:
     assert np.log2(means[:-1] / means[1:]) == pytest.approx([2.0, 2.0], abs=0.3)
 
 
-def test_the_nearest_vertex_is_not_the_closest_point() -> None:
-    """What a search for vertices would answer, and one for the triangle with the nearest centre."""
-    long = np.array([[-10.0, -1.0, 0.0], [10.0, -1.0, 0.0], [0.0, 2.0, 0.0]])
-    small = np.array([[7.0, 0.1, 0.3], [7.1, 0.1, 0.3], [7.0, 0.2, 0.3]])
-    both = Interface(np.concatenate([long, small]), np.array([[0, 1, 2], [3, 4, 5]]))
-    p = np.array([[6.0, -0.5, 0.2]])
-    found = closest_points(p, both)
-    assert found.squares == pytest.approx([0.04])
-    assert found.points == pytest.approx(np.array([[6.0, -0.5, 0.0]]))
-    assert found.cells.tolist() == [0]
-    assert np.argmin(np.linalg.norm(both.centres - p, axis=1)) == 1
-    assert np.linalg.norm(both.points - p, axis=1).min() > 1.0
-
-
 def loops(number: int) -> Interface:
     """Return a closed polyline that runs twice through the same points: each segment has a twin."""
     angle = 4 * np.pi * np.arange(2 * number) / (2 * number)

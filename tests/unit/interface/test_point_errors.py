@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.spatial import ConvexHull
+from tests.unit.discrepancy.curves import ring
+from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, arc_lengths, point_normals, spacings
-from strandline.interface.correlated import correlated
+from strandline.interface.correlated import correlated, summed_length
 
 ALL = PointErrors(0.004, 0.02, shift=0.01, rotation=0.5, scale=0.005, offset=0.003)
 
@@ -18,23 +20,19 @@ def arch(number: int = 200, *, closed: bool = False) -> Interface:
     return Interface.polyline(np.stack([-0.5 * np.cos(angle), 0.4 * np.sin(angle)], axis=1), closed=closed)
 
 
-def dense(errors: PointErrors, outline: Interface) -> np.ndarray:
-    model = errors.model(outline)
-    return np.diag(model.local) + model.shared @ model.shared.T
-
-
-@pytest.mark.parametrize("errors", [ALL, PointErrors(0.01), PointErrors(0.01, 0.1, offset=0.1)])
 @pytest.mark.parametrize("closed", [False, True])
-def test_square_and_determinant_are_those_of_the_matrix(errors: PointErrors, closed: bool) -> None:
+def test_square_and_determinant_are_those_of_the_matrix(closed: bool) -> None:
     outline = arch(closed=closed)
-    model, C = errors.model(outline), dense(errors, outline)
     residuals = np.random.default_rng(1).normal(size=(3, len(outline.points)))
-    np.testing.assert_allclose(model.square(residuals), [r @ np.linalg.solve(C, r) for r in residuals], rtol=1e-10)
-    assert model.log_det == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-12)
-    squares, products = (residuals**2) @ (1 / model.local), residuals @ model.features
-    np.testing.assert_allclose(model.square_of(squares, products), model.square(residuals), rtol=1e-10)
-    expected = model.shared.T @ np.linalg.solve(C, residuals[0])
-    np.testing.assert_allclose(model.shared_errors(residuals[:1] @ model.features)[0], expected, atol=1e-9)
+    for errors in (ALL, PointErrors(0.01), PointErrors(0.01, 0.1, offset=0.1)):
+        model = errors.model(outline)
+        C = np.diag(model.local) + model.shared @ model.shared.T
+        np.testing.assert_allclose(model.square(residuals), [r @ np.linalg.solve(C, r) for r in residuals], rtol=1e-10)
+        assert model.log_det == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-12)
+        squares, products = (residuals**2) @ (1 / model.local), residuals @ model.features
+        np.testing.assert_allclose(model.square_of(squares, products), model.square(residuals), rtol=1e-10)
+        expected = model.shared.T @ np.linalg.solve(C, residuals[0])
+        np.testing.assert_allclose(model.shared_errors(residuals[:1] @ model.features)[0], expected, atol=1e-9)
 
 
 def moved(outline: Interface, kind: str, size: float) -> Interface:
@@ -51,14 +49,19 @@ def moved(outline: Interface, kind: str, size: float) -> Interface:
     return Interface(points, outline.cells)
 
 
-@pytest.mark.parametrize("kind", ["x", "y", "rotation", "scale", "offset"])
-def test_global_errors_do_to_the_distances_what_moving_the_outline_does(kind: str) -> None:
+def test_global_errors_do_to_the_distances_what_moving_the_outline_does() -> None:
     """Away from the ends, where the closest point of an open outline is its end."""
     outline, size = arch(400), 1e-4
-    errors = PointErrors(1.0, **{"shift" if kind in "xy" else kind: size})
-    column = errors.model(outline).shared[:, 1 if kind == "y" else 0] / size
-    found = signed_distances(moved(outline, kind, size).points, outline) / size
-    np.testing.assert_allclose(found[20:-20], column[20:-20], atol=6e-3)  # segments turn by 0.008 from one to the next
+    for kind in ("x", "y", "rotation", "scale", "offset"):
+        errors = PointErrors(1.0, **{"shift" if kind in "xy" else kind: size})
+        column = errors.model(outline).shared[:, 1 if kind == "y" else 0] / size
+        found = signed_distances(moved(outline, kind, size).points, outline) / size
+        np.testing.assert_allclose(found[20:-20], column[20:-20], atol=6e-3)  # segments turn by 0.008 each
+    every = PointErrors(1e-3, shift=1e-4, rotation=0.01, scale=1e-4, offset=1e-4)
+    assert every.global_errors(2) == 5
+    for number in range(5):
+        found = signed_distances(every.moved(outline, np.eye(5)[number]).points, outline)
+        np.testing.assert_allclose(found[20:-20], every.model(outline).shared[20:-20, number], atol=6e-7)
 
 
 def test_normals_are_those_of_the_outline_and_stay_so_under_noise() -> None:
@@ -73,7 +76,7 @@ def test_normals_are_those_of_the_outline_and_stay_so_under_noise() -> None:
 
 
 def test_parts_on_both_sides_of_a_gap_tell_as_much_as_each_alone() -> None:
-    """A gap is no long segment that makes the points beside it independent of the others."""
+    """A gap is no long segment that makes the points beside it independent; a point between two gaps is."""
     whole, errors = arch(800), PointErrors(0.002, 0.02)
     parts = [Interface.polyline(whole.points[some]) for some in (slice(0, 300), slice(500, 800))]
     seen = Interface.polyline(np.concatenate([part.points for part in parts]))
@@ -82,52 +85,35 @@ def test_parts_on_both_sides_of_a_gap_tell_as_much_as_each_alone() -> None:
         return float(errors.model(outline).information(np.ones((len(outline.points), 1)))[0, 0])
 
     assert tells(seen) == pytest.approx(sum(tells(part) for part in parts), rel=1e-3)
-
-
-@pytest.mark.parametrize("name", ["shift", "offset"])
-def test_errors_larger_than_the_interface_are_refused(name: str) -> None:
-    PointErrors(0.001, **{name: 0.5}).require_fits(arch(100))
-    with pytest.raises(InvalidInput, match=f"{name} of the errors of points: got 50 mm; expected at most the size"):
-        PointErrors(0.001, **{name: 50.0}).require_fits(arch(100))
-
-
-def test_a_point_between_two_gaps_is_independent() -> None:
     points = np.array([*np.linspace([0.0, 0.0], [0.1, 0.0], 40), [0.5, 0.0], *np.linspace([0.9, 0.0], [1.0, 0.0], 40)])
-    variances = PointErrors(0.002, 0.02).local_variances(Interface.polyline(points))
+    variances = errors.local_variances(Interface.polyline(points))
     assert variances[40] == pytest.approx(0.002**2)
     np.testing.assert_allclose(np.delete(variances, 40), 0.002**2 / np.tanh((0.1 / 39) / 0.04), rtol=1e-6)
 
 
-def test_spacings_add_up_to_the_length() -> None:
-    closed = arch(50, closed=True)
+def test_spacings_add_up_to_the_length_and_errors_do_not_lengthen_it() -> None:
+    closed, opened = arch(50, closed=True), arch(50)
     assert spacings(closed).sum() == pytest.approx(closed.lengths.sum(), rel=1e-2)
-    opened = arch(50)
     inner = opened.lengths.sum() - 0.5 * opened.lengths[[0, -1]].sum()
     assert spacings(opened)[1:-1].sum() == pytest.approx(inner, rel=1e-3)
-
-
-def test_errors_of_the_points_do_not_lengthen_their_course() -> None:
-    true, random = arch(300), np.random.default_rng(3)
-    rough = PointErrors(0.7 * float(true.lengths.mean())).draw(true, random)
+    true = arch(300)
+    rough = PointErrors(0.7 * float(true.lengths.mean())).draw(true, np.random.default_rng(3))
     assert rough.lengths.sum() > 1.2 * true.lengths.sum()
     assert spacings(rough).mean() == pytest.approx(true.lengths.mean(), rel=0.05)
     assert arc_lengths(rough).max() == pytest.approx(true.lengths.sum(), rel=0.05)
 
 
-def squares(errors: PointErrors, *, stated: PointErrors, number: int = 200) -> np.ndarray:
+def squares(errors: PointErrors, *, stated: PointErrors) -> np.ndarray:
     """Return rᵀ C⁻¹ r of drawn outlines along a slow direction: what inputs are compared by."""
     outline = arch(300)
     model, random = stated.model(outline), np.random.default_rng(7)
     slow = np.cos(np.linspace(0.0, 6.0, 300))
     whitened = slow / model.local - model.projection.T @ (model.projection @ slow)
-    scores = [
-        signed_distances(errors.draw(outline, random).points, outline) @ whitened / np.sqrt(slow @ whitened)
-        for _ in range(number)
-    ]
-    return np.array(scores)
+    drawn = [signed_distances(errors.draw(outline, random).points, outline) for _ in range(120)]
+    return np.array(drawn) @ whitened / np.sqrt(slow @ whitened)
 
 
-@pytest.mark.parametrize("errors", [PointErrors(0.003), PointErrors(0.003, 0.015), PointErrors(0.003, 0.06), ALL])
+@pytest.mark.parametrize("errors", [PointErrors(0.003), PointErrors(0.003, 0.06), ALL])
 def test_a_slow_shape_is_known_as_well_as_the_covariance_says(errors: PointErrors) -> None:
     found = squares(errors, stated=errors)
     assert 0.85 < found.std() < 1.15
@@ -158,42 +144,39 @@ def test_two_outlines_move_together() -> None:
     assert ratio == pytest.approx(1.015)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_senseless_errors_are_refused() -> None:
+    for options, said in (
         ({"sd": 0.0}, "above 0"),
         ({"sd": -1.0}, "above 0"),
         ({"sd": 0.1, "length": -0.1}, "0 or above"),
         ({"sd": 0.1, "rotation": np.inf}, "finite"),
         ({"sd": 0.01, "scale": 50.0}, "at most 0.5, a share"),
         ({"sd": 0.01, "rotation": 90.0}, "at most 45 degrees"),
-    ],
-)
-def test_senseless_errors_are_refused(options: dict[str, float], said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
-        PointErrors(**options)
-
-
-def test_a_correlation_longer_than_the_outline_is_refused() -> None:
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            PointErrors(**options)
+    for sds, said in (
+        ([1e-3, -1e-3, 2e-3], "standard deviation of point 2: got -0.001"),
+        ([1e-3, 0.0], "standard deviation of point 2: got 0"),
+        ([np.nan, 1e-3], "standard deviation of point 1: got nan"),
+        ([1e-3, np.inf], "standard deviation of point 2: got inf"),
+        ([], "got no standard deviation"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            PointErrors.of_each(sds)
     with pytest.raises(InvalidInput, match="half the length"):
         PointErrors(0.01, 2.0).model(arch())
-
-
-@pytest.mark.parametrize("number", range(5))
-def test_moved_outlines_have_the_distances_that_the_model_says(number: int) -> None:
-    outline, errors = arch(400), PointErrors(1e-3, shift=1e-4, rotation=0.01, scale=1e-4, offset=1e-4)
-    assert errors.global_errors(2) == 5
-    moved = errors.moved(outline, np.eye(5)[number])
-    column = errors.model(outline).shared[:, number]
-    np.testing.assert_allclose(signed_distances(moved.points, outline)[20:-20], column[20:-20], atol=6e-7)
+    for name in ("shift", "offset"):
+        PointErrors(0.001, **{name: 0.5}).require_fits(arch(100))
+        with pytest.raises(InvalidInput, match=f"{name} of the errors of points: got 50 mm; expected at most the size"):
+            PointErrors(0.001, **{name: 50.0}).require_fits(arch(100))
 
 
 def test_absent_global_errors_move_nothing() -> None:
-    errors = PointErrors(1e-3, scale=1e-2)
+    errors, middle = PointErrors(1e-3, scale=1e-2), arch().points.mean(axis=0)
     assert errors.global_errors(2) == errors.global_errors(3) == 1
     assert PointErrors(1e-3).global_errors(2) == 0
     np.testing.assert_allclose(PointErrors(1e-3).moved(arch(), np.empty(0)).points, arch().points, atol=1e-15)
-    middle = arch().points.mean(axis=0)
     expected = middle + 1.02 * (arch().points - middle)
     np.testing.assert_allclose(errors.moved(arch(), np.array([2.0])).points, expected, atol=1e-12)
 
@@ -203,14 +186,22 @@ def test_points_with_their_own_sds() -> None:
     sds = np.where(np.arange(200) < 100, 1e-4, 3e-4)
     errors = PointErrors.of_each(sds, length=0.02)
     assert errors.sd == pytest.approx(np.sqrt(5) * 1e-4)
-    np.testing.assert_allclose(
-        errors.model(outline).local, (sds / errors.sd) ** 2 * PointErrors(errors.sd, 0.02).model(outline).local
-    )
+    common = PointErrors(errors.sd, 0.02).model(outline).local
+    np.testing.assert_allclose(errors.model(outline).local, (sds / errors.sd) ** 2 * common)
     off = np.array([signed_distances(errors.draw(outline, random).points, outline) for _ in range(60)])
     np.testing.assert_allclose(off.std(axis=0)[5:-5], sds[5:-5], rtol=0.5)
     assert off[:, :95].std() == pytest.approx(1e-4, rel=0.1)
     with pytest.raises(InvalidInput, match="200 standard deviations for 50 points"):
         errors.model(arch(50))
+
+
+def test_other_numbers_of_points_take_the_root_mean_square_and_the_local_part_no_global_errors() -> None:
+    errors = PointErrors.of_each([1e-3, 7e-3], length=0.02)
+    assert errors.of_points(2) is errors
+    assert errors.of_points(3) == PointErrors(5e-3, 0.02)
+    assert ALL.of_points(3) is ALL
+    assert ALL.local_part == PointErrors(0.004, 0.02)
+    assert PointErrors.of_each([1e-3, 7e-3], shift=0.1).local_part == PointErrors.of_each([1e-3, 7e-3])
 
 
 def sphere(number: int = 600) -> Interface:
@@ -225,52 +216,14 @@ def sphere(number: int = 600) -> Interface:
     return Interface(points, np.ascontiguousarray(cells).astype(int))
 
 
-@pytest.mark.parametrize(
-    ("sds", "said"),
-    [
-        ([1e-3, -1e-3, 2e-3], "standard deviation of point 2: got -0.001"),
-        ([1e-3, 0.0], "standard deviation of point 2: got 0"),
-        ([np.nan, 1e-3], "standard deviation of point 1: got nan"),
-        ([1e-3, np.inf], "standard deviation of point 2: got inf"),
-        ([], "got no standard deviation"),
-    ],
-)
-def test_sds_of_points_are_above_zero(sds: list[float], said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
-        PointErrors.of_each(sds)
-
-
-def test_other_numbers_of_points_take_the_root_mean_square() -> None:
-    errors = PointErrors.of_each([1e-3, 7e-3], length=0.02)
-    assert errors.of_points(2) is errors
-    assert errors.of_points(3) == PointErrors(5e-3, 0.02)
-    assert ALL.of_points(3) is ALL
-
-
-def test_the_local_part_has_no_global_errors() -> None:
-    assert ALL.local_part == PointErrors(0.004, 0.02)
-    own = PointErrors.of_each([1e-3, 7e-3], shift=0.1)
-    assert own.local_part == PointErrors.of_each([1e-3, 7e-3])
-
-
 def test_surfaces_have_normals_areas_and_global_errors() -> None:
     ball = sphere()
     assert spacings(ball).sum() == pytest.approx(ball.areas.sum())
     np.testing.assert_allclose(point_normals(ball, 0.05), ball.points / 0.5, atol=0.05)
-    errors = PointErrors(1e-3, shift=1e-3, rotation=0.1, scale=1e-3, offset=1e-3)
-    model = errors.model(ball)
+    model = PointErrors(1e-3, shift=1e-3, rotation=0.1, scale=1e-3, offset=1e-3).model(ball)
     assert model.shared.shape == (600, 3 + 3 + 1 + 1)
     np.testing.assert_allclose(model.shared[:, 3:6], 0.0, atol=1e-4)
     np.testing.assert_allclose(model.shared[:, 6], 0.5e-3, rtol=0.02)
-
-
-def test_errors_on_a_surface_are_correlated_as_stated() -> None:
-    ball, random = sphere(), np.random.default_rng(5)
-    fields = correlated(ball, 0.1, 300, random)
-    assert fields.std() == pytest.approx(1.0, abs=0.05)
-    distance = np.linalg.norm(ball.points[0] - ball.points, axis=1)
-    near = int(np.argsort(distance)[6])
-    assert np.corrcoef(fields[:, 0], fields[:, near])[0, 1] == pytest.approx(np.exp(-distance[near] / 0.1), abs=0.15)
 
 
 def test_an_observation_turned_round_keeps_the_errors_of_each_point() -> None:
@@ -282,3 +235,55 @@ def test_an_observation_turned_round_keeps_the_errors_of_each_point() -> None:
     np.testing.assert_allclose(turned.noise.sds(turned.interface), [0.004, 0.002, 0.001])
     np.testing.assert_array_equal(turned.interface.points, seen.interface.points[::-1])
     assert Observation(seen.interface, 0.5).reversed().noise == Observation(seen.interface, 0.5).noise
+
+
+TOLERANCE = 0.1
+"""More than four standard errors of a correlation from 4000 draws."""
+
+
+def line(number: int) -> Interface:
+    """Return a line of uneven points."""
+    x = np.linspace(0.0, 1.0, number) ** 1.5
+    return Interface.polyline(np.stack([x, 0 * x], axis=1))
+
+
+def correlations(interface: Interface, length: float) -> np.ndarray:
+    drawn = correlated(interface, length, 4000, np.random.default_rng(3))
+    assert drawn.shape == (4000, len(interface.points))
+    return np.asarray(drawn.T @ drawn / 4000)
+
+
+def exponential(interface: Interface, length: float) -> np.ndarray:
+    apart = np.linalg.norm(interface.points[:, None] - interface.points, axis=2)
+    return np.asarray(np.exp(-apart / length))
+
+
+def test_drawn_errors_have_the_correlations_that_they_should_have() -> None:
+    """Along a line and over a surface, whose waves are random, too; planted: twice the correlation length."""
+    np.testing.assert_allclose(correlations(line(30), 0.2), exponential(line(30), 0.2), atol=TOLERANCE)
+    assert np.abs(correlations(line(30), 0.4) - exponential(line(30), 0.2)).max() > 2 * TOLERANCE
+    surface = sheet(6, bend=0.1)
+    np.testing.assert_allclose(correlations(surface, 0.3), exponential(surface, 0.3), atol=2 * TOLERANCE)
+    for interface in (line(20), sheet(5)):
+        independent = correlations(interface, 0.0)
+        np.testing.assert_allclose(independent, np.eye(len(interface.points)), atol=TOLERANCE)
+    found = correlations(ring(40), 0.5)  # the ends of a closed line are far apart
+    assert abs(found[0, -1]) < TOLERANCE
+    assert found[0, 1] == pytest.approx(np.exp(-2 * np.sin(np.pi / 40) / 0.5), abs=TOLERANCE)
+
+
+def test_the_variance_of_a_slow_mean_is_that_of_the_drawn_errors() -> None:
+    """Of n points h apart, from their whole covariance; planted: s² max(1, 2ℓ/h), right in both limits only."""
+    number, sd, spacing = 400, 0.002, 4.0 / 399
+    outline = Interface.polyline(np.stack([np.linspace(0.0, 4.0, number), np.zeros(number)], axis=1))
+    apart = np.abs(np.subtract.outer(np.arange(number), np.arange(number))) * spacing
+    slow = np.sin(np.pi * (np.arange(number) + 0.5) / number)
+    for share in (0.0, 0.5, 1.0, 8.0):
+        length = share * spacing
+        covariance = sd**2 * (np.exp(-apart / length) if length else np.eye(number))
+        exact = slow @ covariance @ slow / (slow @ slow)
+        found = PointErrors(sd, length).local_variances(outline)
+        assert found.mean() == pytest.approx(exact, rel=0.03)
+        assert 2 * summed_length(length, spacing) * sd**2 / spacing == pytest.approx(found.mean(), rel=0.01)
+        if 0.2 < share < 2:
+            assert sd**2 * max(1.0, 2 * share) != pytest.approx(exact, rel=0.03)
