@@ -38,7 +38,7 @@ def beam(inputs, workdir):
     return quick(inputs, workdir)
 """
 """A model with some time for a run, and failures."""
-SCREENS = [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")]
+SCREENS = [(1280, "light"), (400, "dark")]
 
 
 class Person:

@@ -2,10 +2,8 @@
 
 import json
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,118 +36,93 @@ def has_posterior(client: httpx.Client) -> dict[str, Any] | None:
     return found if "mean" in found else None
 
 
-class TestBeforeAnyRun:
-    @pytest.fixture(scope="class")
-    def server(self, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-        with serving(sl.load_study(write_study(tmp_path_factory.mktemp("unrun") / "beam"))) as found:
-            yield found
-
-    @pytest.fixture(scope="class")
-    def client(self, server: Server) -> Iterator[httpx.Client]:
-        with httpx.Client(base_url=server.url, timeout=60) as found:
-            yield found
-
-    @pytest.mark.smoke
-    def test_paths(self, client: httpx.Client) -> None:
-        for path, status in {
-            "": 200,
-            "/api/study": 200,
-            "/api/nothing": 404,
-            "/nothing": 404,
-            "/page/x/../../server.py": 404,
-            "/page/%2e%2e/server.py": 403,
-            "/page/..%2fserver.py": 403,
-            "/api/run?row=999": 404,
-            "/api/run?row=-1": 400,
-            "/api/run?row=1111111111111111": 400,
-            "/api/runs?since=x": 400,
-            "/api/picture": 404,
-            "/page/": 403,
-            "/page/app.js": 200,
-            "/panels/vendor/plotly-cartesian.min.js": 200,
-        }.items():
-            assert client.get(path).status_code == status, path
-        assert client.post("/api/nothing", json={}).status_code == 404
-        for path in ("", "/page/app.js", "/panels/charts.js", "/api/study"):
-            headers = client.get(path).headers
-            assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'self'")
-            assert headers["X-Content-Type-Options"] == "nosniff"
-            assert "Server" not in headers
-            assert "Set-Cookie" not in headers
-
-    @pytest.mark.smoke
-    def test_what_makes_no_sense_is_refused_in_a_line(self, client: httpx.Client) -> None:
-        for name, body, words in (
-            ("predict", {"inputs": {"E": 430}}, "too few forward runs have ended yet"),
-            ("predict", {"inputs": [1, 2]}, "inputs: got [1, 2]; expected a JSON object"),
-            ("ask", {"assumptions": {"nose": 1}}, "assumptions: got nose; expected some of"),
-            ("ask", {"assumptions": {"noise": 2.0}}, "too few forward runs have ended yet"),
-            ("flow", {"inputs": {"E": 400, "tilt": 0.01}}, "expected a model that offers its fields"),
-            ("save", {"name": "../there"}, "name of the new study: got ../there"),
-            ("save", {"name": "beam"}, "expected no such folder yet"),
-        ):
-            answer = client.post(f"/api/{name}", json=body)
-            assert answer.status_code == 400
-            assert words in answer.json()["error"]
-            assert "\n" not in answer.json()["error"]
-        for content in (b"{", b"[1]", b"\xff", b"null"):
-            assert client.post("/api/ask", content=content).status_code == 400
-
-    @pytest.mark.smoke
-    def test_nobody_gets_in_without_the_token(self, server: Server) -> None:
-        for path in ("/", "/api/study", "/events", "/page/app.js", "/panels/charts.js", "/api/picture", "/nothing"):
-            for token in ("", "/wrong", "/" + server.door.token + "x"):
-                assert httpx.get(f"http://127.0.0.1:{server.port}{token}{path}").status_code == 403
-            whole = server.url.rstrip("/") + path
-            assert httpx.get(whole, headers={"Host": "example.org"}).status_code == 403
-            assert httpx.get(whole, headers={"Origin": "http://example.org"}).status_code == 403
-
-    def test_it_listens_on_this_machine_alone(self, server: Server) -> None:
-        assert server.url.startswith("http://127.0.0.1:")
-        with socket.socket() as other:
-            other.bind(("127.0.0.2", server.port))  # free: the server holds one address, not all
-
-    def test_a_forwarded_port_shows_the_page(self, server: Server) -> None:
-        """As with `ssh -L`: the browser calls another port, of localhost."""
-        with socket.create_server(("127.0.0.1", 0)) as listening:
-            port = listening.getsockname()[1]
-            threading.Thread(target=_forward, args=(listening, server.port), daemon=True).start()
-            for host in ("localhost", "127.0.0.1"):
-                address = f"http://{host}:{port}/{server.door.token}/"
-                origin = {"Origin": f"http://{host}:{port}"}
-                assert httpx.get(f"{address}api/study", headers=origin).json()["name"] == "beam"
-                with httpx.stream("GET", f"{address}events") as stream:
-                    assert next(stream.iter_lines()).startswith("data: ")
-
-    def test_a_notebook_shows_the_page(self, server: Server) -> None:
-        shown: Shown = server.viewed.study.view(height=500)
-        try:
-            words = f'<iframe src="{shown.server.url}" title="beam" width="100%" height="500"'
-            assert words in shown._repr_html_()
-            assert httpx.get(shown.server.url).status_code == 200
-            assert shown.server.url in repr(shown)
-        finally:
-            shown.close()
-        assert "closed" in repr(shown)
+@pytest.fixture(scope="module")
+def unrun(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The page of a study without any run."""
+    with serving(sl.load_study(write_study(tmp_path_factory.mktemp("unrun") / "beam"))) as found:
+        yield found
 
 
-def _forward(listening: socket.socket, port: int) -> None:
-    """Pass on whatever comes, until the listening socket is closed."""
-    while True:
-        try:
-            near, _ = listening.accept()
-        except OSError:
-            return
-        far = socket.create_connection(("127.0.0.1", port))
-        for one, other in ((near, far), (far, near)):
-            threading.Thread(target=_pump, args=(one, other), daemon=True).start()
+@pytest.fixture(scope="module")
+def quick(unrun: Server) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=unrun.url, timeout=60) as found:
+        yield found
 
 
-def _pump(one: socket.socket, other: socket.socket) -> None:
-    with one, suppress(OSError):
-        while data := one.recv(65536):
-            other.sendall(data)
-        other.shutdown(socket.SHUT_WR)
+@pytest.mark.smoke
+def test_each_path_is_answered_or_refused(quick: httpx.Client) -> None:
+    for path, status in {
+        "": 200,
+        "/api/study": 200,
+        "/api/nothing": 404,
+        "/nothing": 404,
+        "/page/x/../../server.py": 404,
+        "/page/%2e%2e/server.py": 403,
+        "/page/..%2fserver.py": 403,
+        "/api/run?row=999": 404,
+        "/api/run?row=-1": 400,
+        "/api/run?row=1111111111111111": 400,
+        "/api/runs?since=x": 400,
+        "/api/picture": 404,
+        "/page/": 403,
+        "/page/app.js": 200,
+        "/panels/vendor/plotly-cartesian.min.js": 200,
+    }.items():
+        assert quick.get(path).status_code == status, path
+    assert quick.post("/api/nothing", json={}).status_code == 404
+    for path in ("", "/page/app.js", "/panels/charts.js", "/api/study"):
+        headers = quick.get(path).headers
+        assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'self'")
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "Server" not in headers
+        assert "Set-Cookie" not in headers
+
+
+@pytest.mark.smoke
+def test_what_makes_no_sense_is_refused_in_a_line(quick: httpx.Client) -> None:
+    for name, body, words in (
+        ("predict", {"inputs": {"E": 430}}, "too few forward runs have ended yet"),
+        ("predict", {"inputs": [1, 2]}, "inputs: got [1, 2]; expected a JSON object"),
+        ("ask", {"assumptions": {"nose": 1}}, "assumptions: got nose; expected some of"),
+        ("ask", {"assumptions": {"noise": 2.0}}, "too few forward runs have ended yet"),
+        ("flow", {"inputs": {"E": 400, "tilt": 0.01}}, "expected a model that offers its fields"),
+        ("save", {"name": "../there"}, "name of the new study: got ../there"),
+        ("save", {"name": "beam"}, "expected no such folder yet"),
+    ):
+        answer = quick.post(f"/api/{name}", json=body)
+        assert answer.status_code == 400
+        assert words in answer.json()["error"]
+        assert "\n" not in answer.json()["error"]
+    for content in (b"{", b"[1]", b"\xff", b"null"):
+        assert quick.post("/api/ask", content=content).status_code == 400
+
+
+@pytest.mark.smoke
+def test_nobody_gets_in_without_the_token(unrun: Server) -> None:
+    for path in ("/", "/api/study", "/events", "/page/app.js", "/panels/charts.js", "/api/picture", "/nothing"):
+        for token in ("", "/wrong", "/" + unrun.door.token + "x"):
+            assert httpx.get(f"http://127.0.0.1:{unrun.port}{token}{path}").status_code == 403
+        whole = unrun.url.rstrip("/") + path
+        assert httpx.get(whole, headers={"Host": "example.org"}).status_code == 403
+        assert httpx.get(whole, headers={"Origin": "http://example.org"}).status_code == 403
+
+
+def test_it_listens_on_this_machine_alone(unrun: Server) -> None:
+    assert unrun.url.startswith("http://127.0.0.1:")
+    with socket.socket() as other:
+        other.bind(("127.0.0.2", unrun.port))  # free: the server holds one address, not all
+
+
+def test_a_notebook_shows_the_page(unrun: Server) -> None:
+    shown: Shown = unrun.viewed.study.view(height=500)
+    try:
+        words = f'<iframe src="{shown.server.url}" title="beam" width="100%" height="500"'
+        assert words in shown._repr_html_()
+        assert httpx.get(shown.server.url).status_code == 200
+        assert shown.server.url in repr(shown)
+    finally:
+        shown.close()
+    assert "closed" in repr(shown)
 
 
 @pytest.fixture
@@ -192,24 +165,6 @@ def test_the_posterior_waits_until_a_page_has_the_runs(patience: float, folder: 
                 until(lambda: has_posterior(client), 1.5)
             assert client.get("/api/runs").json()["total"] == 33
         until(lambda: has_posterior(client))
-
-
-def test_a_result_that_was_made_again_is_shown(folder: Path, client: httpx.Client) -> None:
-    """The study is run again without one of its runs while the page is open."""
-    before = settled(client)
-    study = sl.load_study(folder)
-    with study.runs.ledger() as ledger:
-        ledger.exclude(study.runs.design_keys[3], "looks wrong")
-    sl.run_study(study, executor=sl.InProcess())
-
-    def again() -> dict[str, Any] | None:
-        found: dict[str, Any] = client.get("/api/posterior").json()
-        return found if len(found["history"]) > len(before["history"]) and found["source"] == "stored" else None
-
-    after = until(again)
-    summary = json.loads((folder / "summary.json").read_text("utf-8"))
-    assert after["mean"]["E"] == pytest.approx(summary["inputs"]["E"]["mean"], rel=2e-3)
-    assert after["history"][-1]["runs"] == 31
 
 
 def test_an_error_leaves_the_page_when_its_cause_has_gone(folder: Path, client: httpx.Client) -> None:

@@ -127,29 +127,4 @@ class TestRunsThatFail:
         assert [words for words in told if words not in said] == []
         assert "Traceback" not in said
         assert self.calls(home) == made
-        assert not (folder / "summary.json").exists()
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        (
-            {"fixed": {"load": 1.0}, "design": {"sobol": {"runs": 6}}},
-            "every forward run failed: got 0 of 6 (6 × large_deflection; e.g. the tip would move by",
-        ),
-        (
-            {"inputs": beams(1, 100), "design": {"sobol": {"runs": 4}}},
-            "too few successful forward runs: got 2 of 4 (2 × large_deflection",
-        ),
-        (
-            {"observation": {"synthetic": {"E": 400, "tilt": 0, "load": 1}}},
-            "synthetic observation could not be made: got large_deflection at E = 400, tilt = 0, load = 1",
-        ),
-    ],
-)  # fmt: skip
-def test_failed_runs_are_kept_and_nothing_else_is_written(
-    changes: dict[str, Any], told: str, tmp_path: Path, capsys: Shown
-) -> None:
-    folder = write_study(tmp_path / "study", **{**SMALL, **changes})
-    assert told in refused(capsys, "run", str(folder), "--quiet")
-    assert sorted(path.name for path in folder.iterdir()) == ["ledger.lock", "ledger.sqlite", "study.yaml"]
+        assert sorted(path.name for path in folder.iterdir()) == ["ledger.lock", "ledger.sqlite", "study.yaml"]

@@ -32,8 +32,11 @@ DRAFT = {"draft": True, "report": "none"}
 
 @pytest.fixture(scope="module")
 def answered(beam: Finished, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, NextExperiment]:
-    """A study that lists candidates, and what each is expected to teach."""
+    """A study with enough particles that lists candidates, and what each is expected to teach."""
     folder = line_by_line(beam, tmp_path_factory.mktemp("next") / "beam")
+    text = (folder / "study.yaml").read_text("utf-8").replace('"particles": 1000', '"particles": 2000')
+    (folder / "study.yaml").write_text(f"{text}report: none\n")
+    sl.run_study(sl.load_study(folder), executor=sl.InProcess())
     ask(folder, NEXT)
     before = (folder / "ledger.sqlite").read_bytes()
     found = sl.next_experiment(sl.load_study(folder), executor=sl.InProcess())
@@ -168,7 +171,7 @@ def test_what_is_refused_before_any_run(folder: Path) -> None:
 
 
 def test_the_command_prints_what_it_writes(folder: Path, capsys: Shown) -> None:
-    main(["next", str(folder), "--quiet", "--draws", "300"])
+    main(["next", str(folder), "--quiet"])
     printed = capsys.readouterr().out
     assert "beam: the next experiment, from its posterior" in printed
     assert re.search(r"^load 3e-05 +\d\.\d\d ", printed, re.MULTILINE)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -154,6 +155,18 @@ def test_an_answer_is_of_one_posterior(field: Finished, copy_of: Copy, monkeypat
     assert (viewed.run(row) or {})["excluded"] == "looks wrong"
     assert viewed.newest.shown.history[0]["moved"] is None
     assert viewed.newest.shown.history[1]["moved"] is not None
+
+
+def test_a_result_that_was_made_again_is_due(field: Finished, copy_of: Copy) -> None:
+    viewed = opened(copy_of(field))
+    assert not viewed.newest.due(33)
+    summary = viewed.study.folder / "summary.json"
+    os.utime(summary, ns=(1, 1))
+    assert viewed.newest.due(33)
+    summary.unlink()
+    assert not viewed.newest.due(33)
+    viewed.newest.refresh(33)
+    assert viewed.newest.shown.source == "so far"
 
 
 def test_a_posterior_is_due_after_a_tenth_more_runs(tmp_path: Path) -> None:

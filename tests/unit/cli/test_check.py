@@ -4,7 +4,7 @@ import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import pytest
 from tests.unit.cli.command_line import Shown, contents, printed, refused
@@ -72,21 +72,19 @@ def test_a_measure_without_a_rule_for_the_noise_is_refused(tmp_path: Path, capsy
     assert "a noise variance for such errors" in line
 
 
-@pytest.mark.parametrize(
-    ("limit", "expected"),
-    [(500.0, "anchors: 50 of the 64"), (430.0, "anchors: 32 of the 64"), (420.0, "warning: anchors: 30 of the 64")],
-)
-def test_it_says_how_many_runs_start_from_what_is_prepared(limit: float, expected: str, tmp_path: Path) -> None:
+def test_it_says_how_many_runs_start_from_what_is_prepared(tmp_path: Path) -> None:
     class Prepared:
         preparation = "anchors"
+        limit = 500.0
 
         def prepare_runs(self) -> None: ...
 
         def is_prepared(self, inputs: Any) -> bool:
-            return bool(inputs["E"] < limit)
+            return bool(inputs["E"] < self.limit)
 
-    study = load_study(write_study(tmp_path))
-    model: Any = Prepared()
-    (line,) = _prepared(replace(study, model=model))
-    assert line.startswith(f"{expected} planned runs start from them")
+    study, model = load_study(write_study(tmp_path)), Prepared()
+    for limit, told in ((500.0, "anchors: 50"), (430.0, "anchors: 32"), (420.0, "warning: anchors: 30")):
+        model.limit = limit
+        (line,) = _prepared(replace(study, model=cast(Any, model)))
+        assert line == f"{told} of the 64 planned runs start from them"
     assert list(_prepared(study)) == []

@@ -9,7 +9,7 @@ import pytest
 from tests.unit.cli.command_line import Shown, contents, printed, refused
 
 from strandline.cli import main
-from strandline.interface import Noise, PointErrors, UnknownErrors
+from strandline.interface import PointErrors, UnknownErrors
 from strandline.studies import load_study
 from strandline.studies.examples import EXAMPLES, FOLDERS, write_example
 from strandline.studies.folder import is_result
@@ -32,32 +32,25 @@ def test_a_new_study_is_sound(tmp_path: Path, capsys: Shown) -> None:
     assert load_study(folder).name == "my-first-study"
 
 
-class TestOfAnObservedInterface:
-    @pytest.fixture
-    def seen(self, tmp_path: Path) -> str:
-        x = np.linspace(0.3, 0.9, 40)
-        np.savetxt(tmp_path / "my edge.csv", np.stack([x, x * (1.2 - x)], axis=1), delimiter=",")
-        return str(tmp_path / "my edge.csv")
-
-    def noise(self, folder: Path) -> PointErrors | UnknownErrors | Noise:
+def test_a_study_of_an_observed_interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its errors are stated, asked for, or unknown."""
+    x = np.linspace(0.3, 0.9, 40)
+    np.savetxt(tmp_path / "my edge.csv", np.stack([x, x * (1.2 - x)], axis=1), delimiter=",")
+    monkeypatch.setattr("sys.stdin", Typed("inch\nmm\n-3\n2.5\n10\n8\n\n\n1\n"))
+    stated = ["--unit", "mm", "--sd", "3", "--length", "15", "--shift", "0", "--rotation", "0.5", "--scale", "0.005"]
+    for options, noise in (
+        ([*stated, "--offset", "0"], PointErrors(0.003, 0.015, rotation=0.5, scale=0.005)),
+        ([], PointErrors(0.0025, 0.01, shift=0.008, offset=0.001)),
+    ):
+        folder = tmp_path / "a" / f"b{len(options)}"
+        main(["init", str(folder), "--observed", str(tmp_path / "my edge.csv"), *options])
         study = load_study(folder)
-        assert list(study.observed) == [""]
-        assert list(study.discrepancies) == ["normal_offset"]
-        return study.noise
-
-    def test_errors_that_are_stated(self, seen: str, tmp_path: Path) -> None:
-        stated = ["--unit", "mm", "--sd", "3", "--length", "15", "--rotation", "0.5", "--scale", "0.005"]
-        main(["init", str(tmp_path / "a" / "b"), "--observed", seen, *stated])
-        assert self.noise(tmp_path / "a" / "b") == PointErrors(0.003, 0.015, rotation=0.5, scale=0.005)
-
-    def test_errors_that_are_asked_for(self, seen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("sys.stdin", Typed("inch\nmm\n-3\n2.5\n10\n8\n\n\n1\n"))
-        main(["init", str(tmp_path / "b"), "--observed", seen])
-        assert self.noise(tmp_path / "b") == PointErrors(0.0025, 0.01, shift=0.008, offset=0.001)
-
-    def test_errors_that_nobody_knows(self, seen: str, tmp_path: Path) -> None:
-        main(["init", str(tmp_path / "b"), "--observed", seen, "--unit", "mm", "--sd", "unknown"])
-        assert self.noise(tmp_path / "b") == UnknownErrors(None, 0.0)
+        assert (list(study.observed), list(study.discrepancies)) == ([""], ["normal_offset"])
+        assert study.noise == noise
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    unknown = ["--observed", str(tmp_path / "my edge.csv"), "--unit", "mm", "--sd", "unknown"]
+    main(["init", str(tmp_path / "c"), *unknown])
+    assert load_study(tmp_path / "c").noise == UnknownErrors(None, 0.0)
 
 
 class TestExamples:

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import pytest
 from tests.unit.cli.command_line import Shown
 
 from strandline.calibration import progress_text
@@ -97,12 +96,9 @@ def test_a_log_has_the_time_of_each_line_also_when_quiet(tmp_path: Path, capsys:
     assert told == ["forward runs …", "  100/100 99 ok, 1 failed", "look [here]"]
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.4, "0 s"), (59.4, "59 s"), (60.0, "1 min 00 s"), (3599.9, "1 h 00 min"), (7265.0, "2 h 01 min")],
-)
-def test_durations(seconds: float, text: str) -> None:
-    assert progress_text._duration(seconds) == text
+def test_durations() -> None:
+    told = {0.4: "0 s", 59.4: "59 s", 60.0: "1 min 00 s", 3599.9: "1 h 00 min", 7265.0: "2 h 01 min"}
+    assert {seconds: progress_text._duration(seconds) for seconds in told} == told
 
 
 def test_details_of_runs_name_folders_origins_and_reasons(tmp_path: Path) -> None:

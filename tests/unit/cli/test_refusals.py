@@ -134,16 +134,16 @@ def test_a_command_refuses_in_one_line(
         assert contents(home) == before, words
 
 
-@pytest.mark.parametrize("words", [["run", "study"], ["check", "study"], ["forward", "study", *ALL_SET]])
 def test_a_folder_for_temporary_files_that_is_not_there(
-    words: list[str], home: Path, capsys: Shown, monkeypatch: pytest.MonkeyPatch
+    home: Path, capsys: Shown, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(home)
     monkeypatch.setenv("TMPDIR", str(home / "none"))
     before = contents(home)
-    line = refused(capsys, *words)
-    assert f"TMPDIR = {home / 'none'}: No such file or directory" in line
-    assert "Make the folder, or correct TMPDIR" in line
+    for words in (["run", "study"], ["check", "study"], ["forward", "study", *ALL_SET]):
+        line = refused(capsys, *words)
+        assert f"TMPDIR = {home / 'none'}: No such file or directory" in line
+        assert "Make the folder, or correct TMPDIR" in line
     assert contents(home) == before
 
 
