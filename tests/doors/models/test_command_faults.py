@@ -1,18 +1,19 @@
 """Simulators that misbehave: each run ends as it must, harms no other, and leaves no process behind."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
-import time
 import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.doors.models.waiting import until
 from verification.validation.command_faults import FAULTS, MARKER, left_after, processes_with, study, zombies
 
 from strandline.models.command import supervisor
@@ -115,14 +116,6 @@ def hanging(folder: Path, marker: str, **options: Any) -> CommandModel:
     )
 
 
-def until(happened: Callable[[], bool], patience: float = 30.0) -> None:
-    """Wait until something has happened."""
-    deadline = time.monotonic() + patience
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def started(marker: str, number: int) -> None:
     """Wait until `number` processes with the marker run."""
     until(lambda: len(processes_with(marker)) >= number)
@@ -147,45 +140,26 @@ def test_a_closed_campaign_leaves_nothing(tmp_path: Path, marker: str) -> None:
 
 
 DRIVER = """
-import sys
-from pathlib import Path
+import pickle, sys
 sys.path[:] = {path!r}
-from strandline.models.command.model import CommandModel
-from strandline.runs import {executor}, RunRequest
-model = CommandModel(
-    command=["{{{{ python }}}}", "hang.py"], files=["hang.py"], environment={{{name!r}: {marker!r}}},
-    result={{"file": "interface.csv", "unit": "mm"}}, folder=Path({folder!r}), grace=0.2,
-)
-if __name__ == "__main__":
-    list({executor}({options})(model, [RunRequest("key", {{}})]))
+from strandline.runs import InProcess, LocalProcesses, RunRequest
+list({executor}(pickle.loads({model!r}), [RunRequest("key", {{}})]))
 """
 
 
 @pytest.mark.parametrize(
-    ("executor", "options", "number"),
+    ("executor", "number"),
     [
-        ("LocalProcesses", "workers=1", signal.SIGKILL),
-        ("InProcess", "", signal.SIGKILL),
-        ("InProcess", "", signal.SIGINT),
+        ("LocalProcesses(workers=1)", signal.SIGKILL),
+        ("InProcess()", signal.SIGKILL),
+        ("InProcess()", signal.SIGINT),
     ],
     ids=["driver of workers killed", "single process killed", "single process interrupted"],
 )
-def test_nothing_outlives_the_driver(
-    tmp_path: Path, marker: str, executor: str, options: str, number: signal.Signals
-) -> None:
-    hanging(tmp_path, marker)
-    script = tmp_path / "driver.py"
-    script.write_text(
-        DRIVER.format(
-            path=sys.path,
-            executor=executor,
-            options=options,
-            name=MARKER,
-            marker=f"{marker}-0-",
-            folder=str(tmp_path),
-        )
-    )
-    driver = subprocess.Popen([sys.executable, str(script)], stderr=subprocess.DEVNULL)
+def test_nothing_outlives_the_driver(tmp_path: Path, marker: str, executor: str, number: signal.Signals) -> None:
+    model = pickle.dumps(hanging(tmp_path, marker, grace=0.2))
+    script = DRIVER.format(path=sys.path, executor=executor, model=model)
+    driver = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL)
     try:
         started(marker, 5)  # the supervisor, the simulator and three of its children
         driver.send_signal(number)
@@ -210,28 +184,23 @@ printf 'x,y\\n0,0\\n1,1\\n' > out.csv
 """
 
 
-def killed_once(folder: Path) -> CommandModel:
-    """A simulator whose first attempt is killed by signal 9, or loses its supervisor so, in turn."""
-    (folder / "marks").mkdir()
-    (folder / "run.sh").write_text(KILLED_ONCE.format(folder=folder / "marks"))
-    (folder / "in.j2").write_text("{{ number | int }}")
-    return CommandModel(
-        command=["/bin/sh", "run.sh"],
-        files=["run.sh"],
-        templates={"in.j2": "number.txt"},
-        result={"file": "out.csv", "unit": "mm"},
-        keep="none",
-        folder=folder,
-    )
+def shell(folder: Path, script: str, **options: Any) -> CommandModel:
+    """Return a simulator that is a script."""
+    (folder / "run.sh").write_text(script)
+    result = {"file": "out.csv", "unit": "mm"}
+    return CommandModel(command=["/bin/sh", "run.sh"], files=["run.sh"], result=result, folder=folder, **options)
 
 
 def test_none_of_eight_children_killed_by_signal_9_becomes_a_final_failure(tmp_path: Path) -> None:
-    model, ends = killed_once(tmp_path), []
-    inputs = [{"number": float(k)} for k in range(8)]
+    """The first attempt of each run is killed by signal 9, or loses its supervisor so, in turn."""
+    (tmp_path / "marks").mkdir()
+    (tmp_path / "in.j2").write_text("{{ number | int }}")
+    script = KILLED_ONCE.format(folder=tmp_path / "marks")
+    model, ends = shell(tmp_path, script, templates={"in.j2": "number.txt"}, keep="none"), []
     with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
         records = run_campaign(
             model,
-            inputs,
+            [{"number": float(k)} for k in range(8)],
             ledger=ledger,
             executor=LocalProcesses(workers=2),
             on_record=lambda record, _: ends.append((record.state, record.failure_kind)),
@@ -239,13 +208,6 @@ def test_none_of_eight_children_killed_by_signal_9_becomes_a_final_failure(tmp_p
         assert ledger.counts() == Counts(ok=8)
     assert all(record.ok for record in records)
     assert Counter(ends) == {("killed", "simulator_killed"): 4, ("killed", "supervisor_died"): 4, ("ok", None): 8}
-
-
-def shell(folder: Path, script: str, **options: Any) -> CommandModel:
-    """Return a simulator that is a script."""
-    (folder / "run.sh").write_text(script)
-    result = {"file": "out.csv", "unit": "mm"}
-    return CommandModel(command=["/bin/sh", "run.sh"], files=["run.sh"], result=result, folder=folder, **options)
 
 
 def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from pathlib import Path
 import httpx
 import pytest
 import umbridge
+from tests.doors.models.waiting import until
 from tests.unit.models.umbridge.served import AT, BARE, WHOLE, served, whole
 
 from strandline.errors import ForwardModelError, InvalidInput
@@ -45,14 +46,6 @@ NO_REQUESTS = [
     b"GET /Info HTTP/99999999999999999999.1\r\n\r\n",
     b"GET /Info HTTP/1.1\r\n" + b"a: b\r\n" * 200 + b"\r\n",
 ]
-
-
-def until(happened: Callable[[], bool], patience: float = 30.0) -> None:
-    """Wait until something has happened."""
-    deadline = time.monotonic() + patience
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 @pytest.fixture(scope="module")

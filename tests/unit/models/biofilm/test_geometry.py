@@ -160,7 +160,8 @@ def test_a_gap_narrows_elements_nowhere_else():
 
 def test_sharp_bends_have_several_elements_a_segment():
     outline = polygon((0.6, 0.0), (0.7, 0.3), (1.0, 0.4), (1.3, 0.0))
-    vertices = np.array([v.point for v in mesh_flow_cell(outline, COARSE, CHANNEL).vertices])
+    mesh = mesh_flow_cell(outline, COARSE, CHANNEL)
+    vertices = np.array([v.point for v in mesh.vertices])
     start, end = outline.points[1:3]
     along = (vertices - start) @ (end - start) / np.sum((end - start) ** 2)
     (dx, dy), (x, y) = end - start, (vertices - start).T
