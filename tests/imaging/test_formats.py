@@ -1,5 +1,0 @@
-"""The scan that tests of stacks write."""
-
-from tests.unit.imaging.files import scan
-
-__all__ = ["scan"]
