@@ -116,6 +116,7 @@ def test_what_makes_no_policy_is_refused():
     for wrong in ({"actions": {"timeout": "recover"}}, {"stop_after": 0}, {"stop_share": 0.0}):
         with pytest.raises(InvalidInput):
             FailurePolicy(**wrong)
+    assert Retry().times == 1
     with pytest.raises(InvalidInput, match="at least 1"):
         Retry(0)
     require_kinds(["timeout"], {"timeout", "failed"})
