@@ -52,7 +52,7 @@ def test_distances_are_the_same(kind: str) -> None:
 
 def test_currents_keep_their_tolerance() -> None:
     for measure, kind, noise in CURRENTS:
-        points, template, seen = runs(kind, 40, noise=noise)
+        points, template, seen = runs(kind, 20, noise=noise)
         found = measure.many(points, template, seen)
         assert found is not None
         assert within(measure, found, one_by_one(replace(measure, tolerance=1e-11), points, template, seen), seen)
