@@ -24,19 +24,20 @@ PACKAGE = Path(__file__).parents[1]
 SUFFIXES = {".yaml", ".py", ".j2", ".csv", ".png"}
 
 
-def write_example(name: str, folder: Path) -> Path:
+def write_example(name: str, folder: Path, *, package: Path = PACKAGE) -> Path:
     """Write the files of an example into `folder`, created if needed; return the path of its study.yaml.
 
     Args:
         name: One of `EXAMPLES`.
         folder: Folder of the study.
+        package: Folder of the installed package.
 
     Raises:
         InvalidStudy: There is a study or one of the files already, or the folder cannot be created.
     """
     if name == "biofilm":
         return write_template(folder)
-    source = _source(name)
+    source = _source(name, package)
     files = {path.name: path.read_bytes() for path in source.iterdir() if _belongs(path)}
     text = files.pop(STUDY).decode("utf-8").replace(f"examples/{source.name}", str(folder))
     text = re.sub(r"^name: .*$", f"name: {study_name(folder)}", text, count=1, flags=re.MULTILINE)
@@ -50,10 +51,10 @@ def write_example(name: str, folder: Path) -> Path:
     return folder / STUDY
 
 
-def _source(name: str) -> Path:
+def _source(name: str, package: Path) -> Path:
     """Return the folder of an example: in the installed package, or in the checkout that the package is used from."""
     folder = FOLDERS.get(name, name)
-    places = (PACKAGE / "examples", PACKAGE.parents[1] / "examples")
+    places = (package / "examples", package.parents[1] / "examples")
     return next(place / folder for place in places if (place / folder / STUDY).is_file())
 
 

@@ -4,7 +4,7 @@ import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import pytest
 from tests.unit.cli.command_line import Shown, contents, printed, refused
@@ -77,6 +77,8 @@ def test_it_says_how_many_runs_start_from_what_is_prepared(tmp_path: Path) -> No
         preparation = "anchors"
         limit = 500.0
 
+        def __call__(self, inputs: Any, workdir: Path) -> Any: ...
+
         def prepare_runs(self) -> None: ...
 
         def is_prepared(self, inputs: Any) -> bool:
@@ -85,6 +87,6 @@ def test_it_says_how_many_runs_start_from_what_is_prepared(tmp_path: Path) -> No
     study, model = load_study(write_study(tmp_path)), Prepared()
     for limit, told in ((500.0, "anchors: 50"), (430.0, "anchors: 32"), (420.0, "warning: anchors: 30")):
         model.limit = limit
-        (line,) = _prepared(replace(study, model=cast(Any, model)))
+        (line,) = _prepared(replace(study, model=model))
         assert line == f"{told} of the 64 planned runs start from them"
     assert list(_prepared(study)) == []

@@ -71,15 +71,12 @@ class TestExamples:
                     one: content for one, content in shipped.items() if not is_result(one)
                 }
 
-    def test_results_of_one_that_was_run_stay_where_they_are(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_results_of_one_that_was_run_stay_where_they_are(self, tmp_path: Path) -> None:
         strip = tmp_path / "package" / "examples" / "strip"
         shutil.copytree(ROOT / "examples" / "strip", strip)
         for name in ("ledger.sqlite", "report.html", "specimens.csv"):
             (strip / name).touch()
-        monkeypatch.setattr("strandline.studies.examples.PACKAGE", tmp_path / "package")
-        write_example("python", tmp_path / "study")
+        write_example("python", tmp_path / "study", package=tmp_path / "package")
         assert sorted(contents(tmp_path / "study")) == [
             "make_observation.py",
             "observed.csv",

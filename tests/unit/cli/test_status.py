@@ -55,8 +55,8 @@ LINES: list[tuple[dict[str, Any], str]] = [
     ({"driver": driver(True)}, AT_WORK),
     ({"driver": driver(None), "open": 1}, "  ok 0, failed 0, under way (or lost) 1, to do 79"),
     ({"driver": driver(None)}, "  driver process 4711 on desk; strandline cannot see from here whether it is running"),
-    ({"driver": driver(True), "rate": 60, "seconds_left": 80.0}, f"{AT_WORK}: 60 runs a minute, about 80 s left"),
-    ({"driver": driver(True), "rate": 10, "seconds_left": 90.0}, f"{AT_WORK}: 10 runs a minute, about 2 min left"),
+    ({"driver": driver(True), "rate": 60.0, "seconds_left": 80.0}, f"{AT_WORK}: 60 runs a minute, about 80 s left"),
+    ({"driver": driver(True), "rate": 10.0, "seconds_left": 90.0}, f"{AT_WORK}: 10 runs a minute, about 2 min left"),
     ({"driver": driver(True), "rate": 0.5, "seconds_left": 9600.0}, f"{AT_WORK}: 0.5 runs a minute, about 2.7 h left"),
     (
         {"driver": driver(True), "rate": 60.0, "seconds_left": 80.0, "active": True},
