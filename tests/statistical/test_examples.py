@@ -1,0 +1,87 @@
+"""The examples and the README's own one find what they are about."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.check.test_examples import ROOT, module_of, readme_example
+
+FIGURE = r"([-+.\de]+)"
+
+
+def run(script: Path, folder: Path) -> str:
+    """Run `script` in an interpreter of its own in `folder` and return what it printed."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=folder, env=environment, capture_output=True, text=True, timeout=500
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def found(text: str, name: str) -> tuple[float, float]:
+    """Return mean and sd of `name` from a line such as ``E = 404 ± 4 Pa``."""
+    match = re.search(rf"^{name} = {FIGURE} ± {FIGURE}", text, re.MULTILINE)
+    assert match, text
+    return float(match[1]), float(match[2])
+
+
+def exact_moments(measured: Sequence[float], unit_deflection: Sequence[float], noise: float) -> tuple[float, float]:
+    """Return mean and sd of E ~ U(94, 1000) from Gaussian deflections w/E, by a fine sum."""
+    E = np.linspace(94.0, 1000.0, 100_001)
+    misfit = (np.asarray(measured) - np.asarray(unit_deflection) / E[:, None]) / noise
+    log_likelihood = -0.5 * np.sum(misfit**2, axis=1)
+    weight = np.exp(log_likelihood - log_likelihood.max())
+    weight /= weight.sum()
+    mean = weight @ E
+    return float(mean), float(np.sqrt(weight @ (E - mean) ** 2))
+
+
+def agrees(found: tuple[float, float], exact: tuple[float, float]) -> bool:
+    """Tell whether a mean and a standard deviation are the exact ones within the noise of 2000 particles."""
+    return abs(found[0] - exact[0]) < 0.12 * exact[1] and abs(found[1] / exact[1] - 1.0) < 0.12
+
+
+@pytest.mark.long
+def test_own_model_finds_the_exact_posterior(tmp_path: Path) -> None:
+    script = ROOT / "examples" / "own_model.py"
+    example = module_of(script)
+    points = example.measured().points
+    nodes = [int(np.argmin(np.abs(points[:, 0] - x))) for x in example.STATIONS]
+    stiff = example.beam({"E": 1.0e6, "q": example.PRESSURE}, tmp_path).points[nodes, 1] * 1.0e6
+    exact = exact_moments(points[nodes, 1], stiff, example.NOISE)
+    printed = found(run(script, tmp_path), "E")
+    assert agrees(printed, exact)
+    assert abs(printed[0] - example.TRUE_E) < 2 * printed[1]
+    planted = exact_moments(points[nodes, 1], stiff, example.NOISE * np.sqrt(2.0))  # σ² without its ½
+    assert not agrees(printed, planted)
+
+
+@pytest.mark.long
+def test_biofilm_finds_the_truth_and_repeats_no_run(tmp_path: Path) -> None:
+    script = ROOT / "examples" / "biofilm.py"
+    first = run(script, tmp_path)
+    assert_biofilm(first)
+    assert (tmp_path / "figures" / "posterior.png").stat().st_size > 10_000
+    before = (tmp_path / "ledger.sqlite").stat().st_size
+    assert run(script, tmp_path) == first
+    assert (tmp_path / "ledger.sqlite").stat().st_size - before < 50_000  # a session, and no 200 interfaces
+
+
+@pytest.mark.long
+def test_the_readme_example_runs_as_it_stands(tmp_path: Path) -> None:
+    script = tmp_path / "readme.py"
+    script.write_text(readme_example(), encoding="utf-8")
+    assert_biofilm(run(script, tmp_path))
+
+
+def assert_biofilm(printed: str) -> None:
+    for name, truth, widest in (("E", 400.0, 60.0), ("nu", 0.3, 0.2)):
+        mean, sd = found(printed, name)
+        assert abs(mean - truth) < 2 * sd
+        assert 0 < sd < widest

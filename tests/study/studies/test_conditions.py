@@ -1,0 +1,132 @@
+"""Studies of several conditions, and of sensitivities: from files to results."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.study.conftest import Finished, finish
+from tests.unit.studies.test_refusals import BOTH
+
+from strandline.cli import main
+from strandline.errors import InvalidStudy
+from strandline.posterior import read
+from strandline.runs import InProcess, Ledger
+from strandline.studies import check_posterior, load_study, run_study
+from strandline.studies.progress import progress_of
+from strandline.testing.models import TwoLoads
+from strandline.testing.studies import TWO_LOADS_STUDY, write_study
+
+INPUTS = {"E": 400.0, "load": 1e-5}
+OWN = {"sd": 30, "unit": "um", "conditions": {"light": {"sd": 10, "length": 15, "unit": "um"}}}
+SMALL: dict[str, Any] = {
+    **TWO_LOADS_STUDY,
+    "design": {"sobol": {"runs": 16}},
+    "discrepancy": {"closest_point": {}},
+    "noise": OWN,
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """A study that observes files, in µm, in another order than the model's."""
+    folder = tmp_path_factory.mktemp("files") / "two"
+    folder.mkdir()
+    for name, interface in TwoLoads()(INPUTS, folder).interfaces.items():
+        np.savetxt(folder / f"{name}.csv", interface.points * 1000, delimiter=",", fmt="%.17g")
+    return finish(folder, **SMALL | {"observation": BOTH})
+
+
+def test_all_results_tell_the_conditions(files: Finished, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = json.loads((files.folder / "summary.json").read_text())
+    estimate, likelihood = summary["inputs"]["E"], summary["likelihood"]
+    assert abs(estimate["mean"] - 400.0) < estimate["sd"]
+    heavy, light = likelihood["conditions"]
+    assert (light["condition"], heavy["condition"]) == ("light", "heavy")
+    assert (light["points"], heavy["points"]) == (34, 34)
+    assert (light["point_sd"], heavy["point_sd"]) == pytest.approx((0.01, 0.03))
+    assert light["correlation_length"] == pytest.approx(0.015)
+    for key in ("point_sd", "correlation_length", "noise_variance"):
+        assert likelihood[key] == heavy[key]
+    data = read(files.folder / "posterior.nc")["observed_data"].to_dataset()
+    points = TwoLoads()(INPUTS, files.folder).interfaces["heavy"].points
+    np.testing.assert_allclose(data["interface_heavy"], points, rtol=1e-12)
+    page = files.outcome.report.read_text()
+    assert "<tr><td>heavy</td><td>34</td>" in page
+    assert "by condition." in page
+    assert page.count('id="interfaces"') == 1
+    main(["check", str(files.folder)])
+    shown = capsys.readouterr().out
+    assert "observed conditions: heavy, light" in shown
+    assert "closest_point: log-likelihood -" in shown
+
+
+def test_sensitivities_are_added_to_known_runs(files: Finished, tmp_path: Path) -> None:
+    """Synthetic observations, and a check of the posterior, which makes runs without sensitivities."""
+    content = {**SMALL, "report": "none", "sensitivities": True, "reuse": [str(files.folder)], "draft": True}
+    content["sampler"] = json.loads((files.folder / "study.yaml").read_text())["sampler"]
+    study = load_study(write_study(tmp_path / "study", **content))
+    assert (study.runs.known, progress_of(study).to_do) == (0, 16)
+    with pytest.raises(InvalidStudy, match="0 of 17 forward runs done"):
+        study.runs.require_finished()
+    asked = run_study(study, executor=InProcess())
+    assert (asked.summary["runs"]["new"], asked.summary["runs"]["reused"]) == (16, 0)
+    assert (study.runs.known, progress_of(study).to_do) == (16, 0)
+    study.runs.require_finished()
+    for one, other in zip(files.outcome.calibration.records, asked.calibration.records, strict=True):
+        assert one.key == other.key
+        assert (list(one.sensitivities), list(other.sensitivities)) == ([], ["light", "heavy"])
+    light, heavy = asked.calibration.problem.observations
+    assert (light.condition, heavy.condition) == ("light", "heavy")
+    other = load_study(write_study(tmp_path / "second", **content | {"reuse": ["../study"]}))
+    with other.runs.ledger() as ledger:
+        other.runs.take_over(ledger)
+        assert all(record.sensitivities and record.origin for record in ledger)
+    checked = check_posterior(load_study(study.folder), draws=30, executor=InProcess()).content
+    assert [item["condition"] for item in checked["interfaces"]] == ["light", "heavy"]
+    light, heavy = (max(item["offset"]["q95"]) for item in checked["interfaces"])
+    assert heavy == pytest.approx(2.5 * light, rel=0.1)
+    assert checked["verdict"] != "bad"
+    with Ledger.open(study.folder / "check.sqlite", model=None, read_only=True) as ledger:
+        assert all(record.ok and not record.sensitivities for record in ledger)
+
+
+class TestForward:
+    def test_a_file_for_each_condition(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        """The files can be observed, and have the slopes if they are asked for."""
+        folder, exact = write_study(tmp_path / "study", **SMALL), TwoLoads(sensitivities=True)(INPUTS, tmp_path)
+        main(["forward", str(folder), "--set", "E=400", "--csv", str(folder / "seen.csv")])
+        told = "tip_light 0.1, tip_heavy 0.25\n  light: 34 points\n  heavy: 34 points\n"
+        wrote = "".join(f"wrote {folder / f'seen-{name}.csv'}\n" for name in TwoLoads.conditions)
+        assert capsys.readouterr().out.endswith(told + wrote)
+        seen = [{"condition": name, "file": f"seen-{name}.csv", "unit": "mm"} for name in TwoLoads.conditions]
+        study = load_study(write_study(folder, **SMALL | {"observation": seen}))
+        for name, interface in exact.interfaces.items():
+            np.testing.assert_array_equal(study.observed[name].points, interface.points)
+        options = ["--set", "E=400", "--csv", str(tmp_path / "s.csv"), "--sensitivities"]
+        main(["forward", str(folder), *options])
+        assert "  heavy: d/dE up to 0.000626755 mm per Pa\n" in capsys.readouterr().out
+        main(["forward", str(folder), *options, "--json"])
+        found = json.loads(capsys.readouterr().out)
+        for condition in TwoLoads.conditions:
+            assert found["csv"][condition] == str(tmp_path / f"s-{condition}.csv")
+            for name in INPUTS:
+                slopes = found["sensitivities"][condition][name]
+                np.testing.assert_array_equal(slopes, exact.sensitivities[condition][name])
+            table = np.genfromtxt(tmp_path / f"s-{condition}.csv", delimiter=",", names=True)
+            assert table.dtype.names == ("x", "y", "dx_dE", "dy_dE", "dx_dload", "dy_dload")
+            np.testing.assert_array_equal(table["dy_dE"], exact.sensitivities[condition]["E"][:, 1])
+
+    def test_what_cannot_be_is_refused_before_the_run(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "s-heavy.csv").mkdir()
+        beam, two = write_study(tmp_path / "beam"), write_study(tmp_path / "two", **SMALL)
+        for arguments, words in (
+            ([str(beam), "--set", "E=400", "--set", "tilt=0", "--sensitivities"], "this model offers none"),
+            ([str(two), "--set", "E=400", "--csv", str(tmp_path / "s.csv")], "s-heavy.csv, a folder"),
+        ):
+            with pytest.raises(SystemExit) as ended:
+                main(["forward", *arguments])
+            assert ended.value.code == 2
+            assert words in capsys.readouterr().err
+        assert not (tmp_path / "s-light.csv").exists()
