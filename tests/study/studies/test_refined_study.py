@@ -1,17 +1,17 @@
 """A study with rounds of refinement, some of whose runs fail: counts, resume, results, reuse."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.study.conftest import SAMPLER, Finished, finish
+from tests.study.conftest import SAMPLER, Finished
 
 from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.errors import InvalidStudy
-from strandline.posterior import read
 from strandline.runs import InProcess, Ledger, Progress, RunRecord
 from strandline.studies import load_study, run_study
 from strandline.studies.progress import progress_in, progress_of, recorded_plan
@@ -29,53 +29,27 @@ SMALL: dict[str, Any] = {
 """Below 400 Pa, the beam bends too far."""
 
 
-@pytest.fixture(scope="module")
-def straight(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    return finish(tmp_path_factory.mktemp("refined") / "beam", **SMALL)
-
-
 class Stopped(Exception):
     """The driver is stopped."""
 
 
-def test_the_rounds_are_told(straight: Finished) -> None:
-    summary = straight.outcome.summary
-    first, second = summary["refinement"]
-    assert (summary["runs"]["new"], summary["runs"]["reused"]) == (32, 0)
-    assert summary["runs"]["by_kind"] == {"large_deflection": summary["runs"]["failed"]}
-    assert summary["runs"]["failed"] > 5
-    assert 8 <= first["n_train"] < second["n_train"] < summary["surrogate"]["n_train"] == summary["runs"]["ok"]
-    assert np.isfinite(first["shift"]["E"])
-    study = straight.study
-    study.runs.require_finished()
-    state = progress_of(study)
-    assert (state.planned, state.done, state.to_do, state.results) == (32, 32, 0, "current")
-    assert state == progress_in(straight.folder)
-    assert recorded_plan(straight.folder) == study.runs.plan
-    assert [len(keys) for keys in study.runs.rounds] == [6, 6]
-    with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
-        assert {record.key for record in ledger} == set(study.runs.needed_keys)
-
-
-def test_what_was_stopped_goes_on_to_the_same_bits(straight: Finished, tmp_path: Path) -> None:
-    """It is stopped among the runs of the second round; the noted plan tells the same as the loaded study."""
-    folder, ended = write_study(tmp_path / "beam", **SMALL), []
-    study = load_study(folder)
+@pytest.fixture(scope="module")
+def refined(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """Stopped among the runs of the second round, and finished; the noted plan tells the same as the loaded study."""
+    folder = write_study(tmp_path_factory.mktemp("refined") / "beam", **SMALL)
+    study, ended = load_study(folder), []
     assert recorded_plan(folder) is None
     assert progress_in(folder) == progress_of(study)
 
-    def stopping_at(number: int) -> Observer:
-        def run(record: RunRecord, progress: Progress) -> None:
-            ended.append(record.state)
-            assert recorded_plan(folder) == study.runs.plan
-            assert progress_in(folder) == progress_of(study)
-            if len(ended) == number:
-                raise Stopped
-
-        return Observer(run=run)
+    def run(record: RunRecord, progress: Progress) -> None:
+        ended.append(record.state)
+        assert recorded_plan(folder) == study.runs.plan
+        assert progress_in(folder) == progress_of(study)
+        if len(ended) == 28:
+            raise Stopped
 
     with pytest.raises(Stopped):
-        run_study(study, executor=InProcess(), observer=stopping_at(28))
+        run_study(study, executor=InProcess(), observer=Observer(run=run))
     state = progress_in(folder)
     assert (state.planned, state.done, state.to_do, state.open) == (32, 28, 4, 0)
     assert (state.ok, state.failed) == (ended.count("ok"), ended.count("failed"))
@@ -83,19 +57,40 @@ def test_what_was_stopped_goes_on_to_the_same_bits(straight: Finished, tmp_path:
     assert study.runs.known == 28
     with pytest.raises(InvalidStudy, match="got 29 of 33 forward runs done"):
         study.runs.require_finished()
-    summary = run_study(load_study(folder), executor=InProcess()).summary
+    study = load_study(folder)
+    return Finished(folder, study, run_study(study, executor=InProcess()))
+
+
+def test_what_was_stopped_goes_on_and_the_rounds_are_told(refined: Finished) -> None:
+    """With other draws of the second round, more than four runs would be new."""
+    summary = refined.outcome.summary
+    first, second = summary["refinement"]
     assert (summary["runs"]["new"], summary["runs"]["reused"]) == (4, 28)
-    assert summary["refinement"] == straight.outcome.summary["refinement"]
-    assert read(folder / "posterior.nc").identical(read(straight.folder / "posterior.nc"))
-    write_study(folder, **SMALL, seed=2)
+    assert summary["runs"]["by_kind"] == {"large_deflection": summary["runs"]["failed"]}
+    assert summary["runs"]["failed"] > 5
+    assert 8 <= first["n_train"] < second["n_train"] < summary["surrogate"]["n_train"] == summary["runs"]["ok"]
+    assert np.isfinite(first["shift"]["E"])
+    study = refined.study
+    study.runs.require_finished()
+    state = progress_of(study)
+    assert (state.planned, state.done, state.to_do, state.results) == (32, 32, 0, "current")
+    assert state == progress_in(refined.folder)
+    assert recorded_plan(refined.folder) == study.runs.plan
+    assert [len(keys) for keys in study.runs.rounds] == [6, 6]
+    with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
+        assert {record.key for record in ledger} == set(study.runs.needed_keys)
+
+
+def test_another_study_file_makes_the_results_outdated(refined: Finished, copy_of: Callable[[Finished], Path]) -> None:
+    folder = write_study(copy_of(refined), **SMALL, seed=2)
     assert recorded_plan(folder) is None
     state = progress_in(folder)
     assert (state.results, state.planned, state.done) == ("outdated", 32, 20)
 
 
-def test_rounds_belong_to_their_study_file(straight: Finished, tmp_path: Path) -> None:
+def test_rounds_belong_to_their_study_file(refined: Finished, tmp_path: Path) -> None:
     other = write_study(tmp_path / "beam", **SMALL)
-    (other / "refinement.json").write_bytes((straight.folder / "refinement.json").read_bytes())
+    (other / "refinement.json").write_bytes((refined.folder / "refinement.json").read_bytes())
     study = load_study(other)
     assert (study.runs.planned, len(study.runs.rounds)) == (32, 2)
     for text in ("", "[]", '{"rounds": 3}', json.dumps({"study_sha256": study.text_digest, "rounds": "x"})):
@@ -106,13 +101,13 @@ def test_rounds_belong_to_their_study_file(straight: Finished, tmp_path: Path) -
     assert (changed.runs.rounds, changed.runs.planned) == ([], 32)
 
 
-def test_rounds_are_taken_over_from_a_study_that_is_reused(straight: Finished, tmp_path: Path) -> None:
+def test_rounds_are_taken_over_from_a_study_that_is_reused(refined: Finished, tmp_path: Path) -> None:
     """The runs of the first round are at hand when the study asks for them; it is stopped there."""
 
     def stop(inputs: object) -> None:
         raise Stopped
 
-    study = load_study(write_study(tmp_path / "beam", **SMALL, reuse=[str(straight.folder)]))
+    study = load_study(write_study(tmp_path / "beam", **SMALL, reuse=[str(refined.folder)]))
     with pytest.raises(Stopped):
         run_study(study, executor=InProcess(), observer=Observer(draws=stop))
     with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
