@@ -95,13 +95,6 @@ def test_scikit_learn_says_the_same(linear: bool) -> None:
     np.testing.assert_allclose(process.covariance(z, z), other.predict(z, return_cov=True)[1], atol=2e-4 * s2)
 
 
-def test_gradients_help() -> None:
-    z = np.sqrt(12.0) * (sobol(200, 2, scramble=3) - 0.5)
-    plain, helped = (fit_mode(observed(gradients, True)) for gradients in (False, True))
-    errors = [np.sqrt(np.mean((process.mean(z) - truth(z)) ** 2)) for process in (plain, helped)]
-    assert errors[1] < 0.3 * errors[0]
-
-
 def test_residuals_that_are_too_large_widen_the_variance() -> None:
     """Values with noise ten times what the largest nugget allows for; as if four more runs were as expected."""
     one = observed(False, False, runs=20)
