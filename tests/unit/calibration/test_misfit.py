@@ -145,7 +145,7 @@ def test_errors_that_were_stated_are_no_misfit_and_others_are() -> None:
     assert found.predictive_p == 1.0
 
 
-def p_values(name: str, t: np.ndarray, number: int = 60) -> np.ndarray:
+def p_values(name: str, t: np.ndarray, number: int) -> np.ndarray:
     """Return p-values of right models with inputs from the prior; of eight points, three inputs fit a large part."""
     found, box = [], space(0.03)
     for seed in range(number):
@@ -160,19 +160,19 @@ def unfitted(residuals: Any, fit: BestFit, *others: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("p_value", "t", "function", "planted"),
+    ("p_value", "t", "number", "function", "planted"),
     [
-        pytest.param("p_value", FEW, "drawn_statistics", unfitted, id="drawn observations are not fitted"),
-        pytest.param("smooth_p", INNER, "beyond", lambda waves, *others: waves, id="the inputs' part is left in"),
+        pytest.param("p_value", FEW, 30, "drawn_statistics", unfitted, id="drawn observations are not fitted"),
+        pytest.param("smooth_p", INNER, 60, "beyond", lambda waves, *others: waves, id="the inputs' part is left in"),
     ],
 )
 def test_p_values_of_right_models_are_uniform(
-    p_value: str, t: np.ndarray, function: str, planted: Any, monkeypatch: pytest.MonkeyPatch
+    p_value: str, t: np.ndarray, number: int, function: str, planted: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of all residuals and of their waves, and a planted bug of each shows."""
-    assert stats.kstest(p_values(p_value, t), "uniform").pvalue > 0.005
+    assert stats.kstest(p_values(p_value, t, number), "uniform").pvalue > 0.005
     monkeypatch.setattr(judge, function, planted)
-    assert stats.kstest(p_values(p_value, t), "uniform").pvalue < 0.005
+    assert stats.kstest(p_values(p_value, t, number), "uniform").pvalue < 0.005
 
 
 def test_a_smooth_error_too_small_for_the_sum_of_squares_is_flagged_by_its_waves() -> None:

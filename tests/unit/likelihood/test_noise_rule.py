@@ -28,7 +28,7 @@ def arch(number: int = 61) -> Interface:
     return found if number == 61 else found.resampled(number)
 
 
-def by_rule(measure: Discrepancy, errors: PointErrors, *, number: int = 61, draws: int = 80) -> float:
+def by_rule(measure: Discrepancy, errors: PointErrors, *, number: int = 61, draws: int = 60) -> float:
     return fitting_variance(measure, arches, arch(), AT, STEPS, arch(number), errors, draws=draws)
 
 
@@ -45,11 +45,11 @@ def test_closed_forms_agree_with_the_general_rule() -> None:
 
 def test_the_rule_knows_what_independent_residuals_are() -> None:
     """Global errors show as a large variance; more points do not change that of each."""
-    assert by_rule(WhitenedOffset(FINE), FINE, draws=200) == pytest.approx(1.0, rel=0.15)
+    assert by_rule(WhitenedOffset(FINE), FINE, draws=100) == pytest.approx(1.0, rel=0.15)
     assert by_rule(WhitenedOffset(CORRELATED), CORRELATED) == pytest.approx(1.0, rel=0.35)
-    local = by_rule(TO_SIMULATED, FINE)
+    local = by_rule(TO_SIMULATED, FINE, draws=80)
     assert by_rule(TO_SIMULATED, PointErrors(0.002, shift=0.01)) > 10 * local
-    assert by_rule(TO_SIMULATED, FINE, number=200) == pytest.approx(local, rel=0.3)
+    assert by_rule(TO_SIMULATED, FINE, number=200, draws=80) == pytest.approx(local, rel=0.3)
 
 
 def test_a_square_of_the_sd_is_wrong_for_a_mean() -> None:
