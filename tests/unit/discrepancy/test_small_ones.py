@@ -81,5 +81,6 @@ def test_global_errors_are_estimated_from_some_points_and_the_sums_taken_over_al
     np.testing.assert_allclose(products, [[4 * 0.3]])
     assert asked == [True, True, False]
     asked.clear()
-    linear_sums(points, sums, lambda b: b, followed, np.zeros((0, 0)))
+    alone = linear_sums(points, lambda *given: (sums(*given)[0], np.zeros((1, 0))), lambda b: b, followed, np.eye(0))
+    np.testing.assert_allclose(alone[0], 4 * 0.3**2)
     assert asked == [False]
