@@ -39,7 +39,6 @@ def sampled(devices: int, particles: int) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.smoke
 def test_particles_that_two_devices_cannot_share_alike_stay_on_one() -> None:
     assert sampled(2, 401)["devices"] == 1
 
