@@ -59,7 +59,7 @@ def test_everything_arrives(tmp_path: Path) -> None:
     assert study.model == PythonModel("strandline.testing.studies:beam")
     assert study.fixed == {"load": 1e-5}
     box = [(p.name, p.shown, p.prior, p.unit, p.nuisance) for p in study.space]
-    assert box == [("E", "E", Uniform(300, 560), "Pa", False), ("tilt", "tilt", Uniform(0, 0.04), "1", False)]
+    assert box == [("E", "E", Uniform(300.0, 560.0), "Pa", False), ("tilt", "tilt", Uniform(0.0, 0.04), "1", False)]
     measures = {"currents": Currents(0.01, quadrature="centre"), "closest_point": ClosestPoint()}
     assert list(study.discrepancies.items()) == list(measures.items())
     settings = study.settings
@@ -286,7 +286,7 @@ class TestExecutor:
     def test_every_option_arrives(self, tmp_path: Path) -> None:
         assert {name for name, field in ExecutorChoice.model_fields.items() if not field.exclude} == set(EXECUTORS)
         jobs = {**JOBS, "queue": "q", "account": "a", "interface": "lo", "extra": ["--x"], "prologue": ["y"]}
-        options: dict[str, Any] = {"cluster": "pbs", "minimum": 0, "maximum": 7, "timeout": 60}
+        options: dict[str, Any] = {"cluster": "pbs", "minimum": 0, "maximum": 7, "timeout": 60.0}
         for given, expected in (
             ({"in_process": {}}, InProcess()),
             ({"local": {"workers": 3, "timeout": 5}}, LocalProcesses(3, 5.0)),
