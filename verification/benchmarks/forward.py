@@ -84,6 +84,7 @@ class Clock:
 
     seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     calls: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    now: Callable[[], float] = time.perf_counter
     _inner: list[float] = field(default_factory=list)
 
     def measured(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -93,11 +94,11 @@ class Clock:
         def wrapped(*args: Any, **kwargs: Any) -> Any:
             self.calls[part] += 1
             self._inner.append(0.0)
-            begun = time.perf_counter()
+            begun = self.now()
             try:
                 return function(*args, **kwargs)
             finally:
-                spent = time.perf_counter() - begun
+                spent = self.now() - begun
                 self.seconds[part] += spent - self._inner.pop()
                 if self._inner:
                     self._inner[-1] += spent
@@ -194,19 +195,19 @@ def pace_figures(mesh: str, solver: str, *, installed: bool) -> Iterator[Figure]
         yield Figure("a failure, dearest", case, max(costs), "solves")
 
 
-def anchored_figures(mesh: str, case: str, cold: Pace) -> Iterator[Figure]:
+def anchored_figures(mesh: str, case: str, cold: Pace, *, points: int = POINTS) -> Iterator[Figure]:
     """Yield solves per minute from anchors on disk, what these cost once, and how many runs they served."""
     model = Biofilm.from_options(mesh=mesh, anchors={"E": E_BOX, "nu": NU_BOX, "V_in": INFLOW})
     with TemporaryDirectory() as folder, patch.dict(os.environ, {"XDG_CACHE_HOME": folder}):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             yield Figure("solving the anchors, once", case, pool.submit(preparation, model).result(), "s")
-        measured = pace(model, design(POINTS))
+        measured = pace(model, design(points))
     ratio = f"{measured.per_minute / cold.per_minute:.2f} times those without"
     yield Figure(f"runs from anchors, {WORKERS} workers", case, measured.per_minute, "per minute", ratio)
     figures = [record.diagnostics for record in measured.records if record.ok]
     served = [one for one in figures if one["anchored"]]
     kept = sum(one["newton_jacobians"] == 0 for one in served)
-    yield Figure("runs without a Jacobian", case, kept, f"of {POINTS}", f"{len(served) - kept} more from anchors")
+    yield Figure("runs without a Jacobian", case, kept, f"of {points}", f"{len(served) - kept} more from anchors")
     yield Figure("largest difference to a run without", case, 1e3 * difference(cold.records, measured.records), "µm")
 
 

@@ -102,8 +102,9 @@ def versus(
     python: Path = PEERS_PYTHON,
     rtol: float = 1e-6,
     repeats: int = REPEATS,
+    folder: Path = PEERS,
 ) -> Comparison:
-    """Compare two scripts of `peers`, the first in this environment, on the same task in turns.
+    """Compare two scripts of a folder, the first in this environment, on the same task in turns.
 
     Their answers, a value and its gradient, must agree: the value to `rtol`, the gradient to `rtol` times its largest
     entry.
@@ -114,8 +115,8 @@ def versus(
     with ExitStack() as stack:
         task = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "task.npz"
         np.savez(task, **content)
-        theirs = stack.enter_context(Worker(PEERS / scripts[1], python, task, cores=cores))
-        mine = stack.enter_context(our_worker(PEERS / scripts[0], task, cores=cores))
+        theirs = stack.enter_context(Worker(folder / scripts[1], python, task, cores=cores))
+        mine = stack.enter_context(our_worker(folder / scripts[0], task, cores=cores))
         pairs = [(mine.ask(), theirs.ask()) for _ in range(repeats)]
     for one, other in pairs:
         np.testing.assert_allclose(one.answer[0], other.answer[0], rtol=rtol)

@@ -3,11 +3,11 @@
 import csv
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from verification.mutation.explained import EXPLAINED, EXPLAINED_ON_LINE
-from verification.mutation.places import PARTS
+from verification.mutation.places import PARTS, part_of
 from verification.validation.tables import Table
 
 __all__ = ["SURVIVED", "Result", "explained", "fingerprint", "known_results", "name_of", "record", "table"]
@@ -48,13 +48,26 @@ def known_results(package: Path, recorded: Path, kept: Path) -> dict[tuple[str, 
     return {name_of(row): row for row in rows if texts.get(row["file"]) == row["text"]}
 
 
-def explained(result: Result) -> bool:
-    """Return whether it is explained why no test has to notice a mutant."""
+def explained(
+    result: Result,
+    *,
+    package: Path = PACKAGE,
+    anywhere: Container[tuple[str, str, str]] = EXPLAINED,
+    on_line: Iterable[tuple[str, str, str, str]] = EXPLAINED_ON_LINE,
+) -> bool:
+    """Return whether it is explained why no test has to notice a mutant.
+
+    Args:
+        result: What became of it.
+        package: Folder of the package.
+        anywhere: Files and changes that are explained wherever they are made.
+        on_line: Files, parts of lines and changes.
+    """
     file, change = result["file"], (result["before"], result["after"])
-    if (file, *change) in EXPLAINED:
+    if (file, *change) in anywhere:
         return True
-    line = (PACKAGE / file).read_text("utf-8").splitlines()[int(result["line"]) - 1]
-    return any(key[0] == file and key[2:] == change and key[1] in line for key in EXPLAINED_ON_LINE)
+    line = (package / file).read_text("utf-8").splitlines()[int(result["line"]) - 1]
+    return any(key[0] == file and key[2:] == change and key[1] in line for key in on_line)
 
 
 def record(results: Iterable[Result], recorded: Path) -> None:
@@ -74,8 +87,6 @@ def table(rows: Sequence[Result]) -> Table:
         number = sum(map(explained, survived))
         return name, len(some), len(some) - len(survived), number, len(survived) - number
 
-    lines = [
-        row(name, [one for one in rows if str(Path(one["file"]).parent) in folders]) for name, folders in PARTS.items()
-    ]
+    lines = [row(name, [one for one in rows if part_of(Path(one["file"])) == name]) for name in PARTS]
     heads = "part", "mutants", "noticed", "explained", "neither"
     return Table("mutants", "Mutants", heads, ("s", "d", "d", "d", "d"), (*lines, row("all", rows)))

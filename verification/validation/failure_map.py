@@ -194,19 +194,19 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-def main(arguments: Sequence[str]) -> None:
+def main(arguments: Sequence[str], output: Path = OUTPUT) -> None:
     """Print the tables and write them to failure-map.json; see the module's docstring."""
     options = _options(arguments)
-    found = survey(options.points, Runs(OUTPUT, LocalProcesses(WORKERS)))
+    found = survey(options.points, Runs(output, LocalProcesses(WORKERS)))
     tables = found.tables()
     for table in tables:
         print(f"## {table.title}\n\n{table.markdown()}\n")
     raw = json.dumps({table.name: table.as_json() for table in tables}, indent=1, ensure_ascii=False) + "\n"
-    (OUTPUT / "failure-map.json").write_text(raw, "utf-8")
+    (output / "failure-map.json").write_text(raw, "utf-8")
     if options.publish:
         PAGE.with_name("failure-map.json").write_text(raw, "utf-8")
         PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), tables), "utf-8")
-    folder = PAGE.parents[1] / "figures" if options.publish else OUTPUT
+    folder = PAGE.parents[1] / "figures" if options.publish else output
     draw(found.records[PAIR[0]], found.records[PAIR[1]], found.fold, folder / "forward-failures.png")
 
 

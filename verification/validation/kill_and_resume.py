@@ -55,12 +55,12 @@ def _marks(values: Sequence[str]) -> str:
     return ",".join("?" * len(values))
 
 
-def prepare(folder: Path) -> None:
+def prepare(folder: Path, runs: int) -> None:
     """Write the study."""
     path = write_template(folder)
     text = path.read_text(encoding="utf-8")
     for old, new in (
-        ("{active: {runs: 80}}", f"{{sobol: {{runs: {RUNS}}}}}"),
+        ("{active: {runs: 80}}", f"{{sobol: {{runs: {runs}}}}}"),
         ("{field: {}}", "{log_likelihood: {}}"),
         (f"name: {folder.name}", "name: s"),
     ):
@@ -91,15 +91,15 @@ def kill_driver(folder: Path, after: float) -> str:
     return f"driver killed after {after:4.1f} s: finished {len(before)} -> {len(now)}, lost {lost}"
 
 
-def kill_workers(folder: Path, number: int, rng: random.Random) -> list[str]:
-    """Run the study to its end, and kill `number` workers meanwhile."""
+def kill_workers(folder: Path, number: int, rng: random.Random, runs: int) -> list[str]:
+    """Run the study of so many runs to its end, and kill `number` workers meanwhile."""
     process = subprocess.Popen([*COMMAND, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     lines = []
     while len(lines) < number and process.poll() is None:
         time.sleep(rng.uniform(0.5, 2.0))
         workers = children(process.pid)
         before = finished(folder)
-        if workers and len(before) < RUNS - 5:
+        if workers and len(before) < runs - 5:
             victim = rng.choice(workers)
             os.kill(victim, signal.SIGKILL)
             lines.append(f"worker killed: finished then {len(before)}")
@@ -124,17 +124,17 @@ def same_content(first: Path, second: Path) -> bool:
     return True
 
 
-def main(driver_kills: int = 5, worker_kills: int = 3, seed: int = 0) -> None:
+def main(driver_kills: int = 5, worker_kills: int = 3, seed: int = 0, *, runs: int = RUNS) -> None:
     """Print the table; end with an error if anything was repeated, lost or different."""
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="strandline-kill-") as base:
         undisturbed, disturbed = Path(base) / "undisturbed", Path(base) / "disturbed"
         for folder in (undisturbed, disturbed):
-            prepare(folder)
+            prepare(folder, runs)
         subprocess.run([*COMMAND, str(undisturbed)], check=True, stdout=subprocess.DEVNULL)
         for _ in range(driver_kills):
             print(kill_driver(disturbed, rng.uniform(0.0, 3.0)), flush=True)
-        for line in kill_workers(disturbed, worker_kills, rng):
+        for line in kill_workers(disturbed, worker_kills, rng, runs):
             print(line, flush=True)
         again, same = repeated(disturbed), same_content(undisturbed, disturbed)
         print(f"finished {len(finished(disturbed))}, repeated {again}, posterior.nc content identical: {same}")

@@ -53,13 +53,15 @@ CASES: Mapping[str, tuple[Biofilm, Mapping[str, float]]] = {
 """Model, whose mesh is replaced, and inputs, by the name of the outline."""
 
 
-def rows(name: str) -> list[tuple[object, ...]]:
+def rows(
+    name: str, meshes: Mapping[str, MeshSize] = MESHES, reference: MeshSize = REFERENCE
+) -> list[tuple[object, ...]]:
     """Return a row for each mesh: elements, estimated and true error in µm, share in %, CPU seconds per run."""
     model, inputs = CASES[name]
-    truth = _interface_on(model, REFERENCE, inputs)
+    truth = _interface_on(model, reference, inputs)
     moved = 1e3 * float(np.linalg.norm(truth - model.undeformed().points, axis=1).max())
     found: list[tuple[object, ...]] = []
-    for mesh, size in MESHES.items():
+    for mesh, size in meshes.items():
         chosen = dataclasses.replace(model, mesh=mesh)
         begun = time.process_time()
         points = chosen(inputs).interface.points
@@ -70,14 +72,16 @@ def rows(name: str) -> list[tuple[object, ...]]:
     return found
 
 
-def table(names: Sequence[str] = tuple(CASES)) -> Table:
+def table(
+    names: Sequence[str] = tuple(CASES), meshes: Mapping[str, MeshSize] = MESHES, reference: MeshSize = REFERENCE
+) -> Table:
     """Return the estimated and the true error of each mesh on each outline."""
     columns = (
         "outline", "mesh", "elements", "estimate by check, µm", "true error, µm", "true error, %",
         "largest displacement, µm", "CPU seconds, mesh and run",
     )  # fmt: skip
     formats = ("s", "s", "d", ".3f", ".3f", ".3f", ".1f", ".2f")
-    content = tuple(row for name in names for row in rows(name))
+    content = tuple(row for name in names for row in rows(name, meshes, reference))
     return Table("mesh_on_other_outlines", "The meshes on other outlines", columns, formats, content)
 
 

@@ -195,11 +195,13 @@ def conversation(
     task: Mapping[str, object],
     answer: Callable[[Sequence[float]], Mapping[str, float | None]],
     python: Path = PEER / "bin" / "python",
+    *,
+    script: Path = WORKER,
 ) -> Mapping[str, Any]:
     """Start the peer's process, answer its requests, and return its last message."""
     limited = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(
-        [str(python), str(WORKER)],
+        [str(python), str(script)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -352,11 +354,11 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
     ]
 
 
-def missing_peer() -> str | None:
+def missing_peer(peer: Path = PEER) -> str | None:
     """Return why PyVBMC cannot be measured, or None."""
-    if (PEER / "bin" / "python").exists() and not not_installed(PEER):
+    if (peer / "bin" / "python").exists() and not not_installed(peer):
         return None
-    return f"PyVBMC is not measured: {not_installed(PEER) or 'it is not installed; make pyvbmc-env does'}"
+    return f"PyVBMC is not measured: {not_installed(peer) or 'it is not installed; make pyvbmc-env does'}"
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -1,5 +1,9 @@
+"""A table of interfaces of a model with a closed form."""
+
+from collections.abc import Callable, Iterator
+
 import pytest
-from verification.reproduction.field_table import LoadCoordinates, tabulate
+from verification.reproduction.field_table import FieldTable, LoadCoordinates, tabulate
 
 from strandline.runs import InProcess, Ledger
 from strandline.testing.folding import Folding
@@ -10,19 +14,19 @@ BOX = LoadCoordinates(fold=Folding.FOLD, reach=0.9, inertia=None)
 
 
 @pytest.fixture(scope="session")
-def model():
+def model() -> Folding:
     return MODEL
 
 
 @pytest.fixture(scope="session")
-def ledger(tmp_path_factory):
+def ledger(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ledger]:
     with Ledger.open(tmp_path_factory.mktemp("table") / "ledger.sqlite", model=MODEL) as ledger:
         yield ledger
 
 
 @pytest.fixture(scope="session")
-def make_table(ledger):
-    def make(intervals):
+def make_table(ledger: Ledger) -> Callable[[tuple[int, int, int]], FieldTable]:
+    def make(intervals: tuple[int, int, int]) -> FieldTable:
         reference = MODEL.undeformed()
         return tabulate(MODEL, reference, intervals=intervals, ledger=ledger, executor=InProcess(), coordinates=BOX)
 
@@ -30,5 +34,5 @@ def make_table(ledger):
 
 
 @pytest.fixture(scope="session")
-def table(make_table):
+def table(make_table: Callable[[tuple[int, int, int]], FieldTable]) -> FieldTable:
     return make_table((12, 6, 4))

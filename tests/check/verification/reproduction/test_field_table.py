@@ -4,13 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from verification.reproduction.field_table import FieldTable, LoadCoordinates, tabulate, withheld
+from verification.reproduction.field_table import FieldTable, LoadCoordinates, lagrange, tabulate, withheld
 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.models.biofilm.model import Biofilm
 from strandline.runs import InProcess, Ledger, LocalProcesses
 from strandline.testing.folding import Folding
-from verification.reproduction import field_table
+
+LIMITS = [
+    (120.0, -0.3, 94.02), (60.0, -0.3, 64.61), (120.0, 0.1, 72.43), (60.0, 0.1, 49.15), (20.0, 0.1, 25.10),
+    (120.0, 0.5, 64.17), (60.0, 0.5, 42.56), (20.0, -0.8, 65.07), (60.0, -0.8, 116.90), (2.0, -0.8, 9.38),
+    (0.3, -0.72, 0.9737), (0.3, -0.55, 0.6423),
+]  # fmt: skip
+"""E, ν and the rate of the fold, found by following the load to its limit."""
 
 
 def somewhere(box, number=40, seed=0):
@@ -23,44 +29,32 @@ def exact(model, x):
     return np.stack(np.broadcast_arrays(abscissa, bulge[:, None] * np.sin(np.pi * abscissa)), axis=-1)
 
 
-def test_coordinates_go_there_and_back():
+def test_coordinates_go_there_and_back_and_outside_is_outside():
     box = LoadCoordinates()
     z = np.random.default_rng(1).uniform(-1, 1, (50, 3))
     np.testing.assert_allclose(box.to_box(box.from_box(z)), z, atol=1e-12)
     assert box.inside(box.from_box(z)).all()
+    x = np.array([[400, 0.3, 100], [250, 0.3, 100], [400, 0.51, 100], [400, 0.3, 111], [400, 0.3, 0]], float)
+    assert box.inside(x).tolist() == [True, False, False, False, True]
 
 
-def test_box_of_the_biofilm_ends_a_tenth_above_each_state_of_the_fold():
-    """The cubic fit must not come nearer to any of the known folds than 10 %."""
+def test_box_of_the_biofilm_ends_before_the_folds():
+    """The cubic fit must not come nearer than 10 % to the folds at V = 100, nor end far before any where E can be."""
     box = LoadCoordinates()
     for nu, young in box.fold:
         assert 1.1 * young < float(box.softest(np.array([nu]), box.fold_rate)[0]) < 1.17 * young
-
-
-@pytest.mark.parametrize(
-    ("young", "nu", "limit_rate"),
-    [
-        (120.0, -0.3, 94.02), (60.0, -0.3, 64.61), (120.0, 0.1, 72.43), (60.0, 0.1, 49.15), (20.0, 0.1, 25.10),
-        (120.0, 0.5, 64.17), (60.0, 0.5, 42.56), (20.0, -0.8, 65.07), (60.0, -0.8, 116.90), (2.0, -0.8, 9.38),
-        (0.3, -0.72, 0.9737), (0.3, -0.55, 0.6423),
-    ],
-)  # fmt: skip
-def test_box_of_the_biofilm_ends_before_the_folds_at_other_rates(young, nu, limit_rate):
-    """Folds found by following the load to its limit; where E can be 100 Pa the table must not end far before them."""
-    share = float(LoadCoordinates().load(np.array([young, nu, limit_rate])))
-    assert share > 0.92
-    assert share < 1.2 or young < 100
-
-
-def test_outside_is_outside():
-    box = LoadCoordinates()
-    x = np.array([[400, 0.3, 100], [250, 0.3, 100], [400, 0.51, 100], [400, 0.3, 111], [400, 0.3, 0]], float)
-    assert box.inside(x).tolist() == [True, False, False, False, True]
+    for young, nu, rate in LIMITS:
+        share = float(box.load(np.array([young, nu, rate])))
+        assert share > 0.92
+        assert share < 1.2 or young < 100
 
 
 def test_interfaces_between_the_nodes_are_the_closed_form(table, model):
     x = somewhere(table.coordinates)
     assert np.abs(table.at(x) - exact(model, x)).max() < 2e-8
+    still = table.at(np.array([[400.0, 0.3, 0.0], [100.0, -0.8, 0.0]]))
+    np.testing.assert_allclose(still, np.broadcast_to(model.undeformed().points, still.shape), atol=1e-15)
+    assert table.runs == 12 * 7 * 5  # none without load
 
 
 def test_error_falls_geometrically_with_the_intervals(make_table, model):
@@ -75,34 +69,19 @@ def test_in_plain_coordinates_the_square_root_would_spoil_it(make_table, model):
     nodes = -np.cos(np.pi * np.arange(9) / 8)
     loads = 0.5 * (nodes + 1) * table.coordinates.reach / 0.97
     probe = np.linspace(0.01, 0.99, 50) * loads[-1]
-    plain = field_table.lagrange(loads, probe) @ (1 - np.sqrt(1 - 0.97 * loads))
+    plain = lagrange(loads, probe) @ (1 - np.sqrt(1 - 0.97 * loads))
     x = somewhere(table.coordinates)
     relative = np.abs(table.at(x) - exact(model, x)).max() / 0.1
     assert np.abs(plain - (1 - np.sqrt(1 - 0.97 * probe))).max() > 30 * relative
 
 
-def test_without_load_the_interface_is_the_undeformed_one_and_costs_no_run(table, model):
-    still = table.at(np.array([[400.0, 0.3, 0.0], [100.0, -0.8, 0.0]]))
-    np.testing.assert_allclose(still, np.broadcast_to(model.undeformed().points, still.shape), atol=1e-15)
-    assert table.runs == 12 * 7 * 5
-
-
-def test_grid_and_scattered_points_agree(table):
+def test_grid_scattered_points_and_the_nested_table_agree(table, make_table):
     axes = [np.array([-1.0, 0.2, 1.0]), np.array([-0.5, 0.7]), np.array([0.1])]
     z = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     scattered = table.at(table.coordinates.from_box(z)[2:])
     np.testing.assert_allclose(table.on_grid(*axes).reshape(6, -1, 2)[2:], scattered, atol=1e-14)
-
-
-def test_nested_table_is_the_table_of_half_the_intervals(table, make_table):
     x = somewhere(table.coordinates)
     np.testing.assert_allclose(table.halved().at(x), make_table((6, 3, 2)).at(x), atol=1e-14)
-
-
-def test_runs_are_kept(make_table, ledger):
-    before = ledger.counts().total
-    make_table((12, 6, 4))
-    assert ledger.counts().total == before
 
 
 def test_coefficients_tell_in_which_coordinate_nodes_are_missing(table):
@@ -113,40 +92,26 @@ def test_coefficients_tell_in_which_coordinate_nodes_are_missing(table):
     assert nu[1] > 1e3 * nu[6]
 
 
-def test_withheld_runs_see_a_table_with_swapped_axes(make_table, model, ledger):
+def test_withheld_runs_see_a_table_with_swapped_axes_and_runs_are_kept(make_table, model, ledger):
     table = make_table((6, 6, 4))
+    before = ledger.counts().total
+    make_table((6, 6, 4))
+    assert ledger.counts().total == before
     x = somewhere(table.coordinates, 10)
     good = withheld(table, model, x, ledger=ledger, executor=InProcess())
-    swapped = FieldTable(
-        table.coordinates, table.reference, table.axes, table.values.swapaxes(0, 1)[: len(table.axes[0])], table.runs
-    )
-    bad = withheld(swapped, model, x, ledger=ledger, executor=InProcess())
+    swapped = table.values.swapaxes(0, 1)[: len(table.axes[0])]
+    wrong = FieldTable(table.coordinates, table.reference, table.axes, swapped, table.runs)
+    bad = withheld(wrong, model, x, ledger=ledger, executor=InProcess())
     assert good.distance.max() < 1e-4 < 0.01 < bad.distance.max()
     np.testing.assert_allclose(good.simulated, exact(model, x), atol=1e-15)
 
 
-def test_a_node_beyond_the_fold_is_refused(tmp_path):
-    soft = Folding(softness=1.2)
-    with (
-        Ledger.open(tmp_path / "ledger.sqlite", model=soft) as ledger,
-        pytest.raises(NumericsError, match="lower its reach"),
-    ):
-        tabulate(
-            soft,
-            soft.undeformed(),
-            intervals=(4, 2, 2),
-            ledger=ledger,
-            executor=InProcess(),
-            coordinates=LoadCoordinates(fold=Folding.FOLD, inertia=None),
-        )
-
-
-def test_points_outside_cannot_be_withheld(table, model, ledger):
+def test_nodes_beyond_the_fold_and_points_outside_are_refused(table, model, ledger, tmp_path):
+    soft, box = Folding(softness=1.2), LoadCoordinates(fold=Folding.FOLD, inertia=None)
+    with Ledger.open(tmp_path / "ledger.sqlite", model=soft) as own, pytest.raises(NumericsError, match="its reach"):
+        tabulate(soft, soft.undeformed(), intervals=(4, 2, 2), ledger=own, executor=InProcess(), coordinates=box)
     with pytest.raises(InvalidInput, match="outside"):
         withheld(table, model, np.array([[50.0, 0.5, 100.0]]), ledger=ledger, executor=InProcess())
-
-
-def test_reach_is_a_share():
     with pytest.raises(InvalidInput, match="reach"):
         replace(LoadCoordinates(), reach=1.0)
 

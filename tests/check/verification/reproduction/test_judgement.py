@@ -20,48 +20,35 @@ RNG = np.random.default_rng(3)
 
 
 def posterior_of(a: np.ndarray, b: np.ndarray) -> Posterior:
-    draws = np.stack([a, b], axis=1)
     zero = np.zeros(len(a))
-    return Posterior(SPACE, draws, zero - np.log(len(a)), zero, zero, 0.0)
+    return Posterior(SPACE, np.stack([a, b], axis=1), zero - np.log(len(a)), zero, zero, 0.0)
 
 
-NORMAL = RNG.normal(5.0, 0.8, 4000)
-FLAT = RNG.uniform(0.0, 10.0, 4000)
-TWO = np.where(RNG.random(4000) < 0.6, RNG.normal(2.0, 0.4, 4000), RNG.normal(7.0, 0.4, 4000))
-
-
-def test_a_plateau_is_told_from_a_peak() -> None:
-    posterior = posterior_of(NORMAL, FLAT)
+def test_plateaus_modes_and_distances_to_the_prior_are_those_of_the_density() -> None:
+    normal, flat = RNG.normal(5.0, 0.8, 4000), RNG.uniform(0.0, 10.0, 4000)
+    two = np.where(RNG.random(4000) < 0.6, RNG.normal(2.0, 0.4, 4000), RNG.normal(7.0, 0.4, 4000))
+    posterior = posterior_of(normal, flat)
     assert plateau(posterior, "a") == pytest.approx(1.336, abs=0.3)  # of 4000 draws
-    assert plateau(posterior, "b") > 2.4
-    assert plateau(posterior, "b") <= np.sqrt(12) + 0.1
-
-
-def test_modes_are_counted_the_highest_first() -> None:
-    posterior = posterior_of(TWO, NORMAL)
-    assert modes(posterior, "a") == pytest.approx([2.0, 7.0], abs=0.15)
+    assert 2.4 < plateau(posterior, "b") <= np.sqrt(12) + 0.1
+    posterior = posterior_of(two, normal)
+    assert modes(posterior, "a") == pytest.approx([2.0, 7.0], abs=0.15)  # the highest first
     assert modes(posterior, "b") == pytest.approx([5.0], abs=0.15)
-
-
-def test_the_distance_to_the_prior_is_zero_for_the_prior_and_known_for_half_of_it() -> None:
     posterior = posterior_of(RNG.uniform(0.0, 5.0, 20_000), RNG.uniform(0.0, 10.0, 20_000))
     assert distance_to_prior(posterior, "a") == pytest.approx(0.5, abs=0.01)
     assert distance_to_prior(posterior, "b") < 0.03
 
 
 def test_the_angle_between_axes_is_that_of_the_scaled_inputs() -> None:
-    one, other = np.diag([4.0, 1.0]), np.diag([1.0, 4.0])
+    one, other, turned = np.diag([4.0, 1.0]), np.diag([1.0, 4.0]), np.array([[2.5, 1.5], [1.5, 2.5]])
     ones = np.ones(2)
     assert angle_between_axes(one, one, ones) == pytest.approx(0.0, abs=1e-6)
     assert angle_between_axes(one, other, ones) == pytest.approx(90.0)
-    turned = np.array([[2.5, 1.5], [1.5, 2.5]])
     assert angle_between_axes(one, turned, ones) == pytest.approx(45.0)
     assert angle_between_axes(one, other, np.array([10.0, 1.0])) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_mass_in_an_ellipse_is_that_of_the_gaussian_it_comes_from() -> None:
-    draws = RNG.multivariate_normal([5.0, 5.0], [[0.5, 0.3], [0.3, 0.4]], 20_000)
-    posterior = posterior_of(*draws.T)
+    posterior = posterior_of(*RNG.multivariate_normal([5.0, 5.0], [[0.5, 0.3], [0.3, 0.4]], 20_000).T)
     right = GaussianApproximation(posterior.mean, posterior.covariance)
     assert mass_within(posterior, right, 0.9) == pytest.approx(0.9, abs=0.01)
     narrow = GaussianApproximation(posterior.mean, 0.01 * posterior.covariance)

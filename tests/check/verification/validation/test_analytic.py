@@ -2,22 +2,18 @@
 
 import numpy as np
 import pytest
+from verification.validation import analytic
 from verification.validation.energies import FURTHER
 from verification.validation.tables import observed_orders
 
 from strandline.models.biofilm.materials import LAWS, MixedStress
-from verification.validation import analytic
 
-RATIOS = (-0.9, 0.0, 0.3, 0.5)
+CORNERS = [("uniaxial", "saint_venant_kirchhoff", 0.5), ("uniaxial", "neo_hookean", 0.5), ("shear", "yeoh", -0.9)]
 
 
-@pytest.mark.parametrize("kind", ["uniaxial", "shear"])
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("poisson", RATIOS)
-def test_homogeneous_states_are_exact(kind, law, poisson):
-    displacement, stress = analytic.block_error(kind, law, poisson)
-    assert displacement < 1e-10
-    assert stress < 1e-10
+def test_homogeneous_states_are_exact():
+    for case in [*(("shear", law, 0.3) for law in LAWS), *CORNERS]:
+        assert max(analytic.block_error(*case)) < 1e-10, case
 
 
 def test_a_wrong_law_is_noticed(monkeypatch):
@@ -31,53 +27,41 @@ def test_a_wrong_law_is_noticed(monkeypatch):
     assert max(analytic.block_error("shear", "neo_hookean", 0.3)) > 1e-5
 
 
-@pytest.mark.parametrize("F", [np.array([[1.2, 0.3], [-0.1, 0.9]]), np.array([[0.8, -0.2], [0.25, 1.1]])])
-@pytest.mark.parametrize("poisson", [-0.5, 0.3])
-def test_stresses_of_the_closed_forms_are_derivatives_of_the_energies(F, poisson):
-    """P = dW/dF by central differences, with the energies from the right Cauchy–Green tensor in three dimensions."""
-    mu, lame = 0.5 * analytic.YOUNG / (1 + poisson), analytic._lame(poisson)
-
-    def invariants(F):
-        C = np.eye(3)
-        C[:2, :2] = F.T @ F
-        return np.trace(C), 0.5 * (np.trace(C) ** 2 - np.trace(C @ C)), np.log(np.linalg.det(F))
-
-    def saint_venant_kirchhoff(F):
+def energy_of(law, F, mu, lame):
+    """Return the energy from the right Cauchy-Green tensor in three dimensions."""
+    C = np.eye(3)
+    C[:2, :2] = F.T @ F
+    I1, I2, log = np.trace(C), 0.5 * (np.trace(C) ** 2 - np.trace(C @ C)), np.log(np.linalg.det(F))
+    if law == "saint_venant_kirchhoff":
         E = 0.5 * (F.T @ F - np.eye(2))
         return mu * np.sum(E * E) + 0.5 * lame * np.trace(E) ** 2
-
-    def neo_hookean(F):
-        I1, _, log = invariants(F)
-        return 0.5 * mu * (I1 - 3 - 2 * log) + 0.5 * lame * log**2
-
-    def mooney_rivlin(F):
-        I1, I2, log = invariants(F)
-        (share,) = FURTHER["mooney_rivlin"]
-        second = mu * share * (0.5 * (I2 - I1) - log - log**2)
-        return neo_hookean(F) + second
-
-    def yeoh(F):
-        I1, _, log = invariants(F)
-        Q = I1 - 3 - 2 * log
-        return 0.5 * mu * np.polyval([*FURTHER["yeoh"][::-1], 1.0, 0.0], Q) + 0.5 * lame * log**2
-
-    def fung(F):
-        I1, _, log = invariants(F)
-        (b,) = FURTHER["fung"]
-        return 0.5 * mu * np.expm1(b * (I1 - 3 - 2 * log)) / b + 0.5 * lame * log**2
-
-    for energy in (saint_venant_kirchhoff, neo_hookean, mooney_rivlin, yeoh, fung):
-        difference = np.zeros((2, 2))
-        for i, j in np.ndindex(2, 2):
-            step = np.zeros((2, 2))
-            step[i, j] = 1e-5
-            difference[i, j] = (energy(F + step) - energy(F - step)) / 2e-5
-        law = energy.__name__
-        pressure = lame * analytic._volume_change(law, F)
-        np.testing.assert_allclose(analytic.first_piola(law, F, pressure, poisson), difference, atol=1e-8)
+    Q, further = I1 - 3 - 2 * log, FURTHER[law]
+    shape = {
+        "neo_hookean": lambda: 0.5 * Q,
+        "mooney_rivlin": lambda share: 0.5 * Q + share * (0.5 * (I2 - I1) - log - log**2),
+        "yeoh": lambda *c: 0.5 * np.polyval([*c[::-1], 1.0, 0.0], Q),
+        "fung": lambda b: 0.5 * np.expm1(b * Q) / b,
+    }
+    return mu * shape[law](*further) + 0.5 * lame * log**2
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("poisson", [-0.5, 0.3])
+def test_stresses_of_the_closed_forms_are_derivatives_of_the_energies(poisson):
+    """P = dW/dF by central differences."""
+    mu, lame = 0.5 * analytic.YOUNG / (1 + poisson), analytic._lame(poisson)
+    for F in (np.array([[1.2, 0.3], [-0.1, 0.9]]), np.array([[0.8, -0.2], [0.25, 1.1]])):
+        for law in LAWS:
+            difference = np.zeros((2, 2))
+            for place in np.ndindex(2, 2):
+                step = np.zeros((2, 2))
+                step[place] = 1e-5
+                more, less = (energy_of(law, F + sign * step, mu, lame) for sign in (1, -1))
+                difference[place] = (more - less) / 2e-5
+            pressure = lame * analytic._volume_change(law, F)
+            np.testing.assert_allclose(analytic.first_piola(law, F, pressure, poisson), difference, atol=1e-8)
+
+
+@pytest.mark.parametrize("law", ["saint_venant_kirchhoff", "neo_hookean"])
 def test_manufactured_solution_converges_at_the_orders_of_the_elements(law):
     sizes = (0.16, 0.08)
     errors = np.array(analytic.manufactured_errors(law, 0.3, sizes))
@@ -86,11 +70,8 @@ def test_manufactured_solution_converges_at_the_orders_of_the_elements(law):
     assert pressure > 1.8
 
 
-def test_poiseuille_flow_is_exact():
+def test_poiseuille_flow_is_exact_also_above_a_layer_too_stiff_to_move():
     assert max(analytic.poiseuille_error()) < 1e-12
-
-
-def test_poiseuille_flow_above_a_layer_too_stiff_to_move():
     assert analytic.layer_error() < 1e-8
 
 

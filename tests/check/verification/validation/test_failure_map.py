@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from verification.validation import failure_map
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.failure_map import (
     FOLD_RATIOS,
@@ -22,9 +23,9 @@ from strandline.interface import Interface
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.model import Biofilm
 from strandline.runs import InProcess, RunRecord
-from verification.validation import failure_map
 
 INPUTS = box_inputs(1024)
+NUMBER = np.arange(len(INPUTS))
 E, NU = np.array([(point["E"], point["nu"]) for point in INPUTS]).T
 SHIFT = 0.02
 """The fold of the made-up default mesh lies lower by this share: within the band."""
@@ -42,12 +43,8 @@ def made_up(inputs, *, shift=0.0, solved=()):
         bent = 10.0 / point["E"]
         if point["E"] > critical or k in solved:
             interface = Interface.polyline(np.array([[0.0, 0.0], [0.5 + bent * (1 + shift), 0.4], [1.0, 0.0]]))
-            figures = {
-                "max_displacement": bent,
-                "min_J_fluid": 0.9,
-                "min_J_solid": 0.8,
-                "newton_jacobians": 1.0 + k % 3,
-            }
+            figures = {"max_displacement": bent, "min_J_fluid": 0.9, "min_J_solid": 0.8}
+            figures["newton_jacobians"] = 1.0 + k % 3
             records.append(RunRecord(str(k), point, "ok", {"": interface}, figures))
         else:
             figures = {"limit_load": 100.0 * point["E"] / critical, "jacobians": 7.0}
@@ -60,14 +57,19 @@ def cells(table, row=0):
     return dict(zip(table.columns, table.rows[row], strict=True))
 
 
-@pytest.fixture
-def made_up_survey():
+@pytest.fixture(scope="module")
+def survey():
     critical = np.array([fold(nu) for nu in FOLD_RATIOS])
     return Survey(
         {"default": made_up(INPUTS, shift=SHIFT), "fine": made_up(INPUTS)},
         {"default": list(60.0 / E), "fine": list(60.0 / E)},
         {"coarse": critical - 3.0, "default": (1 - SHIFT) * critical, "fine": critical},
     )
+
+
+@pytest.fixture(scope="module")
+def tables(survey):
+    return {table.name: table for table in survey.tables()}
 
 
 def test_the_box_is_that_of_an_unscrambled_sequence():
@@ -77,25 +79,27 @@ def test_the_box_is_that_of_an_unscrambled_sequence():
     np.testing.assert_allclose([E.mean(), NU.mean()], [450.0, -0.15], rtol=0.01)
 
 
-def test_outcomes_are_counted(made_up_survey):
-    tables = {table.name: table for table in made_up_survey.tables()}
+def test_outcomes_are_counted(tables):
     for row, shift in enumerate((SHIFT, 0.0)):
         failed = (1 - shift) * fold(NU) >= E
         counted = cells(tables["failures"], row)
         assert (counted["points"], counted["solved"]) == (1024, (~failed).sum())
-        assert counted["`limit_point`"] == (failed & (np.arange(1024) % 2 == 1)).sum()
-        assert counted["`continuation_stalled`"] == (failed & (np.arange(1024) % 2 == 0)).sum()
+        assert counted["`limit_point`"] == (failed & (NUMBER % 2 == 1)).sum()
+        assert counted["`continuation_stalled`"] == (failed & (NUMBER % 2 == 0)).sum()
         assert [counted[c] for c in tables["failures"].columns[-4:]] == [2.0, 3.0, 7.0, 7.0]
-        evidence = cells(tables["failure_evidence"], row)
-        np.testing.assert_allclose(
-            evidence["largest, mm²/s"], (100 * E / fold(NU) / (1 - shift))[failed].max(), rtol=1e-12
-        )
+        largest = cells(tables["failure_evidence"], row)["largest, mm²/s"]
+        np.testing.assert_allclose(largest, (100 * E / fold(NU) / (1 - shift))[failed].max(), rtol=1e-12)
+    solved, strain = fold(NU) < E, 60.0 / E
+    row = cells(tables["first_order_compression"], 1)
+    assert row["largest of a solved run"] == strain[solved].max()
+    assert row["smallest of a failed run"] == strain[~solved].min()
+    assert row["> 0.27: solved"] == (solved & (strain > 0.27)).sum() > 0
+    assert sum(row[column] for column in tables["first_order_compression"].columns[3:]) == len(INPUTS)
 
 
-def test_points_between_two_folds_are_the_band(made_up_survey):
+def test_points_between_two_folds_are_the_band(tables):
     between = (fold(NU) >= E) & ((1 - SHIFT) * fold(NU) < E)
-    assert between.sum() > 1
-    tables = {table.name: table for table in made_up_survey.tables()}
+    assert between.sum() > 0
     row = cells(tables["two_meshes"])
     assert (row["solved on default only"], row["failed on default only"]) == (between.sum(), 0)
     assert row[f"of them beyond {BAND:g} %"] == row[f"solved on default only beyond {BAND:g} %"] == 0
@@ -113,63 +117,42 @@ def test_a_planted_wrong_success_is_beyond_the_band(wrong_on):
     row = cells(band_table(default, fine, fold))
     assert row[f"of them beyond {BAND:g} %"] == 1
     assert row[f"solved on default only beyond {BAND:g} %"] == (wrong_on == "default")
-    np.testing.assert_allclose(
-        row["those two at most so far from the fold, %"], 100 * (1 - E[victim] / fold(NU[victim])), rtol=1e-9
-    )
+    off = 100 * (1 - E[victim] / fold(NU[victim]))
+    np.testing.assert_allclose(row["those two at most so far from the fold, %"], off, rtol=1e-9)
     assert E[victim] in differing_table(default, fine, fold).column("E, Pa")
 
 
-def test_interfaces_are_compared_where_both_meshes_solve(made_up_survey):
-    (table,) = [table for table in made_up_survey.tables() if table.name == "two_interfaces"]
+def test_interfaces_are_compared_where_both_meshes_solve(tables):
     both = fold(NU) < E
     beyond = both & (np.abs(E / fold(NU) - 1) > BAND / 100)
     assert 0 < beyond.sum() < both.sum()
     for row, chosen in enumerate((both, beyond)):
-        figures = cells(table, row)
+        figures = cells(tables["two_interfaces"], row)
         assert figures["number"] == chosen.sum()
         np.testing.assert_allclose(figures["largest, µm"], 1e4 * SHIFT / E[chosen].min(), rtol=1e-9)
         np.testing.assert_allclose(figures["largest, %"], 100 * SHIFT, rtol=1e-9)
 
 
-def test_compressions_are_sorted_by_outcome(made_up_survey):
-    (table,) = [table for table in made_up_survey.tables() if table.name == "first_order_compression"]
-    solved, strain = fold(NU) < E, 60.0 / E
-    row = cells(table, 1)
-    assert (row["largest of a solved run"], row["smallest of a failed run"]) == (
-        strain[solved].max(),
-        strain[~solved].min(),
-    )
-    assert row["> 0.27: solved"] == (solved & (strain > 0.27)).sum() > 0
-    assert sum(row[column] for column in table.columns[3:]) == len(INPUTS)
-
-
-def test_the_fold_is_found_by_bisection():
+def test_the_fold_is_found_by_bisection_and_distances_are_relative_to_it():
     found = critical_moduli(made_up, FOLD_RATIOS)
     np.testing.assert_allclose(found, [fold(nu) for nu in FOLD_RATIOS], atol=0.5 * WIDTH)
     row = cells(fold_table(FOLD_RATIOS, {"fine": found}), FOLD_RATIOS.index(0.0))
     assert row["prototype, Pa"] == 197.0
     assert abs(row["fine, Pa"] - 200.0) < WIDTH
-
-
-def test_a_fold_beyond_the_bracket_is_refused():
+    runs = made_up([{"E": 206.0, "nu": 0.0}, {"E": 225.0, "nu": 0.5}])
+    np.testing.assert_allclose(distances(runs, fold), [3.0, -10.0], rtol=1e-9)
     with pytest.raises(ValueError, match="not between"):
         critical_moduli(lambda inputs: made_up(inputs, shift=-3.0), FOLD_RATIOS)
 
 
-def test_distances_are_relative_to_the_fold():
-    runs = made_up([{"E": 206.0, "nu": 0.0}, {"E": 225.0, "nu": 0.5}])
-    np.testing.assert_allclose(distances(runs, fold), [3.0, -10.0], rtol=1e-9)
-
-
-def test_all_is_written_drawn_and_kept(tmp_path, monkeypatch, made_up_survey):
-    monkeypatch.setattr(failure_map, "OUTPUT", tmp_path)
-    monkeypatch.setattr(failure_map, "survey", lambda count, runs: made_up_survey)
-    main(["--points", "256"])
+def test_all_is_written_drawn_and_kept(tmp_path, monkeypatch, survey, tables):
+    monkeypatch.setattr(failure_map, "survey", lambda count, runs: survey)
+    main(["--points", "256"], tmp_path)
     raw = json.loads((tmp_path / "failure-map.json").read_text("utf-8"))
-    assert {name: from_json(data) for name, data in raw.items()} == {t.name: t for t in made_up_survey.tables()}
+    assert {name: from_json(data) for name, data in raw.items()} == tables
     assert (tmp_path / "forward-failures.png").stat().st_size > 10_000
     with pytest.raises(SystemExit):
-        main(["--points", "256", "--publish"])
+        main(["--points", "256", "--publish"], tmp_path)
 
 
 def test_runs_are_made_once(tmp_path):

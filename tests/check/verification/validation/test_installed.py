@@ -1,7 +1,6 @@
 """The job that installs the wheel sees what is wrong with one."""
 
 import io
-import stat
 import tarfile
 from pathlib import Path
 
@@ -24,51 +23,42 @@ from strandline.studies.template import write_template
 
 PACKAGE = {f"src/strandline/{name}" for name in ("__init__.py", "py.typed", "report/style.css")}
 KNOWN = {*PACKAGE, ".ci/run", "README.md"}
-INFORMATION = ("METADATA", "WHEEL", "entry_points.txt", "licenses/LICENSE", "licenses/NOTICE.md")
-GOOD = {name.removeprefix("src/"): b"" for name in PACKAGE} | {
-    f"strandline-0.2.0.dist-info/{name}": b"" for name in INFORMATION
-}
+OF_WHEEL = "strandline-0.2.0.dist-info"
+INFORMATION = [f"{OF_WHEEL}/{name}" for name in ("METADATA", "WHEEL", "entry_points.txt")]
+INFORMATION += [f"{OF_WHEEL}/licenses/{name}" for name in ("LICENSE", "NOTICE.md")]
+GOOD = dict.fromkeys([*(name.removeprefix("src/") for name in PACKAGE), *INFORMATION], b"")
+TEXT = "Name: strandline\n\nSee {} and [this](https://doi.org/10.1186/s40323-022-00237-5)."
+LINKS = ("[guide](docs/guide.md)", "![picture](docs/figures/x.png)", "[below](#here)")
+WRONG = [
+    ({key: value for key, value in GOOD.items() if key != "strandline/py.typed"}, "strandline/py.typed"),
+    ({key: value for key, value in GOOD.items() if not key.endswith(".css")}, "strandline/report/style.css"),
+    ({**GOOD, "tests/conftest.py": b""}, "tests/conftest"),
+    *(({**GOOD, INFORMATION[0]: TEXT.format(link).encode()}, "links of the long description") for link in LINKS),
+]
 
 
-def program(path: Path, printed: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"#!/bin/sh\necho {printed}\n")
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-
-
-def test_a_whole_wheel_passes() -> None:
+def test_a_wheel_has_the_package_and_nothing_else_and_its_links_lead_somewhere() -> None:
     compare_wheel(GOOD, KNOWN)
+    for wheel, said in WRONG:
+        with pytest.raises(Failed, match=said):
+            compare_wheel(wheel, KNOWN)
 
 
-@pytest.mark.parametrize("name", ["strandline/py.typed", "strandline/report/style.css"])
-def test_a_file_missing_from_the_wheel_is_named(name: str) -> None:
-    with pytest.raises(Failed, match=name):
-        compare_wheel({key: value for key, value in GOOD.items() if key != name}, KNOWN)
+def test_the_source_distribution_has_what_is_under_version_control(tmp_path: Path) -> None:
+    def archived(names: set[str]) -> Path:
+        with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as archive:
+            for name in sorted(names - {".ci/run"}):
+                archive.addfile(tarfile.TarInfo(f"strandline-0.2.0/{name}"), io.BytesIO())
+        return tmp_path / "x.tar.gz"
 
-
-def test_a_file_that_does_not_belong_into_the_wheel_is_named() -> None:
-    with pytest.raises(Failed, match="tests/conftest"):
-        compare_wheel({**GOOD, "tests/conftest.py": b""}, KNOWN)
-
-
-@pytest.mark.parametrize("link", ["[guide](docs/guide.md)", "![picture](docs/figures/x.png)", "[below](#here)"])
-def test_a_link_that_leads_nowhere_is_named(link: str) -> None:
-    text = f"Name: strandline\n\nSee {link} and [this](https://doi.org/10.1186/s40323-022-00237-5)."
-    with pytest.raises(Failed, match="links of the long description"):
-        compare_wheel({**GOOD, "strandline-0.2.0.dist-info/METADATA": text.encode()}, KNOWN)
-
-
-@pytest.mark.parametrize(("without", "extra"), [("README.md", ""), ("", "secrets.txt"), ("", "")])
-def test_the_source_distribution_has_what_is_under_version_control(tmp_path: Path, without: str, extra: str) -> None:
-    names = sorted({*KNOWN, "PKG-INFO", extra} - {without, ".ci/run", ""})
-    with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as archive:
-        for name in names:
-            archive.addfile(tarfile.TarInfo(f"strandline-0.2.0/{name}"), io.BytesIO())
-    if without or extra:
-        with pytest.raises(Failed, match=without or extra):
-            compare_sdist(tmp_path / "x.tar.gz", KNOWN)
-    else:
-        compare_sdist(tmp_path / "x.tar.gz", KNOWN)
+    whole = {*KNOWN, "PKG-INFO"}
+    compare_sdist(archived(whole), KNOWN)
+    for names, said in ((whole - {"README.md"}, "README.md"), (whole | {"secrets.txt"}, "secrets.txt")):
+        with pytest.raises(Failed, match=said):
+            compare_sdist(archived(names), KNOWN)
+    known = tracked()
+    assert {"src/strandline/py.typed", "pyproject.toml", "CITATION.cff"} <= known
+    assert not [name for name in known if name.endswith(".pyc")]
 
 
 def test_the_study_of_init_is_made_small(tmp_path: Path) -> None:
@@ -82,18 +72,23 @@ def test_the_study_of_init_is_made_small(tmp_path: Path) -> None:
 
 
 def test_pythons_are_found_newest_first_and_once_each(tmp_path: Path) -> None:
-    home = tmp_path / "home"
-    program(tmp_path / "bin" / "python3.12", "cpython 3 12 1 final")
-    program(tmp_path / "bin" / "python3", "cpython 3 10 4 final")
-    program(tmp_path / "bin" / "python3-config", "cpython 3 15 0 final")
-    program(home / ".pyenv" / "versions" / "3.13.0" / "bin" / "python3.13", "cpython 3 13 0 final")
-    program(home / ".pyenv" / "versions" / "3.12.0" / "bin" / "python3.12", "cpython 3 12 0 final")
-    program(home / ".pyenv" / "versions" / "pypy" / "bin" / "python3.14", "pypy 3 14 0 final")
-    program(home / ".local/share/uv/python/x/bin/python3.15", "cpython 3 15 0 alpha")
+    home, versions = tmp_path / "home", "home/.pyenv/versions"
+    for name, printed in {
+        "bin/python3.12": "cpython 3 12 1 final",
+        "bin/python3": "cpython 3 10 4 final",
+        "bin/python3-config": "cpython 3 15 0 final",
+        f"{versions}/3.13.0/bin/python3.13": "cpython 3 13 0 final",
+        f"{versions}/3.12.0/bin/python3.12": "cpython 3 12 0 final",
+        f"{versions}/pypy/bin/python3.14": "pypy 3 14 0 final",
+        "home/.local/share/uv/python/x/bin/python3.15": "cpython 3 15 0 alpha",
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"#!/bin/sh\necho {printed}\n")
+        (tmp_path / name).chmod(0o755)
     (tmp_path / "bin" / "python3.14").write_text("not a program")
     found = find_interpreters({"PATH": str(tmp_path / "bin")}, home)
     assert [python.name for python in found] == ["3.13.0", "3.12.1"]
-    named = str(home / ".pyenv" / "versions" / "3.12.0" / "bin" / "python3.12")
+    named = str(tmp_path / versions / "3.12.0" / "bin" / "python3.12")
     assert [p.name for p in find_interpreters({"PATH": "", "STRANDLINE_PYTHONS": named}, home)] == ["3.12.0"]
 
 
@@ -117,9 +112,3 @@ def test_a_python_without_wheels_is_passed_over_and_other_errors_are_not(
     monkeypatch.setattr("verification.validation.installed.command", broken)
     with pytest.raises(Failed, match="no network"):
         list(newest_with_wheels(pythons, Path("x.whl"), tmp_path))
-
-
-def test_the_files_of_the_package_are_under_version_control() -> None:
-    known = tracked()
-    assert {"src/strandline/py.typed", "pyproject.toml", "CITATION.cff"} <= known
-    assert not [name for name in known if name.endswith(".pyc")]

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from verification.benchmarks.peers import install, vbmc
+from verification.validation import pyvbmc
 from verification.validation.pyvbmc import Mark, Trace
 from verification.validation.pyvbmc_problems import Outline, marginals, mean_variation
 from verification.validation.tables import from_json, put_into_page
 
 from strandline.likelihood import InterfaceLikelihood
-from verification.validation import pyvbmc
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +31,11 @@ class Exact:
         return self.outline.log_likelihood(x) + self.slope * x[:, 6]
 
 
-def test_the_closed_form_is_the_measure_on_outlines(outline):
+def test_the_closed_form_is_the_measure_on_outlines_with_a_ridge(outline):
     x = outline.space.prior_quantiles(np.random.default_rng(0).random((10, 7)))
     likelihood = InterfaceLikelihood(outline.observations, outline.discrepancy)
     np.testing.assert_allclose(outline.log_likelihood(x), [likelihood(outline.interface(row)) for row in x], rtol=1e-10)
     assert outline.log_likelihood(np.array([outline.truth]))[0] == 0
-
-
-def test_load_over_stiffness_is_a_ridge(outline):
     x = np.array([outline.truth, outline.truth])
     x[1, [0, 1, 2, 6]] *= 1.2
     a, b = outline.log_likelihood(x)
@@ -66,16 +63,12 @@ def test_marginals_against_bins_counted_by_hand():
     np.testing.assert_allclose(mean_variation(found, np.array([[0.4, 0.6], [0.5, 0.5]])), 0.1)
 
 
-def test_the_page_has_the_tables_as_they_were_computed():
+def test_the_tables_of_the_page_follow_from_the_published_steps():
     page = pyvbmc.PAGE.read_text("utf-8")
     published = json.loads(pyvbmc.PAGE.with_suffix(".json").read_text("utf-8"))
     tables = [from_json(one) for one in published["tables"].values()]
     assert put_into_page(page, tables) == page
     assert page.count("<!-- table: ") == len(tables) == 3
-
-
-def test_the_published_tables_follow_from_the_published_steps():
-    published = json.loads(pyvbmc.PAGE.with_suffix(".json").read_text("utf-8"))
     first = from_json(published["tables"]["pyvbmc"]).rows[0]
     assert first[2] == 0.2
     for column, method, failed in ((4, "strandline", ""), (5, "PyVBMC", "-1000")):
@@ -87,21 +80,16 @@ def test_the_published_tables_follow_from_the_published_steps():
         assert first[column] == f"{np.median(runs):g} / {max(runs)}"
 
 
-def trace(*variations: float, start: int = 8, step: int = 2, **more) -> Trace:
-    marks = tuple(Mark(start + step * k, v, float(k)) for k, v in enumerate(variations))
-    settings = {"method": "strandline", "problem": "biofilm", "failed": "", "seed": 1, "failures": 0} | more
+def trace(*variations: float) -> Trace:
+    marks = tuple(Mark(8 + 2 * k, v, float(k)) for k, v in enumerate(variations))
+    settings = {"method": "strandline", "problem": "biofilm", "failed": "", "seed": 1, "failures": 0}
     return Trace(**settings, marks=marks, runs=marks[-1].runs)
 
 
-def test_a_level_is_reached_at_the_first_mark_below_it():
+def test_a_level_is_reached_at_the_first_mark_below_it_and_seeds_that_never_arrive_count_as_the_worst():
     one = trace(0.3, 0.09, 0.2, 0.01)
-    reached = one.reached(0.1)
-    assert reached is not None
-    assert reached.runs == 10
+    assert one.reached(0.1).runs == 10
     assert one.reached(0.005) is None
-
-
-def test_seeds_that_never_arrive_count_as_the_worst():
     there, later, never = trace(0.3, 0.01), trace(0.3, 0.3, 0.01), trace(0.3, 0.3, 0.3, 0.3)
     assert pyvbmc.figures([there, there, later], 0.1) == pyvbmc.Figures("10 / 12", 10, 1.0)
     assert pyvbmc.figures([there, later, never], 0.1).text == "12 / not by 1 of 3"
@@ -110,7 +98,7 @@ def test_seeds_that_never_arrive_count_as_the_worst():
 
 
 PEER = """
-import json, sys, numpy
+import json, sys
 task = json.loads(sys.stdin.readline())
 answers = []
 for x in ([1.0, 2.0], [-1.0, 0.0]):
@@ -120,51 +108,33 @@ print(json.dumps({"done": {"answers": answers, "seed": task["seed"]}}), flush=Tr
 """
 
 
-def test_a_peer_is_answered_until_its_last_word(tmp_path, monkeypatch):
+def test_a_peer_is_answered_until_its_last_word(tmp_path):
     script = tmp_path / "peer.py"
     script.write_text(PEER, "utf-8")
-    monkeypatch.setattr(pyvbmc, "WORKER", script)
 
     def answer(x):
         return {"y": sum(x) if x[0] > 0 else None, "prior": 0.5}
 
-    done = pyvbmc.conversation({"seed": 3}, answer, Path(sys.executable))
+    done = pyvbmc.conversation({"seed": 3}, answer, Path(sys.executable), script=script)
     assert done == {"answers": [{"y": 3.0, "prior": 0.5}, {"y": None, "prior": 0.5}], "seed": 3}
     script.write_text("", "utf-8")
     with pytest.raises((RuntimeError, BrokenPipeError)):
-        pyvbmc.conversation({"seed": 3}, answer, Path(sys.executable))
+        pyvbmc.conversation({"seed": 3}, answer, Path(sys.executable), script=script)
 
 
-@pytest.mark.parametrize(
-    ("failed", "expected"), [("-1000", [-999, 2, -999]), ("lowest", [-999, 2, 2]), ("-inf", [-np.inf, 2, -np.inf])]
-)
-def test_what_the_peer_is_told_of_failed_runs(monkeypatch, failed, expected):
+def test_what_the_peer_is_told_of_failed_runs(monkeypatch):
     answers = [{"y": None, "prior": 1.0}, {"y": 2.0, "prior": 1.0}, {"y": None, "prior": 1.0}]
-    monkeypatch.setattr(sys, "stdin", io.StringIO("".join(json.dumps(one) + "\n" for one in answers)))
-    target = vbmc.Target(failed, io.StringIO())
-    assert [target([0.0]) for _ in answers] == expected
-    assert (target.evaluations, target.failures) == (3, 2)
+    for failed, expected in {"-1000": [-999, 2, -999], "lowest": [-999, 2, 2], "-inf": [-np.inf, 2, -np.inf]}.items():
+        monkeypatch.setattr(sys, "stdin", io.StringIO("".join(json.dumps(one) + "\n" for one in answers)))
+        target = vbmc.Target(failed, io.StringIO())
+        assert [target([0.0]) for _ in answers] == expected
+        assert (target.evaluations, target.failures) == (3, 2)
 
 
-def test_a_missing_peer_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(pyvbmc, "PEER", tmp_path)
-    assert "make pyvbmc-env" in (pyvbmc.missing_peer() or "")
+def test_a_missing_peer_is_told(tmp_path):
+    assert "make pyvbmc-env" in (pyvbmc.missing_peer(tmp_path) or "")
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "python").touch()
-    assert pyvbmc.missing_peer() is None
+    assert pyvbmc.missing_peer(tmp_path) is None
     (tmp_path / install.NOTE).write_text(json.dumps({"requirements-pyvbmc.txt": "no such version"}), "utf-8")
-    assert "no such version" in (pyvbmc.missing_peer() or "")
-
-
-def test_a_peer_with_its_own_environment_is_installed_where_it_is_asked_for(tmp_path, monkeypatch, capsys):
-    asked = []
-
-    def installed(folder, *, lists):
-        asked.append((folder.name, [one.name for one in lists]))
-        return {"some.txt": "no network"}
-
-    monkeypatch.setattr(install, "install", installed)
-    install.main(["pyvbmc"])
-    install.main([])
-    assert asked == [(".venv-pyvbmc", ["requirements-pyvbmc.txt"]), (".venv", list(install.LISTS))]
-    assert "no network" in capsys.readouterr().err
+    assert "no such version" in (pyvbmc.missing_peer(tmp_path) or "")
