@@ -37,13 +37,10 @@ def test_citation_and_change_log_are_of_this_version() -> None:
     assert citation["references"][0]["doi"] in (ROOT / "README.md").read_text("utf-8")
 
 
-def test_relative_links_become_text_with_their_path(hook: ModuleType) -> None:
+def test_relative_links_of_the_long_description_become_text_with_paths_that_exist(hook: ModuleType) -> None:
     text = "![p](docs/a.png)\n\nSee [the guide](docs/guide.md), [below](#here), [LICENSE](LICENSE), [doi](https://doi.org/1)."
     wanted = "See the guide (`docs/guide.md`), below, LICENSE, [doi](https://doi.org/1)."
     assert hook.without_relative_links(text) == wanted
-
-
-def test_the_long_description_names_files_that_there_are(hook: ModuleType) -> None:
     metadata: dict[str, dict[str, str]] = {}
     hook.LongDescription.update(SimpleNamespace(root=ROOT), metadata)
     text = metadata["readme"]["text"]

@@ -71,11 +71,8 @@ def written(default: Any) -> str:
     return default if isinstance(default, str) else json.dumps(default)
 
 
-def test_every_key_of_a_study_is_listed_as_it_is() -> None:
+def test_every_key_of_a_study_is_listed_with_a_meaning() -> None:
     assert text_of("reference/study.md") == page(), "run python -m verification.reference_page"
-
-
-def test_every_key_has_a_meaning() -> None:
     found = listed(StudyFile)
     assert len(found) > 80
     silent = {key.name for key in found if not key.meaning}
@@ -84,8 +81,6 @@ def test_every_key_has_a_meaning() -> None:
 
 READING = {field.name for field in dataclasses.fields(Reading)} - {"file", "unit"}
 """How to read a file: one line of the page says so of all."""
-
-
 GIVEN = ("sensitivities", "folder")
 """Fields of models that are no options of theirs: a key of the study, and the study folder."""
 
@@ -100,10 +95,17 @@ def test_every_option_of_models_and_measures_is_described_with_its_default() -> 
     assert {code(row[0])[0] for row in tables} == set(classes)
 
 
-def test_every_prior_and_kernel_is_described() -> None:
+def test_every_prior_kernel_criterion_format_and_option_of_reading_is_described() -> None:
     described = {code(row[0])[0]: row[1] for row in rows("reference/study.md", "prior")}
     assert described == {name: prior.fields for name, prior in PRIORS.items()}
     assert all(f"`{name}`" in text_of("reference/study.md") for name in KERNELS)
+    (criterion,) = (row[2] for row in rows("reference/study.md", "key") if code(row[0]) == ["design.active.criterion"])
+    assert set(code(criterion)) == {*CRITERIA, "module:name"}
+    assert code(criterion)[0] == Active(80).criterion
+    reading = {name for row in rows("reference/study.md", "reading") for name in code(row[0])}
+    assert reading == {f.name for f in dataclasses.fields(Reading)}
+    assert {suffix for row in rows("reference/study.md", "files") for suffix in code(row[0])} == set(READERS)
+    assert set(ObservationFile.model_fields) - {"synthetic", "noise", "image", "stack"} == reading
 
 
 def located(target: str) -> tuple[Any, str]:
@@ -155,12 +157,6 @@ def test_every_public_name_has_its_module_on_a_page_of_the_api() -> None:
     assert [name for name, modules in ancestors.items() if not modules & shown] == []
 
 
-def test_the_readme_shows_a_study_that_is_shipped() -> None:
-    readme = (ROOT / "README.md").read_text("utf-8")
-    (shown,) = re.findall(r"```yaml\n(.*?)```", readme, re.DOTALL)
-    assert shown == (ROOT / "studies" / "biofilm-uniform" / "study.yaml").read_text("utf-8")
-
-
 def test_the_numbers_on_quadratures_are_those_of_the_outline() -> None:
     reference, table = Outline().interface(), rows("explanation/quadratures.md", "nodes of the second polyline")
     assert len(table) == 3
@@ -171,23 +167,17 @@ def test_the_numbers_on_quadratures_are_those_of_the_outline() -> None:
             assert f"{value:.2g}" == f"{float(figure):.2g}"
 
 
-def test_the_beam_of_the_guide_is_that_of_the_example() -> None:
+def test_the_beams_of_the_guides_run_and_are_that_of_the_example() -> None:
     block = next(block for block in blocks("how-to/own-simulator.md", "python") if "def beam" in block)
     shown: dict[str, Any] = {"np": np, "sl": sl}
     exec(block, shown)
-    inputs = {"E": 310.0, "q": 0.25}
-    np.testing.assert_allclose(
-        shown["beam"](inputs, Path()).points, example("own_model").beam(inputs, Path()).points, rtol=1e-14
-    )
-
-
-def test_the_beam_of_the_guide_on_conditions_runs() -> None:
+    inputs = {"E": 400.0, "q": 0.25}
+    single = example("own_model").beam(inputs, Path())
+    np.testing.assert_allclose(shown["beam"](inputs, Path()).points, single.points, rtol=1e-14)
     beam, problem = blocks("how-to/several-experiments.md", "python")
     shown: dict[str, Any] = {"np": np, "sl": sl}
     exec(beam, shown)
-    inputs = {"E": 400.0}
-    record = attempt(shown["beam"], RunRequest("key", inputs), Path())
-    single = example("own_model").beam({"E": 400.0, "q": 0.25}, Path())
+    record = attempt(shown["beam"], RunRequest("key", {"E": 400.0}), Path())
     assert list(record.interfaces) == ["light", "heavy"]
     np.testing.assert_allclose(record.interfaces["heavy"].points, single.points, rtol=1e-14)
     shown |= record.interfaces | {"space": sl.ParameterSpace((sl.Parameter("E", sl.Uniform(1.0, 2.0)),))}
@@ -206,15 +196,18 @@ def example(name: str) -> Any:
     return module
 
 
+SAMPLER = "{smc: {particles: 400, rejuvenation_steps: 2, zeta: 0.5}}"
+SMALL = yaml.safe_load(SAMPLER)
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The study of the guide on simulators, finished with fewer particles, in a folder as the guides name it."""
+    """The study of the guide on simulators, finished as a draft, in a folder as the guides name it."""
     home: Path = tmp_path_factory.mktemp("home")
     folder = home / "studies" / "biofilm-uniform"
     folder.mkdir(parents=True)
     study = next(block for block in blocks("how-to/own-simulator.md", "yaml") if "{python:" in block)
-    smaller = "sampler: {smc: {particles: 400, rejuvenation_steps: 3, zeta: 0.8}}\n"
-    (folder / "study.yaml").write_text(study + smaller, encoding="utf-8")
+    (folder / "study.yaml").write_text(f"{study}draft: true\nreport: none\nsampler: {SAMPLER}\n", encoding="utf-8")
     shutil.copy(ROOT / "examples" / "own_model.py", folder)
     sl.run_study(sl.load_study(folder), executor=sl.InProcess())
     return home
@@ -224,15 +217,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def uncertain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The summary of a study with a nuisance input."""
     inputs = {**BEAM_STUDY["inputs"], "tilt": {**BEAM_STUDY["inputs"]["tilt"], "nuisance": True}}
-    sampler = {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}, "cut": {"values": 2}}
-    return summary_of(write_study(tmp_path_factory.mktemp("uncertain"), inputs=inputs, sampler=sampler))
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    """Run the study in `folder`, without its figures, and return its summary."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("strandline.studies.run.write_report", lambda *a, folder, **o: folder / "report.html")
-        return sl.run_study(sl.load_study(folder), executor=sl.InProcess()).summary
+    sampler = {**SMALL, "cut": {"values": 2}}
+    folder = write_study(
+        tmp_path_factory.mktemp("uncertain"), draft=True, report="none", inputs=inputs, sampler=sampler
+    )
+    return sl.run_study(sl.load_study(folder), executor=sl.InProcess()).summary
 
 
 def test_every_key_of_the_summary_is_described(finished: Path, uncertain: dict[str, Any]) -> None:
@@ -257,30 +246,20 @@ def test_every_key_of_the_summary_is_described(finished: Path, uncertain: dict[s
 @pytest.fixture(scope="module")
 def active(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The summary of a study with an active design, checked by runs."""
-    sampler = {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}}
     design = {"active": {"runs": 60, "batch": 4, "check": 20, "change": 0.5}}
-    changes = {"design": design, "sampler": sampler, "noise": {"sd": 0.01}}
-    return summary_of(write_study(tmp_path_factory.mktemp("active"), **changes))
+    changes = {"design": design, "sampler": SMALL, "noise": {"sd": 0.01}, "report": "none"}
+    folder = write_study(tmp_path_factory.mktemp("active"), **changes)
+    return sl.run_study(sl.load_study(folder), executor=sl.InProcess()).summary
 
 
-@pytest.mark.parametrize("heading", ["field", "certificate", "comparison"])
-def test_every_key_of_a_surrogate_of_the_field_is_described(active: dict[str, Any], heading: str) -> None:
-    described = {key for row in rows("reference/summary.md", heading) for key in code(row[0])}
-    part = "surrogate" if heading == "field" else heading
-    assert described - {"certificate.check"} == {f"{part}.{key}" for key in generic(active[part])}
-
-
-def test_every_key_of_the_history_of_an_active_design_is_described(active: dict[str, Any]) -> None:
+def test_every_key_of_an_active_design_of_a_field_is_described(active: dict[str, Any]) -> None:
+    for heading, part in (("field", "surrogate"), ("certificate", "certificate"), ("comparison", "comparison")):
+        described = {key for row in rows("reference/summary.md", heading) for key in code(row[0])}
+        assert described - {"certificate.check"} == {f"{part}.{key}" for key in generic(active[part])}
     entries = {code(row[0])[0]: set(code(row[1])) for row in rows("reference/summary.md", "certificate")}
     for name in ("batches", "history"):
         first, *_ = active["certificate"][name]
         assert set(first) <= entries[f"certificate.{name}"]
-
-
-def test_every_criterion_is_described_the_default_first() -> None:
-    (criterion,) = (row[2] for row in rows("reference/study.md", "key") if code(row[0]) == ["design.active.criterion"])
-    assert set(code(criterion)) == {*CRITERIA, "module:name"}
-    assert code(criterion)[0] == Active(80).criterion
 
 
 def test_every_key_of_the_check_is_described(finished: Path) -> None:
@@ -323,57 +302,45 @@ def generic(tree: Mapping[str, Any], place: str = "") -> list[str]:
     return list(found)
 
 
+def printed_by(program: str, folder: Path) -> str:
+    command = [sys.executable, "-W", "ignore", "-c", program]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def test_the_programs_that_read_results_run(finished: Path) -> None:
     pieces = blocks("how-to/read-results.md", "python")
     assert len(pieces) == 5
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", "\n".join(pieces)],
-        cwd=finished,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
+    done = printed_by("\n".join(pieces), finished)
     summary = json.loads((finished / "studies/biofilm-uniform/summary.json").read_text("utf-8"))
-    first, second = done.stdout.splitlines()[:2]
+    first, second = done.splitlines()[:2]
     assert float(first.split()[0]) == summary["inputs"]["E"]["mean"]
     assert float(second.split()[0]) == pytest.approx(summary["inputs"]["E"]["mean"], rel=1e-12)
-    assert done.stdout.count(" ok ") == summary["runs"]["ok"] + 1  # and the observation
+    assert done.count(" ok ") == summary["runs"]["ok"] + 1  # and the observation
 
 
 @pytest.mark.long
 def test_the_program_that_checks_a_posterior_runs(finished: Path) -> None:
     (program,) = blocks("how-to/check-the-posterior.md", "python")
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", program],
-        cwd=finished,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
+    done = printed_by(program, finished)
     content = json.loads((finished / "studies/biofilm-uniform/check.json").read_text("utf-8"))
-    assert done.stdout.split()[0] == content["verdict"]
+    assert done.split()[0] == content["verdict"]
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        "how-to/change-without-runs.md",
-        "how-to/model-error.md",
-        "how-to/noise.md",
-        "how-to/own-observation.md",
-        "how-to/several-experiments.md",
-        "how-to/uncertain-experiment.md",
-        "how-to/what-if.md",
-    ],
-)
-def test_the_pieces_of_studies_are_valid(page: str) -> None:
+PIECES = (
+    "change-without-runs", "model-error", "noise", "own-observation", "several-experiments", "uncertain-experiment",
+    "what-if",
+)  # fmt: skip
+
+
+def test_the_pieces_of_studies_in_the_guides_are_valid() -> None:
     whole = yaml.safe_load((ROOT / "studies" / "biofilm-uniform" / "study.yaml").read_text("utf-8"))
-    pieces = blocks(page, "yaml")
-    assert pieces
-    for piece in pieces:
-        StudyFile.model_validate(whole | yaml.safe_load(piece.replace("…\n", "")))
+    for guide in PIECES:
+        pieces = blocks(f"how-to/{guide}.md", "yaml")
+        assert pieces, guide
+        for piece in pieces:
+            StudyFile.model_validate(whole | yaml.safe_load(piece.replace("…\n", "")))
 
 
 def test_models_of_the_guide_to_an_own_flow_cell_are_built(tmp_path: Path) -> None:
@@ -385,12 +352,11 @@ def test_models_of_the_guide_to_an_own_flow_cell_are_built(tmp_path: Path) -> No
         assert build_model({"biofilm": options}, tmp_path)
 
 
-def test_the_study_of_the_guide_is_that_of_the_example() -> None:
+def test_studies_and_ends_of_runs_are_those_of_the_examples_and_of_the_faults() -> None:
+    (shown,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    assert shown == (ROOT / "studies" / "biofilm-uniform" / "study.yaml").read_text("utf-8")
     shown = next(block for block in blocks("how-to/own-simulator.md", "yaml") if "command:" in block)
     assert shown == (ROOT / "examples" / "command" / "study.yaml").read_text("utf-8")
-
-
-def test_the_ends_of_runs_in_the_guide_are_those_of_the_faults() -> None:
     described = {(code(row[0])[0], kind) for row in rows("how-to/own-simulator.md", "state") for kind in code(row[1])}
     assert {(fault.state, fault.kind) for fault in FAULTS if fault.kind} <= described
 
@@ -402,10 +368,3 @@ def test_the_table_of_the_guide_on_abaqus_is_read(tmp_path: Path) -> None:
     (tmp_path / "interface.csv").write_text("x,y,ux,uy\n1.0,0.0,0.0,0.5\n0.0,0.0,0.0,0.0\n")
     reading = Reading.from_options(yaml.safe_load(result)["result"], "result")
     assert read_interface(tmp_path / reading.file, reading).points.tolist() == [[0.0, 0.0], [1.0, 0.5]]
-
-
-def test_every_option_of_reading_and_every_format_is_described() -> None:
-    described = {name for row in rows("reference/study.md", "reading") for name in code(row[0])}
-    assert described == {f.name for f in dataclasses.fields(Reading)}
-    assert {suffix for row in rows("reference/study.md", "files") for suffix in code(row[0])} == set(READERS)
-    assert set(ObservationFile.model_fields) - {"synthetic", "noise", "image", "stack"} == described

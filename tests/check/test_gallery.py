@@ -3,23 +3,16 @@
 import ast
 from pathlib import Path
 
-import pytest
-
-GALLERY = Path(__file__).parents[2] / "docs" / "gallery"
-SCRIPTS = sorted(GALLERY.glob("*/plot_*.py"))
-LINES = 30
+SCRIPTS = sorted((Path(__file__).parents[2] / "docs" / "gallery").glob("*/plot_*.py"))
 
 
-def test_there_are_twenty() -> None:
+def test_scripts_are_short_and_end_with_their_figure() -> None:
     assert len(SCRIPTS) >= 20
-
-
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
-def test_a_script_is_short_and_ends_with_its_figure(path: Path) -> None:
-    text = path.read_text("utf-8")
-    assert len(text.splitlines()) <= LINES
-    tree = ast.parse(text)
-    title, rule, _, *sentences = (ast.get_docstring(tree) or "").splitlines()
-    assert len(rule) >= len(title)
-    assert " ".join(sentences).endswith(".")
-    assert isinstance(tree.body[-1], ast.Expr), "the last line returns the figure"
+    for path in SCRIPTS:
+        text = path.read_text("utf-8")
+        assert len(text.splitlines()) <= 30, path
+        tree = ast.parse(text)
+        title, rule, _, *sentences = (ast.get_docstring(tree) or "").splitlines()
+        assert len(rule) >= len(title), path
+        assert " ".join(sentences).endswith("."), path
+        assert isinstance(tree.body[-1], ast.Expr), f"{path}: the last line returns the figure"
