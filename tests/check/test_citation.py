@@ -1,6 +1,6 @@
 """The citation file names the version that there is, and the long description leads nowhere that is not there."""
 
-import importlib.util
+import runpy
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -14,18 +14,13 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def hook(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Give hatch_build.py, which imports the build backend, without that."""
+def hook(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Give what hatch_build.py defines, which imports the build backend, without that."""
     interface = SimpleNamespace(MetadataHookInterface=object)
     monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", interface)  # type: ignore[arg-type]
     for name in ("hatchling", "hatchling.metadata", "hatchling.metadata.plugin"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return SimpleNamespace(**runpy.run_path(str(ROOT / "hatch_build.py")))
 
 
 def test_citation_and_change_log_are_of_this_version() -> None:
@@ -37,7 +32,7 @@ def test_citation_and_change_log_are_of_this_version() -> None:
     assert citation["references"][0]["doi"] in (ROOT / "README.md").read_text("utf-8")
 
 
-def test_relative_links_of_the_long_description_become_text_with_paths_that_exist(hook: ModuleType) -> None:
+def test_relative_links_of_the_long_description_become_text_with_paths_that_exist(hook: SimpleNamespace) -> None:
     text = "![p](docs/a.png)\n\nSee [the guide](docs/guide.md), [below](#here), [LICENSE](LICENSE), [doi](https://doi.org/1)."
     wanted = "See the guide (`docs/guide.md`), below, LICENSE, [doi](https://doi.org/1)."
     assert hook.without_relative_links(text) == wanted

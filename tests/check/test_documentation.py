@@ -2,9 +2,9 @@
 
 import dataclasses
 import importlib
-import importlib.util
 import json
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -172,10 +172,9 @@ def test_the_beams_of_the_guides_run_and_are_that_of_the_example() -> None:
     shown: dict[str, Any] = {"np": np, "sl": sl}
     exec(block, shown)
     inputs = {"E": 400.0, "q": 0.25}
-    single = example("own_model").beam(inputs, Path())
+    single = runpy.run_path(str(ROOT / "examples" / "own_model.py"))["beam"](inputs, Path())
     np.testing.assert_allclose(shown["beam"](inputs, Path()).points, single.points, rtol=1e-14)
     beam, problem = blocks("how-to/several-experiments.md", "python")
-    shown: dict[str, Any] = {"np": np, "sl": sl}
     exec(beam, shown)
     record = attempt(shown["beam"], RunRequest("key", {"E": 400.0}), Path())
     assert list(record.interfaces) == ["light", "heavy"]
@@ -184,16 +183,6 @@ def test_the_beams_of_the_guides_run_and_are_that_of_the_example() -> None:
     exec(problem, shown)
     likelihood = sl.InterfaceLikelihood(shown["observed"], sl.MeasurementLines(10))
     assert likelihood(record.interfaces) == pytest.approx(0.0)
-
-
-def example(name: str) -> Any:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 SAMPLER = "{smc: {particles: 400, rejuvenation_steps: 2, zeta: 0.5}}"
@@ -271,23 +260,15 @@ def test_every_key_of_the_check_is_described(finished: Path) -> None:
     assert described == set(generic(content)) | {f"interfaces[].{key}" for key in generic(content["interfaces"][0])}
 
 
-PLACEHOLDERS = {
-    "versions": "PACKAGE",
-    "runs.by_kind": "KIND",
-    "fixed": "NAME",
-    "inputs": "NAME",
-    "measures": "MEASURE",
-    "seconds": "STAGE",
-    "under_uncertainty.joint.inputs": "NAME",
-    "under_uncertainty.cut.inputs": "NAME",
-    "under_uncertainty.cut.nuisance_values": "NAME",
-    "warps": "NAME",
-    "variance_effect.shift": "NAME",
-    "variance_effect.sd_ratio": "NAME",
-    "check.shift": "NAME",
-    "check.shift_error": "NAME",
-    "check.sd_ratio": "NAME",
-}
+PLACEHOLDERS = {"versions": "PACKAGE", "runs.by_kind": "KIND", "measures": "MEASURE", "seconds": "STAGE"}
+PLACEHOLDERS |= dict.fromkeys(
+    (
+        "fixed", "inputs", "warps", "variance_effect.shift", "variance_effect.sd_ratio", "check.shift",
+        "check.shift_error", "check.sd_ratio", "under_uncertainty.joint.inputs", "under_uncertainty.cut.inputs",
+        "under_uncertainty.cut.nuisance_values",
+    ),
+    "NAME",
+)  # fmt: skip
 
 
 def generic(tree: Mapping[str, Any], place: str = "") -> list[str]:

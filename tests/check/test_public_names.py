@@ -1,16 +1,18 @@
-"""Public is what `__all__` says: it exists, and the package's own list is one and the same in its three places."""
+"""Public is what `__all__` says, in all places; what verifies the product uses public names only, as a user does."""
 
 import ast
 import importlib
 import pkgutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import strandline
 
+ROOT = Path(__file__).parents[2]
 MODULES = [name for _, name, _ in pkgutil.walk_packages(strandline.__path__, "strandline.")]
 HEAVY = {"numpy", "scipy", "jax", "matplotlib", "ngsolve", "pydantic", "yaml", "rich"}
 
@@ -59,3 +61,36 @@ def test_importing_the_package_loads_no_numerics() -> None:
     code = "import sys, strandline; print(*{name.partition('.')[0] for name in sys.modules})"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert HEAVY.isdisjoint(ended.stdout.split())
+
+
+def taken(source: str) -> Iterator[tuple[str, str]]:
+    """Yield (module, name) of everything that a program imports from strandline."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "strandline":
+            yield from ((str(node.module), alias.name) for alias in node.names)
+
+
+def hidden(module: str, name: str) -> bool:
+    """Return whether a name is not public; a module is."""
+    home = importlib.import_module(module)
+    if name in getattr(home, "__all__", ()) or name == "__version__":
+        return False
+    try:
+        importlib.import_module(f"{module}.{name}")
+    except ModuleNotFoundError:
+        return not (module == "strandline.errors" and not name.startswith("_"))
+    return False
+
+
+def test_verification_imports_public_names() -> None:
+    found = {
+        f"{path.relative_to(ROOT)}: {module}.{name}"
+        for path in sorted((ROOT / "verification").rglob("*.py"))
+        if ".venv" not in path.parts
+        for module, name in taken(path.read_text("utf-8"))
+        if hidden(module, name)
+    }
+    assert not found, "\n".join(sorted(found))
+    assert hidden("strandline.likelihood.interfaces", "_spoken")
+    assert not hidden("strandline.likelihood", "InterfaceLikelihood")
+    assert not hidden("strandline.report", "plots")

@@ -11,7 +11,6 @@ from verification.benchmarks import forward
 
 from strandline.interface import Interface
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
-from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Outline
 from strandline.runs import InProcess, RunRecord, RunRequest
@@ -107,17 +106,6 @@ def test_peak_memory_is_that_of_a_process_alone_and_counts_what_was_freed():
     (record,) = forward.pace(forward.PeakMemory(Biofilm(mesh="coarse")), [(400.0, 0.3)]).records
     assert block.nbytes / 2**20 == 600
     assert 50 < record.diagnostics["peak_MiB"] < 600
-
-
-def test_a_solver_that_is_not_there_is_said_to_be_not_installed(monkeypatch):
-    monkeypatch.setattr("strandline.models.biofilm.linear._pardiso_works", lambda: False)
-    with forward.using("umfpack") as installed:
-        assert installed
-        assert linear_solver() == "umfpack"
-    with forward.using("pardiso") as installed:
-        assert not installed
-        (row,) = forward.pace_figures("coarse", "pardiso", installed=installed)
-    assert (row.value, row.remark) == (None, "not installed")
 
 
 def test_campaigns_that_end_otherwise_are_infinitely_far_apart():

@@ -78,20 +78,6 @@ def test_what_cannot_be_installed_is_kept_with_its_reason(tmp_path, monkeypatch)
     assert asked == ["good.txt", "bad.txt"] * 2 + ["good.txt"]
 
 
-def test_a_peer_with_its_own_environment_is_installed_where_it_is_asked_for(monkeypatch, capsys):
-    asked = []
-
-    def installed(folder, *, lists):
-        asked.append((folder.name, [one.name for one in lists]))
-        return {"some.txt": "no network"}
-
-    monkeypatch.setattr(install, "install", installed)
-    install.main(["pyvbmc"])
-    install.main([])
-    assert asked == [(".venv-pyvbmc", ["requirements-pyvbmc.txt"]), (".venv", list(install.LISTS))]
-    assert "no network" in capsys.readouterr().err
-
-
 def test_peers_of_the_fit_have_the_same_evidence():
     assert all(surrogate.floor(name, 60).ours > 0 for name in KERNELS)
     for name in ("matern32_ard", "matern32_product"):

@@ -46,6 +46,7 @@ def doors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleTyp
     sys.modules.pop("my_doors")
 
 
+@pytest.mark.smoke
 def test_its_entries_pass_the_suites(doors: ModuleType, tmp_path: Path) -> None:
     arch = doors.Arch()
     np.savetxt(tmp_path / "seen.pts", arch({"height": 0.2}, Path()).points, header="x y", comments="")

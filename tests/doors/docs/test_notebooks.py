@@ -38,6 +38,7 @@ def moments(line: str, name: str) -> tuple[float, float]:
     return float(found[1]), float(found[2])
 
 
+@pytest.mark.smoke
 def test_every_notebook_is_known_and_kept_without_outputs() -> None:
     assert {path.stem for path in NOTEBOOKS.glob("*.ipynb")} == set(FOUND)
     for path in NOTEBOOKS.glob("*.ipynb"):

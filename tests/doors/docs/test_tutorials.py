@@ -199,6 +199,7 @@ def figures(piece: str) -> Iterator[tuple[float, float, str]]:
 # Without a forward run
 
 
+@pytest.mark.smoke
 def test_the_studies_and_commands_of_each_page_are_valid(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for page in PAGES:
         monkeypatch.chdir(with_examples(tmp_path / page))

@@ -35,4 +35,4 @@ def make_table(ledger: Ledger) -> Callable[[tuple[int, int, int]], FieldTable]:
 
 @pytest.fixture(scope="session")
 def table(make_table: Callable[[tuple[int, int, int]], FieldTable]) -> FieldTable:
-    return make_table((12, 6, 4))
+    return make_table((12, 6, 2))

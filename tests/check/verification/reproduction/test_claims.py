@@ -1,6 +1,6 @@
 """The claims on two inputs, C1 to C8, each on evidence whose verdict is known by construction."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,15 +11,14 @@ from tests.check.verification.reproduction.judged import settled, weighted_draws
 from verification.reproduction import claims
 from verification.reproduction.grid_posterior import GridPosterior, posterior_on_grid, product_grid
 from verification.reproduction.judge import GRID, likelihood_fields
-from verification.reproduction.judgement import Claim, LikelihoodField, correlation_ratio, density_over_prior
+from verification.reproduction.judgement import Claim, LikelihoodField, density_over_prior
 
-from strandline.calibration import Calibration, Problem, Settings
+from strandline.calibration import Calibration, Problem
 from strandline.design import sobol
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.posterior import GaussianApproximation, Posterior, laplace
+from strandline.posterior import Posterior, laplace
 from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.runs import RunRecord
-from strandline.smc import SMCResult
 from strandline.surrogate import fit_log_likelihood
 from strandline.testing.folding import Folding
 
@@ -63,9 +62,7 @@ def normal(e: float, e_sd: float, nu: float, nu_sd: float) -> Function:
 
 
 class TestRidgeAndPeak:
-    def claim(
-        self, function: Function, truth: tuple[float, float] = TRUTH, lines: Function | None = None
-    ) -> Mapping[str, Any]:
+    def claim(self, function: Function, truth: tuple[float, float] = TRUTH, lines: Function | None = None) -> Claim:
         fields = by_measure(currents=function, closest_point=function, measurement_lines=lines or function)
         return claims.ridge_and_peak(fields, truth, weighted(function), (22.0, 0.041))
 
@@ -215,33 +212,20 @@ class TestUniformPrior:
         assert numbers["map"]["E"] == pytest.approx(250.0, abs=5.0)
 
 
-@pytest.fixture(scope="module")
-def base() -> Calibration:
-    """Two measures, each with a surrogate of a normal likelihood; what these tests do not look at is empty."""
+def calibration(**known: Any) -> Calibration:
+    """Return one of which nothing else is known."""
+    made = Calibration.__new__(Calibration)
+    for name, value in known.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+def test_fields_are_those_of_each_surrogate_with_the_first_input_first() -> None:
     x = SPACE.to_physical(sobol(128, 2))
-    functions = {"currents": normal(400.0, 150.0, 0.1, 0.4), "closest_point": normal(500.0, 200.0, -0.2, 0.5)}
-    values = {name: function(x[:, 0], x[:, 1]) for name, function in functions.items()}
-    posterior = weighted(functions["currents"], number=64)
-    none = np.zeros(64)
-    return Calibration(
-        problem=Problem(Folding(), SPACE, {"V_in": 100.0}, (), {}),
-        settings=Settings(),
-        records=(),
-        training=x,
-        log_likelihoods=values,
-        surrogates={name: fit_log_likelihood(x, value) for name, value in values.items()},
-        sampling=SMCResult(posterior.draws, posterior.log_weights, none, none, 0.0, posterior.ess, (), 0),
-        posterior=posterior,
-        gaussian=GaussianApproximation(posterior.mean, posterior.covariance),
-        laplace=laplace(-np.linalg.inv(posterior.covariance), posterior.mean),
-        quadrature=None,
-        seconds={},
-    )
-
-
-def test_fields_are_those_of_each_surrogate_with_the_first_input_first(base: Calibration) -> None:
-    fields = likelihood_fields(base)
     peaks = {"currents": (400.0, 150.0, 0.1, 0.4), "closest_point": (500.0, 200.0, -0.2, 0.5)}
+    surrogates = {name: fit_log_likelihood(x, normal(*peak)(x[:, 0], x[:, 1])) for name, peak in peaks.items()}
+    problem = Problem(Folding(), SPACE, {"V_in": 100.0}, (), {})
+    fields = likelihood_fields(calibration(problem=problem, surrogates=surrogates))
     assert list(fields) == list(peaks)
     for name, found in fields.items():
         assert found.values.shape == (GRID, GRID)
@@ -260,7 +244,7 @@ class TestLaplaceMisleads:
         axes = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
         return np.asarray(-np.linalg.inv(axes @ np.diag([0.1**2, 0.05**2]) @ axes.T * np.outer(width, width)))
 
-    def claim(self, base: Calibration, centre: np.ndarray, refined: np.ndarray | None = None) -> Claim:
+    def claim(self, centre: np.ndarray, refined: np.ndarray | None = None) -> Claim:
         """Judge a normal posterior along the diagonal of the box, and what Laplace makes of Hessians there."""
         along = self.hessian(45.0)
 
@@ -271,11 +255,11 @@ class TestLaplaceMisleads:
         posterior = weighted(log_density)
         hessians = {"centre": centre, "refined": along if refined is None else refined}
         return claims.laplace_misleads(
-            {rule: replace(base, posterior=posterior, laplace=laplace(h, self.MIDDLE)) for rule, h in hessians.items()}
+            {k: calibration(posterior=posterior, laplace=laplace(h, self.MIDDLE)) for k, h in hessians.items()}
         )
 
-    def test_an_axis_across_the_posterior(self, base: Calibration) -> None:
-        claim = self.claim(base, self.hessian(-45.0))
+    def test_an_axis_across_the_posterior(self) -> None:
+        claim = self.claim(self.hessian(-45.0))
         numbers = settled(claim, "confirmed", "main axis is 90° off", "it is 0° off and the ellipse holds 90 %")
         assert numbers["centre"]["angle_deg"] == pytest.approx(90.0, abs=0.5)
         edge = np.sqrt(stats.chi2.ppf(0.9, 2))  # the mass of z ~ N(0, diag(2², 0.5²)) in the ellipse of N(0, 1)
@@ -287,19 +271,19 @@ class TestLaplaceMisleads:
         assert numbers["centre"]["sd_ratio"] == pytest.approx([1.0, 1.0], rel=0.01)
         assert numbers["refined"]["angle_deg"] == pytest.approx(0.0, abs=0.5)
 
-    def test_its_own_axis_refutes_and_too_small_an_ellipse_misleads_in_another_way(self, base: Calibration) -> None:
-        numbers = settled(self.claim(base, self.hessian(30.0)), "refuted", "15° off")
+    def test_its_own_axis_refutes_and_too_small_an_ellipse_misleads_in_another_way(self) -> None:
+        numbers = settled(self.claim(self.hessian(30.0)), "refuted", "15° off")
         assert numbers["centre"]["angle_deg"] == pytest.approx(15.0, abs=0.5)
-        small = self.claim(base, 100 * self.hessian(45.0))
+        small = self.claim(100 * self.hessian(45.0))
         numbers = settled(small, "differs", "0° off", "holds 2 % of the posterior")
         assert numbers["centre"]["mass_in_its_90_%_ellipse"] == pytest.approx(1 - 0.1**0.01, abs=0.005)
         assert numbers["centre"]["sd_ratio"] == pytest.approx([0.1, 0.1], rel=0.01)
 
-    def test_without_an_approximation_there_is_no_axis(self, base: Calibration) -> None:
+    def test_without_an_approximation_there_is_no_axis(self) -> None:
         indefinite = np.diag([-1e-3, 4.0])
-        numbers = settled(self.claim(base, indefinite), "differs", "no approximation at all")
+        numbers = settled(self.claim(indefinite), "differs", "no approximation at all")
         assert numbers["centre"] == {"eigenvalues": [-1e-3, 4.0], "angle_deg": None}
-        across = self.claim(base, self.hessian(-45.0), indefinite)
+        across = self.claim(self.hessian(-45.0), indefinite)
         settled(across, "confirmed", "refined quadrature the Hessian is ind")
 
 
@@ -370,24 +354,6 @@ class TestUncertainInflow:
         settled(lower_mean_not_mode, "differs", "mean goes from 400 to 336 Pa")
         for sd, figure in ((10.0, "0.50 times"), (19.6, "0.98 times")):
             settled(self.claim(normal(370.0, sd, -0.1, 0.1)), "refuted", figure)
-
-
-def test_the_correlation_ratio_sees_what_the_correlation_does_not() -> None:
-    rng = np.random.default_rng(2)
-    nu = rng.uniform(-0.8, 0.5, 20_000)
-
-    def ratio(e: np.ndarray, weights: np.ndarray) -> float:
-        posterior = Posterior(SPACE, np.stack([e, nu], axis=1), np.log(weights / weights.sum()), nu, nu, 0.0)
-        return correlation_ratio(posterior, "E", given="nu")
-
-    equal = np.ones(len(nu))
-    parabola = 300 * ((nu + 0.15) / 0.65) ** 2  # its variance is 300² · 4/45
-    noise = rng.normal(0.0, 60.0, len(nu))
-    expected = np.sqrt(1 / (1 + 60.0**2 / (300.0**2 * 4 / 45)))
-    assert ratio(300 + parabola + noise, equal) == pytest.approx(expected, abs=0.01)
-    assert ratio(400 + noise, equal) < 0.06
-    left = np.where(nu < -0.15, 1.0, 1e-12)  # half of the parabola: what has no weight does not count
-    assert ratio(300 + np.where(nu < -0.15, 0.0, 300.0) + noise, left) < 0.06
 
 
 def test_density_over_prior_is_the_mass_of_a_bin_over_that_of_the_prior() -> None:

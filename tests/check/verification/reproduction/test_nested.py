@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from verification.reproduction.figures import plot_convergence, plot_nested_likelihoods
 from verification.reproduction.grid_posterior import posterior_on_grid, product_grid
-from verification.reproduction.nested import NestedDesign, maximum_likelihood, nested_surrogates, two_inputs
+from verification.reproduction.nested import NestedDesign, nested_surrogates, two_inputs
 from verification.reproduction.page import _place
 from verification.reproduction.pictures import FROM_REPORTS, Picture
 
@@ -49,14 +49,6 @@ def test_more_runs_come_nearer_to_the_truth_and_its_peak(steps):
     assert steps[-1].loo_rms_near_mode < 0.3 * steps[0].loo_rms_near_mode
     np.testing.assert_allclose(steps[-1].maximum_likelihood, PEAK, rtol=0.02)
     assert not np.allclose(steps[0].maximum_likelihood, PEAK, rtol=1e-3)
-
-
-def test_maximum_is_one(steps):
-    process = steps[-1].surrogate.process
-    everywhere = process.mean(SPACE.to_physical(np.random.default_rng(0).uniform(size=(20000, 2))))
-    found = maximum_likelihood(process, np.array([700.0, -0.5]), SPACE)
-    assert process.mean(found[None])[0] >= everywhere.max()
-    assert np.abs(process.gradient(found[None])[0] * [60, 0.15]).max() < 0.01
 
 
 def test_each_step_knows_its_own_successful_runs_alone(design, steps, truth):

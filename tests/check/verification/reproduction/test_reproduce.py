@@ -64,16 +64,9 @@ def test_every_claim_has_a_verdict_and_the_page_every_figure(small: tuple[Path, 
     assert "<script" not in page
 
 
-def rounded(content: Any) -> Any:
-    """Return the content with nine figures of each number; the last ones depend on where arrays lie in memory.
-
-    BLAS adds up in another order there, so that the evidence of a posterior by quadrature differs by 1e-14.
-    """
-    if isinstance(content, dict):
-        return {key: rounded(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [rounded(value) for value in content]
-    return float(f"{content:.9g}") if isinstance(content, float) else content
+def rounded(claim: Any) -> str:
+    """Return the claim with nine figures of each number; the last ones depend on where arrays lie in memory."""
+    return re.sub(r"\d+\.\d+(e-?\d+)?", lambda number: f"{float(number[0]):.9g}", repr(dataclasses.asdict(claim)))
 
 
 @pytest.mark.long
@@ -81,9 +74,9 @@ def test_done_again_it_makes_no_run_and_finds_the_same(small: tuple[Path, Reprod
     folder, first = small
     again = reproduce(folder / "studies", folder / "results", plan=SMALL)
     assert sum(cost.made for cost in again.evidence.costs) == 0
-    assert set(again.claims) == set(first.claims)
-    for key, claim in first.claims.items():
-        assert rounded(dataclasses.asdict(again.claims[key])) == rounded(dataclasses.asdict(claim))
+    assert {key: rounded(one) for key, one in again.claims.items()} == {
+        key: rounded(one) for key, one in first.claims.items()
+    }
 
 
 def test_a_missing_study_is_named(tmp_path: Path) -> None:

@@ -174,6 +174,6 @@ def test_what_has_no_answer_is_refused(known):
 
 
 def test_half_table_tells_a_table_that_is_too_rough(make_table, likelihood):
-    rough = true_posterior(make_table((4, 6, 4)), likelihood, KNOWN, rate=100.0, nodes=NODES)
+    rough = true_posterior(make_table((4, 6, 2)), likelihood, KNOWN, rate=100.0, nodes=NODES)
     assert rough.from_half_table.total_variation > 0.02
     assert compare(rough.posterior, rough.posterior).total_variation == 0

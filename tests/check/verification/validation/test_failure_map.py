@@ -1,10 +1,7 @@
 """Counting of the failure map, on outcomes of a made-up solid whose fold is known, and on a few real runs."""
 
-import json
-
 import numpy as np
 import pytest
-from verification.validation import failure_map
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.failure_map import (
     FOLD_RATIOS,
@@ -14,10 +11,8 @@ from verification.validation.failure_map import (
     Survey,
     box_inputs,
     critical_moduli,
-    main,
 )
 from verification.validation.failure_tables import BAND, band_table, differing_table, distances, fold_table
-from verification.validation.tables import from_json
 
 from strandline.interface import Interface
 from strandline.models.biofilm.geometry import MESHES
@@ -58,17 +53,13 @@ def cells(table, row=0):
 
 
 @pytest.fixture(scope="module")
-def survey():
+def tables():
     critical = np.array([fold(nu) for nu in FOLD_RATIOS])
-    return Survey(
+    survey = Survey(
         {"default": made_up(INPUTS, shift=SHIFT), "fine": made_up(INPUTS)},
         {"default": list(60.0 / E), "fine": list(60.0 / E)},
         {"coarse": critical - 3.0, "default": (1 - SHIFT) * critical, "fine": critical},
     )
-
-
-@pytest.fixture(scope="module")
-def tables(survey):
     return {table.name: table for table in survey.tables()}
 
 
@@ -143,16 +134,6 @@ def test_the_fold_is_found_by_bisection_and_distances_are_relative_to_it():
     np.testing.assert_allclose(distances(runs, fold), [3.0, -10.0], rtol=1e-9)
     with pytest.raises(ValueError, match="not between"):
         critical_moduli(lambda inputs: made_up(inputs, shift=-3.0), FOLD_RATIOS)
-
-
-def test_all_is_written_drawn_and_kept(tmp_path, monkeypatch, survey, tables):
-    monkeypatch.setattr(failure_map, "survey", lambda count, runs: survey)
-    main(["--points", "256"], tmp_path)
-    raw = json.loads((tmp_path / "failure-map.json").read_text("utf-8"))
-    assert {name: from_json(data) for name, data in raw.items()} == tables
-    assert (tmp_path / "forward-failures.png").stat().st_size > 10_000
-    with pytest.raises(SystemExit):
-        main(["--points", "256", "--publish"], tmp_path)
 
 
 def test_runs_are_made_once(tmp_path):

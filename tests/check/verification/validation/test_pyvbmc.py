@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from verification.benchmarks.peers import install, vbmc
+from verification.benchmarks.peers import vbmc
 from verification.validation import pyvbmc
 from verification.validation.pyvbmc import Mark, Trace
 from verification.validation.pyvbmc_problems import Outline, marginals, mean_variation
@@ -129,12 +129,3 @@ def test_what_the_peer_is_told_of_failed_runs(monkeypatch):
         target = vbmc.Target(failed, io.StringIO())
         assert [target([0.0]) for _ in answers] == expected
         assert (target.evaluations, target.failures) == (3, 2)
-
-
-def test_a_missing_peer_is_told(tmp_path):
-    assert "make pyvbmc-env" in (pyvbmc.missing_peer(tmp_path) or "")
-    (tmp_path / "bin").mkdir()
-    (tmp_path / "bin" / "python").touch()
-    assert pyvbmc.missing_peer(tmp_path) is None
-    (tmp_path / install.NOTE).write_text(json.dumps({"requirements-pyvbmc.txt": "no such version"}), "utf-8")
-    assert "no such version" in (pyvbmc.missing_peer(tmp_path) or "")
