@@ -17,19 +17,7 @@ from strandline.imaging import PictureReading, PixelSize
 from strandline.models.biofilm.model import Biofilm
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study, run_study
-from strandline.testing import (
-    criteria,
-    discrepancies,
-    edges,
-    executors,
-    kernels,
-    noise,
-    pictures,
-    priors,
-    readers,
-    simulators,
-    surrogates,
-)
+from strandline.testing import executors
 from strandline.testing.studies import write_study
 
 PAGE = (Path(__file__).parents[3] / "docs" / "how-to" / "extend.md").read_text("utf-8")
@@ -53,20 +41,21 @@ def test_its_entries_pass_the_suites(doors: ModuleType, tmp_path: Path) -> None:
     grey = np.random.default_rng(1).integers(0, 4096, (30, 40))
     write_raw(tmp_path / "seen.raw", grey)
     picture = PictureReading(pixel=PixelSize(0.008, 0.008, source="the test"), reader="my_doors:read_raw")
-    for suite, given in (
-        (discrepancies, (doors.Hausdorff(),)),
-        (priors, (doors.Exponential(0.3),)),
-        (noise, (doors.LaplaceNoise(0.01),)),
-        (simulators, (arch, {"height": 0.25})),
-        (kernels, (doors.MATERN72,)),
-        (surrogates, (doors.Quadratic,)),
-        (criteria, (doors.at_random,)),
-        (edges, (doors.Steepest(),)),
-        (pictures, (tmp_path / "seen.raw", picture)),
-        (readers, (tmp_path / "seen.pts", Reading("seen.pts", "mm", reader="my_doors:read_points"))),
-    ):
-        for check in suite.CHECKS.values():
-            check(*given)
+    given = {
+        "discrepancies": [doors.Hausdorff()],
+        "priors": [doors.Exponential(0.3)],
+        "noise": [doors.LaplaceNoise(0.01)],
+        "simulators": [arch, {"height": 0.25}],
+        "kernels": [doors.MATERN72],
+        "surrogates": [doors.Quadratic],
+        "criteria": [doors.at_random],
+        "edges": [doors.Steepest()],
+        "pictures": [tmp_path / "seen.raw", picture],
+        "readers": [tmp_path / "seen.pts", Reading("seen.pts", "mm", reader="my_doors:read_points")],
+    }
+    for suite, arguments in given.items():
+        for check in importlib.import_module(f"strandline.testing.{suite}").CHECKS.values():
+            check(*arguments)
     for check in executors.CHECKS.values():
         check(doors.Patient(), workers=1)
 

@@ -73,10 +73,6 @@ def steps_of(page: str) -> Iterator[Step]:
             yield Step("edit", f"{match['old'] or match['old2']}\n{match['new'] or match['new2']}")
 
 
-def page_steps(page: str) -> list[Step]:
-    return list(steps_of((TUTORIALS / page).read_text("utf-8")))
-
-
 def with_examples(folder: Path) -> Path:
     """Copy the examples of the project into a folder, without what a run left there."""
     for one in sorted((ROOT / "examples").rglob("*")):
@@ -120,40 +116,23 @@ def settings_of(step: Step) -> dict[str, str]:
 Tolerances = Callable[[Sequence[float]], Sequence[float]]
 
 
-def of_table(n: Sequence[float]) -> Sequence[float]:
-    """mean, sd, median, 5 %, 95 %, MAP: in standard deviations, the MAP being a single particle."""
-    sd = n[1]
-    return (0.3 * sd, 0.2 * sd, 0.3 * sd, 0.4 * sd, 0.4 * sd, sd)
-
-
-def of_check(n: Sequence[float]) -> Sequence[float]:
-    """mean, true mean, sd, true sd, shift, its error, ratio of the sd."""
-    return (0.3 * n[2], 0.3 * n[2], 0.3 * n[2], 0.3 * n[2], 0.3, 0.1, 0.2)
-
-
-def of_text(n: Sequence[float]) -> Sequence[float]:
-    """A tenth."""
-    return tuple(0.1 * abs(value) for value in n)
-
-
-def fixed(*tolerances: float) -> Tolerances:
-    return lambda _: tolerances
-
-
 ROW = rf"^ +[A-Za-z]\w*( +[A-Za-z]\S*)?( +{NUMBER}){{2}}"
 RULES: tuple[tuple[str, Tolerances], ...] = (
-    (rf"{ROW}.*±", of_check),
-    (ROW, of_table),
+    # mean, true mean, sd, true sd, shift, its error, ratio of the sd
+    (rf"{ROW}.*±", lambda n: (*[0.3 * n[2]] * 4, 0.3, 0.1, 0.2)),
+    # mean, sd, median, 5 %, 95 %, MAP, which is a single particle
+    (ROW, lambda n: [share * n[1] for share in (0.3, 0.2, 0.3, 0.4, 0.4, 1.0)]),
     (r"^log-evidence", lambda n: (0.4, *(0.2 * value for value in n[1:]))),
-    (r"^sampler against quadrature", fixed(0.05, 4.0)),
+    (r"^sampler against quadrature", lambda _: (0.05, 4.0)),
     (r"^Pareto k", lambda n: (0.3, 0.0, 0.0, 0.25 * n[-1])),
     (r"effective draws", lambda n: (*(0.0 for _ in n[:-1]), 0.4 * n[-1])),
     (r"^round \d+: off by", lambda n: (0.0, *(0.3 * value for value in n[1:]))),
-    (r"alone .* with others", fixed(0.06, 0.08)),
-    (r"log-evidence -", fixed(0.0, 0.5)),
+    (r"alone .* with others", lambda _: (0.06, 0.08)),
+    (r"log-evidence -", lambda _: (0.0, 0.5)),
     (r"^log-likelihood, true minus", lambda n: (0.3 * abs(n[0]) + 0.1, 0.3 * n[1])),
+    (r"", lambda n: [0.1 * abs(value) for value in n]),
 )
-"""Tolerances of the figures of a line, by what the line is like; a tenth where none fits."""
+"""Tolerances of the figures of a line, by what the line is like; a tenth where nothing else fits."""
 SPECIAL = ((r" s\b", float("inf")), (r"% of its mass", 1.0))
 """Tolerances of a figure by what follows it: seconds are nobody's promise."""
 
@@ -188,7 +167,7 @@ def figures(piece: str) -> Iterator[tuple[float, float, str]]:
     for line in piece.splitlines():
         found = list(re.finditer(NUMBER, line))
         values = [float(match[0]) for match in found]
-        rule = next((rule for pattern, rule in RULES if re.search(pattern, line)), of_text)
+        rule = next(rule for pattern, rule in RULES if re.search(pattern, line))
         tolerances = rule(values) if values else ()
         for match, value, tolerance in zip(found, values, tolerances, strict=False):
             special = [t for pattern, t in SPECIAL if re.match(pattern, line[match.end() :])]
@@ -210,7 +189,7 @@ def test_the_studies_and_commands_of_each_page_are_valid(tmp_path: Path, monkeyp
 
 
 def require_valid(page: str) -> None:
-    steps, study = page_steps(page), Path()
+    steps, study = list(steps_of((TUTORIALS / page).read_text("utf-8"))), Path()
     assert {step.kind for step in steps} >= {"command"}
     for step in steps:
         if step.kind == "study":
@@ -307,7 +286,7 @@ def test_a_wrong_figure_or_word_is_noticed_and_the_noise_of_machines_is_not() ->
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_is_followed_and_shows_what_is_printed(page: str, tmp_path: Path) -> None:
     text, compared, study = (TUTORIALS / page).read_text("utf-8"), 0, with_examples(tmp_path)
-    for step in page_steps(page):
+    for step in steps_of(text):
         if step.kind == "study":
             study = write(tmp_path, step)
         elif step.kind == "edit":
