@@ -72,9 +72,7 @@ def _contents(path: Path) -> Mapping[str, Any]:
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST + 1)
-        if len(text) > LARGEST:
-            raise _refused("size of the file", f"more than {LARGEST} bytes", "a file of clicks")
-        found = json.loads(text.decode("utf-8-sig"))
+        found = json.loads(text.decode("utf-8-sig")) if len(text) <= LARGEST else None
     except FileNotFoundError:
         raise _missing(path) from None
     except OSError as error:
@@ -84,6 +82,8 @@ def _contents(path: Path) -> Mapping[str, Any]:
         raise _refused("is not JSON", place, "a file that the page of clicks saved") from None
     except (ValueError, RecursionError) as error:
         raise _refused("is not JSON", str(error), "a file that the page of clicks saved") from None
+    if len(text) > LARGEST:
+        raise _refused("size of the file", f"more than {LARGEST} bytes", "a file of clicks")
     if not isinstance(found, Mapping):
         raise _refused("is no file of clicks", f"a {type(found).__name__}", f"an object with {', '.join(NEEDED)}")
     _require_keys(found, NEEDED, OPTIONAL)

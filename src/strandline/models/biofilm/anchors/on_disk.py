@@ -6,6 +6,7 @@ import os
 import platform
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -56,7 +57,7 @@ def load(path: Path) -> States | None:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             arrays = {field: content[field] for field in FIELDS}
             return States(**arrays) if str(content["digest"]) == _digest(path, arrays) else None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error):
         return None
 
 
