@@ -25,7 +25,13 @@ SOLID = {"E": 400.0, "nu": 0.3}
 def coarse_cell(law: str = "saint_venant_kirchhoff", **options: Any) -> FlowCell:
     """Return the study's flow cell on the coarse mesh."""
     usual = {"channel": Channel(), "partition": Partition(), "law": LAWS[law]}
-    return FlowCell(options.pop("outline", Outline()).interface(), MESHES["coarse"], **(usual | options))
+    mesh = MESHES[options.pop("mesh", "coarse")]
+    return FlowCell(options.pop("outline", Outline()).interface(), mesh, **(usual | options))
+
+
+def rough_cell(law: str = "saint_venant_kirchhoff", **options: Any) -> FlowCell:
+    """Return a flow cell of few elements."""
+    return coarse_cell(law, mesh="rough", outline=Outline(nodes=8), **options)
 
 
 def coarse(**options: Any) -> Biofilm:
@@ -33,8 +39,9 @@ def coarse(**options: Any) -> Biofilm:
     return Biofilm.from_options(**{"mesh": "coarse", **options})
 
 
-def neo_hookean(**options: Any) -> Biofilm:
-    return coarse(material="neo_hookean", **options)
+def rough(**options: Any) -> Biofilm:
+    """Return the model on a mesh of few elements, with an outline of few nodes."""
+    return coarse(**{"mesh": "rough", "outline": {"nodes": 8}, **options})
 
 
 def moved(model: Biofilm, inputs: Mapping[str, float]) -> np.ndarray:
@@ -61,15 +68,6 @@ def importable(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, source:
     (folder / f"{name}.py").write_text(source, "utf-8")
     monkeypatch.syspath_prepend(folder)
     return name
-
-
-def jacobian_errors(system: Any, x: np.ndarray, direction: np.ndarray) -> list[float]:
-    """Return errors of a system's Jacobian against central differences with two steps, one a tenth of the other."""
-    jacobian, errors = system.factorise(x), []
-    for h in (1e-2, 1e-3):
-        difference = (system.residual(x + h * direction) - system.residual(x - h * direction)) / (2 * h)
-        errors.append(float(np.abs(jacobian.solve(difference) - direction).max() / np.abs(direction).max()))
-    return errors
 
 
 def sensitivity_error(model: Biofilm, inputs: Mapping[str, float]) -> float:

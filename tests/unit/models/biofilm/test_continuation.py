@@ -318,6 +318,10 @@ def test_state_that_does_not_balance_is_refused(cell, monkeypatch):
     assert found.evidence["residual"] > 1e-6 * found.evidence["reaction"]
 
 
+def test_nonfinite_residual_is_a_typed_failure(cell):
+    assert failure(cell.residual, np.full(len(cell.system.free), np.nan), 1.0).kind == "nonfinite_residual"
+
+
 def test_inverted_elements_are_found_in_solid_and_fluid(cell):
     bound = cell.check(np.zeros(len(cell.system.free)))
     assert bound["min_J_fluid"] == bound["min_J_solid"] == pytest.approx(1.0)

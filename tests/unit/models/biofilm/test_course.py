@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.models.biofilm.cells import INPUTS, coarse, failure, largest
+from tests.unit.models.biofilm.cells import INPUTS, failure, largest, rough
 
 from strandline.models.biofilm import transient_cell
 from strandline.models.biofilm.course import Course
@@ -12,8 +12,6 @@ from strandline.models.biofilm.creep.pieces import Piece, pieces
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.protocol import with_sensitivities
 
-SMALL = {"nodes": 12}
-STEADY = coarse(outline=SMALL)
 RISE: dict[str, Any] = {
     "inflow": [[0, 0.2], [0.1, 0.8], [0.3, 0.8]],
     "times": {"half": 0.05, "risen": 0.1, "late": 0.3},
@@ -22,11 +20,11 @@ START = {"inflow": [[0, 0.2], [0.1, 0.8]], "times": {"half": 0.01}, "motion": "t
 
 
 def model(**options: Any) -> Biofilm:
-    return coarse(outline=SMALL, course={**RISE, **options})
+    return rough(course={**RISE, **options})
 
 
 def shift(result: Any, name: str) -> np.ndarray:
-    return result.interfaces[name].points - STEADY.undeformed().points
+    return result.interfaces[name].points - rough().undeformed().points
 
 
 @pytest.fixture(scope="module")
@@ -36,16 +34,16 @@ def quasi() -> Any:
 
 @pytest.fixture(scope="module")
 def transient() -> Any:
-    return model(motion="transient", tolerance=4e-3)(INPUTS)
+    return model(motion="transient", tolerance=8e-3)(INPUTS)
 
 
 def test_quasi_static_is_the_steady_state_of_each_moment_to_the_bit(quasi):
     assert model().conditions == tuple(quasi.interfaces) == ("half", "risen", "late")
     for name, rate in (("half", 50.0), ("risen", 80.0), ("late", 80.0)):
-        expected = STEADY({**INPUTS, "V_in": rate}).interface.points
+        expected = rough()({**INPUTS, "V_in": rate}).interface.points
         np.testing.assert_array_equal(quasi.interfaces[name].points, expected)
     found = with_sensitivities(model())(INPUTS).sensitivities["half"]
-    steady = with_sensitivities(STEADY)({**INPUTS, "V_in": 50.0}).sensitivities[""]
+    steady = with_sensitivities(rough())({**INPUTS, "V_in": 50.0}).sensitivities[""]
     np.testing.assert_array_equal(found["E"], steady["E"])
     np.testing.assert_array_equal(found["V_in"], 0.5 * steady["V_in"])
 
@@ -61,11 +59,11 @@ def test_transient_run_lags_while_the_flow_rises_and_reaches_the_steady_state(tr
 
 
 def test_result_follows_tolerance_and_density_and_repeats_to_the_bit():
-    usual = model(**START)
+    usual = model(**START, tolerance=5e-3)
     first = usual(INPUTS)
     size = largest(shift(first, "half"))
-    for options, low, high in (({"tolerance": 4e-4}, 1e-6, 3e-2), ({"solid_density": 8e3}, 1e-3, np.inf)):
-        changed = model(**START, **options)(INPUTS)
+    for options, low, high in (({"tolerance": 1e-3}, 1e-6, 6e-2), ({"solid_density": 8e3}, 1e-3, np.inf)):
+        changed = model(**{**START, "tolerance": 5e-3, **options})(INPUTS)
         assert low * size < largest(shift(changed, "half") - shift(first, "half")) < high * size
     np.testing.assert_array_equal(usual(INPUTS).interfaces["half"].points, first.interfaces["half"].points)
     assert transient_cell.TIME_SCALE == 0.01
@@ -91,7 +89,7 @@ def test_fields_are_those_of_the_time_or_of_the_strongest_flow():
 
 
 def test_pressure_drop_follows_the_course_and_a_run_without_a_state_tells_when_it_ended():
-    driven = coarse(outline=SMALL, inflow="pressure", course=START)
+    driven = rough(inflow="pressure", course=START)
     assert largest(shift(driven({"E": 400.0, "nu": 0.3, "p_drop": 2.0}), "half")) > 0
     quick = {"inflow": [[0, 0], [0.02, 1]], "times": [0.02], "motion": "transient"}
     found = failure(model(**quick), {"E": 20.0, "nu": 0.3, "V_in": 300.0})

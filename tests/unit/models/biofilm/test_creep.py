@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.models.biofilm.cells import INPUTS, coarse, failure
+from tests.unit.models.biofilm.cells import INPUTS, failure, rough
 from verification.validation.creep import creep_error, oscillation_errors, relaxation_error
 
 from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.model import Biofilm
 
 ONE = {"ratio": 1.5, "tau": 3.0}
-SMALL = {"nodes": 12}
 
 
 def creeping(times: Any = (1, 5), inflow: Any = None, branches: int = 1, **options: Any) -> Biofilm:
@@ -20,15 +19,15 @@ def creeping(times: Any = (1, 5), inflow: Any = None, branches: int = 1, **optio
     named = times if isinstance(times, dict) else {f"{time:g} s": time for time in times}
     course = {"inflow": inflow or [[0, 0], [0, 1], [max(named.values()), 1]], "times": named}
     course |= {"tolerance": options.pop("tolerance")} if "tolerance" in options else {}
-    return coarse(**{"material": "neo_hookean", "outline": SMALL, "course": course, "branches": branches, **options})
+    return rough(**{"material": "neo_hookean", "course": course, "branches": branches, **options})
 
 
 def interfaces(model: Biofilm, inputs: Mapping[str, float]) -> list[np.ndarray]:
     return [interface.points for interface in model(inputs).interfaces.values()]
 
 
-def steady(young: float, rate: float = 100.0) -> np.ndarray:
-    return coarse(material="neo_hookean", outline=SMALL)({"E": young, "nu": 0.3, "V_in": rate}).interface.points
+def steady(young: float) -> np.ndarray:
+    return rough(material="neo_hookean")(INPUTS | {"E": young}).interface.points
 
 
 def test_relaxation_is_exact_while_strains_change_linearly() -> None:
@@ -58,18 +57,12 @@ def test_creep_in_a_slow_flow_keeps_to_the_tolerance() -> None:
     assert steps < 60
 
 
-def test_without_branches_it_is_the_steady_state_at_each_inflow() -> None:
-    model = creeping([1, 2, 3], [[0, 0], [1, 1], [2, 1], [2, 0.5], [3, 0.5]], branches=0)
-    for points, rate in zip(interfaces(model, INPUTS), (100.0, 50.0, 50.0), strict=True):
-        np.testing.assert_array_equal(points, steady(400.0, rate))
-
-
 def test_it_begins_unrelaxed_and_ends_relaxed_or_starts_so() -> None:
     first, last = interfaces(creeping([0, 15], tolerance=1e-2), INPUTS | {"ratio": 1.5, "tau": 0.5})
     np.testing.assert_allclose(first, steady(1000.0), rtol=0, atol=1e-9)
     np.testing.assert_allclose(last, steady(400.0), rtol=0, atol=1e-4)
     for points in interfaces(creeping([0, 3], [[0, 1], [3, 1]]), INPUTS | ONE):
-        np.testing.assert_allclose(points, steady(400.0), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(points, steady(400.0), rtol=0, atol=1e-8)
 
 
 def test_a_run_depends_on_its_inputs_alone_and_branches_of_one_time_add_up() -> None:
@@ -89,7 +82,7 @@ def test_a_ramp_in_an_instant_is_a_sudden_change() -> None:
 
 def test_a_solid_that_creeps_until_it_folds_says_when() -> None:
     model = creeping([1, 60], material="saint_venant_kirchhoff", tolerance=1e-2)
-    found = failure(model, INPUTS | ONE | {"E": 180.0})
+    found = failure(model, INPUTS | ONE | {"E": 140.0})
     assert found.kind in model.failure_kinds
     assert 1.0 < found.evidence["time"] < 60.0
     assert f"{found.evidence['time']:.4g} s" in found.message

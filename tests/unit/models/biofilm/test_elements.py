@@ -4,7 +4,7 @@ import ngsolve as ng
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from tests.unit.models.biofilm.cells import coarse_cell
+from tests.unit.models.biofilm.cells import coarse_cell, rough_cell
 
 from strandline.models.biofilm import fluid_elements, solid_elements
 from strandline.models.biofilm.assembly import SymbolicPart
@@ -12,7 +12,6 @@ from strandline.models.biofilm.cell import _boundaries
 from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.materials.isotropic import Jet, exp, log
-from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.system import CoupledSystem, _add_fluid, _solid_form
 
@@ -20,7 +19,7 @@ from strandline.models.biofilm.system import CoupledSystem, _add_fluid, _solid_f
 @pytest.fixture(scope="module")
 def system() -> CoupledSystem:
     """A system far from rest, in another fluid than water."""
-    cell = coarse_cell("neo_hookean", outline=Outline(nodes=12))
+    cell = rough_cell("neo_hookean")
     cell.solve([200.0], [0.3], 100.0)
     cell.system.viscosity.Set(0.037)
     cell.system.density.Set(1.7)

@@ -1,4 +1,4 @@
-"""The linear solvers on coupled Jacobians of the coarse mesh: SciPy's SuperLU solves the same equations."""
+"""The linear solvers on coupled Jacobians: SciPy's SuperLU solves the same equations."""
 
 import ctypes
 import gc
@@ -10,13 +10,12 @@ import pytest
 import scipy.sparse
 from ngsolve import la
 from scipy.sparse.linalg import spsolve
-from tests.unit.models.biofilm.cells import coarse_cell
+from tests.unit.models.biofilm.cells import rough, rough_cell
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.biofilm import linear
 from strandline.models.biofilm.linear import SOLVERS, Factorisation, linear_solver
 from strandline.models.biofilm.model import Biofilm, _flow_cell
-from strandline.models.biofilm.outline import Outline
 
 NEEDS_MKL = "the package mkl, which brings PARDISO, is not installed"
 HAS_MKL = any(d.name.lower() == "mkl" for d in metadata.distributions())
@@ -47,7 +46,7 @@ def solver(request, choose) -> str:
 @pytest.fixture(scope="module")
 def jacobians() -> dict[float, scipy.sparse.csr_array]:
     """Jacobians of one cell at the flow past the rigid body, by Poisson's ratio; 0.3 comes first."""
-    cell, found = coarse_cell(outline=Outline(nodes=12)), {}
+    cell, found = rough_cell(), {}
     for poisson in (0.3, 0.0, -0.8, 0.4999, 0.5):
         cell.system.set_material([40.0], [poisson])
         cell.residual(cell.rigid_flow, 1.0)
@@ -165,7 +164,7 @@ def test_runs_by_pardiso_do_not_depend_on_those_before_and_agree_with_umfpack(ch
     for name, poissons in (("pardiso", (0.3, 0.5, -0.6)), ("pardiso again", (-0.6, 0.5, 0.3)), ("umfpack", (0.3, 0.5))):
         choose(name.split()[0])
         _flow_cell.cache_clear()
-        model = Biofilm(mesh="coarse", outline=Outline(nodes=12))
+        model = rough()
         points |= {(name, nu): model({"E": 500.0, "nu": nu, "V_in": 100.0}).interface.points for nu in poissons}
     _flow_cell.cache_clear()
     for poisson in (0.3, 0.5, -0.6):

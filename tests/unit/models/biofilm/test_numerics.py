@@ -1,38 +1,11 @@
-"""Newton's method, the Jacobian, the bound on J: each against a closed form or finite differences."""
+"""Newton's method and the bound on J, against closed forms."""
 
 import ngsolve as ng
 import numpy as np
-import pytest
-from tests.unit.models.biofilm.cells import failure, jacobian_errors
+from tests.unit.models.biofilm.cells import failure
 
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.cell import _boundaries
-from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.distortion import jacobian_bound, quadratic_nodes
-from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.system import CoupledSystem
-
-
-@pytest.fixture(scope="module")
-def system() -> CoupledSystem:
-    mesh = mesh_flow_cell(Outline(nodes=12).interface(), MESHES["coarse"])
-    system = CoupledSystem(mesh, _boundaries(Channel()), viscosity=0.01, density=1.0)
-    inflow = ng.CF((6 * ng.y * (1 - ng.y), 0))
-    system.state.components[0].Set(inflow, definedon=mesh.Boundaries("inlet"))
-    system.set_material([40.0], [0.3])
-    return system
-
-
-def test_jacobian_agrees_with_central_differences_to_second_order(system):
-    x, direction = np.random.default_rng(3).uniform(-1e-3, 1e-3, (2, len(system.free)))
-    errors = jacobian_errors(system, x, direction)
-    assert errors[1] < 1e-3
-    np.testing.assert_allclose(np.log10(errors[0] / errors[1]), 2.0, atol=0.1)
-
-
-def test_nonfinite_residual_is_a_typed_failure(system):
-    assert failure(system.residual, np.full(len(system.free), np.nan)).kind == "nonfinite_residual"
 
 
 def test_jacobian_bound_is_a_bound_and_finds_an_inversion_between_the_corners():
