@@ -84,7 +84,7 @@ def test_blocks_that_hold_no_interface_are_told() -> None:
         (Layout("columns"), [np.ones(3)], "at least 2 blocks"),
         (Layout("columns"), [np.ones(3), np.ones(2)], "as many numbers"),
         (Layout(dim=3), [CORNERS], "a block with the triangles"),
-        (Layout(dim=3), [CORNERS, TRIANGLES[:-1]], "three whole numbers"),
+        (Layout("columns", dim=3), [np.arange(4.0)] * 4, "three whole numbers"),
         (Layout(dim=3), [CORNERS, TRIANGLES + 0.5], "three whole numbers"),
     ):
         with pytest.raises(ForwardModelError, match=words) as caught:
