@@ -106,7 +106,7 @@ def serving(study: Study, *, port: int = 0, patience: float = PATIENCE) -> Itera
     Args:
         study: The study.
         port: Port to listen on; 0 takes any free one.
-        patience: As of `Server`.
+        patience: Patience of the `Server`.
     """
     server, ready = Server(study, port=port, patience=patience), threading.Event()
     thread = threading.Thread(target=server.run, args=(ready.set,), daemon=True)

@@ -49,6 +49,8 @@ def watch_specimens(
     measure: str | None = None,
     ready: Callable[[int], None] = lambda known: None,
     going_on: Callable[[], bool] = lambda: True,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
 ) -> Iterator[Arrived]:
     """Yield the posterior for each file of the specimens that appears or changes, until it is stopped.
 
@@ -62,34 +64,12 @@ def watch_specimens(
         measure: Name of a measure of the study; its first by default.
         ready: Function called with the number of known specimens as soon as new ones are awaited.
         going_on: Function that returns whether to look once more.
+        clock: Function that returns the seconds since some time.
+        wait: Function that waits for so many seconds.
 
     Raises:
         InvalidInput: As `open_specimens`.
         InvalidStudy: As `open_specimens`, or the folder cannot be written to.
-    """
-    return watched(study, seed=seed, measure=measure, ready=ready, going_on=going_on)
-
-
-def watched(
-    study: Study,
-    *,
-    seed: int = 1,
-    measure: str | None = None,
-    ready: Callable[[int], None],
-    going_on: Callable[[], bool],
-    clock: Callable[[], float] = time.monotonic,
-    wait: Callable[[float], None] = time.sleep,
-) -> Iterator[Arrived]:
-    """Yield what `watch_specimens` does, by another clock.
-
-    Args:
-        study: As for `watch_specimens`, as are the next four.
-        seed: Seed.
-        measure: Name of a measure.
-        ready: Function called with the number of known specimens.
-        going_on: Function that returns whether to look once more.
-        clock: Function that returns the seconds since some time.
-        wait: Function that waits for so many seconds.
     """
     require_writable(study.folder)
     opened = open_specimens(study, seed=seed, measure=measure)
