@@ -4,14 +4,16 @@ import ngsolve as ng
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from tests.unit.models.biofilm.cells import coarse_cell, rough_cell
+from tests.unit.models.biofilm.cells import rough_cell
 
 from strandline.models.biofilm import fluid_elements, solid_elements
 from strandline.models.biofilm.assembly import SymbolicPart
 from strandline.models.biofilm.cell import _boundaries
 from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.materials.isotropic import Jet, exp, log
+from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.subdivision import Partition
 from strandline.models.biofilm.system import CoupledSystem, _add_fluid, _solid_form
 
@@ -75,9 +77,10 @@ def test_quadrature_matters_little_in_a_bent_layer_and_a_wrong_term_would_be_not
 def layer(name: str) -> CoupledSystem:
     """Return a system of three materials of a law, far from rest, with a body force."""
     law = LAWS[name]
-    cell = coarse_cell(name, partition=Partition.PRESETS["three_parts"])
-    known = {"viscosity": 1.0, "density": 1.0, "law": law, "solids": tuple(cell.parts), "body_force": (0.3, -0.2)}
-    system = CoupledSystem(cell.mesh, _boundaries(Channel()), **known)
+    mesh = mesh_flow_cell(Outline(nodes=8).interface(), MESHES["rough"], partition=Partition.PRESETS["three_parts"])
+    solids = ("solid1", "solid2", "solid3")
+    known = {"viscosity": 1.0, "density": 1.0, "law": law, "solids": solids, "body_force": (0.3, -0.2)}
+    system = CoupledSystem(mesh, _boundaries(Channel()), **known)
     system.set_material([2.0, 5.0, 3.0], [0.3, -0.4, 0.0], *([0.3, 0.4, 0.5] for _ in further_parameters(law)))
     system.state.components[2].Set(ng.CF((0.2 * ng.x * ng.y - 0.1 * ng.y, 0.1 * ng.x**2 + 0.1 * ng.y)))
     system.values[:] += np.random.default_rng(1).uniform(-1e-4, 1e-4, len(system.values))
