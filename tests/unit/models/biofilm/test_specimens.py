@@ -41,22 +41,20 @@ def pair(**options) -> Biofilm:
 
 
 def test_parts_of_equal_material_are_one_body_and_each_part_is_its_own():
-    """The softer the largest part, the more it bends."""
+    """The interface moves most where the part on the ground is softer, which bears the others."""
     three, one = coarse(material="fung", partition="three_parts"), {"E": 400.0, "nu": 0.3, "exponent": 1.0}
     equal = {f"{name}{k}": value for k in (1, 2, 3) for name, value in one.items()} | {"V_in": 100.0}
     assert [item.name for item in three.inputs] == list(equal)
+    base = moved(three, equal)
     single = moved(coarse(material="fung"), one | {"V_in": 100.0})
-    assert np.abs(moved(three, equal) - single).max() < 3e-4  # two coarse meshes, each 0.15 µm from the truth
-    unequal = equal | {"E1": 500.0, "E2": 200.0, "E3": 1000.0, "nu1": 0.2, "nu2": 0.1}
-    for name, inputs, factor, least in (("exponent", equal, 6.0, 1e-6), ("E", unequal, 0.8, 1e-5)):
-        base = moved(three, inputs)
-        shapes = [moved(three, {**inputs, one: factor * inputs[one]}) for one in (f"{name}{k}" for k in (1, 2, 3))]
+    assert np.abs(base - single).max() < 3e-4  # two coarse meshes, each 0.15 µm from the truth
+    for name, value, least in (("exponent", 6.0, 1e-6), ("E", 300.0, 1e-3)):
+        shapes = [moved(three, {**equal, f"{name}{k}": value}) for k in (1, 2, 3)]
         changes = [np.abs(shape - base).max() for shape in shapes]
         assert min(changes) > least
         assert len({round(change, 7) for change in changes}) == 3
     sizes = [largest(shape) for shape in shapes]
-    assert min(sizes) > largest(base)
-    assert np.argmax(sizes) == 1
+    assert largest(base) < sizes[1] < sizes[0] < sizes[2]
 
 
 # --- channels and layers
