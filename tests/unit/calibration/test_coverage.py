@@ -20,9 +20,9 @@ from strandline.interface import GaussianNoise, Noise, Observation, PointErrors
 from strandline.posterior import Posterior
 from strandline.posterior.uniformity import weighted_ranks
 
-QUICK = 24
+QUICK = 12
 """Replicates that show what is badly wrong."""
-POINTS = 1024
+POINTS = 512
 """Draws of the prior to begin with: the box is small."""
 NOISE = GaussianNoise(0.03**2)
 
@@ -79,7 +79,7 @@ def test_right_noise_gives_uniform_ranks(noise: Noise | PointErrors, measure: Di
 )
 def test_wrong_noise_shows(noise: PointErrors, analysed: Noise | PointErrors, word: str) -> None:
     """The planted bugs."""
-    found = repeated(from_prior(noise, NormalOffset()), analysed, 20)
+    found = repeated(from_prior(noise, NormalOffset()), analysed)
     assert not found.calibrated
     assert any(word in remark for remark in found.remarks)
 

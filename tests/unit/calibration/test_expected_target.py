@@ -34,10 +34,10 @@ def on_grid(known: Knowledge, *, plug_in: bool = False) -> tuple[np.ndarray, np.
     """Return mean and sd of the posterior by direct sums, on finer and finer grids."""
     low, high = SPACE.low, SPACE.high
     for _ in range(3):
-        ends = [np.linspace(*pair, 32) for pair in zip(low, high, strict=True)]
+        ends = [np.linspace(*pair, 24) for pair in zip(low, high, strict=True)]
         x = np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 2)
         found = Weighted(x, softmax(known.plug_in(x) if plug_in else known.expected(x)))
-        reach = 5 * found.sd + (high - low) / 32
+        reach = 5 * found.sd + (high - low) / 24
         low, high = np.maximum(found.mean - reach, SPACE.low), np.minimum(found.mean + reach, SPACE.high)
     return found.mean, found.sd
 
@@ -51,7 +51,7 @@ def test_the_expected_posterior_is_sampled(kind: str) -> None:
     assert np.sqrt(np.mean((plug_in - expected) ** 2)) > 10 * np.sqrt(np.mean((target.values(x) - expected) ** 2))
     np.testing.assert_array_equal(target.compiled(x), target.values(x))
 
-    settings = Settings(particles=1000, smc=SMCSettings(rejuvenation_steps=6, zeta=0.5))
+    settings = Settings(particles=600, smc=SMCSettings(rejuvenation_steps=6, zeta=0.5))
     sampling = _sample(target, SPACE, settings, Observer())
     posterior = target.posterior(sampling)
     (mean, sd), (_, plain) = on_grid(known), on_grid(known, plug_in=True)

@@ -34,9 +34,9 @@ def arch(height: float = 0.3, nodes: int = 61) -> Interface:
     return Interface.polyline(np.stack([x, 4 * height * x * (1 - x)], axis=1))
 
 
-def drawn(height: float, errors: PointErrors, seed: int) -> Interface:
+def drawn(height: float, errors: PointErrors, seed: int, nodes: int = 90) -> Interface:
     """Return an outline without its ends, which could slide over those of the simulated one."""
-    whole = Interface.polyline(arch(height, 90).points[5:-5])
+    whole = Interface.polyline(arch(height, nodes).points[nodes // 18 : -(nodes // 18)])
     return errors.draw(whole, np.random.default_rng(seed))
 
 
@@ -134,20 +134,20 @@ def test_global_errors_of_any_measure_are_integrated_out() -> None:
 @pytest.mark.parametrize("measure", [MeasurementLines(30), Currents(0.1)])
 def test_global_errors_are_followed_to_the_most_probable_ones(measure: Discrepancy) -> None:
     """Against a minimisation over the five of them that needs no derivatives."""
-    seen = Observation(drawn(0.3, ERRORS, 6), ERRORS)
-    one = compared(seen, measure, 61)
+    seen = Observation(drawn(0.3, ERRORS, 6, 45), ERRORS)
+    one, simulated = compared(seen, measure, 31), arch(0.31, 31)
     assert isinstance(one.measure, Registered)
-    nodes, middle = arch(0.31).points[None], seen.interface.points.mean(axis=0)
+    nodes, middle = simulated.points[None], seen.interface.points.mean(axis=0)
 
     def f(g: np.ndarray) -> float:
-        moved = Interface(ERRORS.followed(nodes, arch(), g[None], middle=middle)[0], arch().cells)
+        moved = Interface(ERRORS.followed(nodes, simulated, g[None], middle=middle)[0], simulated.cells)
         return one.measure.measure(moved, seen.interface) / one.measure.variance + float(g @ g)
 
-    least = minimize(f, np.zeros(5), method="Powell", options={"xtol": 1e-2, "ftol": 1e-5}).fun
-    assert one.measure(arch(0.31), seen.interface) == pytest.approx(least, abs=0.2 + 0.01 * least)
+    least = minimize(f, np.zeros(5), method="Powell", options={"xtol": 3e-2, "ftol": 1e-4}).fun
+    assert one.measure(simulated, seen.interface) == pytest.approx(least, abs=0.2 + 0.01 * least)
     heights = (0.05, 0.1, 0.15, 0.2, 0.5)
     if isinstance(measure, MeasurementLines):  # outlines far away do not look near
-        values = [one.measure(arch(height), one.observation.interface) for height in heights]
+        values = [one.measure(arch(height, 31), one.observation.interface) for height in heights]
         assert min(values) > 0.99 * values[3] > 500
 
 
