@@ -71,7 +71,7 @@ def test_a_good_cheaper_model_makes_most_runs_and_the_posterior_is_the_models(tm
     assert report == used(again)
 
 
-@pytest.mark.parametrize("shaken", [0.0005, 0.03])
+@pytest.mark.parametrize("shaken", [pytest.param(0.0005, marks=pytest.mark.long), 0.03])
 def test_a_cheaper_model_that_misleads_is_dropped(shaken: float, tmp_path: Path) -> None:
     """The noise hides a shift of 0.0015; the cheaper model errs by a third and by 20 times that, at random."""
     settings = replace(ACTIVE, active=Active(140, batch=4))

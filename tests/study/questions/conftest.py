@@ -21,7 +21,7 @@ def two_loads(share: Share) -> Finished:
     content = {key: value for key, value in TWO_LOADS_STUDY.items() if key != "name"}
     noise = {"sd": 8, "unit": "um", "unknown": {"shift": 10, "shared": True}}
     parts = {"discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}, "noise": noise}
-    return share("two-loads", **{**content, **parts})
+    return share("two-loads", **{**content, **parts, "report": "none"})
 
 
 def line_by_line(finished: Finished, folder: Path) -> Path:

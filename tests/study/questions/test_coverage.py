@@ -24,6 +24,7 @@ from strandline.runs import Progress
 from strandline.studies.first_run import observations_of
 
 Copy = Callable[[Finished], Path]
+FEWEST = "strandline.questions.coverage.study_coverage.FEWEST_REPLICATES"
 FILES = ("coverage.json", "coverage.html", "coverage.jsonl")
 
 
@@ -110,7 +111,9 @@ def test_what_was_stopped_goes_on_to_the_same_bits(folder: Path, answered: tuple
         assert (folder / name).read_bytes() == (answered[0] / name).read_bytes()
 
 
-def test_more_replicates_add_to_those_that_are_known_and_others_are_not_mixed(folder: Path) -> None:
+def test_more_replicates_add_to_those_that_are_known_and_others_are_not_mixed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     study, first = sl.load_study(folder), bits(folder)
     coverage(study, replicates=22)
     assert lines(folder)[:20] == first["coverage.jsonl"].decode().splitlines()
@@ -127,20 +130,23 @@ def test_more_replicates_add_to_those_that_are_known_and_others_are_not_mixed(fo
             coverage(other, replicates=20, observer=stopping)
     with pytest.raises(Stopped):
         coverage(study, replicates=20, seed=2, observer=stopping)
-    content = coverage(study, replicates=20, source="posterior").content
+    with monkeypatch.context() as patch:
+        patch.setattr(FEWEST, 6)
+        content = coverage(study, replicates=6, source="posterior").content
     assert content["source"] == "posterior"
     assert min(item["p_value"] for item in content["inputs"].values()) > 1e-3
     assert "with the posterior of the real observation as its prior" in (folder / "coverage.html").read_text("utf-8")
-    assert len(lines(folder)) == 45
+    assert len(lines(folder)) == 31
     assert len({json.loads(line)["of"] for line in lines(folder)}) == 5
     coverage(study, replicates=20)
-    assert len(lines(folder)) == 45
+    assert len(lines(folder)) == 31
     assert (folder / "coverage.json").read_bytes() == first["coverage.json"]
 
 
-def test_stated_errors_of_two_conditions(two_loads: Finished, copy_of: Copy) -> None:
+def test_stated_errors_of_two_conditions(two_loads: Finished, copy_of: Copy, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = copy_of(two_loads)
-    content = coverage(sl.load_study(folder), replicates=20).content
+    monkeypatch.setattr(FEWEST, 6)
+    content = coverage(sl.load_study(folder), replicates=6).content
     assert [one["condition"] for one in content["noise"]] == ["light", "heavy"]
     assert all(one["stated"] and one["drawn"]["shift_sd"] == pytest.approx(0.01) for one in content["noise"])
     assert content["inputs"]["E"]["p_value"] > 1e-3

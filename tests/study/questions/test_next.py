@@ -121,7 +121,9 @@ def test_runs_are_made_once_and_a_seed_decides_the_gains(
     folder: Path, answered: tuple[Path, NextExperiment], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Planted at the end: the candidate's slopes are half as large as they are, which costs a quarter of a nat."""
-    first, again, other = answered[1].content, asked(folder), by_loads(asked(folder, seed=2))
+    first, again = answered[1].content, asked(folder)
+    ask(folder, {"load": [2e-5, 3e-5]})
+    other = by_loads(asked(folder, seed=2))
     assert again["runs"] == {"new": 0, "reused": 9}
     assert again["candidates"] == first["candidates"]
     gain = by_loads(first)[(2e-5,)]["gain"]

@@ -31,8 +31,9 @@ def points_of(finished: Finished) -> np.ndarray:
 
 
 def test_an_observation_elsewhere_is_told_first(
-    field: Finished, copy_of: Copies, capsys: pytest.CaptureFixture[str]
+    field: Finished, copy_of: Copies, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("strandline.report.page.figure_groups", lambda *_: {})
     assert field.outcome.summary["nearest"]["near"]
     assert "COMES NEAR" not in (field.folder / "report.html").read_text("utf-8")
     folder = copy_of(field)

@@ -10,7 +10,8 @@ from strandline.calibration import Problem
 from strandline.likelihood import InterfaceLikelihood
 from strandline.testing.studies import beam
 
-E, TILT = np.linspace(300, 560, 41), np.linspace(0, 0.04, 41)
+MIDDLES = (np.arange(21) + 0.5) / 21
+E, TILT = 300 + 260 * MIDDLES, 0.04 * MIDDLES
 GRID = np.stack([a.ravel() for a in np.meshgrid(E, TILT, indexing="ij")], axis=1)
 X = np.linspace(0, 1, 17)
 Log = Callable[[float, float], float]

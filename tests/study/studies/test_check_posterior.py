@@ -74,7 +74,7 @@ class Changed:
 
 def test_moments_log_likelihoods_and_band_are_those_of_the_model(folder: Path) -> None:
     """The clamped end does not move; at the tip the quantiles are those of the closed form."""
-    content = checked(without_report(folder), draws=400)
+    content = checked(without_report(folder))
     posterior, particles = from_datatree(read(folder / "posterior.nc"), load_study(folder).space), content["particles"]
     assert (content["verdict"], content["runs"]["failed"]) == ("good", 0)
     expected, _ = exact.posterior(exact.tracked)
@@ -124,10 +124,10 @@ def test_a_check_makes_no_run_twice_and_goes_on_where_it_was_stopped(folder: Pat
 
 
 def test_draws_that_fail_have_no_weight_and_are_told(folder: Path) -> None:
-    content = checked(folder, model=Changed(fails_above=420.0))
+    content = checked(folder, draws=60, model=Changed(fails_above=420.0))
     posterior = from_datatree(read(folder / "posterior.nc"), load_study(folder).space)
     above = posterior.draws[content["particles"]["number"], 0] > 420
-    assert 20 < above.sum() < 180
+    assert 6 < above.sum() < 54
     assert content["runs"]["failed"] == above.sum()
     assert content["runs"]["by_kind"] == {"snapped": int(above.sum())}
     for name in ("true", "log_weight"):
@@ -135,7 +135,7 @@ def test_draws_that_fail_have_no_weight_and_are_told(folder: Path) -> None:
     weights = np.array([0.0 if v is None else np.exp(v) for v in content["particles"]["log_weight"]])
     assert weights.sum() == pytest.approx(1.0)
     assert content["ess"] == pytest.approx(1 / np.sum(weights**2))
-    assert f"{above.sum()} of 200 draws failed in the true model" in content["remarks"][-1]
+    assert f"{above.sum()} of 60 draws failed in the true model" in content["remarks"][-1]
     assert f"({above.sum()} × snapped)" in (folder / "report.html").read_text("utf-8")
     with Ledger.open(folder / "check.sqlite", model=None, read_only=True) as ledger:
         assert ledger.counts().failed == above.sum()
@@ -146,7 +146,7 @@ def test_draws_that_fail_have_no_weight_and_are_told(folder: Path) -> None:
 
 
 def test_a_wrong_surrogate_is_caught(folder: Path) -> None:
-    content = checked(without_report(folder), model=Changed(weaker=1.5))
+    content = checked(without_report(folder), draws=60, model=Changed(weaker=1.5))
     assert content["verdict"] == "bad"
     assert content["k_hat"] is None or content["k_hat"] > 0.7
     assert content["remarks"][0].startswith("DO NOT TRUST THE SURROGATE")

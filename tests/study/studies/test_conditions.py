@@ -64,7 +64,8 @@ def test_all_results_tell_the_conditions(files: Finished, capsys: pytest.Capture
 
 def test_sensitivities_are_added_to_known_runs(files: Finished, tmp_path: Path) -> None:
     """Synthetic observations, and a check of the posterior, which makes runs without sensitivities."""
-    content = {**SMALL, "report": "none", "sensitivities": True, "reuse": [str(files.folder)], "draft": True}
+    plain: dict[str, Any] = {"noise": {"sd": 30, "unit": "um"}, "draft": True, "report": "none"}
+    content = {**SMALL, **plain, "sensitivities": True, "reuse": [str(files.folder)]}
     content["sampler"] = json.loads((files.folder / "study.yaml").read_text())["sampler"]
     study = load_study(write_study(tmp_path / "study", **content))
     assert (study.runs.known, progress_of(study).to_do) == (0, 16)

@@ -125,8 +125,11 @@ def test_sensitivities_of_each_input_are_told(beam: Finished) -> None:
     assert found["inputs"]["tilt"] == dict(zip(kinds, [row[1] for row in rows], strict=True))
 
 
-def test_a_rerun_repeats_no_run_and_gives_the_same_posterior(beam: Finished, copy_of: Copy) -> None:
+def test_a_rerun_repeats_no_run_and_gives_the_same_posterior(
+    beam: Finished, copy_of: Copy, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = copy_of(beam)
+    monkeypatch.setattr("strandline.report.page.figure_groups", lambda *_: {})
     before, plan = read(folder / "posterior.nc"), recorded_plan(folder)
     (folder / "posterior.nc").unlink()
     summary = rerun(folder)
