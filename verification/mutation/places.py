@@ -22,6 +22,8 @@ PARTS = {
 }
 """What a posterior is trusted for, and what brings runs, files and pictures to it: names of parts, and folders of the
 package with all that is in them."""
+USED_IN = {"active design": ("calibration",), "field surrogate": ("calibration",), "studies": ("questions", "cli")}
+"""Rooms whose tests should notice changes of a part, too."""
 TIERS = ("unit", "study", "doors")
 """Folders of tests, quick ones first."""
 
@@ -33,7 +35,7 @@ def part_of(file: Path) -> str:
 
 def near(part: str) -> list[str]:
     """Return the folders of tests of a part, quick ones first."""
-    rooms = {folder.partition("/")[0] for folder in PARTS[part]}
+    rooms = {folder.partition("/")[0] for folder in PARTS[part]} | {*USED_IN.get(part, ())}
     return [f"{tier}/{room}" for tier in TIERS for room in sorted(rooms)]
 
 
