@@ -93,14 +93,12 @@ def test_sd_and_length_are_found() -> None:
 def test_a_range_is_a_prior_and_no_coarser_grid() -> None:
     """Quantiles are those of the free noise; the evidence falls with the width of the prior."""
     free = inferred(observed(4))
-    for low, high in ((1e-4, 0.1), (1e-3, 0.004)):
-        found = inferred(observed(4, noise=UnknownErrors((low, high), offset=0.002)))
-        for level in (0.05, 0.5, 0.95):
-            assert sd_at(free, level) == pytest.approx(sd_at(found, level), rel=0.03)
-        once, twice = (
-            inferred(observed(4, noise=UnknownErrors((low, low * (high / low) ** k)))).posterior for k in (1, 2)
-        )
-        assert once.log_evidence - twice.log_evidence == pytest.approx(np.log(2), abs=0.05)
+    low, high = 1e-3, 0.004
+    found = inferred(observed(4, noise=UnknownErrors((low, high), offset=0.002)))
+    for level in (0.05, 0.5, 0.95):
+        assert sd_at(free, level) == pytest.approx(sd_at(found, level), rel=0.03)
+    once, twice = (inferred(observed(4, noise=UnknownErrors((low, low * (high / low) ** k)))).posterior for k in (1, 2))
+    assert once.log_evidence - twice.log_evidence == pytest.approx(np.log(2), abs=0.05)
 
 
 def test_unknown_noise_that_nothing_infers_is_refused() -> None:
@@ -135,7 +133,7 @@ def test_what_is_known_of_the_observations_afterwards() -> None:
     np.testing.assert_allclose(many, [found.one({"": arch(row)}) for row in x], rtol=1e-9)
 
 
-def grid(seen: Observation, number: int = 31) -> tuple[np.ndarray, np.ndarray]:
+def grid(seen: Observation, number: int = 21) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and sd of the inputs by quadrature over a grid around the truth."""
     lin = linearise(surrogate(), JointErrors((seen,), (ERRORS,)))
     sd = np.sqrt(np.diag(lin.covariance(error_model([seen], [ERRORS]))))
@@ -148,7 +146,7 @@ def grid(seen: Observation, number: int = 31) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_unknown_noise_costs_little_width() -> None:
-    ratios = [grid(observed(seed))[1] / grid(observed(seed, noise=ERRORS))[1] for seed in range(4)]
+    ratios = [grid(observed(seed))[1] / grid(observed(seed, noise=ERRORS))[1] for seed in range(2)]
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
 
 

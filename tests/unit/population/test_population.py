@@ -38,7 +38,7 @@ def specimens(number: int, *, mean: float = 400.0, sd: float = 40.0, seed: int =
 
 def by_quadrature(some: tuple[SpecimenPosterior, ...], own: float = OWN) -> np.ndarray:
     """Return means and standard deviations of the population's m and s, and E[x_0] of the first specimen."""
-    m = np.linspace(100, 800, 701)[:, None]
+    m = np.linspace(100, 800, 351)[:, None]
     s = np.linspace(0.5, 350, 500)[None, :]
     mass = np.log(ndtr((800 - m) / s) - ndtr((100 - m) / s))
     total = np.sqrt(own**2 + s**2)
@@ -73,7 +73,7 @@ def test_mean_and_spread_are_those_of_quadrature(number: int, sd: float) -> None
 
 
 def test_shrunk_means_are_those_of_quadrature_and_the_order_of_specimens_does_not_matter() -> None:
-    some = specimens(12)
+    some = specimens(8)
     population = population_of(some)
     lifted = shrunk(population, tuple(one.name for one in some))
     assert abs(lifted.mean[0, 0] - by_quadrature(some)[4]) < 0.08 * OWN
@@ -117,7 +117,7 @@ def test_a_prior_counts_once() -> None:
     """A prior that pulls each posterior to 300 must not pull the population there."""
     space = ParameterSpace((Parameter("E", Normal(300.0, 30.0), "Pa", (100.0, 800.0)),))
     narrow = 1 / np.sqrt(1 / OWN**2 + 1 / 30.0**2)
-    free = specimens(12)
+    free = specimens(8)
     some = [
         specimen(one.name, narrow**2 * (one.mean / OWN**2 + 300 / 30**2), np.array([narrow]), space) for one in free
     ]
