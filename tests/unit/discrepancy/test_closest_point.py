@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 from tests.unit.discrepancy.curves import level, line, ring, wavy
-from tests.unit.discrepancy.surfaces import sheet
+from tests.unit.discrepancy.surfaces import sheet, sphere
 
 from strandline.discrepancy import ClosestPoint, closest_point
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
@@ -106,3 +106,12 @@ def test_noise_variance_of_a_mean_is_that_of_its_independent_points() -> None:
     assert mean.noise_variance(errors, ring(200)) == pytest.approx(0.01**2 / 200, rel=1e-3)
     assert total.noise_variance(errors, ring(200)) == pytest.approx(0.01**2, rel=1e-3)
     assert ClosestPoint(weighting="length").noise_variance(errors, ring(200)) is None
+
+
+def test_noise_variance_on_a_surface_is_that_of_a_mean_weighted_by_area() -> None:
+    seen, errors = sphere(1.0, 3), PointErrors(0.01)
+    corners = seen.points[seen.cells]
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    share = np.bincount(seen.cells.ravel(), np.repeat(areas, 3)) / (3 * areas.sum())
+    mean = ClosestPoint(direction="to_simulated", weighting="length")
+    assert mean.noise_variance(errors, seen) == pytest.approx(0.01**2 * (share**2).sum(), rel=1e-9)

@@ -83,7 +83,8 @@ def test_what_is_drawn_of_a_file_does_not_depend_on_the_others(tmp_path: Path) -
 
 def test_tests_near_a_part_are_those_of_its_rooms_quick_ones_first() -> None:
     assert part_of(Path("design/active/repulsion.py")) == "active design"
-    assert near("active design") == ["unit/design", "study/design", "doors/design"]
+    rooms = ("calibration", "design")
+    assert near("active design") == [f"{tier}/{room}" for tier in ("unit", "study", "doors") for room in rooms]
 
 
 TESTS = {"smc/moves.py": {3: {"slow.py": ["test_a", "test_b"], "test_moves.py": []}, 40: {"slow.py": ["test_a"]}}}
