@@ -182,7 +182,7 @@ def test_an_outlier_is_named(folder: Path, capsys: Shown) -> None:
 def test_further_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As long as certificates ask for them, at most as many as allowed; the study's own ledger is left alone."""
     before = (folder / "ledger.sqlite").read_bytes()
-    for name in ("s3.csv", "s4.csv"):
+    for name in ("s2.csv", "s3.csv", "s4.csv"):
         (folder / "all" / name).unlink()
     options: dict[str, Any] = {"refine": 6, "executor": sl.InProcess(), "processes": 1}
     monkeypatch.setattr(Certified, "good", property(lambda self: False))
@@ -246,7 +246,7 @@ def test_new_files_are_answered_as_they_arrive(folder: Path) -> None:
         return look < 25
 
     study = sl.load_study(folder)
-    watching = watch.watched(study, ready=known.append, going_on=going_on, clock=clock, wait=clock.wait)
+    watching = watch.watch_specimens(study, ready=known.append, going_on=going_on, clock=clock, wait=clock.wait)
     arrived = [(one.answer, clock.now) for one in watching]
     answers = {one.name: one for one, _ in arrived}
     assert known == [5]
