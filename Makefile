@@ -7,7 +7,7 @@ export OMP_NUM_THREADS ?= 1
 # Keep compiled bytecode: hundreds of tests start a new Python process.
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: env demo reproduce test test-doors test-all check styled documented installed dist bench bench-env pyvbmc-env docs clean
+.PHONY: env demo reproduce test test-doors test-all check styled typed documented installed dist bench bench-env pyvbmc-env docs clean
 
 env: $(VENV)/.installed
 
@@ -43,7 +43,7 @@ test-all: env
 
 # The parts of a check run two at a time; what each prints stays together.
 check: $(VENV)/.installed-check
-	$(MAKE) --no-print-directory -j2 -O installed documented styled
+	$(MAKE) --no-print-directory -j2 -O installed documented styled typed
 
 styled: $(VENV)/.installed-check
 	$(BIN)/ruff check .
@@ -51,6 +51,10 @@ styled: $(VENV)/.installed-check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(PYTEST) -q -m "not long" tests/check
+
+# Types and shapes of arrays at run time: twice the seconds of the same tests without.
+typed: $(VENV)/.installed-check
+	$(PYTEST) -q -m "not long" --jaxtyping-packages=strandline,verification.reproduction,beartype.beartype tests/unit tests/study
 
 documented: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

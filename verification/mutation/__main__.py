@@ -1,8 +1,8 @@
 """How many small mistakes in the code that a posterior is trusted for would the tests notice?
 
 Each mutant is the package with one change, see `operators`. The tests that execute its line run, see `covering`, until
-one fails: those of its own folder, without the checks of types and shapes at run time; with ``--far`` also those of the
-folders that use it, with these checks. Mutants that survive must be explained in `explained`, or a test is missing.
+one fails: those of its own room and of rooms that use it; with ``--far`` those of all rooms. Mutants that survive must
+be explained in `explained`, or a test is missing.
 Results are kept and not repeated for the same mutant, until the text of its file changes; ``--again`` repeats those
 that survived unexplained, with tests as they are now; ``--confirm`` tries the tests that noticed mutants without a
 change, so that those that fail then do not count; and ``--record`` writes all results into `recorded.csv`.
@@ -35,7 +35,7 @@ from verification.mutation.results import (
     record,
     table,
 )
-from verification.mutation.trial import UNCHECKED, Outcome, prepare, tried
+from verification.mutation.trial import Outcome, prepare, tried
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "strandline"
@@ -52,9 +52,7 @@ def covering_of(part: str, far: bool) -> Covering:
     return measured(PACKAGE, files, OUTPUT / "covering")
 
 
-def judged(
-    file: Path, mutant: Mutant, covering: Covering, scratch: Path, most: float, options: Sequence[str]
-) -> Outcome:
+def judged(file: Path, mutant: Mutant, covering: Covering, scratch: Path, most: float) -> Outcome:
     """Return what the tests make of a mutant.
 
     Args:
@@ -63,14 +61,13 @@ def judged(
         covering: Which tests execute which lines.
         scratch: Folder with a copy of the package.
         most: Most seconds of tests to try.
-        options: Options of pytest.
     """
     place = scratch / "strandline" / file
     place.write_text(mutant.applied(place.read_text("utf-8")), "utf-8")
     try:
         total = 0.0
         for tests in covering.stages(str(file), mutant.line, most):
-            found = tried(scratch, [*options, *tests], scratch / "output.txt", covering.limit(tests))
+            found = tried(scratch, tests, scratch / "output.txt", covering.limit(tests))
             total += found.seconds
             if found.end != "passed":
                 return Outcome(found.end, found.test, total)
@@ -85,7 +82,7 @@ def unsteady(results: Sequence[Result], scratch: Path) -> set[str]:
     found: set[str] = set()
     for file in sorted({one.partition("::")[0] for one in tests}):
         while left := sorted(one for one in tests - found if one.startswith(f"{file}::")):
-            outcome = tried(scratch, [UNCHECKED, *left], scratch / "output.txt", 900.0)
+            outcome = tried(scratch, left, scratch / "output.txt", 900.0)
             if outcome.end == "passed":
                 break
             found |= {outcome.test.partition("[")[0]} & set(left) or set(left)
@@ -143,8 +140,7 @@ def main() -> None:
             name = name_of(row)
             if name not in known or (asked.again and known[name]["end"] in SURVIVED and not explained(row)):
                 covering = covering_of(part_of(path), asked.far)
-                options = () if asked.far else (UNCHECKED,)
-                found = judged(path, mutant, covering, scratch, asked.seconds, options)
+                found = judged(path, mutant, covering, scratch, asked.seconds)
                 known[name] = {**row, "end": found.end, "test": found.test, "seconds": f"{found.seconds:.0f}"}
                 file.write(json.dumps(known[name], ensure_ascii=False) + "\n")
                 file.flush()

@@ -17,7 +17,7 @@ import coverage
 import pytest
 from filelock import FileLock
 from verification.mutation.results import fingerprint
-from verification.mutation.trial import UNCHECKED, forked, run_tests
+from verification.mutation.trial import forked, run_tests
 
 __all__ = ["Covering", "measured"]
 
@@ -126,7 +126,7 @@ def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
         watched, clock = coverage.Coverage(data_file=data, source=[str(package)], config_file=False), _Clock()
         watched.set_option("run:dynamic_context", "test_function")
         watched.start()
-        code = run_tests([UNCHECKED, str(file)], [clock])
+        code = run_tests([str(file)], [clock])
         watched.stop()
         watched.save()
         times.write_text(json.dumps(clock.seconds), "utf-8")
@@ -134,7 +134,7 @@ def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
 
     def unwatched() -> int:
         clock = _Clock()
-        code = run_tests([UNCHECKED, str(file)], [clock])
+        code = run_tests([str(file)], [clock])
         times.write_text(json.dumps(clock.seconds), "utf-8")
         return code
 

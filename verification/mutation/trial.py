@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-__all__ = ["UNCHECKED", "Outcome", "forked", "prepare", "run_tests", "tried"]
+__all__ = ["Outcome", "forked", "prepare", "run_tests", "tried"]
 
 LIBRARIES = (
     "pytest", "hypothesis", "jax.numpy", "jax.scipy.special", "scipy.optimize", "scipy.stats", "scipy.spatial",
@@ -22,8 +22,6 @@ LIBRARIES = (
     "coverage",
 )  # fmt: skip
 NO_REWRITE = "ignore::pytest.PytestAssertRewriteWarning"
-UNCHECKED = "--jaxtyping-packages="
-"""Option of pytest: do not check types and shapes at run time. To prepare these checks takes most of a quick trial."""
 OPTIONS = ("-q", "-x", "-rf", "-m", "not long", "-p", "no:cacheprovider", "-W", NO_REWRITE)
 
 
