@@ -23,9 +23,10 @@ def command(folder: Path, studies: Path, workers: int | None, quiet: bool) -> No
 
     Finished runs are kept: if you stop it, the same command goes on from there.
     """
+    from verification.reproduction import reproduce
+
     from strandline.cli.progress import observing
     from strandline.runs import LocalProcesses
-    from verification.reproduction import reproduce
 
     executor = None if workers is None else LocalProcesses(workers=workers, timeout=120.0)
     with observing(quiet=quiet) as observer:

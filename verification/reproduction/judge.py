@@ -1,11 +1,11 @@
 """Judge all ten claims by the evidence."""
 
 import numpy as np
+from verification.reproduction import claims, claims_parts
 from verification.reproduction.evidence import RULES, Evidence
 from verification.reproduction.judgement import Claim, LikelihoodField
 
 from strandline.calibration import Calibration
-from verification.reproduction import claims, claims_parts
 
 __all__ = ["judge", "likelihood_fields"]
 

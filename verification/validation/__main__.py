@@ -11,9 +11,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from verification.validation.tables import Table, put_into_page
-
 from verification.validation import analytic, biofilm_mesh, extremes, figures, generality, sensitivities, turek_hron
+from verification.validation.tables import Table, put_into_page
 
 OUTPUT = Path(__file__).parent / "output"
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "forward-model.md"
