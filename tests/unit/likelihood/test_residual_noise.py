@@ -78,7 +78,7 @@ def test_arc_lengths_follow_the_segments() -> None:
 def test_the_noise_of_the_points_has_the_stated_variance() -> None:
     """Four times the variance means twice the sd."""
     seen, sd = arch(), 0.002
-    for measure in (TrackedPoints(), NormalOffset(), MeasurementLines(12)):
+    for measure in (TrackedPoints(), NormalOffset(), MeasurementLines(12), ClosestPoint()):
         variance = sd**2 if measure == NormalOffset() else noise_variance(measure, seen, PointErrors(sd), 41)
         stated = stated_errors(Observation(seen, variance), measure, 41)
         assert stated.assumed
