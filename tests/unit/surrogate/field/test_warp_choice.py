@@ -39,17 +39,14 @@ def test_a_choice_is_kept_until_the_runs_have_grown_by_a_quarter(chosen: list[in
     assert chosen[5:] == [19]
 
 
-def test_other_fields_at_the_same_inputs_are_chosen_for_anew_and_few_choices_are_kept(
-    chosen: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_fields_at_the_same_inputs_are_chosen_for_anew_and_few_choices_are_kept(chosen: list[int]) -> None:
     """A correction of a cheaper model changes the fields of old runs."""
     assert choose_warping(data(9), PLAIN, 1e-5).names == ("reciprocal", "identity")
     assert choose_warping(data(9, power=1.0), PLAIN, 1e-5).names == ("identity", "identity")
     assert len(chosen) == 2
-    monkeypatch.setattr(warp_choice, "KEPT", 4)
-    for power in np.linspace(-1.0, 1.0, 8):
+    for power in np.linspace(-1.0, 1.0, warp_choice.KEPT + 1):
         choose_warping(data(9, power=float(power)), PLAIN, 1e-5)
-    assert len(warp_choice._kept) == 4
+    assert len(warp_choice._kept) == warp_choice.KEPT
 
 
 @pytest.mark.parametrize("gradients", [False, True])
