@@ -5,11 +5,14 @@ under a lock; without the bound, another process could read half a file.
 """
 
 import os
+import re
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -34,6 +37,12 @@ import pytest
 
 TIERS = ("study", "doors", "statistical", "unit", "check")
 """Folders of tests, slowest files first: the quick ones come last, so that all processes finish together."""
+OPTIONAL = {
+    "arviz", "axe_playwright_python", "blackjax", "cryptography", "dask", "dask_jobqueue", "distributed", "httpx",
+    "ipykernel", "meshio", "mkl", "nbclient", "nbformat", "playwright", "shapely", "skimage", "sklearn", "tifffile",
+    "tornado", "umbridge",
+}  # fmt: skip
+"""Packages of extras, and those that tests alone need."""
 
 
 def pytest_xdist_auto_num_workers() -> int:
@@ -48,7 +57,7 @@ def pytest_configure(config: pytest.Config) -> None:
     other's way, and the warning would be an error.
     """
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
-        with warnings.catch_warnings(action="ignore"):
+        with warnings.catch_warnings(action="ignore"), suppress(ImportError):
             import arviz  # noqa: F401
     hypothesis.settings.register_profile("other", deadline=None)  # a test must not fail for other work on the machine
     hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
@@ -66,6 +75,32 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     rank = {folder: k for k, folder in enumerate(TIERS)}
     tests = Path(__file__).parent
     items.sort(key=lambda item: rank.get(item.path.relative_to(tests).parts[0], len(rank)))
+
+
+def _needed(longrepr: object) -> str | None:
+    """Return the package of an extra that is not installed, if that is why something failed."""
+    named = re.findall(r"No module named '(\w+)|got (\w+) is not installed", str(longrepr))
+    return next((name for name in map("".join, named) if name in OPTIONAL and find_spec(name) is None), None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Skip a file that needs a package of an extra that is not installed."""
+    report = yield
+    if report.failed and (name := _needed(report.longrepr)):
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 0, f"Skipped: needs the package {name}")
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Skip a test that needs a package of an extra that is not installed."""
+    report = yield
+    if report.failed and (name := _needed(report.longrepr)):
+        report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"Skipped: needs the package {name}")
+    return report
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from tests.unit.discrepancy.surfaces import sphere
-from tests.unit.studies.test_stacks import RADIUS, V, loaded
+from tests.unit.studies.scans import RADIUS, V, loaded
 
 from strandline.runs import InProcess
 from strandline.studies import run_study
