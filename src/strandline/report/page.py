@@ -293,8 +293,11 @@ def _saved(captioned: Captioned, folder: Path, *, draft: bool = False) -> dict[s
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
             figure.set_layout_engine(None)
-        if not draft:
-            figure.savefig(folder / f"{captioned.name}.pdf", metadata={"CreationDate": None})
+        pdf = folder / f"{captioned.name}.pdf"
+        if draft:
+            pdf.unlink(missing_ok=True)  # one of an earlier result
+        else:
+            figure.savefig(pdf, metadata={"CreationDate": None})
         figure.savefig(buffer, format="png", dpi=dots)
     (folder / f"{captioned.name}.png").write_bytes(buffer.getvalue())
     data = base64.b64encode(buffer.getvalue()).decode("ascii")

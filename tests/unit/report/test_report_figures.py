@@ -67,6 +67,7 @@ def test_pictures_for_print_have_300_dots_an_inch_with_all_labels_on_them(tmp_pa
     assert imread(io.BytesIO(png))[:, :5, :3].min() == 1.0, "the label at the left is cut off"
     assert pdf[:5] == b"%PDF-"
     assert b"/Type3" not in pdf
+    (tmp_path / "draft.pdf").write_text("of an earlier result", "utf-8")
     _saved(Captioned("draft", "data", "", tempering()), tmp_path, draft=True)
     with Image.open(tmp_path / "draft.png") as picture:
         assert picture.info["dpi"] == pytest.approx((60, 60), abs=0.1)
