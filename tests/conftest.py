@@ -79,8 +79,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def _needed(longrepr: object) -> str | None:
     """Return the package of an extra that is not installed, if that is why something failed."""
-    named = re.findall(r"No module named '(\w+)|got (\w+) is not installed", str(longrepr))
-    return next((name for name in map("".join, named) if name in OPTIONAL and find_spec(name) is None), None)
+    absent = [name for name in sorted(OPTIONAL) if find_spec(name) is None]
+    if absent and re.search(r"pip install .strandline\[", str(longrepr)):  # as strandline itself says it
+        return ", ".join(absent)
+    return next((name for name in re.findall(r"No module named '(\w+)", str(longrepr)) if name in absent), None)
 
 
 @pytest.hookimpl(wrapper=True)
