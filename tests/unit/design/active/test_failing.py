@@ -1,27 +1,23 @@
 """Runs that would be lost where runs are known to fail."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy.special import log_softmax
-from tests.unit.design.active.fakes import SPACE, Assumed, known, own, record, state_of
+from tests.unit.design.active.fakes import MEAN, SPACE, Assumed, even, inputs_of, known, normal, own, record, state_of
 
-from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, State
 from strandline.design.active.choice import choose
 from strandline.design.active.elsewhere import points_elsewhere
 from strandline.design.active.failing import MOST, SAFE, UNLIKELY, Losses, safe_candidates
-from strandline.runs import RunRecord
 
-RUNS = 60
-FIRST = SPACE.to_physical(sobol(12, 2))
-TRUTH = np.array([0.2, 0.1])
-REGIONS: dict[str, Callable[[np.ndarray], bool]] = {
-    "disc over the truth": lambda x: bool(np.linalg.norm(x - TRUTH) < 0.5),
-    "half of the box, with the truth": lambda x: bool(x[0] > 0.0),
-    "curved border, truth beyond": lambda x: bool(x[1] > -0.4 * np.sin(3 * x[0])),
+RUNS, SD = 60, 0.15
+FIRST, X = even(12), even(60)
+REGIONS = {
+    "disc over the truth": lambda x: np.linalg.norm(x - MEAN) < 0.5,
+    "half of the box, with the truth": lambda x: x[0] > 0.0,
+    "curved border, truth beyond": lambda x: x[1] > -0.4 * np.sin(3 * x[0]),
 }
 
 
@@ -29,30 +25,23 @@ REGIONS: dict[str, Callable[[np.ndarray], bool]] = {
 class Wary(Assumed):
     """A normal likelihood, times the probability that a run succeeds."""
 
-    def plug_in(self, x: np.ndarray) -> np.ndarray:
-        return np.asarray(super().plug_in(x) + self.log_feasibility(x))
+    def plug_in(self, x):
+        return super().plug_in(x) + self.log_feasibility(x)
 
 
-def learn(x: np.ndarray, records: Sequence[RunRecord]) -> State:
+def learn(x, records):
     """Return the posterior that these runs teach, on an even set of points."""
-    plain = known(x, np.array([one.ok for one in records]))
-    knowledge = Wary(**own(plain), mean=tuple(TRUTH), sd=0.15)
-    points = SPACE.to_physical(sobol(1000, 2, scramble=6))
+    knowledge = Wary(**own(known(x, np.array([one.ok for one in records]))), sd=SD)
+    points = even(1000, 6)
     value = knowledge.plug_in(points)
     whole, half = log_softmax(value), log_softmax(0.5 * value)
     return State(knowledge, points, whole, half, whole, value, value, float(np.log(np.mean(np.exp(0.5 * value)))))
 
 
-def log_likelihood(one: RunRecord) -> float:
-    x = np.array([one.inputs["a"], one.inputs["b"]])
-    return float(-0.5 * np.sum(((x - TRUTH) / 0.15) ** 2))
-
-
-def lost_in(fails: Callable[[np.ndarray], bool]) -> tuple[ActiveDesign, int, int]:
+def lost_in(fails):
     """Run a design to its end; return it, the number of its runs, and how many failed besides the first ones."""
-    one = ActiveDesign(
-        Active(RUNS, unseen=1.0), SPACE, batch=4, learn=learn, log_likelihood=log_likelihood, seed=1, scramble=1
-    )
+    options = {"learn": learn, "log_likelihood": lambda one: float(normal(inputs_of(one), sd=SD)), "seed": 1}
+    one = ActiveDesign(Active(RUNS, unseen=1.0), SPACE, batch=4, scramble=1, **options)
     one.start(FIRST)
     x = FIRST
     while (batch := one.next(x, [record(row, ok=not fails(row)) for row in x])) is not None:
@@ -63,7 +52,7 @@ def lost_in(fails: Callable[[np.ndarray], bool]) -> tuple[ActiveDesign, int, int
 @pytest.mark.parametrize(
     "region", [name if k == 0 else pytest.param(name, marks=pytest.mark.long) for k, name in enumerate(REGIONS)]
 )
-def test_no_more_than_a_tenth_of_the_runs_is_lost(region: str) -> None:
+def test_no_more_than_a_tenth_of_the_runs_is_lost(region):
     """The observation is best explained by inputs that fail."""
     one, runs, lost = lost_in(REGIONS[region])
     assert not one.converged
@@ -73,54 +62,51 @@ def test_no_more_than_a_tenth_of_the_runs_is_lost(region: str) -> None:
 
 
 @pytest.fixture
-def unlimited(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+def unlimited(monkeypatch):
     """The planted bug: every batch and every check may be made."""
 
-    def planted() -> None:
+    def planted():
         monkeypatch.setattr(Losses, "bears", lambda self, x: True)
         monkeypatch.setattr(Losses, "bears_check", lambda self, state, draws: True)
 
     return planted
 
 
-def test_without_that_limit_far_more_are_lost(unlimited: Callable[[], None]) -> None:
+def test_without_that_limit_far_more_are_lost(unlimited):
     unlimited()
     assert lost_in(REGIONS["disc over the truth"])[2] > 3 * MOST * RUNS
 
 
-def test_a_region_that_fails_elsewhere_changes_nothing(unlimited: Callable[[], None]) -> None:
-    here, _, _ = lost_in(lambda x: bool(x[0] < -0.5))
+def test_a_region_that_fails_elsewhere_changes_nothing(unlimited):
+    here, _, _ = lost_in(lambda x: x[0] < -0.5)
     unlimited()
-    free, _, _ = lost_in(lambda x: bool(x[0] < -0.5))
+    free, _, _ = lost_in(lambda x: x[0] < -0.5)
     assert here.converged
     for one, other in zip(here.batches, free.batches, strict=True):
         np.testing.assert_array_equal(one.points, other.points)
 
 
-def test_failures_at_random_are_no_losses() -> None:
-    x = SPACE.to_physical(sobol(60, 2))
-    ok = np.random.default_rng(3).random(60) > 0.2
-    losses = Losses(known(x, ok), RUNS, frozenset())
+def test_failures_at_random_are_no_losses():
+    losses = Losses(known(X, np.random.default_rng(3).random(60) > 0.2), RUNS, frozenset())
     assert losses.lost == 0
-    assert losses.bears(x)
+    assert losses.bears(X)
 
 
 @pytest.fixture(scope="module")
-def losses() -> Losses:
+def losses():
     """A quarter of the box fails; more runs than may be are lost there."""
-    x = SPACE.to_physical(sobol(60, 2))
-    return Losses(known(x, x[:, 0] < 0.5), RUNS, frozenset())
+    return Losses(known(X, X[:, 0] < 0.5), RUNS, frozenset())
 
 
-def test_the_first_runs_are_not_lost(losses: Losses) -> None:
-    x, failed = losses.knowledge.x, ~losses.knowledge.ok & (losses.chance(losses.knowledge.x) < UNLIKELY)
+def test_the_first_runs_are_not_lost(losses):
+    failed = ~losses.knowledge.ok & (losses.chance(X) < UNLIKELY)
     assert losses.lost == failed.sum() > 10
     assert losses.left == MOST * RUNS - losses.lost < 0
-    first = frozenset(row.tobytes() for row in x[:30])
+    first = frozenset(row.tobytes() for row in X[:30])
     assert Losses(losses.knowledge, RUNS, first).lost == failed[30:].sum() > 5
 
 
-def test_runs_at_safe_points_are_always_borne(losses: Losses) -> None:
+def test_runs_at_safe_points_are_always_borne(losses):
     safe, gone = np.array([[-0.5, 0.0]]), np.array([[0.9, 0.0]])
     assert losses.chance(safe)[0] > SAFE
     assert losses.chance(gone)[0] < UNLIKELY
@@ -130,7 +116,7 @@ def test_runs_at_safe_points_are_always_borne(losses: Losses) -> None:
     np.testing.assert_array_equal(losses.bearable(np.concatenate([gone, safe])), safe)
 
 
-def test_a_posterior_where_runs_fail_is_not_checked(losses: Losses) -> None:
+def test_a_posterior_where_runs_fail_is_not_checked(losses):
     inside, outside = (state_of(losses.knowledge, mean=mean, sd=0.1) for mean in [(0.9, 0.0), (-0.4, 0.0)])
     assert not losses.bears_check(inside, 9)
     assert losses.bears_check(outside, 9)
@@ -139,15 +125,13 @@ def test_a_posterior_where_runs_fail_is_not_checked(losses: Losses) -> None:
     assert losses.words(inside)[0].endswith(f"{losses.lost} runs were lost there")
 
 
-def test_safe_runs_are_chosen(losses: Losses) -> None:
+def test_safe_runs_are_chosen(losses):
     """Where hardly a particle is safe, points of the box take their place."""
     state, options = state_of(losses.knowledge, mean=(0.9, 0.0), sd=0.1), {"explore": 0.25, "first": 60, "seed": 2}
     assert (losses.chance(state.positions) >= SAFE).mean() < 0.05
     for criterion in ("expected_variance", "repulsion"):
-        anywhere, chosen = (
-            choose(state, SPACE, 12, criterion=criterion, losses=one, **options)  # type: ignore[arg-type]
-            for one in (None, losses)
-        )
+        options["criterion"] = criterion
+        anywhere, chosen = (choose(state, SPACE, 12, losses=one, **options) for one in (None, losses))
         assert (losses.chance(anywhere) < UNLIKELY).any()
         assert (losses.chance(chosen) >= SAFE).all()
         assert len(np.unique(chosen, axis=0)) == 12
@@ -156,10 +140,9 @@ def test_safe_runs_are_chosen(losses: Losses) -> None:
     np.testing.assert_array_equal(found, state.positions[losses.chance(state.positions) >= SAFE])
 
 
-def test_nobody_looks_where_runs_fail(losses: Losses) -> None:
-    few = losses.knowledge.x[:8]
-    anywhere, likely = (points_elsewhere(few, SPACE, 0.05, 50, allowed) for allowed in (None, losses.likely))
+def test_nobody_looks_where_runs_fail(losses):
+    anywhere, likely = (points_elsewhere(X[:8], SPACE, 0.05, 50, allowed) for allowed in (None, losses.likely))
     assert (losses.chance(anywhere) < UNLIKELY).any()
     assert (losses.chance(likely) >= UNLIKELY).all()
     assert 0 < len(likely) < len(anywhere)
-    assert len(points_elsewhere(few, SPACE, 0.05, 50, lambda x: np.zeros(len(x), bool))) == 0
+    assert len(points_elsewhere(X[:8], SPACE, 0.05, 50, lambda x: np.zeros(len(x), bool))) == 0

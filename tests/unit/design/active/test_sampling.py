@@ -4,41 +4,40 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from tests.unit.design.active.fakes import SPACE, Assumed, known, own, state_of
+from tests.unit.design.active.fakes import SPACE, Assumed, even, known, own, state_of
 
-from strandline.design import sobol
 from strandline.design.active import sampling as module
-from strandline.design.active.sampling import posterior_state
-from strandline.design.active.state import State
-from strandline.smc import Particles, carried
+from strandline.smc import carried
 
-X = SPACE.to_physical(sobol(12, 2))
+X = even(12)
 PARTICLES = 600
 
 
-def assumed(mean: tuple[float, float] = (0.2, 0.1), sd: float = 0.1) -> Assumed:
+def assumed(mean=(0.2, 0.1), sd=0.1):
     return Assumed(**own(known(X)), mean=mean, sd=sd)
 
 
-def sampled(knowledge: Assumed, seed: int = 5, before: State | None = None) -> State:
-    return posterior_state(knowledge, SPACE, (seed,), before=before, particles=PARTICLES)
+def sampled(knowledge, seed=5, before=None):
+    return module.posterior_state(knowledge, SPACE, (seed,), before=before, particles=PARTICLES)
 
 
 @pytest.fixture(scope="module")
-def before() -> State:
+def before():
     """The posterior of mean (0.2, 0.1)."""
     return sampled(assumed(), 1)
 
 
 @dataclass(frozen=True, eq=False)
 class TwoModes(Assumed):
-    """A normal likelihood, and a second mode as heavy that is far away."""
+    """A normal likelihood, and a second mode as heavy that is far away; a rough one may not see it."""
 
-    far: tuple[float, float] = (-0.7, -0.6)
+    blind: bool = False
 
-    def plug_in(self, x: np.ndarray) -> np.ndarray:
-        other = replace(self, mean=self.far)
-        return np.logaddexp(super().plug_in(x), super(TwoModes, other).plug_in(x))
+    def plug_in(self, x):
+        return np.logaddexp(assumed().plug_in(x), assumed((-0.7, -0.6)).plug_in(x))
+
+    def roughly(self, x):
+        return assumed().plug_in(x) if self.blind else super().roughly(x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class Counted(Assumed):
 
     calls: list[int] = field(default_factory=list)
 
-    def plug_in(self, x: np.ndarray) -> np.ndarray:
+    def plug_in(self, x):
         self.calls.append(len(x))
         return super().plug_in(x)
 
@@ -58,19 +57,19 @@ class Rough(Counted):
 
     off: float = 0.0
 
-    def roughly(self, x: np.ndarray) -> np.ndarray:
+    def roughly(self, x):
         return assumed((self.mean[0] + self.off, self.mean[1])).plug_in(x) - 3.0
 
 
-def rough(off: float) -> Rough:
-    return Rough(**vars(assumed()), off=off)
+def of(kind, knowledge=None, **options):
+    return kind(**vars(knowledge or assumed()), **options)
 
 
-def share_far(state: State) -> float:
+def share_far(state):
     return float(np.exp(state.log_weights) @ (state.positions[:, 0] < -0.3))
 
 
-def worst_z(knowledge: Assumed, before: State | None = None, replicates: int = 16) -> float:
+def worst_z(knowledge, before=None, replicates=16):
     """Return the largest |z| of means and of log sds over replicates, for a normal posterior."""
     found = [sampled(knowledge, seed, before) for seed in range(replicates)]
     means = np.array([one.mean for one in found]) - knowledge.mean
@@ -79,51 +78,47 @@ def worst_z(knowledge: Assumed, before: State | None = None, replicates: int = 1
     return float(np.abs(each.mean(axis=0) / (each.std(axis=0, ddof=1) / np.sqrt(replicates))).max())
 
 
-def test_a_posterior_that_moved_a_little_is_found_from_the_one_before(
-    before: State, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_posterior_that_moved_a_little_is_found_from_the_one_before(before, monkeypatch):
     """And its evidence. The planted bug: moves that forget the new weights."""
     knowledge = assumed((0.25, 0.08))
-    counted = Counted(**vars(knowledge))
+    counted = of(Counted, knowledge)
     gone_on, afresh = sampled(counted, 3, before), sampled(knowledge, 3)
     assert sum(counted.calls) < 15 * PARTICLES
     assert gone_on.log_evidence_tempered == pytest.approx(afresh.log_evidence_tempered, abs=0.3)
     assert gone_on.log_evidence_tempered != afresh.log_evidence_tempered
     assert worst_z(knowledge, before) < 4
 
-    def forgetful(key: object, state: Particles, *others: object, **options: object) -> Particles:
+    def forgetful(key, state, *others, **options):
         return state._replace(log_weights=0 * state.log_weights - np.log(len(state.log_weights)))
 
     monkeypatch.setattr(carried, "rejuvenate", forgetful)
     assert worst_z(knowledge, before) > 4
 
 
-def test_a_posterior_far_away_or_without_its_evidence_is_sampled_from_the_prior(before: State) -> None:
+def test_a_posterior_far_away_or_without_its_evidence_is_sampled_from_the_prior(before):
     far, near = assumed((-0.6, -0.5)), assumed(sd=0.2)
-    np.testing.assert_array_equal(sampled(far).positions, sampled(far, before=before).positions)
-    unknown = state_of(known(X), number=PARTICLES)
-    np.testing.assert_array_equal(sampled(near).positions, sampled(near, before=unknown).positions)
+    for knowledge, last in ((far, before), (near, state_of(known(X), number=PARTICLES))):
+        np.testing.assert_array_equal(sampled(knowledge).positions, sampled(knowledge, before=last).positions)
 
 
-def test_as_many_particles_as_the_inputs_need_unless_stated(before: State) -> None:
+def test_as_many_particles_as_the_inputs_need_unless_stated(before):
     assert len(before.positions) == PARTICLES
-    assert len(posterior_state(assumed(), SPACE, (1,)).positions) == module.PARTICLES[2]
+    assert len(module.posterior_state(assumed(), SPACE, (1,)).positions) == module.PARTICLES[2]
 
 
-def test_a_mode_that_appears_elsewhere_is_noticed(before: State, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mode_that_appears_elsewhere_is_noticed(before, monkeypatch):
     """The planted bug: nobody looks outside of the particles."""
-    knowledge = TwoModes(**vars(assumed()))
-    assert 0.3 < share_far(sampled(knowledge, before=before)) < 0.7
+    assert 0.3 < share_far(sampled(of(TwoModes), before=before)) < 0.7
     monkeypatch.setattr(carried, "_outside", lambda x, weights, scouts: scouts[:0])
-    assert share_far(sampled(knowledge, before=before)) < 0.01
+    assert share_far(sampled(of(TwoModes), before=before)) < 0.01
 
 
-def test_a_rough_likelihood_leads_to_the_exact_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rough_likelihood_leads_to_the_exact_posterior(monkeypatch):
     """Moves by the rough one are not by the exact one; its mean, half a sd off, and its level do not show.
 
     The planted bug: it is not weighed off.
     """
-    knowledge, plain = rough(0.05), Counted(**vars(assumed()))
+    knowledge, plain = of(Rough, off=0.05), of(Counted)
     exact, found = sampled(plain), sampled(knowledge)
     assert found.log_evidence_tempered == pytest.approx(exact.log_evidence_tempered, abs=0.3)
     assert sum(knowledge.calls) < 0.5 * sum(plain.calls)
@@ -133,12 +128,6 @@ def test_a_rough_likelihood_leads_to_the_exact_posterior(monkeypatch: pytest.Mon
     assert worst_z(knowledge) > 4
 
 
-def test_a_rough_likelihood_that_leads_astray_or_does_not_see_a_mode_is_left() -> None:
-    np.testing.assert_array_equal(sampled(assumed()).positions, sampled(rough(-0.9)).positions)
-
-    @dataclass(frozen=True, eq=False)
-    class Blind(TwoModes):
-        def roughly(self, x: np.ndarray) -> np.ndarray:
-            return assumed(self.mean).plug_in(x)
-
-    assert 0.3 < share_far(sampled(Blind(**vars(assumed())))) < 0.7
+def test_a_rough_likelihood_that_leads_astray_or_does_not_see_a_mode_is_left():
+    np.testing.assert_array_equal(sampled(assumed()).positions, sampled(of(Rough, off=-0.9)).positions)
+    assert 0.3 < share_far(sampled(of(TwoModes, blind=True))) < 0.7
