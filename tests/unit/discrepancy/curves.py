@@ -11,35 +11,38 @@ def line(*points: tuple[float, float], closed: bool = False) -> Interface:
     return Interface.polyline(np.array(points, float), closed=closed)
 
 
+def graph(x: np.ndarray, y: np.ndarray | float, *, closed: bool = False) -> Interface:
+    """Return the polyline through (x, y)."""
+    return Interface.polyline(np.stack([x, y + 0.0 * x], axis=1), closed=closed)
+
+
 def level(y: float, nodes: int = 11, *, length: float = 1.0) -> Interface:
     """Return a horizontal line."""
-    x = np.linspace(0.0, length, nodes)
-    return Interface.polyline(np.stack([x, np.full(nodes, y)], axis=1))
+    return graph(np.linspace(0.0, length, nodes), y)
 
 
-def ring(nodes: int, radius: float = 1.0, *, turned: float = 0.0) -> Interface:
-    """Return a closed circle, counter-clockwise."""
-    angle = 2 * np.pi * (np.arange(nodes) + turned) / nodes
-    return Interface.polyline(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
+def arch(height: float = 0.3, nodes: int = 61) -> Interface:
+    """Return a parabola over a base of 1 mm."""
+    x = np.linspace(0.0, 1.0, nodes)
+    return graph(x, 4 * height * x * (1 - x))
 
 
-def wavy(nodes: int, seed: int, *, shift: float = 0.0) -> Interface:
-    """Return a wave with nodes at random places."""
-    x = np.sort(np.random.default_rng(seed).uniform(0.0, 2.0, nodes))
-    return Interface.polyline(np.stack([x, shift + 0.3 * np.sin(3 * x)], axis=1))
+def ring(nodes: int, radius: float = 1.0, *, flat: float = 1.0) -> Interface:
+    """Return a closed circle, counter-clockwise, or an ellipse that is flatter by a factor."""
+    angle = 2 * np.pi * np.arange(nodes) / nodes
+    return graph(radius * np.cos(angle), flat * radius * np.sin(angle), closed=True)
 
 
 def runs(kind: str, number: int, *, noise: float = 0.02) -> tuple[np.ndarray, Interface, Interface]:
     """Return points of perturbed interfaces, a template and an observed interface."""
     rng = np.random.default_rng(1)
     s = np.linspace(0.0, 1.0, 24)
-    if kind == "open":
-        base = Interface.polyline(np.stack([s, 0.2 * np.sin(4 * s)], axis=1))
-    elif kind == "closed":
-        angle = 2 * np.pi * s[:-1]
-        base = Interface.polyline(np.stack([np.cos(angle), 0.6 * np.sin(angle)], axis=1), closed=True)
-    else:
-        base = sheet(5, bend=0.1) if kind == "sheet" else sphere(1.0, 1)
+    base = {
+        "open": lambda: graph(s, 0.2 * np.sin(4 * s)),
+        "closed": lambda: ring(23, flat=0.6),
+        "sheet": lambda: sheet(5, bend=0.1),
+        "sphere": lambda: sphere(1.0, 1),
+    }[kind]()
     seen = Interface(base.points + 0.5 * noise * rng.standard_normal(base.points.shape), base.cells)
     smooth = rng.normal(size=(number, 1, base.dim)) * np.sin(3 * base.points.sum(axis=1))[:, None]
     jagged = 0.2 * rng.standard_normal((number, *base.points.shape))

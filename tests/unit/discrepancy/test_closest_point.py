@@ -1,37 +1,34 @@
-"""Oracles: shapely's distances, parallel lines and circles in closed form, convergence."""
+"""Oracles: shapely's distances, parallel sheets in closed form, convergence."""
 
 import numpy as np
 import pytest
 import shapely
-from tests.unit.discrepancy.curves import level, line, ring, wavy
+from tests.unit.discrepancy.curves import graph, level, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere
 
 from strandline.discrepancy import ClosestPoint, closest_point
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
-from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface, PointErrors
 
+MEAN = ClosestPoint(direction="to_simulated", weighting="length")
 
-def test_sums_against_shapely():
+
+def wavy(nodes: int, seed: int, *, shift: float = 0.0, closed: bool = False) -> Interface:
+    """Return a wave with nodes at random places."""
+    x = np.sort(np.random.default_rng(seed).uniform(0.0, 2.0, nodes))
+    return graph(x, shift + 0.3 * np.sin(3 * x), closed=closed)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_sums_against_shapely(closed):
+    curve = shapely.LinearRing if closed else shapely.LineString
     for seed in range(3):
-        simulated, observed = wavy(66, seed, shift=0.1 * seed), wavy(40, seed + 1)
-        there = np.sum(shapely.distance(shapely.points(simulated.points), shapely.LineString(observed.points)) ** 2)
-        back = np.sum(shapely.distance(shapely.points(observed.points), shapely.LineString(simulated.points)) ** 2)
+        simulated, observed = wavy(66, seed, shift=0.1 * seed, closed=closed), wavy(40, seed + 1, closed=closed)
+        there = np.sum(shapely.distance(shapely.points(simulated.points), curve(observed.points)) ** 2)
+        back = np.sum(shapely.distance(shapely.points(observed.points), curve(simulated.points)) ** 2)
         found = [ClosestPoint(direction=one)(simulated, observed) for one in DIRECTIONS]
         assert found == pytest.approx([there, back, 0.5 * (there + back)], rel=1e-12)
-
-
-def test_a_point_is_projected_onto_segments_also_onto_the_last_one_of_a_closed_line():
-    assert ClosestPoint()(line((0.5, 0.1), (0.6, 0.1)), level(0.0, 2)) == pytest.approx(2 * 0.1**2)
-    square = line((0, 0), (1, 0), (1, 1), (0, 1), closed=True)
-    assert squared_distances(np.array([[-0.1, 0.5], [0.1, 0.4]]), square) == pytest.approx([0.01, 0.01])
-
-
-def test_length_weighting_is_the_mean_square_and_the_sum_grows_with_the_nodes():
-    for nodes in (2, 5, 66):
-        assert ClosestPoint(weighting="length")(level(0.1, nodes), level(0.0)) == pytest.approx(0.1**2)
-        assert ClosestPoint()(level(0.1, nodes), level(0.0)) == pytest.approx(nodes * 0.1**2)
 
 
 def test_weighting_converges_to_the_mean_square_with_order_two():
@@ -39,7 +36,7 @@ def test_weighting_converges_to_the_mean_square_with_order_two():
 
     def tilted(nodes):
         x = np.linspace(0.0, 1.0, nodes) ** 1.5
-        return Interface.polyline(np.stack([x, 0.5 * x], axis=1))
+        return graph(x, 0.5 * x)
 
     x, y = np.meshgrid(*2 * [(np.arange(1000) + 0.5) / 1000], indexing="ij")
     height, slope = 0.3 * np.sin(5 * x) * np.cos(4 * y), (1.5 * np.cos(5 * x) * np.cos(4 * y)) ** 2
@@ -51,16 +48,8 @@ def test_weighting_converges_to_the_mean_square_with_order_two():
         assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
 
 
-def test_concentric_rings():
-    """Outer nodes project onto inner nodes; inner nodes, turned by half a segment, onto the middle of outer edges."""
-    onto_edges = 32 * (1.3 * np.cos(np.pi / 32) - 1) ** 2
-    assert ClosestPoint()(ring(32, 1.3), ring(32)) == pytest.approx(32 * 0.3**2, rel=1e-12)
-    turned = ring(32, turned=0.5)
-    assert ClosestPoint(direction="to_simulated")(ring(32, 1.3), turned) == pytest.approx(onto_edges, rel=1e-12)
-
-
 def test_node_weights_add_up_to_the_length_or_area():
-    for interface in (wavy(30, 2), Interface.polyline(wavy(30, 2).points, closed=True), sheet(6, bend=0.2, seed=1)):
+    for interface in (wavy(30, 2), wavy(30, 2, closed=True), sheet(6, bend=0.2, seed=1)):
         assert closest_point.node_weights(interface).sum() == pytest.approx(interface.sizes.sum())
     assert closest_point.node_weights(level(0.0, 3)) == pytest.approx([0.25, 0.5, 0.25])
     assert closest_point.node_weights(sheet(2)) == pytest.approx([1 / 3, 1 / 6, 1 / 6, 1 / 3])
@@ -78,40 +67,34 @@ def test_parallel_sheets_whatever_their_orientation():
 def test_terms_are_told_only_where_the_observation_fixes_them():
     observed = wavy(40, 2)
     assert ClosestPoint(direction="to_simulated").terms(observed) == 40
-    assert ClosestPoint().terms(observed) is None
-    assert ClosestPoint(direction="to_simulated", weighting="length").terms(observed) is None
+    assert ClosestPoint().terms(observed) is MEAN.terms(observed) is None
     for options in ({"direction": "sideways"}, {"weighting": "area"}):
         with pytest.raises(InvalidInput, match=f"{next(iter(options))} of the closest point"):
             ClosestPoint(**options)
 
 
-def test_what_offsets_amount_to_is_the_measure_of_the_moved_interface() -> None:
+def test_what_offsets_amount_to_is_the_measure_of_the_moved_interface():
     """The observed points are twice as dense on one half, and fewer than the simulated nodes."""
     x = np.concatenate([np.linspace(0.0, 1.0, 40, endpoint=False), np.linspace(1.0, 2.0, 81)])
-    observed, fine, sizes = Interface.polyline(np.stack([x, 0 * x], axis=1)), np.linspace(0.0, 2.0, 501), (1e-3, -2e-3)
+    observed, fine, sizes = graph(x, 0 * x), np.linspace(0.0, 2.0, 501), (1e-3, -2e-3)
 
-    def offset(x: np.ndarray, size: float) -> np.ndarray:
-        return np.asarray(size * (1 + np.sin(2 * x)) * x)
+    def offset(x, size):
+        return size * (1 + np.sin(2 * x)) * x
 
-    moved = [Interface.polyline(np.stack([fine, offset(fine, size)], axis=1)) for size in sizes]
+    moved = [graph(fine, offset(fine, size)) for size in sizes]
     for measure in (ClosestPoint(direction=d, weighting=w) for d in DIRECTIONS for w in WEIGHTINGS):
         found = measure.of_offsets(np.array([offset(x, size) for size in sizes]), observed, len(fine))
         np.testing.assert_allclose(found, [measure(one, observed) for one in moved], rtol=0.02)
 
 
-def test_noise_variance_of_a_mean_is_that_of_its_independent_points() -> None:
-    """A mean of n squared distances moves the inputs as one point with a variance of s²/n would."""
-    errors = PointErrors(0.01)
-    mean, total = (ClosestPoint(direction="to_simulated", weighting=one) for one in ("length", "sum"))
-    assert mean.noise_variance(errors, ring(200)) == pytest.approx(0.01**2 / 200, rel=1e-3)
+def test_noise_variance_of_a_mean_is_that_of_its_independent_points():
+    """A mean of n squared distances moves the inputs as one point with a variance of s²/n would; by area on a ball."""
+    errors, ball = PointErrors(0.01), sphere(1.0, 3)
+    assert MEAN.noise_variance(errors, ring(200)) == pytest.approx(0.01**2 / 200, rel=1e-3)
+    total = ClosestPoint(direction="to_simulated")
     assert total.noise_variance(errors, ring(200)) == pytest.approx(0.01**2, rel=1e-3)
     assert ClosestPoint(weighting="length").noise_variance(errors, ring(200)) is None
-
-
-def test_noise_variance_on_a_surface_is_that_of_a_mean_weighted_by_area() -> None:
-    seen, errors = sphere(1.0, 3), PointErrors(0.01)
-    corners = seen.points[seen.cells]
+    corners = ball.points[ball.cells]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    share = np.bincount(seen.cells.ravel(), np.repeat(areas, 3)) / (3 * areas.sum())
-    mean = ClosestPoint(direction="to_simulated", weighting="length")
-    assert mean.noise_variance(errors, seen) == pytest.approx(0.01**2 * (share**2).sum(), rel=1e-9)
+    share = np.bincount(ball.cells.ravel(), np.repeat(areas, 3)) / (3 * areas.sum())
+    assert MEAN.noise_variance(errors, ball) == pytest.approx(0.01**2 * (share**2).sum(), rel=1e-9)

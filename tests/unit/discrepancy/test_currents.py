@@ -1,29 +1,28 @@
-"""Oracles: closed forms (erf, Bessel), scipy's adaptive quadrature, observed orders of convergence."""
+"""Oracles: closed forms (erf, Bessel), adaptive quadrature, all pairs in NumPy, orders of convergence, bounds."""
 
 import math
 
 import numpy as np
 import pytest
-from scipy import integrate, special
-from tests.unit.discrepancy.curves import level, line, ring
+from scipy import integrate, optimize, special
+from tests.unit.discrepancy.curves import graph, level, line, ring
+from tests.unit.discrepancy.surfaces import divided, sheet, sphere, turned
 
 from strandline.discrepancy import Currents
-from strandline.discrepancy.memo import Snapshot
-from strandline.discrepancy.products import kernel_integrals
-from strandline.discrepancy.products.kernel_integrals import refined_product
+from strandline.discrepancy.products import kernel_integrals, surface_integrals
+from strandline.discrepancy.products.kernel_integrals import natural_scale, refined_product
+from strandline.discrepancy.products.surface_integrals import error_bound, triangle_order, triangle_rule
 from strandline.errors import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import Interface, PointErrors, oriented_like
 
 ARC = np.array([[0.02 * i, 0.3 * math.sin(0.08 * i)] for i in range(40)])
 """An open curve of segments about 0.03 mm long."""
+BOTH_RULES = pytest.mark.parametrize("quadrature", ["refined", "centre"])
 
 
-def subdivided(interface: Interface, parts: int, seed: int | None = None) -> Interface:
-    """Return the same open curve with each segment cut into `parts`, equal or at random places."""
-    shares = np.tile(np.arange(parts) / parts, (len(interface.cells), 1))
-    if seed is not None:
-        shares[:, 1:] = np.sort(np.random.default_rng(seed).uniform(0.01, 0.99, shares[:, 1:].shape), axis=1)
-    steps = shares[..., None] * (interface.ends - interface.starts)[:, None]
+def subdivided(interface: Interface, parts: int) -> Interface:
+    """Return the same open curve with each segment cut into equal `parts`."""
+    steps = (np.arange(parts) / parts)[:, None] * (interface.ends - interface.starts)[:, None]
     return Interface.polyline(np.vstack([(interface.starts[:, None] + steps).reshape(-1, 2), interface.ends[-1:]]))
 
 
@@ -34,14 +33,44 @@ def line_product(length: float, gap: float, width: float) -> float:
     return (along - ends) * math.exp(-0.5 * (gap / width) ** 2)
 
 
-def test_parallel_lines_closed_form():
+def square_product(size: float, gap: float, width: float) -> float:
+    """Closed form of ⟨S,T⟩ for two opposite parallel squares: that of two lines, squared."""
+    return line_product(size, 0.0, width) ** 2 * math.exp(-0.5 * (gap / width) ** 2)
+
+
+def circle_product(a: float, b: float, width: float) -> float:
+    scaled = special.ive(1, a * b / width**2) * math.exp(-0.5 * ((a - b) / width) ** 2)
+    return 4 * np.pi**2 * a * b * scaled
+
+
+def sphere_product(a: float, b: float, width: float) -> float:
+    """Closed form for two concentric spheres: 8π²a²b² e^(-(a²+b²)/2σ²) ∫ t exp(abt/σ²) dt over -1 … 1."""
+    k = a * b / width**2
+    scaled = (k * (1 + math.exp(-2 * k)) + math.expm1(-2 * k)) / k**2
+    return 8 * math.pi**2 * a**2 * b**2 * math.exp(-0.5 * ((a - b) / width) ** 2) * scaled
+
+
+def test_parallel_lines_and_squares_closed_form():
     width, gap = 0.005, 0.003
     for ratio, segments in ((0.01, 1), (0.5, 3), (5.99, 1), (6.01, 3), (17.0, 1), (100.0, 3)):
         length = ratio * width * segments
         lower, upper = (level(y, segments + 1, length=length) for y in (0.0, gap))
-        exact = 2 * (line_product(length, 0.0, width) - line_product(length, gap, width))
-        assert Currents(width)(upper, lower) == pytest.approx(exact, abs=1e-6 * line_product(length, 0.0, width))
+        whole = line_product(length, 0.0, width)
+        exact = 2 * (whole - line_product(length, gap, width))
+        assert Currents(width)(upper, lower) == pytest.approx(exact, abs=1e-6 * whole)
         assert Currents(width, tolerance=1e-12)(upper, lower) == pytest.approx(exact, rel=1e-10)
+    for width, nodes, seed in ((0.3, 4, 1), (2.0, 2, None)):
+        lower, upper, whole = sheet(nodes, seed=seed), sheet(3, height=0.5 * width), square_product(1.0, 0.0, width)
+        exact = 2 * (whole - square_product(1.0, 0.5 * width, width))
+        assert Currents(width)(upper, lower) == pytest.approx(exact, abs=1e-6 * whole)
+        assert Currents(width, tolerance=1e-10)(upper, lower) == pytest.approx(exact, rel=1e-8)
+
+
+def test_a_square_much_larger_than_the_kernel():
+    found = Currents(0.05, tolerance=1e-2).inner(sheet(2), sheet(2))
+    assert found == pytest.approx(square_product(1.0, 0.0, 0.05), rel=0.01)
+    assert natural_scale(sheet(2), 0.03) == pytest.approx(2 * math.pi * 0.03**2)
+    assert natural_scale(sheet(2), 10.0) == pytest.approx(1.0)
 
 
 def test_two_segments_one_after_the_other_closed_form():
@@ -53,21 +82,30 @@ def test_two_segments_one_after_the_other_closed_form():
         exact = 0.5 * sum(sign * line_product(x, 0.0, width) for sign, x in zip((1, 1, -1, -1), lengths, strict=True))
         for a, b in ((ahead, behind), (behind, ahead)):
             for tolerance in (1e-4, 1e-10):
-                bound = tolerance * kernel_integrals.natural_scale(a, width)
+                bound = tolerance * natural_scale(a, width)
                 assert refined_product(a, b, width, tolerance=tolerance) == pytest.approx(exact, abs=bound)
 
 
+def errors_of(measure, product, inner, outer, shapes):
+    """Return relative errors of d² of concentric shapes, from coarse to fine ones."""
+    pairs = ((inner, inner), (inner, outer), (outer, outer))
+    exact = np.dot([1, -2, 1], [product(*pair, measure.width) for pair in pairs])
+    return np.abs([measure(shape(inner), shape(outer)) / exact - 1 for shape in shapes])
+
+
 def test_concentric_circles_converge_to_the_bessel_form_with_order_two():
-    inner, outer, width = 0.5, 0.54, 0.1
-
-    def product(a, b):
-        scaled = special.ive(1, a * b / width**2) * math.exp(-0.5 * ((a - b) / width) ** 2)
-        return 4 * np.pi**2 * a * b * scaled
-
-    exact = product(inner, inner) - 2 * product(inner, outer) + product(outer, outer)
-    errors = np.array([abs(Currents(width)(ring(n, inner), ring(n, outer)) - exact) for n in (64, 128, 256)])
-    assert errors[-1] < 1e-3 * exact
+    shapes = [lambda radius, n=n: ring(n, radius) for n in (64, 128, 256)]
+    errors = errors_of(Currents(0.1), circle_product, 0.5, 0.54, shapes)
+    assert errors[-1] < 1e-3
     assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+@BOTH_RULES
+def test_concentric_spheres_converge_to_the_closed_form_with_order_two(quadrature):
+    measure = Currents(0.4, quadrature=quadrature, tolerance=1e-4)
+    errors = errors_of(measure, sphere_product, 1.0, 1.2, [lambda radius, k=k: sphere(radius, k) for k in (2, 3)])
+    assert errors[-1] < 0.05
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
 
 
 @pytest.mark.parametrize("width", [0.1, 0.5, 3.0])
@@ -84,43 +122,41 @@ def test_product_of_two_segments_against_adaptive_quadrature(width):
     assert Currents(width, tolerance=1e-10).inner(first, second) == pytest.approx(exact, abs=1e-8)
 
 
-def test_refined_norm_does_not_depend_on_the_nodes():
-    observed, simulated = Interface.polyline(ARC), Interface.polyline(ARC + np.array([0.0, 0.002]) * ARC[:, :1])
-    for width, parts, seed in ((3e-4, 2, None), (0.005, 7, None), (0.05, 3, 1), (10.0, 3, 1)):
-        measure = Currents(width)
-        other = measure(subdivided(simulated, parts, seed), subdivided(observed, parts + 1))
-        bound = measure.tolerance * measure.inner(observed, observed)
-        assert other == pytest.approx(measure(simulated, observed), abs=bound)
+@pytest.mark.parametrize("width", [0.3, 3.0])
+def test_refined_norm_of_surfaces_does_not_depend_on_the_triangles(width):
+    """One bent sheet with every triangle cut in four, and one flat square with quite other triangles."""
+    measure, bent, flat = Currents(width), sheet(5, bend=0.2), sheet(5, seed=1)
+    assert measure(divided(bent), bent) < measure.tolerance * measure.inner(bent, bent)
+    assert measure(sheet(4, seed=2), flat) < measure.tolerance * measure.inner(flat, flat)
 
 
 def test_centre_rule_is_the_double_sum_of_the_paper_and_converges_to_the_refined_norm():
-    a, b, width = Interface.polyline(ARC), Interface.polyline(ARC[:20] + 0.01), 0.05
-    distances = np.linalg.norm(a.centres[:, None] - b.centres, axis=2)
-    total = (np.exp(-(distances**2) / (2 * width**2)) * (a.normals @ b.normals.T)).sum()
-    assert Currents(width, quadrature="centre").inner(a, b) == pytest.approx(total, rel=1e-13)
-    observed, simulated, width = a, Interface.polyline(ARC * [1.0, 1.05]), 0.03
-    exact, centre = Currents(width, tolerance=1e-12)(simulated, observed), Currents(width, quadrature="centre")
-    errors = np.array([abs(centre(subdivided(simulated, k), subdivided(observed, k)) - exact) for k in (2, 4, 8)])
-    assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
+    arc, bent = Interface.polyline(ARC), sheet(5, bend=0.2, seed=1)
+    for a, b, width in ((arc, Interface.polyline(ARC[:20] + 0.01), 0.05), (bent, sphere(0.5, 1), 0.3)):
+        squares = ((a.centres[:, None] - b.centres) ** 2).sum(axis=2)
+        total = (np.exp(-squares / (2 * width**2)) * (a.normals @ b.normals.T)).sum()
+        assert Currents(width, quadrature="centre").inner(a, b) == pytest.approx(total, rel=1e-13)
+    lines, sheets = [(Interface.polyline(ARC * [1.0, 1.05]), arc)], [(sheet(5, bend=0.22), sheet(5, bend=0.2))]
+    for _ in range(3):
+        lines.append(tuple(subdivided(one, 2) for one in lines[-1]))
+        sheets.append(tuple(map(divided, sheets[-1])))
+    for pairs, width, tolerance, near in ((lines, 0.03, 1e-12, 0.1), (sheets, 0.2, 1e-8, 0.15)):
+        exact, centre = Currents(width, tolerance=tolerance)(*pairs[0]), Currents(width, quadrature="centre")
+        errors = [abs(centre(*pair) - exact) for pair in pairs[1:]]
+        assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=near)
 
 
-def test_distance_to_itself_is_zero_and_never_negative():
-    for measure in (Currents(0.005), Currents(5.0), Currents(0.1, quadrature="centre")):
-        assert measure(Interface.polyline(ARC.copy()), Interface.polyline(ARC)) == 0.0
-        for step in (1e-15, 1e-12, 1e-9):
-            assert measure(Interface.polyline(ARC + step), Interface.polyline(ARC)) >= 0.0
-
-
-def test_tolerance_is_relative_to_the_observed_norm_where_normals_cancel():
-    """A closed curve much smaller than the kernel: ⟨T,T⟩ is a millionth of its naive scale."""
-    small, large, width = ring(24, 0.5), ring(24, 0.51), 300.0
-    coarse, fine = Currents(width, tolerance=1e-2), Currents(width, tolerance=1e-6)
-    assert coarse.inner(small, small) < 1e-5 * kernel_integrals.natural_scale(small, width)
-    assert abs(coarse(large, small) - fine(large, small)) < 1e-2 * fine.inner(small, small)
+@BOTH_RULES
+def test_rigid_motions_and_orientation_of_surfaces(quadrature):
+    measure, a, b = Currents(0.2, quadrature=quadrature), sheet(5, bend=0.2, seed=1), sheet(4, bend=0.25, seed=2)
+    d2, cross = measure(a, b), measure.inner(a, b)
+    assert measure(turned(a, 3), turned(b, 3)) == pytest.approx(d2, rel=1e-6)
+    assert measure.inner(a.reversed(), b) == pytest.approx(-cross, rel=1e-12)
+    assert measure(Interface(a.points.copy(), a.cells), a) <= 1e-12 * cross
 
 
 def test_tolerance_holds_between_two_walls_that_nearly_cancel():
-    """A loop 1e-4 widths high: ⟨T,T⟩ is 1e-8 of its naive scale, and so is the error allowed."""
+    """A loop 1e-4 widths high: ⟨T,T⟩ is 1e-8 of its naive scale, and so is the error allowed. A plate as thin."""
     width, length, height = 1.0, 5.9, 1e-4
     loop = line((0, 0), (length, 0), (length, height), (0, height), closed=True)
     measure, whole = Currents(width, tolerance=0.1), line_product(length, 0.0, width)
@@ -128,6 +164,12 @@ def test_tolerance_holds_between_two_walls_that_nearly_cancel():
     assert measure.inner(loop, loop) == pytest.approx(exact, rel=0.01)
     cross = whole * -math.expm1(-0.5 * (height / width) ** 2)
     assert abs(measure(line((0, 0), (length, 0)), loop) - whole + 2 * cross - exact) < 0.1 * exact
+    gap, lower = 1e-3, sheet(3)
+    points = np.concatenate([lower.points, lower.points + np.array([0.0, 0.0, gap])])
+    plate = Interface(points, np.concatenate([lower.cells[:, ::-1], lower.cells + len(lower.points)]))
+    exact = 2 * (square_product(1.0, 0.0, width) - square_product(1.0, gap, width))
+    assert exact < 1e-6 * natural_scale(plate, width)
+    assert Currents(width, tolerance=1e-4).inner(plate, plate) == pytest.approx(exact, rel=1e-4)
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
@@ -149,6 +191,69 @@ def test_gauss_order_keeps_its_bound_without_waste(tolerance):
         kernel_integrals.gauss_order(500.0, 1e-12)
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
+def test_order_keeps_its_bound_without_waste(tolerance):
+    """Worst case over places of the kernel in and around an equilateral triangle of that radius; fine rule as truth."""
+    angle = np.array([0.5, 7 / 6, 11 / 6]) * np.pi
+    for ratio in (0.125, 1.0, 2.5):
+        corners = ratio * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        places = np.random.default_rng(1).uniform(-2 * ratio, 2 * ratio, (50, 3))
+
+        def mean(order, corners=corners, places=places):
+            shares, weights = triangle_rule(order)
+            r2 = ((shares @ corners - places[:, None]) ** 2).sum(axis=2)
+            return np.exp(-0.5 * r2) @ weights
+
+        order, exact = triangle_order(ratio, tolerance), mean(29)
+        errors = [np.abs(mean(k) - exact).max() for k in range(1, order + 1)]
+        assert all(error <= max(error_bound(k, ratio), 1e-14) for k, error in enumerate(errors, start=1))
+        assert errors[-1] <= tolerance
+        assert order <= 3 or errors[order // 2 - 1] > tolerance
+
+
+def test_the_highest_order_is_tried_and_a_rule_out_of_reach_refused():
+    highest = surface_integrals._HIGHEST
+    assert triangle_order(6.0, error_bound(highest, 6.0)) == highest
+    with pytest.raises(NumericsError, match="larger tolerance"):
+        triangle_order(20.0, 1e-12)
+
+
+def test_rule_integrates_polynomials_up_to_its_degree():
+    for order in (1, 2, 3, 7, 14):
+        shares, weights = triangle_rule(order)
+        assert weights.min() > 0
+        for p, q in ((i, j) for i in range(2 * order) for j in range(2 * order - i)):
+            exact = 2 * math.factorial(p) * math.factorial(q) / math.factorial(p + q + 2)
+            assert weights @ (shares[:, 0] ** p * shares[:, 2] ** q) == pytest.approx(exact, rel=1e-11)
+
+
+def test_divided_triangles_cover_the_whole_once():
+    """Each equal piece holds one point of the centre rule; indicator functions of the pieces count them."""
+    for parts in (1, 2, 5):
+        shares, weights = surface_integrals._divided_rule(parts, 1)
+        assert weights == pytest.approx(np.full(parts**2, 1 / parts**2))
+        assert len(np.unique(np.floor(parts * shares), axis=0)) == parts**2 or parts == 1
+        assert shares.sum(axis=1) == pytest.approx(1.0)
+        assert shares.min() > 0
+
+
+def test_radius_of_the_smallest_disc():
+    for seed in range(3):
+        corners = np.random.default_rng(seed).normal(size=(3, 3)) * [1.0, 0.3, 0.1]
+
+        def reach(share, corners=corners):
+            return np.linalg.norm(corners - np.append(share, 1 - share.sum()) @ corners, axis=1).max()
+
+        options = {"xatol": 1e-8, "fatol": 1e-9, "maxiter": 4000}
+        found = optimize.minimize(reach, np.full(2, 1 / 3), method="Nelder-Mead", options=options).fun
+        assert surface_integrals._enclosing_radii(corners[None]) == pytest.approx([found], rel=1e-5)
+    acute = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, math.sqrt(0.75), 0.0]])
+    obtuse = np.array([[0.0, 0.0, 0.0], [1.9, 0.0, 0.0], [0.95, 0.3, 0.0]])
+    for scale in (1e-3, 1e3):
+        found = surface_integrals._enclosing_radii(scale * np.stack([acute, obtuse]))
+        np.testing.assert_allclose(found, [scale / math.sqrt(3), 0.95 * scale], rtol=1e-12)
+
+
 def test_blocks_of_many_pairs_add_up():
     """The product of more segments than one block holds is the sum of the products of its parts."""
     observed, simulated = (subdivided(Interface.polyline(ARC + shift), 8) for shift in (0.0, 0.004))
@@ -162,62 +267,43 @@ def test_blocks_of_many_pairs_add_up():
 
 
 def test_what_is_kept_of_an_observation_follows_its_content():
-    observed, measure = Interface.polyline(ARC.copy()), Currents(0.02)
-    assert Snapshot.of(observed) == Snapshot.of(Interface.polyline(ARC.copy()))
-    assert hash(Snapshot.of(observed)) == hash(Snapshot.of(Interface.polyline(ARC.copy())))
-    assert Snapshot.of(observed) != Snapshot.of(Interface.polyline(ARC + 1e-12))
-    simulated = Interface.polyline(ARC + 0.01)
+    observed, simulated, measure = Interface.polyline(ARC.copy()), Interface.polyline(ARC + 0.01), Currents(0.02)
     assert measure(simulated, observed) > 0
     observed.points[:] += 0.01
     assert measure(simulated, observed) == 0.0
 
 
-def test_a_flipped_interface_is_refused_and_can_be_turned():
+def test_what_cannot_be_compared_is_refused_and_a_flipped_interface_can_be_turned():
     observed, simulated, measure = Interface.polyline(ARC), Interface.polyline(ARC + 0.01), Currents(0.02)
-    for seen in (observed.reversed(), ring(20, 1.1).reversed()):
+    for one, seen in ((simulated, observed), (ring(20), ring(20, 1.1)), (sheet(5, height=0.01), sheet(5))):
         with pytest.raises(InvalidInterface, match=r"against.*oriented_like"):
-            measure(ring(20) if seen.closed else simulated, seen)
-    turned, flipped = oriented_like(observed.reversed(), simulated)
+            measure(one, seen.reversed())
+    back, flipped = oriented_like(observed.reversed(), simulated)
     assert flipped
-    assert measure(simulated, turned) == pytest.approx(measure(simulated, observed), rel=1e-9)
-
-
-def test_what_cannot_be_compared_is_refused():
-    surface = Interface(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([[0, 1, 2]]))
-    with pytest.raises(InvalidInterface, match="coordinates"):
-        Currents(0.1)(surface, Interface.polyline(ARC))
-    with pytest.raises(InvalidInterface, match="coordinates"):
-        Currents(0.1).inner(Interface.polyline(ARC), surface)
-    for options, name in (
-        ({"width": 0.0}, "width"),
-        ({"width": math.nan}, "width"),
-        ({"width": 1.0, "quadrature": "simpson"}, "quadrature"),
-        ({"width": 1.0, "tolerance": 0.0}, "tolerance"),
-        ({"width": 1.0, "tolerance": 1.0}, "tolerance"),
-    ):
-        with pytest.raises(InvalidInput, match=name):
-            Currents(**options)
+    assert measure(simulated, back) == pytest.approx(measure(simulated, observed), rel=1e-9)
+    for refused in (measure, measure.inner):
+        with pytest.raises(InvalidInterface, match="coordinates"):
+            refused(sheet(2), observed)
+    for options in ({"width": 0.0}, {"quadrature": "simpson"}, {"tolerance": 0.0}, {"tolerance": 1.0}):
+        with pytest.raises(InvalidInput, match=next(iter(options))):
+            Currents(**{"width": 1.0, **options})
 
 
 @pytest.mark.parametrize("variance", [1e-5, 5e-4])
 def test_a_tolerance_that_suits_the_noise_changes_no_likelihood(variance):
     s = np.linspace(0.0, 1.0, 120)
-    seen = Interface.polyline(np.column_stack([s, 0.3 * np.sin(np.pi * s)]))
+    seen = graph(s, 0.3 * np.sin(np.pi * s))
     runs = np.stack([np.column_stack([s, h * np.sin(np.pi * s) ** 2]) for h in np.linspace(0.2, 0.4, 40)])
     exact, template = Currents(0.01), Interface.polyline(runs[0])
     looser = exact.tolerating(variance, seen)
     assert looser.tolerance > exact.tolerance
     difference = looser.many(runs, template, seen) - exact.many(runs, template, seen)
     assert 0 < np.abs(difference).max() / (2 * variance) < 0.01
-
-
-def test_a_tolerance_is_never_smaller_than_the_stated_one():
-    seen = line((0, 0), (1, 0.1), (2, 0))
-    assert Currents(0.1, tolerance=0.01).tolerating(1e-12, seen).tolerance == 0.01
+    assert Currents(0.1, tolerance=0.01).tolerating(1e-12, seen).tolerance == 0.01  # never less than the stated one
     assert Currents(0.1, quadrature="centre").tolerating(1.0, seen) == Currents(0.1, quadrature="centre")
 
 
-def test_noise_variance_of_independent_points() -> None:
+def test_noise_variance_of_independent_points():
     """A slow change of the offsets e moves d² = ∬ e e' q by as much as white noise of density s²h does: s²h ∫q."""
     seen = ring(400)
     spacing = float(seen.lengths.mean())

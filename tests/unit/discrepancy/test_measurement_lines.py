@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import shapely
-from tests.unit.discrepancy.curves import line, ring
+from tests.unit.discrepancy.curves import graph, line, ring
 
 from strandline.discrepancy import MeasurementLines, TrackedPoints
 from strandline.errors import InvalidInput, InvalidInterface
@@ -16,13 +16,7 @@ STRAIGHT = line((0, 0), (1, 0))
 
 def wavy(nodes: int, shift: float, seed: int) -> Interface:
     x = np.linspace(0.0, 2.0, nodes)
-    wiggle = np.random.default_rng(seed).normal(0.0, 0.01, nodes)
-    return Interface.polyline(np.stack([x, shift + 0.3 * np.sin(3 * x) + wiggle], axis=1))
-
-
-def test_parallel_lines_give_n_times_the_gap_squared():
-    observed, simulated = line((0, 0), (1, 0), (3, 0)), line((0, 0.1), (3, 0.1))
-    assert MeasurementLines(7)(simulated, observed) == pytest.approx(7 * 0.1**2, rel=1e-13)
+    return graph(x, shift + 0.3 * np.sin(3 * x) + np.random.default_rng(seed).normal(0.0, 0.01, nodes))
 
 
 def test_lines_stand_at_midpoints_of_equal_shares_with_the_observed_normal_whatever_the_nodes():
@@ -34,12 +28,15 @@ def test_lines_stand_at_midpoints_of_equal_shares_with_the_observed_normal_whate
     assert MeasurementLines(6).place(coarse) == pytest.approx(MeasurementLines(6).place(fine), abs=1e-14)
 
 
-def test_concentric_circles_along_given_radii():
+def test_parallel_lines_and_circles_along_given_radii_have_n_times_the_gap_squared():
+    observed, simulated = line((0, 0), (1, 0), (3, 0)), line((0, 0.1), (3, 0.1))
+    assert MeasurementLines(7)(simulated, observed) == pytest.approx(7 * 0.1**2, rel=1e-13)
     inner, outer = ring(64), ring(64, 1.2)
     nodes = inner.points[[0, 8, 24, 40]]
     radii = MeasurementLines(np.hstack([nodes, 3 * nodes]))
     assert radii(outer, inner) == pytest.approx(4 * 0.2**2, rel=1e-12)
     assert radii.read(inner, outer).distances == pytest.approx([-0.2] * 4)
+    assert (MeasurementLines().terms(STRAIGHT), radii.terms(inner)) == (10, 4)
 
 
 def test_distances_against_shapely():
@@ -61,6 +58,8 @@ def test_given_line_starts_from_the_observed_crossing_nearest_to_its_point():
     near_top = MeasurementLines(((1.0, 0.9, 0.0, -2.0),))
     assert near_top.place(observed)[0] == pytest.approx([1.0, 1.0, 0.0, -1.0])
     assert near_top.read(line((0, 0.8), (2, 0.8)), observed).distances == pytest.approx([0.2])
+    with pytest.raises(InvalidInput, match="line 1 misses the observed"):
+        MeasurementLines(((0.5, 0.0, 0.0, 1.0), (5.0, 0.0, 0.0, 1.0)))(STRAIGHT, STRAIGHT)
 
 
 def test_of_several_crossings_the_nearest_counts_also_at_a_node_and_along_a_segment():
@@ -87,31 +86,23 @@ def test_a_miss_counts_the_reach_without_a_jump():
     assert outside == pytest.approx(inside, rel=1e-7)
 
 
-def test_a_line_that_misses_the_observation_is_refused():
-    with pytest.raises(InvalidInput, match="line 1 misses the observed"):
-        MeasurementLines(((0.5, 0.0, 0.0, 1.0), (5.0, 0.0, 0.0, 1.0)))(STRAIGHT, STRAIGHT)
-
-
-INVALID = [
-    *(({"lines": lines}, "measurement lines") for lines in (0, -3, (), ((0.0, 0.0, 0.0, 0.0),), ((0.0, 0.0, 1.0),))),
-    ({"lines": ((0.0, math.nan, 1.0, 0.0),)}, "measurement lines"),
-    *(({name: value}, name) for name in ("reach", "smooth") for value in (0.0, -1.0, math.inf, math.nan)),
-    ({"lines": ((0.0, 0.0, 0.0, 1.0),), "smooth": 0.1}, "given lines"),
-    ({"trim": 0.5}, "trim"),
-    ({"trim": -0.1}, "trim"),
-    ({"lines": ((0.0, 0.9, 0.0, 1.0),), "trim": 0.1}, "trim"),
-]
-
-
 def test_options_that_cannot_be():
-    for options, said in INVALID:
+    for lines in (0, (), ((0.0, 0.0, 0.0, 0.0),), ((0.0, 0.0, 1.0),), ((0.0, math.nan, 1.0, 0.0),)):
+        with pytest.raises(InvalidInput, match="measurement lines"):
+            MeasurementLines(lines)
+    given = {"lines": ((0.0, 0.9, 0.0, 1.0),)}
+    for options, said in (
+        *(({name: value}, name) for name in ("reach", "smooth") for value in (0.0, math.inf, math.nan)),
+        ({**given, "smooth": 0.1}, "given lines"),
+        *((options, "trim") for options in ({"trim": 0.5}, {"trim": -0.1}, {**given, "trim": 0.1})),
+    ):
         with pytest.raises(InvalidInput, match=said):
             MeasurementLines(**options)
 
 
-def half_circle(nodes: int = 201) -> Interface:
-    angle = np.linspace(0.0, np.pi, nodes)
-    return Interface.polyline(np.stack([-np.cos(angle), np.sin(angle)], axis=1))
+def half_circle() -> Interface:
+    angle = np.linspace(0.0, np.pi, 201)
+    return graph(-np.cos(angle), np.sin(angle))
 
 
 SPACING = float(half_circle().lengths[0])
@@ -136,20 +127,17 @@ def test_directions_of_longer_pieces_are_steady():
 
 
 def test_distances_along_steady_lines_have_the_noise_of_the_points():
-    def mean_square(measure: MeasurementLines) -> float:
-        """Return d² of the true outline over n s², in the mean over noisy observations."""
-        random, true = np.random.default_rng(2), half_circle()
+    """In the mean over noisy observations; planted: lines that turn with the noise."""
+    true = half_circle()
+    for measure, low, high in ((MeasurementLines(20, smooth=0.4), 0.4, 1.2), (MeasurementLines(20), 1.5, np.inf)):
+        random = np.random.default_rng(2)
         squares = [measure(true, ROUGH.draw(true, random)) for _ in range(30)]
-        return float(np.mean(squares)) / (measure.terms(true) * ROUGH.sd**2)
-
-    assert 0.4 < mean_square(MeasurementLines(20, smooth=0.4)) < 1.2
-    assert mean_square(MeasurementLines(20)) > 1.5  # lines that turn with the noise
+        assert low < np.mean(squares) / (measure.terms(true) * ROUGH.sd**2) < high
 
 
 def test_the_ends_of_an_open_outline_can_be_left_out():
     long = line((0, 0), (2, 0))
     np.testing.assert_allclose(MeasurementLines(4, trim=0.1).place(long)[:, 0], [0.4, 0.8, 1.2, 1.6], atol=1e-12)
-    np.testing.assert_allclose(MeasurementLines(4).place(long)[:, 0], [0.25, 0.75, 1.25, 1.75], atol=1e-12)
     circle, errors = ring(400), PointErrors(1e-3, 0.3)
     whole, trimmed = (MeasurementLines(20, smooth=0.1, trim=trim) for trim in (0.0, 0.25))
     np.testing.assert_array_equal(whole.place(circle), trimmed.place(circle))
@@ -182,11 +170,6 @@ def test_curves_and_corners_do_not_scatter():
     assert MeasurementLines().scatter(half_circle()) < 1e-6
     assert MeasurementLines(((0.0, 0.0, 0.0, 1.0),)).scatter(wavy(66, 0.0, 1)) == 0.0
     assert MeasurementLines().scatter(line((0, 0), (1, 0.5), (2, 0))) == 0.0
-
-
-def test_terms():
-    assert MeasurementLines().terms(STRAIGHT) == 10
-    assert MeasurementLines(((0, 0, 0, 1), (1, 0, 0, 1))).terms(STRAIGHT) == 2
 
 
 def test_tracked_points_is_the_sum_of_squared_displacements():

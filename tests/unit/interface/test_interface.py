@@ -1,4 +1,4 @@
-"""Polylines: refusals, geometry in closed form, self-crossings against shapely."""
+"""Polylines and surfaces: refusals, geometry in closed form, orientation, self-crossings against shapely."""
 
 import math
 import re
@@ -7,32 +7,49 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
+from tests.unit.discrepancy.curves import graph, line
+from tests.unit.discrepancy.surfaces import divided, sheet, sphere, turned
 
 from strandline.errors import InvalidInput, InvalidInterface
-from strandline.interface import Interface, Observation, UnknownErrors, is_condition, oriented_like
+from strandline.interface import Interface, Observation, UnknownErrors, is_condition, oriented_like, triangles
 from strandline.interface.interface import _meeting
 
 ZIGZAG = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-TRIANGLE = Interface(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([[0, 1, 2]]))
-
-
-def chain(*points, closed=False):
-    return Interface.polyline(np.array(points, float), closed=closed)
+CORNERS = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 3.0]])
+TRIANGLE = Interface(CORNERS[:3], np.array([[0, 1, 2]]))
 
 
 def test_geometry_in_closed_form():
-    zigzag, square = Interface.polyline(ZIGZAG), Interface.polyline(SQUARE, closed=True)
+    zigzag, square = line(*ZIGZAG), line(*SQUARE, closed=True)
     assert (zigzag.dim, zigzag.closed, square.closed) == (2, False, True)
     assert zigzag.lengths.tolist() == [5.0, 1.0]
     assert zigzag.centres.tolist() == [[1.5, 2.0], [3.0, 4.5]]
     assert zigzag.normals.tolist() == [[-4.0, 3.0], [-1.0, 0.0]]
     assert square.lengths.tolist() == [1.0] * 4
     assert square.normals.sum(axis=0).tolist() == [0.0, 0.0]
-    for one in (square, Interface.polyline(SQUARE)):
+    for one in (square, line(*SQUARE)):
         assert np.array_equal(one.reversed().reversed().points, one.points)
         assert one.reversed().closed == one.closed
     assert np.array_equal(zigzag.reversed().normals, -zigzag.normals[::-1])
+    surface, bent = Interface(CORNERS, np.array([[0, 1, 2], [1, 3, 2]])), sheet(4, bend=0.2)
+    assert (surface.dim, surface.closed) == (3, False)
+    assert surface.sizes.tolist() == surface.areas.tolist() == pytest.approx([4.5, 4.5 * math.sqrt(3)])
+    assert surface.normals.tolist() == [[0.0, 0.0, 4.5], [-4.5, -4.5, -4.5]]
+    assert surface.centres.tolist() == [[1.0, 1.0, 0.0], [1.0, 1.0, 1.0]]
+    assert bent.reversed().normals == pytest.approx(-bent.normals)
+    assert np.array_equal(bent.reversed().reversed().cells, bent.cells)
+
+
+def test_area_and_volume_of_a_sphere_converge_with_order_two_wherever_it_lies():
+    balls = [sphere(2.0, k) for k in (2, 3, 4)]
+    areas = np.array([ball.areas.sum() for ball in balls]) - 16 * math.pi
+    volumes = np.array([triangles.signed_volume(ball.points, ball.cells) for ball in balls]) - 32 / 3 * math.pi
+    for errors in (areas, volumes):
+        assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
+    moved = turned(balls[0], 1)
+    assert moved.areas == pytest.approx(balls[0].areas)
+    assert triangles.signed_volume(moved.points, moved.cells) == pytest.approx(volumes[0] + 32 / 3 * math.pi)
 
 
 def test_names_of_conditions():
@@ -42,28 +59,56 @@ def test_names_of_conditions():
 
 def test_what_is_no_polyline_is_refused():
     for points, closed, found in (
+        (np.zeros((0, 2)), False, "too few points"),
         ([[1.0, 2.0]], False, "too few points"),
-        ([[0.0, 0.0], [math.nan, 1.0]], False, "point 1 of the interface is not finite"),
+        ([[0.0, 0.0], [1.0, math.nan]], False, "point 1 of the interface is not finite"),
         ([[math.inf, 0.0], [0.0, 1.0]], False, "point 0 of the interface is not finite"),
         ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]], False, "segment 1 of the interface has no length"),
         ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], True, "segment 3 of the interface has no length"),
     ):
         with pytest.raises(InvalidInterface, match=found):
-            chain(*points, closed=closed)
-    with pytest.raises(InvalidInterface, match="too few points"):
-        Interface.polyline(np.zeros((0, 2)))
+            Interface.polyline(np.array(points), closed=closed)
     for cells in ([[0, 1], [1, 3]], [[0, 1], [1, -1]], [[0, 1], [2, 1]]):
         with pytest.raises(InvalidInterface, match="nodes of the cells"):
             Interface(ZIGZAG, np.array(cells))
-    for variance in (0.0, -1.0, math.nan, math.inf):
+    for variance in (0.0, math.nan, math.inf):
         with pytest.raises(InvalidInput, match="noise variance"):
-            Observation(Interface.polyline(ZIGZAG), variance)
+            Observation(line(*ZIGZAG), variance)
+
+
+def test_what_is_no_surface_is_refused():
+    straight, pair = np.array([[0, 0, 0], [0.1, 0.3, 0.7], [0.3, 0.9, 2.1], [0, 1, 0]]), [[0, 1, 3], [0, 1, 2]]
+    for points, cells in (
+        (straight, pair),
+        (straight + 50.0, pair),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 1]]),
+    ):
+        with pytest.raises(InvalidInterface, match="triangle 1 of the interface has no area"):
+            Interface(np.array(points, float), np.array(cells))
+    sliver = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1e-9, 0.0]])
+    assert Interface(sliver, np.array([[0, 1, 2]])).areas == pytest.approx([0.5e-9])
+    with pytest.raises(InvalidInterface, match="point 3 of the surface belongs to no triangle"):
+        Interface(CORNERS, np.array([[0, 1, 2]]))
+    for dim, number in ((3, 2), (2, 3), (4, 4)):
+        with pytest.raises(InvalidInterface, match="kind of interface"):
+            Interface(np.eye(4, dim), np.arange(number)[None])
+
+
+def test_a_surface_has_no_segments_and_a_polyline_no_areas():
+    for name in ("starts", "ends", "lengths"):
+        with pytest.raises(InvalidInterface, match="surface, which has areas"):
+            getattr(TRIANGLE, name)
+    with pytest.raises(InvalidInterface, match="polyline, which has lengths"):
+        _ = line(*ZIGZAG).areas
+    with pytest.raises(InvalidInterface, match="orientation"):
+        TRIANGLE.runs_against(line(*ZIGZAG))
 
 
 def test_resampling_is_equally_spaced_on_the_polyline_and_keeps_the_ends():
-    fine = Interface.polyline(ZIGZAG).resampled(7)
+    fine = line(*ZIGZAG).resampled(7)
     assert fine.points == pytest.approx(np.array([[0.6 * k, 0.8 * k] for k in range(6)] + [[3.0, 5.0]]))
-    square = Interface.polyline(SQUARE, closed=True).resampled(8)
+    square = line(*SQUARE, closed=True).resampled(8)
     assert square.closed
     assert square.lengths == pytest.approx([0.5] * 8)
     assert square.points[0].tolist() == [0.0, 0.0]
@@ -71,32 +116,60 @@ def test_resampling_is_equally_spaced_on_the_polyline_and_keeps_the_ends():
 
 def spiral(nodes):
     angle = np.linspace(0.0, 1.9 * np.pi, nodes)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return graph(np.cos(angle), np.sin(angle))
 
 
-@pytest.mark.parametrize("closed", [False, True])
-def test_orientation_is_found_and_repaired(closed):
-    for points in (SQUARE, SQUARE + 50.0, spiral(30), ZIGZAG):
-        reference = Interface.polyline(points, closed=closed)
-        wiggle = 0.02 * np.random.default_rng(1).normal(size=points.shape)
-        observed = Interface.polyline(points + wiggle, closed=closed)
+def dome():
+    ball = sphere(1.0, 2)
+    used, cells = np.unique(ball.cells[ball.centres[:, 2] > 0], return_inverse=True)
+    return Interface(ball.points[used], cells.reshape(-1, 3))
+
+
+POLYLINES = (SQUARE, SQUARE + 50.0, spiral(30).points, ZIGZAG)
+FACING = {
+    "open": [Interface.polyline(points) for points in POLYLINES],
+    "closed": [Interface.polyline(points, closed=True) for points in POLYLINES],
+    "surfaces": [sheet(9, bend=0.3, seed=1), sphere(0.7, 2), dome()],
+}
+
+
+@pytest.mark.parametrize("references", FACING.values(), ids=FACING)
+def test_orientation_is_found_and_repaired(references):
+    """The other one is jittered; a surface has other triangles, too, and is moved by a tenth of its extent."""
+    for reference in references:
+        other, shift, noise = (divided(reference), 0.1, 0.01) if reference.dim == 3 else (reference, 0.0, 0.02)
+        jitter = noise * np.random.default_rng(1).normal(size=other.points.shape)
+        observed = Interface(other.points + shift + jitter, other.cells)
         assert not observed.runs_against(reference)
+        assert not reference.runs_against(observed)
         assert observed.reversed().runs_against(reference)
         kept, flipped = oriented_like(observed, reference)
-        assert kept is observed
-        assert not flipped
-        turned = oriented_like(observed.reversed(), reference)
-        assert turned.flipped
-        assert np.array_equal(turned.interface.points, observed.points)
+        assert (kept is observed, flipped) == (True, False)
+        back = oriented_like(observed.reversed(), reference)
+        assert back.flipped
+        assert np.array_equal(back.interface.points, observed.points)
+        assert np.array_equal(back.interface.cells, observed.cells)
 
 
 def test_orientation_survives_a_chord_that_turns():
     """Nearly closed: the ends move past each other, the chords point opposite ways, the curve runs on as before."""
     wide, narrow = spiral(40), spiral(40)
-    narrow[-1], wide[-1] = [1.02, 0.01], [0.98, -0.01]
-    assert np.dot(wide[-1] - wide[0], narrow[-1] - narrow[0]) < 0
-    assert not Interface.polyline(wide).runs_against(Interface.polyline(narrow))
-    assert Interface.polyline(wide).runs_against(Interface.polyline(narrow).reversed())
+    narrow.points[-1], wide.points[-1] = [1.02, 0.01], [0.98, -0.01]
+    assert np.dot(wide.points[-1] - wide.points[0], narrow.points[-1] - narrow.points[0]) < 0
+    assert not wide.runs_against(narrow)
+    assert wide.runs_against(narrow.reversed())
+
+
+def test_closed_surfaces_are_compared_by_volume_wherever_they_lie():
+    """Two balls far apart: the nearest triangles of each face each other, and yet they are oriented alike."""
+    one = sphere(1.0, 2)
+    other = Interface(one.points + np.array([10.0, 0.0, 0.0]), one.cells)
+    assert not one.runs_against(other)
+    assert one.runs_against(other.reversed())
+    flipped = one.cells.copy()
+    flipped[3] = flipped[3, ::-1]
+    assert one.closed
+    assert not Interface(one.points, flipped).closed
 
 
 CROSSINGS = {
@@ -113,7 +186,6 @@ CROSSINGS = {
     "closed, fold-back at the joint": ([(1, 0), (2, 0), (2, 1), (3, 1), (3, 0)], True, "4 and 0"),
     "bow tie": ([(0, 0), (1, 1), (1, 0), (0, 1)], True, "0 and 2"),
     "square": (SQUARE.tolist(), True, ""),
-    "open square": (SQUARE.tolist(), False, ""),
     "triangle": ([(0, 0), (1, 0), (0, 1)], True, ""),
     "straight": ([(0, 0), (1, 0), (2, 0), (3, 0)], False, ""),
     "hairpin": ([(0, 0), (1, 0), (1, 1e-9), (0, 1e-9)], False, ""),
@@ -134,7 +206,7 @@ def test_self_crossings(angle):
             interface.require_simple()
         assert caught.value.what.endswith(f"segments {segments}")
     with pytest.raises(InvalidInterface, match=r"\(1.5, 0\) mm"):
-        chain((0, 0), (2, 0), (2, 1), (1, -1)).require_simple()
+        line((0, 0), (2, 0), (2, 1), (1, -1)).require_simple()
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -153,38 +225,33 @@ def test_the_first_of_many_crossings_is_named_whatever_the_size_of_the_blocks():
         points = rng.normal(size=(40, 2))
         lines = [shapely.LineString(points[k : k + 2]) for k in range(39)]
         pairs = [(i, j) for i in range(39) for j in range(i + 2, 39) if lines[i].intersects(lines[j])]
-        found = Interface.polyline(points)._first_crossing()
-        assert found is not None
-        assert found[:2] == pairs[0]
+        assert Interface.polyline(points)._first_crossing()[:2] == pairs[0]
         for together in (1, 7, 1 << 18):
             assert sorted(_meeting(points[:-1], points[1:], 1e-15, closed=False, together=together)) == pairs
 
 
-def corners(points):
-    (drawn,) = ElementTree.fromstring(Interface.polyline(np.array(points))._repr_svg_())
-    return np.array(re.findall(r"[\d.]+", drawn.attrib["points"]), float).reshape(-1, 2)
-
-
-def test_an_interface_at_a_prompt_and_in_a_notebook() -> None:
+def test_an_interface_at_a_prompt_and_in_a_notebook():
     """The drawing keeps proportions and has y upwards; a level line has a height; a surface has no drawing."""
-    points = np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 0.25]])
-    assert repr(Interface.polyline(points)) == "<Interface: polyline of 3 points, 2 × 0.5 mm>"
-    got = corners([[1.0, 1.0], [3.0, 1.0], [3.0, 2.0]])
+
+    def corners(*points):
+        (drawn,) = ElementTree.fromstring(line(*points)._repr_svg_())
+        return np.array(re.findall(r"[\d.]+", drawn.attrib["points"]), float).reshape(-1, 2)
+
+    got = corners((1, 1), (3, 1), (3, 2))
     across, up = got[1] - got[0], got[2] - got[1]
     np.testing.assert_allclose(across[0], 2 * -up[1], rtol=1e-3)
     assert across[1] == up[0] == 0.0
-    assert np.isfinite(corners([[0.0, 0.0], [1.0, 0.0]])).all()
+    assert np.isfinite(corners((0, 0), (1, 0))).all()
     assert TRIANGLE._repr_svg_() is None
-    assert repr(TRIANGLE) == "<Interface: surface of 3 points, 1 × 1 × 0 mm>"
+    assert repr(TRIANGLE) == "<Interface: surface of 3 points, 3 × 3 × 0 mm>"
 
 
-def test_unknown_errors_are_not_inferred_on_a_surface() -> None:
-    for noise, said, remedy in (
-        (UnknownErrors(), "got unknown", "State them"),
-        (UnknownErrors(0.003, None, model_error=True), "got unknown", "State them"),
-        (UnknownErrors(0.003, 0.015, model_error=True), "got a model error", "Remove `model_error` and `spread`."),
-        (UnknownErrors(0.003, 0.015, spread=(0,)), "got a spread", "Remove `model_error` and `spread`."),
+def test_unknown_errors_are_not_inferred_on_a_surface():
+    for noise, said in (
+        (UnknownErrors(), r"got unknown(.|\n)*State them"),
+        (UnknownErrors(0.003, None, model_error=True), r"got unknown(.|\n)*State them"),
+        (UnknownErrors(0.003, 0.015, model_error=True), r"got a model error(.|\n)*Remove `model_error` and `spread`."),
+        (UnknownErrors(0.003, 0.015, spread=(0,)), r"got a spread(.|\n)*Remove `model_error` and `spread`."),
     ):
-        with pytest.raises(InvalidInput, match=said) as caught:
+        with pytest.raises(InvalidInput, match=said):
             noise.require_fits(TRIANGLE)
-        assert remedy in str(caught.value)

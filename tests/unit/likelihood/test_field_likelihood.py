@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.unit.discrepancy.curves import graph
 from tests.unit.likelihood.near_arches import widened
 
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset, TrackedPoints
@@ -43,7 +44,7 @@ def with_tail(found: FieldLikelihood, size: float) -> FieldLikelihood:
     return replace(found, surrogate=replace(found.surrogate, modes=replace(modes, tail=size * rest)))
 
 
-def test_plug_in_is_the_measure_on_the_predicted_interface() -> None:
+def test_plug_in_is_the_measure_on_the_predicted_interface():
     found = likelihood(ClosestPoint())
     for x, value in zip(AT, found.plug_in(AT), strict=True):
         predicted = found.surrogate.interfaces(x)
@@ -57,7 +58,7 @@ def test_plug_in_is_the_measure_on_the_predicted_interface() -> None:
         np.testing.assert_allclose([function(x[None])[0] for x in AT], function(AT), rtol=1e-8, atol=1e-10)
 
 
-def brute_force(found: FieldLikelihood, number: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
+def by_draws(found: FieldLikelihood, number: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
     """Return log E[L] by independent draws of all modes and of what they leave, and its standard errors."""
     rng, surrogate = np.random.default_rng(1), found.surrogate
     values, errors = [], []
@@ -74,10 +75,10 @@ def brute_force(found: FieldLikelihood, number: int = 20_000) -> tuple[np.ndarra
 
 
 @pytest.mark.parametrize("tail", [0.0, 0.005])
-def test_expected_is_the_mean_over_all_fields(tail: float) -> None:
+def test_expected_is_the_mean_over_all_fields(tail: float):
     """Sixteen fields for twenty thousand. Planted: variances of a quarter show."""
     found = with_tail(widened(likelihood(), WIDE), tail)
-    exact, errors = brute_force(found)
+    exact, errors = by_draws(found)
     assert errors.max() < 0.04
     plug_in, expected = found.plug_in(AT), found.expected(AT)
     assert np.abs(exact - plug_in).max() > 0.3
@@ -85,7 +86,7 @@ def test_expected_is_the_mean_over_all_fields(tail: float) -> None:
     assert np.abs(exact - with_tail(widened(likelihood(), WIDE / 4), tail).expected(AT)).max() > 0.3
 
 
-def test_left_out_is_predicted_from_the_others() -> None:
+def test_left_out_is_predicted_from_the_others():
     """At the runs themselves the field is known; a run that is left out is a worse place."""
     found, true = likelihood(), []
     for E in RUNS[:, 0]:
@@ -96,7 +97,7 @@ def test_left_out_is_predicted_from_the_others() -> None:
     np.testing.assert_array_equal(found.left_out(np.array([4, 1])).log_expected, left_out[[4, 1]])
 
 
-def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields() -> None:
+def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields():
     """It is that of 4000 fields drawn at each point, and at least twice as large at a run that is left out."""
     found, x = likelihood(), np.array([[335.0], [402.0]])
     predicted = found.surrogate.predict(x)
@@ -107,39 +108,33 @@ def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields() -> None
     assert (found.variances(RUNS) < 0.5 * found.left_out(np.arange(6)).variances).all()
 
 
-LINE = Interface.polyline(np.stack([np.linspace(0, 2, 21), np.zeros(21)], axis=1))
+def test_the_noise_length_of_tracked_points_and_of_currents():
+    """A shift δ of n nodes has d² = n δ², so that d² = σ_N² at δ = σ_N/√n; it is half the extent at most.
+
+    Currents: across, d² = 2·width·√(2π)·length·(1 - exp(-δ²/2 width²)) but for the ends; along, larger: ends only.
+    """
+    line, width, noise = graph(np.linspace(0.0, 2.0, 21), 0.0), 0.05, 0.0002
+    assert noise_length(Observation(line, 0.01**2), TrackedPoints()) == pytest.approx(0.01 / np.sqrt(21), rel=1e-5)
+    assert noise_length(Observation(line, 1e6), TrackedPoints()) == pytest.approx(1.0)
+    upright = Interface(line.points[:, ::-1].copy(), line.cells)
+    across = width * np.sqrt(-2 * np.log(1 - noise / (2 * width * np.sqrt(2 * np.pi) * 2)))
+    assert across < noise_length(Observation(upright, noise), Currents(width)) < 10 * across
 
 
-def test_the_noise_length_of_tracked_points() -> None:
-    """A shift δ of n nodes has d² = n δ², so that d² = σ_N² at δ = σ_N/√n; it is half the extent at most."""
-    assert noise_length(Observation(LINE, 0.01**2), TrackedPoints()) == pytest.approx(0.01 / np.sqrt(21), rel=1e-5)
-    assert noise_length(Observation(LINE, 1e6), TrackedPoints()) == pytest.approx(1.0)
-
-
-def test_the_noise_length_is_that_of_the_local_noise_however_small() -> None:
+def test_the_noise_length_is_that_of_the_local_noise_however_small():
     """A stated shift leaves the shape as well known; 1e-9 mm is far below the first shift that is tried."""
     angle = np.linspace(0.0, np.pi, 41)
-    arc = Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1))
     small, shifted, large = (
-        noise_length(Observation(arc, errors), NormalOffset())
+        noise_length(Observation(graph(np.cos(angle), np.sin(angle)), errors), NormalOffset())
         for errors in (PointErrors(1e-9), PointErrors(1e-9, shift=0.1), PointErrors(1e-3, shift=0.1))
     )
     assert small == shifted == pytest.approx(1e-6 * large, rel=0.01)
 
 
-def test_many_points_of_a_rough_outline_have_the_noise_length_of_few() -> None:
+def test_many_points_of_a_rough_outline_have_the_noise_length_of_few():
     """Neighbouring points err together, so more of them tell no more; means stand for them, in double precision."""
     angle = np.linspace(-2.6, 2.6, 1500)
     radius = 1.35 + 1.3e-3 * np.sin(150 * angle)
-    arc = np.stack([radius * np.sin(angle), -radius * np.cos(angle)], axis=1)
-    few, many = (Observation(Interface.polyline(arc[::k]), PointErrors(1.3e-3, 0.039)) for k in (3, 1))
-    assert noise_length(many, NormalOffset()) == pytest.approx(noise_length(few, NormalOffset()), rel=0.1)
-
-
-def test_the_noise_length_of_currents() -> None:
-    """Across, d² = 2·width·√(2π)·length·(1 - exp(-δ²/2 width²)) but for the ends; along, it is larger: ends only."""
-    width, noise = 0.05, 0.0002
-    along = Interface.polyline(np.stack([np.zeros(21), np.linspace(0, 2, 21)], axis=1))
-    found = noise_length(Observation(along, noise), Currents(width))
-    across = width * np.sqrt(-2 * np.log(1 - noise / (2 * width * np.sqrt(2 * np.pi) * 2)))
-    assert across < found < 10 * across
+    arc, errors = graph(radius * np.sin(angle), -radius * np.cos(angle)).points, PointErrors(1.3e-3, 0.039)
+    few, many = (noise_length(Observation(Interface.polyline(arc[::k]), errors), NormalOffset()) for k in (3, 1))
+    assert many == pytest.approx(few, rel=0.1)

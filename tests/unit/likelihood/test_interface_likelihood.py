@@ -1,109 +1,240 @@
-"""The likelihood adds conditions and reports the constant it leaves out."""
+"""The likelihood of interfaces: conditions add up; stated errors of points against dense Gaussian densities."""
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.optimize import minimize
+from tests.unit.discrepancy.curves import arch, level
 
-from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints
-from strandline.errors import InvalidInput, NumericsError
-from strandline.interface import Interface, Observation, UnknownErrors
-from strandline.likelihood import InterfaceLikelihood
+from strandline.discrepancy import (
+    ClosestPoint,
+    Currents,
+    MeasurementLines,
+    NormalOffset,
+    TrackedPoints,
+    signed_distances,
+)
+from strandline.errors import InvalidInput, InvalidInterface, NumericsError
+from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
+from strandline.likelihood import InterfaceLikelihood, compared
+from strandline.likelihood.joint_errors import JointErrors
+from strandline.likelihood.registered import Registered
+from strandline.likelihood.shared_errors import shared_errors
+
+SMALL = PointErrors(3e-6, 0.02, shift=1e-5, rotation=5e-4, scale=5e-6, offset=2e-6)
+"""So small that the residuals are linear in the global errors."""
+ERRORS = PointErrors(0.003, 0.02, shift=0.01, rotation=0.5, scale=0.005, offset=0.002)
+TO_SIMULATED = ClosestPoint(direction="to_simulated")
+HEIGHTS = {"low": 0.2, "high": 0.35}
 
 
-def level(y: float) -> Interface:
-    return Interface.polyline(np.array([[0.0, y], [0.5, y], [1.0, y]]))
+def flat(y: float) -> Interface:
+    return level(y, 3)
 
 
-def test_one_condition() -> None:
-    likelihood = InterfaceLikelihood((Observation(level(0.0), 0.01),), TrackedPoints())
-    assert likelihood(level(0.2)) == pytest.approx(-0.5 * 3 * 0.2**2 / 0.01)
-    assert likelihood({"": level(0.2)}) == likelihood(level(0.2))
-    assert likelihood.discrepancies(level(0.2)) == pytest.approx([3 * 0.2**2])
-    assert likelihood.unit == "mm²"
-
-
-def test_conditions_add_each_with_its_own_variance() -> None:
-    observations = (Observation(level(0.0), 0.01, "slow"), Observation(level(1.0), 0.04, "fast"))
+def test_conditions_add_each_with_its_own_variance():
+    observations = (Observation(flat(0.0), 0.01, "slow"), Observation(flat(1.0), 0.04, "fast"))
     likelihood = InterfaceLikelihood(observations, TrackedPoints())
-    for simulated in (
-        {"slow": level(0.1), "fast": level(0.8)},
-        {"fast": level(0.8), "unobserved": level(9.0), "slow": level(0.1)},
-    ):
-        assert likelihood.discrepancies(simulated) == pytest.approx([0.03, 0.12])
-        assert likelihood(simulated) == pytest.approx(-0.5 * (0.03 / 0.01 + 0.12 / 0.04))
+    simulated = {"fast": flat(0.8), "unobserved": flat(9.0), "slow": flat(0.1)}
+    assert likelihood.discrepancies(simulated) == pytest.approx([0.03, 0.12])
+    assert likelihood(simulated) == pytest.approx(-0.5 * (0.03 / 0.01 + 0.12 / 0.04))
     assert likelihood.conditions == ("slow", "fast")
     assert likelihood.independent_terms == 12  # two coordinates of three points, twice
-    for measure in (ClosestPoint(), Currents(0.1), MeasurementLines(4, reach=9.0)):
-        simulated = {"slow": level(0.1), "fast": level(0.8)}
-        alone = [InterfaceLikelihood((o,), measure)(simulated) for o in observations]
-        assert InterfaceLikelihood(observations, measure)(simulated) == pytest.approx(sum(alone))
+    assert likelihood.unit == "mm²"
+    alone = InterfaceLikelihood(observations[:1], TrackedPoints())
+    assert alone({"slow": flat(0.2)}) == alone(flat(0.2)) == pytest.approx(-0.5 * 3 * 0.2**2 / 0.01)
 
 
-def test_with_its_constant_it_is_the_gaussian_density_of_tracked_points() -> None:
+def test_with_its_constant_it_is_the_gaussian_density_of_tracked_points():
     rng = np.random.default_rng(0)
-    observed = [rng.normal(size=(5, 2)), rng.normal(size=(4, 2))]
-    simulated = [p + 0.1 * rng.normal(size=p.shape) for p in observed]
-    given = list(zip("ab", observed, simulated, (0.02, 0.05), strict=True))
-    likelihood = InterfaceLikelihood(
-        tuple(Observation(Interface.polyline(o), v, name) for name, o, _, v in given), TrackedPoints()
-    )
-    exact = sum(stats.norm.logpdf(o, s, math.sqrt(v)).sum() for _, o, s, v in given)
-    assert likelihood.constant is not None
-    interfaces = {name: Interface.polyline(s) for name, _, s, _ in given}
-    assert likelihood(interfaces) + likelihood.constant == pytest.approx(exact)
+    observed = {"a": rng.normal(size=(5, 2)), "b": rng.normal(size=(4, 2))}
+    simulated = {name: p + 0.1 * rng.normal(size=p.shape) for name, p in observed.items()}
+    seen = [Observation(Interface.polyline(o), 0.02, name) for name, o in observed.items()]
+    likelihood = InterfaceLikelihood(tuple(seen), TrackedPoints())
+    exact = sum(stats.norm.logpdf(o, simulated[name], math.sqrt(0.02)).sum() for name, o in observed.items())
+    found = likelihood({name: Interface.polyline(s) for name, s in simulated.items()})
+    assert found + likelihood.constant == pytest.approx(exact)
 
 
-def test_the_constant_counts_lines_or_points_and_is_none_where_there_is_no_count() -> None:
-    observation = (Observation(level(0.0), 0.01),)
+def test_the_constant_counts_lines_or_points_and_is_none_where_there_is_no_count():
+    observation = (Observation(flat(0.0), 0.01),)
     lines = InterfaceLikelihood(observation, MeasurementLines(4))
     assert lines.constant == pytest.approx(-0.5 * 4 * math.log(2 * math.pi * 0.01))
     for measure in (Currents(0.1), ClosestPoint(), lambda simulated, observed: 0.0):
         assert InterfaceLikelihood(observation, measure).constant is None
         assert InterfaceLikelihood(observation, measure).independent_terms is None
-    seen = tuple(Observation(level(y), UnknownErrors(), name) for y, name in ((0.0, "slow"), (1.0, "fast")))
+    seen = tuple(Observation(flat(y), UnknownErrors(), name) for y, name in ((0.0, "slow"), (1.0, "fast")))
     assert InterfaceLikelihood(seen, NormalOffset()).constant == pytest.approx(6 * stats.norm.logpdf(0.0))
 
 
-def test_a_plain_function_is_a_discrepancy_of_the_simulated_and_the_observed_interface() -> None:
-    seen = []
+def test_a_plain_function_is_a_discrepancy_of_the_simulated_and_the_observed_interface():
+    def measure(simulated, observed):
+        return 10 * simulated.points[0, 1] + observed.points[0, 1]
 
-    def measure(simulated: Interface, observed: Interface) -> float:
-        seen.append((simulated.points[0, 1], observed.points[0, 1]))
-        return 8.0
-
-    likelihood = InterfaceLikelihood((Observation(level(3.0), 2.0),), measure)
-    assert likelihood(level(4.0)) == -2.0
+    likelihood = InterfaceLikelihood((Observation(flat(3.0), 2.0),), measure)
+    assert likelihood(flat(4.0)) == -0.5 * 43.0 / 2.0
     assert likelihood.unit == ""
-    assert seen == [(4.0, 3.0)]
 
 
-def test_observations_that_do_not_fit_are_refused() -> None:
-    plain, slow, fast = (Observation(level(0.0), 1.0, name) for name in ("", "slow", "fast"))
-    rows: list[tuple[tuple[Observation, ...], Interface | Mapping[str, Interface], str]] = [
-        ((slow, fast), {"slow": level(0.0)}, r"lack condition 'fast'.*got condition 'slow'; expected at least"),
-        ((slow, fast), level(0.0), "lack condition 'slow', condition 'fast'"),
-        ((plain,), {"slow": level(0.0)}, "lack a condition without a name"),
-        ((plain, plain), level(0.0), "2 observations of a condition without a name"),
-        ((), level(0.0), "observations"),
-    ]
-    for observations, simulated, said in rows:
+def test_observations_that_do_not_fit_are_refused():
+    plain, slow, fast = (Observation(flat(0.0), 1.0, name) for name in ("", "slow", "fast"))
+    for observations, simulated, said in (
+        ((slow, fast), {"slow": flat(0.0)}, r"lack condition 'fast'.*got condition 'slow'; expected at least"),
+        ((slow, fast), flat(0.0), "lack condition 'slow', condition 'fast'"),
+        ((plain,), {"slow": flat(0.0)}, "lack a condition without a name"),
+        ((plain, plain), flat(0.0), "2 observations of a condition without a name"),
+        ((), flat(0.0), "observations"),
+    ):
         with pytest.raises(InvalidInput, match=said):
             InterfaceLikelihood(observations, TrackedPoints())(simulated)
 
 
-def test_a_measure_that_returns_no_squared_distance_is_told() -> None:
-    rows: list[tuple[Callable[..., Any], type[Exception], str]] = [
+def test_a_measure_that_returns_no_squared_distance_is_told():
+    for measure, error, said in (
         (lambda simulated, observed: math.nan, NumericsError, "day 3"),
         (lambda simulated, observed: math.inf, NumericsError, "day 3"),
         (lambda simulated, observed: -1.0, NumericsError, "day 3"),
         (lambda simulated, observed: None, InvalidInput, "TypeError: float.*NoneType.*; expected d², one number"),
         (lambda simulated, observed: simulated.points, InvalidInput, "got a ndarray; expected d², one number"),
         (lambda simulated, observed: {}["area"], InvalidInput, "KeyError: 'area'; expected d², one number"),
-    ]
-    for measure, error, said in rows:
+    ):
         with pytest.raises(error, match=said):
-            InterfaceLikelihood((Observation(level(0.0), 1.0, "day 3"),), measure)({"day 3": level(0.1)})
+            InterfaceLikelihood((Observation(flat(0.0), 1.0, "day 3"),), measure)({"day 3": flat(0.1)})
+
+
+def drawn(height: float, errors: PointErrors, seed: int, nodes: int = 90) -> Interface:
+    """Return an outline without its ends, which could slide over those of the simulated one."""
+    whole = Interface.polyline(arch(height, nodes).points[nodes // 18 : -(nodes // 18)])
+    return errors.draw(whole, np.random.default_rng(seed))
+
+
+def dense(observations: list[Observation]) -> np.ndarray:
+    """Return the covariance of all residuals, one observation after the other, without Woodbury's identity."""
+    middle = np.concatenate([o.interface.points for o in observations]).mean(axis=0)
+    size = sum(len(o.interface.points) for o in observations)
+    C, shared, first = np.zeros((size, size)), [], 0
+    for o in observations:
+        e, n = o.noise, len(o.interface.points)
+        own = PointErrors(e.sd, e.length, offset=e.offset).model(o.interface)
+        C[first : first + n, first : first + n] = np.diag(own.local) + own.shared @ own.shared.T
+        rest = PointErrors(e.sd, e.length, e.shift, e.rotation, e.scale)
+        shared.append(rest.model(o.interface, middle=middle).shared)
+        first += n
+    B = np.concatenate(shared)
+    return C + B @ B.T
+
+
+def test_with_its_constant_the_likelihood_is_the_density_of_the_residuals():
+    """Of one observation, and of two by a camera that stays where it is: they share their errors."""
+    shared, local = replace(SMALL, shared=True), SMALL.local_part
+    one = [Observation(drawn(0.3, SMALL, 1), SMALL)]
+    two = [Observation(drawn(height, local, k), shared, name) for k, (name, height) in enumerate(HEIGHTS.items())]
+    for seen, heights in ((one, {"": 0.3}), (two, HEIGHTS)):
+        likelihood = InterfaceLikelihood(tuple(seen), NormalOffset())
+        simulated = {name: arch(1.00001 * height, 90) for name, height in heights.items()}
+        residuals = np.concatenate([signed_distances(o.interface.points, simulated[o.condition]) for o in seen])
+        expected = stats.multivariate_normal(np.zeros(len(residuals)), dense(seen)).logpdf(residuals)
+        assert likelihood(simulated) + likelihood.constant == pytest.approx(expected, abs=0.05)
+        assert likelihood.unit == "1"
+
+
+def test_many_together_are_as_one_by_one():
+    errors, shapes = replace(ERRORS, shared=True), np.random.default_rng(2).normal(1.0, 0.02, size=12)
+    seen = [Observation(drawn(height, ERRORS, k), errors, name) for k, (name, height) in enumerate(HEIGHTS.items())]
+    both = shared_errors(seen, NormalOffset())
+    points = {name: np.stack([arch(height * f).points for f in shapes]) for name, height in HEIGHTS.items()}
+    templates = {name: arch(height) for name, height in HEIGHTS.items()}
+    each = [both.square({name: arch(height * f) for name, height in HEIGHTS.items()}) for f in shapes]
+    np.testing.assert_allclose(both.many(points, templates), each, rtol=1e-9)
+    one = compared(Observation(drawn(0.3, ERRORS, 4), ERRORS), TO_SIMULATED, 61)
+    assert isinstance(one.measure, Registered)
+    rows = np.stack([arch(height).points for height in np.linspace(0.28, 0.32, 6)])
+    each = [one.measure(Interface(row, arch().cells), one.observation.interface) for row in rows]
+    np.testing.assert_allclose(one.measure.many(rows, arch(), one.observation.interface), each, rtol=1e-9)
+
+
+def test_other_observations_are_compared_one_by_one():
+    for noises in (
+        (ERRORS, ERRORS),
+        (GaussianNoise(1e-4), GaussianNoise(1e-4)),
+        (PointErrors(0.003, shift=0.01, shared=True), PointErrors(0.003, shift=0.02, shared=True)),
+    ):
+        seen = [Observation(arch(h), noise, name) for noise, (name, h) in zip(noises, HEIGHTS.items(), strict=True)]
+        assert shared_errors(seen, NormalOffset()) is shared_errors(seen[:1], NormalOffset()) is None
+
+
+def test_each_measure_gets_its_own_variance():
+    """Lines also take steady directions where the points have errors, unless the user chose them."""
+    errors, noisy, seen = PointErrors(0.003, 0.02), PointErrors(0.004), arch(0.3, 200)
+    one = compared(Observation(arch(), errors), TO_SIMULATED, 61)
+    assert one.noise == GaussianNoise(TO_SIMULATED.noise_variance(errors, arch()))
+    assert compared(Observation(arch(), 1e-4), TrackedPoints(), 61).noise == GaussianNoise(1e-4)
+    one = compared(Observation(noisy.draw(seen, np.random.default_rng(5)), noisy), MeasurementLines(20), 61)
+    assert one.measure == MeasurementLines(20, smooth=20 * 0.004, trim=0.05)
+    assert 0.5 * noisy.sd**2 < one.noise.scale < noisy.sd**2
+    chosen = MeasurementLines(20, smooth=0.05, trim=0.1)
+    assert compared(Observation(seen, noisy), chosen, 61).measure == chosen
+    assert compared(Observation(seen, 1e-4), MeasurementLines(20), 61).measure == MeasurementLines(20)
+
+
+def test_global_errors_of_any_measure_are_integrated_out():
+    """Against the measure whose residuals are those of the points, which needs no differences; ends are not seen."""
+    errors = PointErrors(0.003, 0.0, shift=0.004, rotation=0.3, scale=0.003, offset=0.002)
+    part = Interface.polyline(arch(0.3, 90).points[8:-8])
+    seen = (Observation(errors.draw(part, np.random.default_rng(3)), errors),)
+    both = InterfaceLikelihood(seen, TO_SIMULATED), InterfaceLikelihood(seen, NormalOffset())
+    found, expected = (np.array([one(arch(h)) for h in (0.296, 0.3, 0.303)]) for one in both)
+    np.testing.assert_allclose(found - found[1], expected - expected[1], atol=0.15)
+
+
+@pytest.mark.parametrize("measure", [MeasurementLines(30), Currents(0.1)])
+def test_global_errors_are_followed_to_the_most_probable_ones(measure):
+    """Against a minimisation over the five of them that needs no derivatives; outlines far away do not look near."""
+    seen = Observation(drawn(0.3, ERRORS, 6, 45), ERRORS)
+    one, simulated = compared(seen, measure, 31), arch(0.31, 31)
+    assert isinstance(one.measure, Registered)
+    nodes, middle = simulated.points[None], seen.interface.points.mean(axis=0)
+
+    def f(g):
+        moved = Interface(ERRORS.followed(nodes, simulated, g[None], middle=middle)[0], simulated.cells)
+        return one.measure.measure(moved, seen.interface) / one.measure.variance + float(g @ g)
+
+    least = minimize(f, np.zeros(5), method="Powell", options={"xtol": 3e-2, "ftol": 1e-4}).fun
+    assert one.measure(simulated, seen.interface) == pytest.approx(least, abs=0.2 + 0.01 * least)
+    if isinstance(measure, MeasurementLines):
+        values = [one.measure(arch(height, 31), one.observation.interface) for height in (0.05, 0.1, 0.15, 0.2, 0.5)]
+        assert min(values) > 0.99 * values[3] > 500
+
+
+def test_each_of_several_observations_takes_its_own_part_of_all_global_errors():
+    """Two shifts and a rotation of the first observation, two shifts of the second, in standard deviations."""
+    errors = PointErrors(0.001, 0.01, shift=0.01, rotation=2.0), PointErrors(0.001, 0.01, shift=0.02)
+    by, parts = np.array([0.3, -0.2, 0.5, -0.7, 0.4]), (slice(0, 3), slice(3, 5))
+    seen = Observation(arch(0.2), errors[0], "slow"), Observation(arch(0.4), errors[1], "fast")
+    joint, templates = JointErrors(seen, errors), {"slow": arch(0.25), "fast": arch(0.35)}
+    assert joint.sizes(by) == tuple(one.sizes(by[part], 2) for one, part in zip(errors, parts, strict=True))
+    points = {name: one.points[None] for name, one in templates.items()}
+    found = joint.followed(points, templates, by[None])
+    for o, one, part in zip(seen, errors, parts, strict=True):
+        middle = o.interface.points.mean(axis=0)
+        alone = one.followed(points[o.condition], templates[o.condition], by[None, part], middle=middle)
+        np.testing.assert_array_equal(found[o.condition], alone)
+    assert np.linalg.norm(found["fast"] - points["fast"], axis=2) == pytest.approx(0.02 * np.hypot(0.7, 0.4))
+
+
+def test_what_cannot_be_compared_is_refused():
+    """A correlation longer than half the interface; interfaces in opposite directions, unless no error is global."""
+    for measure in (NormalOffset(), ClosestPoint()):
+        with pytest.raises(InvalidInput, match="half the length"):
+            InterfaceLikelihood((Observation(arch(), PointErrors(0.003, 5.0)),), measure)(arch(0.31))
+    seen, shared = drawn(0.3, ERRORS, 4), PointErrors(0.003, shift=0.01, shared=True)
+    with pytest.raises(InvalidInterface, match="opposite sides"):
+        InterfaceLikelihood((Observation(seen, ERRORS),), NormalOffset())(arch().reversed())
+    both = shared_errors([Observation(seen, shared, name) for name in "ab"], NormalOffset())
+    with pytest.raises(InvalidInterface, match="opposite sides"):
+        both.square({"a": arch(), "b": arch().reversed()})
+    alone = InterfaceLikelihood((Observation(seen, PointErrors(0.003)),), NormalOffset())
+    assert alone(arch(0.31)) == pytest.approx(alone(arch(0.31).reversed()))

@@ -1,10 +1,13 @@
-"""Residuals near the best fit as polynomials of the field, and the likelihoods that follow from them."""
+"""Residuals near the best fit as polynomials of the field, and means of likelihoods over fields that follow."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
 from tests.unit.calibration.arches import SD, SPACE, TRUTH, arch
+from tests.unit.discrepancy.curves import graph
 from tests.unit.likelihood.near_arches import ALL, GLOBAL, LOCAL, around, by, joint, likelihood, near, widened
 
 from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, signed_distances
@@ -14,30 +17,33 @@ from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.near_field import BENT, TRUSTED, near_field
 from strandline.likelihood.nearby import OfStatedErrors, _ByOffsets
+from strandline.likelihood.parabolas import FittedParabola, Parabolas, log_gain, mean_of_draws, numbers
 from strandline.likelihood.residuals import residuals_of
+from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
 WIDENING = {LOCAL: 1e7, GLOBAL: 1e8}
 """Makes the variance of the field count for as much as the noise."""
 
 
+def of_points(errors: PointErrors, seen: Interface) -> JointErrors:
+    return JointErrors((Observation(seen, errors),), (errors,))
+
+
+def residuals_at(errors: JointErrors, surrogate: FieldSurrogate, *fields: np.ndarray) -> np.ndarray:
+    """Return the residuals of these coefficients of modes, and of what the modes leave."""
+    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
+    return residuals_of(errors, surrogate.points(*fields), templates)
+
+
 @pytest.mark.parametrize("errors", ALL)
-def test_slopes_and_sums_are_those_of_the_residuals(errors: PointErrors) -> None:
+def test_slopes_and_sums_are_those_of_the_residuals(errors):
     """Slopes at smooth observed points: elsewhere the registration itself depends a little on the field."""
-    smooth, surrogate = JointErrors((Observation(arch(TRUTH), errors),), (errors,)), likelihood(errors).surrogate
-    found, size = near_field(surrogate, smooth, near(errors).at), 1e-3
-
-    def exact(coefficients: np.ndarray) -> np.ndarray:
-        templates = {name: layout.template for name, layout in surrogate.layouts.items()}
-        return residuals_of(smooth, surrogate.points(coefficients), templates)
-
-    steps = np.concatenate([size * np.eye(len(found.at)), -size * np.eye(len(found.at))])
-    moved = exact(found.at + steps)
-    differences = (moved[: len(found.at)] - moved[len(found.at) :]) / (2 * size)
+    smooth, surrogate, field = of_points(errors, arch(TRUTH)), likelihood(errors).surrogate, near(errors)
+    found, step = near_field(surrogate, smooth, field.at), 1e-3 * np.eye(len(field.at))
+    ahead, back = (residuals_at(smooth, surrogate, found.at + sign * step) for sign in (1, -1))
     tolerance = 0.05 if errors is GLOBAL else 1e-3
-    np.testing.assert_allclose(found.slopes.T, differences, atol=tolerance * np.abs(found.slopes).max())
-    np.testing.assert_allclose(found.residuals, exact(found.at[None])[0], atol=0.02 * SD)
-
-    field = near(errors)
+    np.testing.assert_allclose(found.slopes.T, (ahead - back) / 2e-3, atol=tolerance * np.abs(found.slopes).max())
+    np.testing.assert_allclose(found.residuals, residuals_at(smooth, surrogate, found.at[None])[0], atol=0.02 * SD)
     z = 1e-5 * np.random.default_rng(4).standard_normal((5, len(field.at)))
     pairs = np.array([[a * b for k, a in enumerate(row) for b in row[k:]] for row in z])
     r = field.residuals + z @ field.slopes.T + pairs @ field.bends.T
@@ -47,33 +53,25 @@ def test_slopes_and_sums_are_those_of_the_residuals(errors: PointErrors) -> None
     np.testing.assert_allclose(products, r @ field.model.features, rtol=1e-9, atol=1e-9)
 
 
-def test_what_the_modes_leave_has_slopes_of_its_own() -> None:
+def test_what_the_modes_leave_has_slopes_of_its_own():
     """Between the ends: beyond them the outline goes on straight, and turns with what is random from node to node."""
-    found = likelihood(LOCAL).surrogate
+    found, smooth, at = likelihood(LOCAL).surrogate, of_points(LOCAL, arch(TRUTH)), near(LOCAL).at
     rows = np.random.default_rng(3).standard_normal((3, found.modes.basis.shape[1]))
     surrogate = replace(found, modes=replace(found.modes, tail=0.01 * np.linalg.qr(rows.T)[0].T))
-    smooth, at = JointErrors((Observation(arch(TRUTH), LOCAL),), (LOCAL,)), near(LOCAL).at
-    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
-    steps = 1e-2 * np.concatenate([np.eye(3), -np.eye(3)])
-    moved = residuals_of(smooth, surrogate.points(np.tile(at, (6, 1)), steps), templates)
-    slopes = near_field(surrogate, smooth, at).tail.T
+    ahead, back = (residuals_at(smooth, surrogate, np.tile(at, (3, 1)), step * np.eye(3)) for step in (1e-2, -1e-2))
+    slopes, differences = near_field(surrogate, smooth, at).tail.T, (ahead - back) / 2e-2
     assert slopes.shape[0] == 3
-    exact = (moved[:3] - moved[3:]) / 2e-2
-    np.testing.assert_allclose(slopes[:, 1:-1], exact[:, 1:-1], atol=1e-3 * np.abs(slopes).max())
+    np.testing.assert_allclose(slopes[:, 1:-1], differences[:, 1:-1], atol=1e-3 * np.abs(slopes).max())
 
 
-def test_bends_are_second_derivatives() -> None:
+def test_bends_are_second_derivatives():
     """On average: those of the polyline itself are nothing but kinks at its nodes."""
-    surrogate = likelihood(LOCAL).surrogate
-    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
-    smooth = JointErrors((Observation(arch(TRUTH).resampled(1201), LOCAL),), (LOCAL,))
-    found, size = near_field(surrogate, smooth, near(LOCAL).at), 0.04
-    one, other = np.triu_indices(len(found.at))
-    step = size * np.eye(len(found.at))
+    surrogate, smooth = likelihood(LOCAL).surrogate, of_points(LOCAL, arch(TRUTH).resampled(1201))
+    found = near_field(surrogate, smooth, near(LOCAL).at)
+    step, (one, other) = 0.04 * np.eye(len(found.at)), np.triu_indices(len(found.at))
 
-    def off(z: np.ndarray) -> np.ndarray:
-        r = residuals_of(smooth, surrogate.points(found.at + z), templates)
-        return np.asarray(r - found.residuals - z @ found.slopes.T)
+    def off(z):
+        return residuals_at(smooth, surrogate, found.at + z) - found.residuals - z @ found.slopes.T
 
     pairs = step[one] + step[other]
     expected = np.array([found.bends @ [a * b for k, a in enumerate(z) for b in z[k:]] for z in pairs])
@@ -81,7 +79,7 @@ def test_bends_are_second_derivatives() -> None:
     assert np.abs(differences - expected[:, 60:-60]).mean() < 0.15 * np.abs(differences).mean()
 
 
-def test_bends_count_by_half_where_they_are_as_large_as_is_trusted() -> None:
+def test_bends_count_by_half_where_they_are_as_large_as_is_trusted():
     found = near(LOCAL)
     z = np.random.default_rng(6).standard_normal(len(found.at))
     one, other = np.triu_indices(min(len(found.at), BENT))
@@ -91,7 +89,7 @@ def test_bends_count_by_half_where_they_are_as_large_as_is_trusted() -> None:
     np.testing.assert_allclose(share, [0.5, 1.0], atol=1e-5)
 
 
-def test_where_nothing_can_be_followed_there_is_no_likelihood_nearby(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_can_be_followed_there_is_no_likelihood_nearby(monkeypatch):
     """The centre rule of currents follows no offsets; residuals that are not finite are of no use."""
     assert by(Currents(0.03, quadrature="centre")).nearby is None
     lin = linearise(likelihood(LOCAL).surrogate, joint(LOCAL))
@@ -101,7 +99,7 @@ def test_where_nothing_can_be_followed_there_is_no_likelihood_nearby(monkeypatch
 
 
 @pytest.mark.parametrize("errors", ALL)
-def test_fields_drawn_nearby_are_as_good(errors: PointErrors) -> None:
+def test_fields_drawn_nearby_are_as_good(errors):
     found, x = widened(likelihood(errors), WIDENING[errors]), around(errors)
     some, exact = found.expected(x, plug_in=found.plug_in(x)), found.expected(x)
     assert np.abs(exact - found.plug_in(x)).max() > 0.5
@@ -109,7 +107,7 @@ def test_fields_drawn_nearby_are_as_good(errors: PointErrors) -> None:
     assert (np.abs(some - exact) <= 0.1 + 0.1 * (exact.max() - exact)).all()
 
 
-def test_a_neighbour_that_is_wrong_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_neighbour_that_is_wrong_is_noticed(monkeypatch):
     """Planted: slopes that are half as large again."""
     found, x = widened(likelihood(LOCAL), WIDENING[LOCAL]), around(LOCAL)
     right = near(LOCAL)
@@ -120,24 +118,19 @@ def test_a_neighbour_that_is_wrong_is_noticed(monkeypatch: pytest.MonkeyPatch) -
 
 def off(found: FieldLikelihood, x: np.ndarray) -> np.ndarray:
     """Return how much log L nearby is off, but for a constant."""
-    assert found.nearby is not None
-    return np.asarray(found.nearby.log_likelihood(found.surrogate.mean(x)) - found.plug_in(x))
+    return found.nearby.log_likelihood(found.surrogate.mean(x)) - found.plug_in(x)
 
 
-def test_it_leads_to_the_posterior() -> None:
+def test_it_leads_to_the_posterior():
     for errors in (LOCAL, GLOBAL, UnknownErrors()):
         x = around(errors if isinstance(errors, PointErrors) else LOCAL, 100)
         assert np.ptp(off(likelihood(errors), x)) < 1.0
 
 
-def test_other_measures_follow_offsets() -> None:
+def test_other_measures_follow_offsets():
     x = around(LOCAL, 60)
-    for measure in (
-        Currents(0.03),
-        ClosestPoint(direction="to_observed", weighting="length"),
-        ClosestPoint(direction="symmetric"),
-        NormalOffset(),
-    ):
+    closest = ClosestPoint(direction="to_observed", weighting="length"), ClosestPoint(direction="symmetric")
+    for measure in (Currents(0.03), *closest, NormalOffset()):
         found = by(measure)
         values = found.plug_in(x)
         near_best = values > values.max() - 6
@@ -146,7 +139,7 @@ def test_other_measures_follow_offsets() -> None:
         assert np.ptp(off(found, x)[near_best]) < 0.2 * np.ptp(values[near_best])
 
 
-def test_fields_of_another_measure_are_drawn_nearby(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fields_of_another_measure_are_drawn_nearby(monkeypatch):
     """Planted: forty times the squares of offsets, which shows, and moves nothing but the draws."""
     measure = Currents(0.03)
     found, x = widened(by(measure, 0.004), 1e7), around(LOCAL, 60)
@@ -162,7 +155,7 @@ def test_fields_of_another_measure_are_drawn_nearby(monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(found.expected(x), exact)
 
 
-def test_the_best_inputs_fit_best() -> None:
+def test_the_best_inputs_fit_best():
     lin = linearise(likelihood(GLOBAL).surrogate, joint(GLOBAL))
     grid = SPACE.prior_quantiles(np.random.default_rng(6).random((2000, 2)))
     assert joint(GLOBAL).model.square(lin.residuals) <= -2 * likelihood(GLOBAL).plug_in(grid).max() + 0.1
@@ -170,9 +163,9 @@ def test_the_best_inputs_fit_best() -> None:
     np.testing.assert_array_equal(at.slopes, lin.field.slopes)
 
 
-def test_weights_of_offsets_do_not_depend_on_their_side_and_small_ones_take_the_typical_size() -> None:
+def test_weights_of_offsets_do_not_depend_on_their_side_and_small_ones_take_the_typical_size():
     """The norm of currents of width σ grows with each offset r as 1 - exp(-r²/2σ²)."""
-    width, line = 0.05, Interface.polyline(np.stack([np.linspace(0.0, 2.0, 41), np.zeros(41)], axis=1))
+    width, line = 0.05, graph(np.linspace(0.0, 2.0, 41), 0.0)
     of = _ByOffsets(compared(Observation(line, 1e-4), Currents(width), 41), 41)
     r = np.zeros(41)
     r[10], r[30] = 0.12, -0.12
@@ -183,16 +176,150 @@ def test_weights_of_offsets_do_not_depend_on_their_side_and_small_ones_take_the_
     assert found[20] / found[10] == pytest.approx(share[0] / share[1], rel=1e-3)
 
 
-def test_a_shifted_observation_is_followed_even_if_some_points_do_not_feel_the_shift() -> None:
+def test_a_shifted_observation_is_followed_even_if_some_points_do_not_feel_the_shift():
     """Half of the interface is flat: its signed distances do not change with a shift along it."""
     s = np.linspace(0.0, 2.0, 401)
     y = np.where(s > 1, 0.3 * np.sin(np.pi * np.maximum(s - 1, 0.0)) ** 2, 0.0)
-    true = Interface.polyline(np.stack([s, y], axis=1))
+    true = graph(s, y)
     errors, shift = PointErrors(1e-3, shift=0.05), np.array([0.05, 0.0])
     seen = Interface.polyline(true.points[40:-40] + shift)
-    found = JointErrors((Observation(seen, errors),), (errors,))
+    found = of_points(errors, seen)
     (r,) = residuals_of(found, {"": true.points[None]}, {"": true})
     assert not found.model.shared.all()
     by_shift = found.model.shared @ np.array([1.0, 0.0])
     np.testing.assert_allclose(r, by_shift, atol=2e-3)
     assert np.abs(signed_distances(seen.points, true) - by_shift).max() > 4e-3
+
+
+def fitted(f, modes: int) -> FittedParabola:
+    return FittedParabola.fitted(f, np.zeros(modes), 1.0)
+
+
+def fields(modes: int, variance: float, residual: float) -> FieldPrediction:
+    """Return fields at this distance from the best one, in all directions; the noise has variance 1."""
+    away = np.random.default_rng(1).standard_normal((12, modes))
+    mean = residual * away / np.linalg.norm(away, axis=1)[:, None]
+    return FieldPrediction(mean, np.full((12, modes), variance))
+
+
+def linear(c, tail=None):
+    return -0.5 * (c**2).sum(axis=1)
+
+
+def curved(c, tail=None):
+    """As if the interface turned while it moves."""
+    return linear(c + 0.1 * np.roll(c, 1, axis=1) ** 2)
+
+
+def saturating(c, tail=None):
+    """As currents do from some standard deviations on."""
+    return 25 * np.expm1(linear(c) / 25)
+
+
+def plain(f, found: FieldPrediction, number: int = 60_000) -> np.ndarray:
+    z = np.random.default_rng(2).standard_normal((number, found.mean.shape[1]))
+    rows = zip(found.mean, found.variance, strict=True)
+    return np.array([logsumexp(f(mean + np.sqrt(variance) * z)) for mean, variance in rows]) - np.log(number)
+
+
+def drawn(f, found: FieldPrediction) -> np.ndarray:
+    modes = found.mean.shape[1]
+    return mean_of_draws(f, fitted(f, modes).parabolas(found.mean), found, numbers(16, modes, 0))
+
+
+def test_every_drawn_field_has_its_opposite():
+    """So that their mean is what is predicted; in the modes and in what they leave, in each half of the draws."""
+    for some in numbers(16, 3, 5):
+        assert len(np.unique(np.abs(some), axis=0)) == 8
+        for half in (some[:8], some[8:]):
+            np.testing.assert_array_equal(half[4:], -half[:4])
+
+
+def test_linear_residuals_have_a_closed_form():
+    """It is exact; draws then are too. Sixteen plain draws were off by 1 and more."""
+    for modes, variance in ((6, 1.0), (3, 100.0), (20, 0.3)):
+        found = fields(modes, variance, 2.0)
+        exact = -0.5 * modes * np.log1p(variance) - 0.5 * 2.0**2 / (1 + variance)
+        gain = log_gain(fitted(linear, modes).parabolas(found.mean), found.variance)
+        np.testing.assert_allclose(linear(found.mean) + gain, exact)
+        np.testing.assert_allclose(drawn(linear, found), exact)
+        assert np.abs(plain(linear, found, 16) - exact).max() > 0.3
+
+
+def test_quadrature_of_one_mode_agrees():
+    found, t = fields(1, 3.0, 2.0), np.linspace(-30, 30, 10001)
+    rows = [np.trapezoid(np.exp(saturating(t[:, None]) - (t - m) ** 2 / 6), t) for m in found.mean[:, 0]]
+    np.testing.assert_allclose(drawn(saturating, found), np.log(rows) - 0.5 * np.log(6 * np.pi), atol=0.05)
+
+
+def test_draws_weigh_off_what_the_parabola_misses():
+    found = fields(6, 1.0, 2.0)
+    for f in (curved, saturating):
+        exact = plain(f, found)
+        closed = f(found.mean) + log_gain(fitted(f, 6).parabolas(found.mean), found.variance, f(found.mean))
+        assert np.sqrt(np.mean((drawn(f, found) - exact) ** 2)) < 0.05
+        assert np.sqrt(np.mean((closed - exact) ** 2)) < 0.15
+        assert np.sqrt(np.mean((plain(f, found, 16) - exact) ** 2)) > 0.3
+
+
+def test_a_parabola_that_is_wrong_does_little_harm():
+    """Planted: its middle is ten standard deviations off; draws of the field itself then tell the mean."""
+    found = fields(3, 0.1, 1.0)
+    wrong = FittedParabola(np.full(3, 10.0), 0.0, np.zeros(3), np.eye(3)).parabolas(found.mean)
+    exact = -1.5 * np.log1p(0.1) - 0.5 / 1.1
+    np.testing.assert_allclose(mean_of_draws(linear, wrong, found, numbers(64, 3, 0)), exact, atol=0.15)
+    closed = linear(found.mean) + log_gain(wrong, found.variance, linear(found.mean))
+    assert (np.abs(closed - exact) < 0.5).all()
+    flat = fitted(lambda c: np.where(c[:, 0] > 0.5, -np.inf, linear(c)), 3).parabolas(np.zeros((1, 3)))
+    np.testing.assert_allclose(log_gain(flat, np.ones((1, 3)), np.zeros(1)), 0.0, atol=1e-9)
+
+
+def test_nothing_gains_more_than_its_distance_from_the_top():
+    """Where log L is -3 and the parabola says -1000, the gain is that of -3; likewise -800, -60000 and -1300."""
+    far = Parabolas(np.array([1000.0]), np.array([[np.sqrt(2000.0)]]), np.ones((1, 1, 1)))
+    variance = np.array([[1e6]])
+    assert log_gain(far, variance)[0] > 900
+    assert -3 + log_gain(far, variance, np.array([-3.0]))[0] < 0
+    far = Parabolas(np.array([60000.0]), np.array([[np.sqrt(2 * 60000.0)]]), np.ones((1, 1, 1)))
+    variance = np.array([[58700.0 / 1300.0]])  # of which the mean over fields gains 58700
+    shrinks = 0.5 * np.log1p(variance[0, 0])
+    np.testing.assert_allclose(log_gain(far, variance)[0] + shrinks, 58700.0)
+    np.testing.assert_allclose(log_gain(far, variance, np.array([-800.0]))[0], -shrinks)
+    np.testing.assert_allclose(log_gain(far, variance, np.array([-2000.0]))[0] + shrinks, 700.0)
+
+
+@pytest.mark.parametrize("errors", ALL)
+def test_residuals_near_the_best_fit_give_the_same_as_matrices(errors):
+    """N(r; 0, C + JVJᵀ + TTᵀ) / N(0; 0, C), with n × n matrices and numerical derivatives."""
+    found, field = likelihood(errors).nearby, near(errors)
+    random, modes = np.random.default_rng(6), len(field.at)
+    at, variance = field.at + 0.01 * random.standard_normal((4, modes)), (0.02 * random.random((4, modes))) ** 2
+    parabolas = found.parabola.parabolas(at)
+    got = found.log_likelihood(at) + log_gain(parabolas, variance)
+    assert np.abs(log_gain(parabolas, variance)).max() > 1
+    C = np.diag(field.model.local) + field.model.shared @ field.model.shared.T
+    step = 1e-5 * np.eye(modes)
+    for value, mean, v in zip(got, at, variance, strict=True):
+        J = (field.offsets(mean + step) - field.offsets(mean - step)).T / 2e-5
+        r = field.offsets(mean[None])[0]
+        whole = C + (J * v) @ J.T + field.tail @ field.tail.T
+        expected = multivariate_normal(0 * r, whole).logpdf(r) - multivariate_normal(0 * r, C).logpdf(0 * r)
+        gained = expected - found.log_likelihood(mean[None])[0]
+        assert value == pytest.approx(expected, abs=0.02 * abs(gained))
+
+
+def test_measures_average_as_plain_draws_of_the_field_do():
+    """With unknown errors, by a measure that is followed nearby, and by one that is not."""
+    x, random = around(LOCAL, 40)[:2], np.random.default_rng(3)
+    currents = by(Currents(0.03), 0.004), by(Currents(0.03, quadrature="centre"), 0.004)
+    for known in (likelihood(UnknownErrors()), *currents):
+        found = widened(known, 1e7)
+        predicted = found.surrogate.predict(x)
+        for row, value in enumerate(found.expected(x)):
+            noise = random.standard_normal((1000, predicted.mean.shape[1]))
+            draws = predicted.mean[row] + np.sqrt(predicted.variance[row]) * noise
+            each = found._of(draws, random.standard_normal((1000, len(found.surrogate.modes.tail))))
+            mean = logsumexp(each) - np.log(len(each))
+            error = np.std(np.exp(each - mean)) / np.sqrt(len(each))
+            assert abs(value - mean) < 0.1 + 3 * error
+            assert error < 0.15

@@ -1,13 +1,25 @@
-"""The noise variance of a measure: by the general rule, by closed forms, and by what it does to the coverage."""
+"""The noise of a measure by rule, in closed form and by coverage; that of residuals leads back to the one drawn."""
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
+from tests.unit.discrepancy.curves import arch, graph, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere
 
-from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, TrackedPoints, WhitenedOffset
+from strandline.discrepancy import (
+    ClosestPoint,
+    Currents,
+    Discrepancy,
+    MeasurementLines,
+    NormalOffset,
+    TrackedPoints,
+    WhitenedOffset,
+)
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, PointErrors
+from strandline.interface import Interface, Observation, PointErrors, arc_lengths
+from strandline.interface.correlated import correlated
 from strandline.likelihood.noise_rule import _shapes, fitting_variance, noise_variance
+from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface, stated_errors
 
 NUMBER, DRAWS = 41, 40
 NODES = np.linspace(0.0, 1.0, NUMBER)
@@ -17,23 +29,21 @@ MEAN = ClosestPoint(direction="to_simulated", weighting="length")
 FINE, CORRELATED = PointErrors(0.002), PointErrors(0.002, 0.06)
 
 
-def arches(x: np.ndarray) -> np.ndarray:
-    """Return an arch of some height that leans to one side."""
-    height, lean = x[:, :1], x[:, 1:]
-    y = 4 * height * NODES * (1 - NODES)
-    return np.stack([NODES + lean * np.sin(np.pi * NODES), y], axis=2)
+def leaning_arches(x: np.ndarray) -> np.ndarray:
+    """Return arches of some height that lean to one side."""
+    y = 4 * x[:, :1] * NODES * (1 - NODES)
+    return np.stack([NODES + x[:, 1:] * np.sin(np.pi * NODES), y], axis=2)
 
 
-def arch(number: int = NUMBER) -> Interface:
-    found = Interface.polyline(arches(AT[None])[0])
-    return found if number == NUMBER else found.resampled(number)
+LEANING = Interface.polyline(leaning_arches(AT[None])[0])
 
 
 def by_rule(measure: Discrepancy, errors: PointErrors, *, number: int = NUMBER, draws: int = DRAWS) -> float:
-    return fitting_variance(measure, arches, arch(), AT, STEPS, arch(number), errors, draws=draws)
+    seen = LEANING if number == NUMBER else LEANING.resampled(number)
+    return fitting_variance(measure, leaning_arches, LEANING, AT, STEPS, seen, errors, draws=draws)
 
 
-def test_closed_forms_agree_with_the_general_rule() -> None:
+def test_closed_forms_agree_with_the_general_rule():
     for measure, errors in (
         (TO_SIMULATED, CORRELATED),
         (MEAN, CORRELATED),
@@ -41,10 +51,10 @@ def test_closed_forms_agree_with_the_general_rule() -> None:
         (MeasurementLines(20), PointErrors(0.001)),
         (MeasurementLines(10, smooth=0.1), PointErrors(0.001, 0.03)),
     ):
-        assert by_rule(measure, errors) == pytest.approx(measure.noise_variance(errors, arch()), rel=0.35), measure
+        assert by_rule(measure, errors) == pytest.approx(measure.noise_variance(errors, LEANING), rel=0.35), measure
 
 
-def test_the_rule_knows_what_independent_residuals_are() -> None:
+def test_the_rule_knows_what_independent_residuals_are():
     """Global errors show as a large variance; more points do not change that of each."""
     assert by_rule(WhitenedOffset(FINE), FINE, draws=100) == pytest.approx(1.0, rel=0.15)
     assert by_rule(WhitenedOffset(CORRELATED), CORRELATED) == pytest.approx(1.0, rel=0.35)
@@ -53,37 +63,38 @@ def test_the_rule_knows_what_independent_residuals_are() -> None:
     assert by_rule(TO_SIMULATED, FINE, number=120, draws=80) == pytest.approx(local, rel=0.3)
 
 
-def test_a_square_of_the_sd_is_wrong_for_a_mean() -> None:
+def test_a_square_of_the_sd_is_wrong_for_a_mean():
     """What a user would type: six times too wide."""
     assert by_rule(MEAN, FINE) < 0.05 * 0.002**2
 
 
-def test_smooth_shapes_stand_for_the_inputs() -> None:
+def test_smooth_shapes_stand_for_the_inputs():
     """Before any run, the variance is nearly that which the model's own inputs ask for."""
     errors = PointErrors(0.002, 0.02)
     for measure in (ClosestPoint(), Currents(0.1, quadrature="centre"), MEAN):
-        found = noise_variance(measure, arch(), errors, NUMBER, draws=DRAWS)
+        found = noise_variance(measure, LEANING, errors, NUMBER, draws=DRAWS)
         assert found == pytest.approx(by_rule(measure, errors), rel=0.4), measure
 
 
-def test_which_variance_is_taken() -> None:
+def test_which_variance_is_taken():
     """A closed form that the rule confirms; global errors do not widen it; forms that do not hold are left out."""
-    assert noise_variance(TO_SIMULATED, arch(), FINE, NUMBER) == TO_SIMULATED.noise_variance(FINE, arch())
+    assert noise_variance(TO_SIMULATED, LEANING, FINE, NUMBER) == TO_SIMULATED.noise_variance(FINE, LEANING)
     both = PointErrors(0.002, shift=0.05, offset=0.01)
-    assert noise_variance(ClosestPoint(), arch(), both, NUMBER) == noise_variance(ClosestPoint(), arch(), FINE, NUMBER)
+    found, local = (noise_variance(ClosestPoint(), LEANING, errors, NUMBER) for errors in (both, FINE))
+    assert found == local
     for measure in (ClosestPoint(), Currents(0.005), MeasurementLines(10)):
-        assert measure.noise_variance(PointErrors(0.01), arch()) is None
+        assert measure.noise_variance(PointErrors(0.01), LEANING) is None
     with pytest.raises(InvalidInput, match="normal_offset"):
-        noise_variance(lambda simulated, observed: 1.0, arch(), FINE, NUMBER)
+        noise_variance(lambda simulated, observed: 1.0, LEANING, FINE, NUMBER)
 
 
-def test_tracked_points_err_along_the_interface_as_much_as_across_it() -> None:
-    spacing = float(arch().lengths.mean())
+def test_tracked_points_err_along_the_interface_as_much_as_across_it():
+    spacing = float(LEANING.lengths.mean())
     for errors, expected in ((FINE, 0.002**2), (CORRELATED, 0.002**2 * 0.12 / spacing)):
-        assert noise_variance(TrackedPoints(), arch(), errors, NUMBER) == pytest.approx(expected, rel=0.1)
+        assert noise_variance(TrackedPoints(), LEANING, errors, NUMBER) == pytest.approx(expected, rel=0.1)
 
 
-def test_closed_forms_agree_with_the_rule_on_a_surface() -> None:
+def test_closed_forms_agree_with_the_rule_on_a_surface():
     """The rule sees only a function; a square of the sd alone would be off by far more."""
     surface, centre = sphere(1.0, 2), Currents(0.6, quadrature="centre")
     for measure, length in ((TO_SIMULATED, 0.15), (centre, 0.0)):
@@ -92,7 +103,7 @@ def test_closed_forms_agree_with_the_rule_on_a_surface() -> None:
         assert measure.noise_variance(errors, surface) == pytest.approx(by_draws, rel=0.4), measure
 
 
-def test_smooth_shapes_move_a_surface_along_its_normals_whatever_its_size() -> None:
+def test_smooth_shapes_move_a_surface_along_its_normals_whatever_its_size():
     """Spheres along their radii; a sheet z = 0.1 sin(5u) cos(4v), whose normals at the rim are one-sided."""
     for radius in (0.05, 20.0):
         ball = sphere(radius, 3)
@@ -106,5 +117,73 @@ def test_smooth_shapes_move_a_surface_along_its_normals_whatever_its_size() -> N
     assert exact[:, 2].min() < 0.95
     assert len(shapes) == 4
     sizes = np.linalg.norm(shapes, axis=2).max(axis=1)
-    assert (sizes > 0.1).all()
-    assert (sizes < 1.001).all()
+    assert ((sizes > 0.1) & (sizes < 1.001)).all()
+
+
+def long_line(number: int = 1200, *, uneven: float = 1.0) -> Interface:
+    return graph(6.0 * np.linspace(0.0, 1.0, number) ** uneven, 0.0)
+
+
+def test_sd_and_length_of_residuals_are_those_drawn():
+    """In the mean over 20 draws; independent residuals have half the spacing or little more."""
+    for interface, length in ((long_line(), 0.03), (long_line(uneven=1.3), 0.1), (ring(1200), 0.1)):
+        drawn = 0.003 * correlated(interface, length, 20, np.random.default_rng(5))
+        each = [noise_of_residuals(row, interface) for row in drawn]
+        assert np.mean([one.sd for one in each]) == pytest.approx(0.003, rel=0.1)
+        assert np.mean([one.length for one in each]) == pytest.approx(length, rel=0.35)
+    drawn, spacing = correlated(long_line(), 0.0, 20, np.random.default_rng(1)), 6.0 / 1199
+    lengths = [noise_of_residuals(row, long_line()).length for row in drawn]
+    assert min(lengths) >= 0.5 * spacing
+    assert np.mean(lengths) < 0.8 * spacing
+
+
+def test_a_constant_is_as_long_as_the_interface_and_no_residuals_have_no_noise():
+    """A constant counts as an error of its own, not as a mean to be removed."""
+    seen = arch(nodes=41)
+    noise = noise_of_residuals(np.full(41, 0.01), seen)
+    assert noise.sd == pytest.approx(0.01)
+    assert noise.length > 0.3 * seen.lengths.sum()
+    assert noise.level == pytest.approx(noise.sd**2 * noise.length)
+    none, flat = noise_of_residuals(np.zeros(41), seen), noise_on_surface(np.zeros(400), sheet(20))
+    assert (none.sd, none.length) == (0.0, pytest.approx(0.5 * seen.lengths.sum() / 40, rel=1e-3))
+    assert (flat.sd, flat.length) == (0.0, pytest.approx(0.5 / 20))
+
+
+def test_residuals_on_a_surface_have_the_sd_and_length_drawn():
+    """In the mean over draws; the sum ends at the first zero, so the length reads a little low.
+
+    Of 2500 points every second one is taken: independent residuals have half their spacing.
+    """
+    surface, random = sheet(20), np.random.default_rng(3)
+    covariance = np.exp(-cdist(surface.points, surface.points) / 0.2)
+    drawn = 0.01 * np.linalg.cholesky(covariance + 1e-9 * np.eye(400)) @ random.standard_normal((400, 30))
+    each = [noise_on_surface(row, surface) for row in drawn.T]
+    assert np.mean([one.sd for one in each]) == pytest.approx(0.01, rel=0.1)
+    assert np.mean([one.length for one in each]) == pytest.approx(0.2, rel=0.3)
+    found = noise_on_surface(0.01 * random.standard_normal(2500), sheet(50))
+    assert found.sd == pytest.approx(0.01, rel=0.1)
+    assert 0.4 < found.length * np.sqrt(1250) < 0.8
+
+
+def test_arc_lengths_follow_the_segments():
+    outline = ring(8)
+    np.testing.assert_allclose(arc_lengths(outline), np.arange(8) * outline.lengths[0])
+    np.testing.assert_allclose(arc_lengths(long_line(7)), np.linspace(0.0, 6.0, 7))
+
+
+def test_the_noise_of_the_points_has_the_stated_variance():
+    """Four times the variance means twice the sd; stated errors are taken as they are."""
+    seen, sd = arch(nodes=41), 0.002
+    for measure in (TrackedPoints(), NormalOffset(), MeasurementLines(12), ClosestPoint()):
+        variance = sd**2 if measure == NormalOffset() else noise_variance(measure, seen, PointErrors(sd), 41)
+        stated = stated_errors(Observation(seen, variance), measure, 41)
+        assert (stated.assumed, stated.errors.length) == (True, 0.0)
+        assert stated.errors.sd == pytest.approx(sd, rel=0.25)
+        assert stated.noise_along(seen).length == pytest.approx(0.5 * seen.lengths.mean(), rel=0.1)
+    one, two = (stated_errors(Observation(seen, v), ClosestPoint(), 41).errors.sd for v in (1e-5, 4e-5))
+    assert two == pytest.approx(2 * one)
+    errors = PointErrors(0.002, 0.05, shift=0.01)
+    stated = stated_errors(Observation(seen, errors), Currents(0.1), 41)
+    assert (stated.errors, stated.assumed) == (errors, False)
+    half = 0.5 * seen.lengths.mean()
+    assert stated.noise_along(seen).level == pytest.approx(0.002**2 * half / np.tanh(half / 0.05), rel=0.01)

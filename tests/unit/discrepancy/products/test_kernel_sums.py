@@ -1,8 +1,6 @@
 """Oracle: all pairs at once in NumPy. The same sum by blocks and compiled, by tiles of all and by tiles with a tree."""
 
 import tracemalloc
-from collections.abc import Iterator
-from typing import Any
 
 import jax
 import numpy as np
@@ -26,9 +24,12 @@ def all_pairs(a: Nodes, b: Nodes, width: float) -> float:
 
 
 @pytest.fixture(params=["blocks", "compiled"])
-def way(request: pytest.FixtureRequest) -> Iterator[None]:
+def _way(request):
     with jax.enable_x64(request.param == "compiled"):
         yield
+
+
+BOTH_WAYS = pytest.mark.usefixtures("_way")
 
 
 MANY, FEW = (Sizes(small=0, tile=32, full_tile=128, tiles=n, gathered=g) for n, g in ((3, 4000), (5, 300)))
@@ -46,7 +47,7 @@ TASKS = [
 
 
 @pytest.mark.parametrize(("compiled", "tasks"), [(True, TASKS[:3]), (False, TASKS)], ids=["compiled", "blocks"])
-def test_tiles_give_the_sum_over_all_pairs(compiled: bool, tasks: list[Any]) -> None:
+def test_tiles_give_the_sum_over_all_pairs(compiled, tasks):
     for number, dim, width, reach, sizes in tasks:
         a, b = nodes(number, 1, dim=dim), nodes(411, 2, dim=dim)
         size = np.abs(a.normals).sum() * np.abs(b.normals).sum()
@@ -54,16 +55,13 @@ def test_tiles_give_the_sum_over_all_pairs(compiled: bool, tasks: list[Any]) -> 
             found = [kernel_sum(a, one, width, reach=reach, sizes=sizes) for one in (b, a)]
         assert found[0] == pytest.approx(all_pairs(a, b, width), rel=1e-11, abs=1e-16 * size)
         assert found[1] == pytest.approx(all_pairs(a, a, width), rel=1e-11)
-
-
-def test_few_pairs_are_summed_in_blocks() -> None:
-    a, b = nodes(300, 1), nodes(411, 2)
+    a, b = nodes(300, 1), nodes(411, 2)  # few pairs, which are summed in blocks
     assert len(a) * len(b) > BLOCK
     assert kernel_sum(a, b, 0.1, reach=np.inf) == pytest.approx(all_pairs(a, b, 0.1), rel=1e-11)
 
 
-@pytest.mark.usefixtures("way")
-def test_only_pairs_out_of_reach_may_be_missing() -> None:
+@BOTH_WAYS
+def test_only_pairs_out_of_reach_may_be_missing():
     """A kernel so wide that every pair counts 1: the sum tells which pairs were taken."""
     a, b, reach = nodes(300, 3), nodes(411, 4), 0.1
     ones = [Nodes(one.points, np.tile([1.0, 0.0, 0.0], (len(one), 1))) for one in (a, b)]
@@ -73,8 +71,8 @@ def test_only_pairs_out_of_reach_may_be_missing() -> None:
     assert kernel_sum(a, Nodes(b.points + 50.0, b.normals), 0.02, reach=0.2, sizes=SMALL_TILES) == 0.0
 
 
-@pytest.mark.usefixtures("way")
-def test_nodes_far_beyond_all_others_count_nothing() -> None:
+@BOTH_WAYS
+def test_nodes_far_beyond_all_others_count_nothing():
     """Some of one side lie 1000 widths away, others among those of the other side, which are close together."""
     a, b = nodes(200, 3), nodes(300, 4)
     a = Nodes(0.05 * a.points, a.normals)
@@ -85,22 +83,19 @@ def test_nodes_far_beyond_all_others_count_nothing() -> None:
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e6])
-def test_each_pair_counts_to_1e_13_wherever_the_nodes_lie(shift: float) -> None:
+def test_each_pair_counts_to_1e_13_wherever_the_nodes_lie(shift):
     """One node against many far and near, close enough for x·y (0.5, 0.06) and not (0.05), around 0 and far from it."""
     one = Nodes(np.array([[0.0, 0.0], [1.0, 0.0]]) + shift, np.array([[1.0, 0.0], [0.0, 0.0]]))
     for width in (0.5, 0.06, 0.05):
-        for place in np.linspace(0.0, 1.0, 65):
-            other = Nodes(np.array([[place, 0.0]]) + shift, np.array([[1.0, 0.0]]))
-            exact = np.exp(-0.5 * ((other.points[0, 0] - one.points[0, 0]) / width) ** 2)
+        for place in np.linspace(0.0, 1.0, 65) + shift:
+            other = Nodes(np.array([[place, shift]]), np.array([[1.0, 0.0]]))
             found = kernel_sum(one, other, width, reach=np.inf, sizes=SMALL_TILES)
-            assert found == pytest.approx(exact, rel=1e-13, abs=1e-200)
+            assert found == pytest.approx(np.exp(-0.5 * ((place - shift) / width) ** 2), rel=1e-13, abs=1e-200)
 
 
-@pytest.mark.usefixtures("way")
+@BOTH_WAYS
 @pytest.mark.parametrize(("width", "reach"), [(0.4, np.inf), (0.02, 0.18)])
-def test_the_number_of_threads_does_not_change_a_bit(
-    monkeypatch: pytest.MonkeyPatch, width: float, reach: float
-) -> None:
+def test_the_number_of_threads_does_not_change_a_bit(monkeypatch, width, reach):
     a, b, found = nodes(700, 1), nodes(411, 2), []
     for threads in ("1", "2", "3"):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
@@ -108,12 +103,10 @@ def test_the_number_of_threads_does_not_change_a_bit(
     assert found[0] == found[1] == found[2]
 
 
-def test_memory_does_not_grow_as_the_pairs() -> None:
+def test_memory_does_not_grow_as_the_pairs():
     a, b = nodes(8000, 1), nodes(8000, 2)
     tracemalloc.start()
-    try:
-        kernel_sum(a, b, 0.004, reach=0.03)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    kernel_sum(a, b, 0.004, reach=0.03)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
     assert peak < 0.05 * 8 * len(a) * len(b)

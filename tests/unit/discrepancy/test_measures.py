@@ -1,0 +1,198 @@
+"""What every measure shares: protocol, registry, properties of any pair; sizes, units, noise and registered sums."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.unit.discrepancy.curves import graph, level, line, ring
+from tests.unit.discrepancy.surfaces import sheet
+
+from strandline.discrepancy import (
+    DISCREPANCIES,
+    ClosestPoint,
+    Currents,
+    Discrepancy,
+    MeasurementLines,
+    TrackedPoints,
+    apart,
+    count_of_distances,
+    extent,
+    extent_ratio,
+    independent_terms,
+    noise_units,
+    oriented_like_runs,
+    unit_mistake,
+    unit_of,
+)
+from strandline.discrepancy.registration import linear_sums
+from strandline.errors import InvalidInterface
+from strandline.interface import Interface
+
+LINE = level(0.0, 3, length=2.0)
+
+
+@pytest.mark.parametrize("name", DISCREPANCIES)
+def test_every_measure_satisfies_the_protocol_and_knows_surfaces(name):
+    measure = DISCREPANCIES[name](**({"width": 0.2} if name == "currents" else {}))
+    assert isinstance(measure, Discrepancy)
+    assert unit_of(measure) == unit_of(measure, LINE) == "mm²"
+    assert independent_terms(measure, LINE) is None or independent_terms(measure, LINE) > 0
+    assert isinstance(measure(LINE, LINE), float)
+    twin = dataclasses.replace(measure)
+    assert (twin, hash(twin)) == (measure, hash(measure))
+    simulated, observed = sheet(4, height=0.1), sheet(4)
+    if isinstance(measure, MeasurementLines):
+        with pytest.raises(InvalidInterface, match="plane"):
+            measure(simulated, observed)
+        return
+    assert measure(simulated, observed) > 0
+    assert measure(observed, observed) == pytest.approx(0.0, abs=1e-12)
+    assert unit_of(measure, observed) == ("mm⁴" if isinstance(measure, Currents) else "mm²")
+
+
+def test_a_plain_function_states_neither_unit_nor_terms():
+    def measure(simulated, observed):
+        return 0.0
+
+    assert unit_of(measure) == ""
+    assert independent_terms(measure, LINE) is None
+
+
+MEASURES = [
+    TrackedPoints(),
+    MeasurementLines(7),
+    ClosestPoint(),
+    ClosestPoint(direction="symmetric", weighting="length"),
+    Currents(0.02),
+    Currents(0.3, tolerance=1e-9),
+    Currents(0.1, quadrature="centre"),
+]
+heights = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6)
+angles, shifts = st.floats(-math.pi, math.pi), st.floats(-10.0, 10.0)
+thousandths = st.lists(st.integers(20, 980), min_size=1, max_size=5)
+quick = settings(max_examples=25)
+
+
+def curve(y) -> Interface:
+    return graph(np.linspace(0.0, 1.0, len(y)), np.array(y))
+
+
+@quick
+@given(a=heights, b=heights, angle=angles, shift=st.tuples(shifts, shifts))
+def test_measures_are_not_negative_zero_at_home_and_unchanged_by_moving_both(a, b, angle, shift):
+    simulated, observed = curve(a), curve(b)
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    for measure in MEASURES:
+        before = measure(simulated, observed)
+        assert math.isfinite(before)
+        assert before >= 0.0
+        assert measure(simulated, simulated) <= 1e-25
+        after = measure(*(Interface.polyline(one.points @ turn + shift) for one in (simulated, observed)))
+        assert after == pytest.approx(before, rel=1e-7, abs=1e-11)
+
+
+@quick
+@given(a=heights, b=heights, cuts=thousandths, width=st.floats(0.0003, 10.0))
+def test_refined_currents_do_not_see_the_nodes(a, b, cuts, width):
+    """Cut every segment of one curve at the same shares."""
+    shares, whole = np.unique([0, *cuts]) / 1000, curve(a)
+    points = whole.starts[:, None] + shares[:, None] * (whole.ends - whole.starts)[:, None]
+    cut = Interface.polyline(np.vstack([points.reshape(-1, 2), whole.ends[-1:]]))
+    measure, observed = Currents(width), curve(b)
+    error = abs(measure(cut, observed) - measure(whole, observed))
+    assert error <= measure.tolerance * measure.inner(observed, observed)
+
+
+def test_the_unit_that_was_mistaken_is_guessed_from_the_ratio_of_sizes():
+    """An observation in µm that is read in mm appears a thousand times as large as the model's."""
+    for ratio, observed, read_in, factor in (
+        (800.0, "µm", "mm", "1000"),
+        (1e-3, "mm", "µm", "1000"),
+        (10.0, "mm", "cm", "10"),
+        (2e6, "µm", "m", "1e+06"),
+    ):
+        said = unit_mistake(ratio)
+        assert f"the observation is in {observed} and was read in {read_in}" in said
+        assert f"differ by a factor of {factor})" in said
+    assert unit_mistake(1.0) == unit_mistake(9.0) == unit_mistake(1 / 9) == ""
+    low, high = line((1, 2), (1.2, 2.1)), line((1, 2), (1.3, 2.8))
+    assert (extent(high), extent_ratio(high, low)) == pytest.approx((0.8, 4.0))
+
+
+def test_a_sum_of_distances_counts_by_their_root_mean_square_and_what_is_no_sum_as_a_whole():
+    """Eleven nodes are 0.3 mm off, under noise of 0.1 mm."""
+    simulated, observed, measure = level(0.3), level(0.0, nodes=5), ClosestPoint()
+    count = count_of_distances(measure, simulated, observed)
+    assert count == 11
+    assert noise_units(measure(simulated, observed), 0.1**2, count) == pytest.approx(3.0)
+    assert count_of_distances(Currents(0.1), simulated, observed) is None
+    assert noise_units(0.09, 0.01, None) == pytest.approx(3.0)
+
+
+def test_the_worse_direction_tells_how_far_interfaces_are_apart():
+    """The end of the longer one is (0.3, 0.4) mm from that of the shorter one, whose nodes are all 0.3 mm from it."""
+    short, long = level(0.0), line((0, 0.3), (1, 0.3), (1.4, 0.3))
+    for one, other in ((short, long), (long, short)):
+        assert apart(one, other) == pytest.approx((np.sqrt((0.3**2 + 0.3**2 + 0.5**2) / 3), 0.5))
+
+
+def test_global_errors_are_estimated_from_some_points_and_the_sums_taken_over_all():
+    """Residuals of a line that is 0.3 too high, with one global error, its offset of sd 1, and with none."""
+    asked = []
+
+    def sums(points, rough):
+        asked.append(rough)
+        r = points[""][:, :, 1]
+        return (r**2).sum(axis=1), r.sum(axis=1)[:, None]
+
+    def followed(points, g):
+        return {"": points[""] - g[:, :1, None] * np.array([0.0, 1.0])}
+
+    points = {"": level(0.3, 4).points[None]}
+    squares, products = linear_sums(points, sums, lambda b: b / 5.0, followed, np.array([[4.0]]))
+    np.testing.assert_allclose(squares, 4 * 0.3**2)
+    np.testing.assert_allclose(products, [[4 * 0.3]])
+    assert asked == [True, True, False]
+    asked.clear()
+    alone = linear_sums(points, lambda *given: (sums(*given)[0], np.zeros((1, 0))), lambda b: b, followed, np.eye(0))
+    np.testing.assert_allclose(alone[0], 4 * 0.3**2)
+    assert asked == [False]
+
+
+def leaning(height: float) -> Interface:
+    s = np.linspace(0.0, 1.0, 41)
+    return graph(s, height * s * (1 - s) * (1 + s))
+
+
+RUNS = [leaning(height) for height in np.linspace(0.1, 3.0, 30)]
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_an_observation_is_run_through_as_most_of_the_nearest_runs(reverse):
+    """An arch; a ring; arcs of a closed outline with hollows, in which an arc bends the other way."""
+    angle = np.linspace(0.0, 2 * np.pi, 90, endpoint=False)
+    radius = 1 + 0.4 * np.cos(3 * angle)
+    whole = graph(radius * np.cos(angle), radius * np.sin(angle), closed=True)
+    arcs = [Interface.polyline(whole.points[first : first + 14] * 1.01) for first in (0, 12, 25, 40)]
+    others = [(leaning(0.8).resampled(17), RUNS), (ring(40), [ring(40), ring(40, 1.1)])]
+    for seen, runs in [*others, *((arc, [whole]) for arc in arcs)]:
+        found = oriented_like_runs(seen.reversed() if reverse else seen, runs)
+        assert found.flipped == reverse
+        np.testing.assert_array_equal(found.interface.points, seen.points)
+
+
+def test_runs_far_away_of_another_kind_or_alone_do_not_vote():
+    """They come first, and some are more; also rings."""
+    far = [leaning(height).reversed() for height in np.linspace(5.0, 6.0, 40)]
+    huge, flipped = Interface.polyline(1e160 * RUNS[0].points).reversed(), leaning(0.8).reversed()
+    for others in (far, [huge], [flipped]):
+        assert not oriented_like_runs(leaning(0.8), [*others, *RUNS]).flipped
+    assert oriented_like_runs(leaning(5.5), [*RUNS, *far]).flipped
+    assert not oriented_like_runs(ring(40), [RUNS[0].reversed()]).flipped
+    near = [Interface(ring(40, r).points + np.array([5.0, 0.0]), ring(40).cells) for r in np.linspace(0.9, 1.1, 20)]
+    away = [Interface(ring(40).points + np.array([200.0, k]), ring(40).cells).reversed() for k in range(40)]
+    assert not oriented_like_runs(near[3], [*away, *near]).flipped
+    assert oriented_like_runs(away[3].reversed(), [*away, *near]).flipped
