@@ -4,31 +4,27 @@ import io
 import struct
 import zipfile
 import zlib
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
-from jaxtyping import Shaped
 
 from strandline.errors import InvalidInput
-from strandline.imaging.picture import Picture
 from strandline.imaging.read import read_picture
 from strandline.imaging.reading import PictureReading
 
 SQUARE = {"size": 2.0, "unit": "um"}
 
 
-def reading(**options: Any) -> PictureReading:
+def reading(**options):
     return PictureReading.from_options(options, "observation.image")
 
 
-def read(path: Path, **options: Any) -> Picture:
+def read(path, **options):
     return read_picture(path, reading(**{"pixel": SQUARE, **options}))
 
 
-def refusal(path: Path, **options: Any) -> str:
+def refusal(path, **options):
     """Return the message with which the picture is refused, and require that it is one line."""
     with pytest.raises(InvalidInput) as caught:
         read(path, **options)
@@ -39,7 +35,7 @@ def refusal(path: Path, **options: Any) -> str:
     return message
 
 
-def png(width: int, height: int, pixels: bytes, *, bits: int = 8, colour: int = 0) -> bytes:
+def png(width, height, pixels, *, bits=8, colour=0):
     """Return a PNG file of rows of pixels, each after the byte of its filter."""
     header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
     content = b"\x89PNG\r\n\x1a\n"
@@ -48,7 +44,7 @@ def png(width: int, height: int, pixels: bytes, *, bits: int = 8, colour: int = 
     return content
 
 
-def oct_file(header: str, pixels: bytes) -> bytes:
+def oct_file(header, pixels):
     """Return a Thorlabs scan, which is an archive of a header and numbers."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -57,13 +53,13 @@ def oct_file(header: str, pixels: bytes) -> bytes:
     return file.getvalue()
 
 
-def of_size(rows: object, columns: object) -> str:
+def of_size(rows, columns):
     """Return the header of a scan of one frame."""
     entry = f'<DataFile SizeZ="{rows}" SizeX="{columns}">data\\Intensity.data</DataFile>'
     return f"<Ocity><DataFiles>{entry}</DataFiles></Ocity>"
 
 
-def scan(path: Path, values: Shaped[np.ndarray, "..."], *, header: str = "") -> None:
+def scan(path, values, *, header=""):
     """Write a Thorlabs scan whose frames (y, z, x) measure 1.5 mm in depth, 3.1 mm in x and 0.4 mm in y."""
     frames, rows, columns = values.shape
     header = header or (
@@ -75,14 +71,14 @@ def scan(path: Path, values: Shaped[np.ndarray, "..."], *, header: str = "") -> 
     path.write_bytes(oct_file(header, np.ascontiguousarray(values.transpose(0, 2, 1)).astype("<f4").tobytes()))
 
 
-def with_tag(content: bytes, tag: str, value: int, *, form: str = "<I", at: int = 0) -> bytes:
+def with_tag(content, tag, value, *, form="<I", at=0):
     """Return a TIFF file with another number in a tag of its first page, or in its list of numbers."""
     with tifffile.TiffFile(io.BytesIO(content)) as tif:
         place = tif.pages[0].tags[tag].valueoffset + at
     return content[:place] + struct.pack(form, value) + content[place + struct.calcsize(form) :]
 
 
-def tiff(values: Shaped[np.ndarray, "..."], **how: Any) -> bytes:
+def tiff(values, **how):
     file = io.BytesIO()
     tifffile.imwrite(file, values, **{"photometric": "minisblack", "metadata": None, **how})
     return file.getvalue()

@@ -1,8 +1,6 @@
 """Pages, frames, pixel sizes, the refractive index and the scale: where they come from, and mistakes."""
 
 import hashlib
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,34 +19,29 @@ NOISE = RNG.integers(0, 65536, (5, 20, 30)).astype(np.uint16)
 VOXEL = {"size": 2.0, "z": 7.0, "unit": "um"}
 
 
-def imagej(path: Path, values: np.ndarray = NOISE[0], *, axes: str = "YX", **header: Any) -> None:
+def imagej(path, values=NOISE[0], *, axes="YX", **header):
     tifffile.imwrite(path, values, imagej=True, resolution=(2.0, 4.0), metadata={"axes": axes, **header})
 
 
-def ome(path: Path, values: np.ndarray = NOISE[0], *, axes: str = "YX", **header: Any) -> None:
+def ome(path, values=NOISE[0], *, axes="YX", **header):
     tifffile.imwrite(path, values, ome=True, metadata={"axes": axes, **header})
 
 
-def saved_frames(folder: Path) -> list[Path]:
+def saved_frames(folder):
     paths = [folder / f"{k}.npy" for k in range(5)]
     for path, values in zip(paths, NOISE, strict=True):
         np.save(path, values)
     return paths
 
 
-MISTAKES: list[tuple[Any, str]] = [
+MISTAKES = [
     ({"pagee": 1}, "unknown option: got pagee;.*Did you mean page"),
     ({"page": -1}, r"observation\.image\.page: got -1"),
     ({"page": True}, r"observation\.image\.page: got True"),
-    ({"page": 1.0}, r"observation\.image\.page: got 1\.0"),
     ({"average": "yes"}, r"observation\.image\.average"),
     ({"average": True, "page": 0}, "page and average; expected one of the two"),
     ({"index": 0.5}, r"observation\.image\.index: got 0\.5"),
-    ({"index": "water"}, r"observation\.image\.index: got water"),
-    ({"index": float("nan")}, r"observation\.image\.index"),
     ({"scale": "db"}, "expected one of intensity, amplitude, log10, dB, sRGB. Did you mean dB"),
-    ({"scale": 3}, r"observation\.image\.scale: got 3"),
-    ({"channel": "gray"}, "Did you mean grey"),
     ({"dataset": 3}, r"observation\.image\.dataset: got 3"),
     ({"reader": "nowhere:read"}, "a module that can be imported"),
     ({"reader": "math:pi"}, "a function"),
@@ -57,24 +50,20 @@ MISTAKES: list[tuple[Any, str]] = [
     ({"pixel": {"size": 3.0, "unit": "px"}}, r"observation\.image\.pixel\.unit: got px"),
     ({"pixel": {"size": 0, "unit": "um"}}, r"observation\.image\.pixel\.size: got 0"),
     ({"pixel": {"x": 1, "unit": "um"}}, "expected x and y, or size"),
-    ({"pixel": {"x": 1, "size": 1, "unit": "um"}}, "expected x and y, or size"),
-    ({"pixel": {"unit": "um"}}, "expected x and y, or size"),
-    ({"pixel": {"w": 1, "unit": "um"}}, "unknown option: got w"),
-    ("scan.tif", "expected keys with values"),
 ]
 
 
-def test_mistakes_in_the_options_are_one_line() -> None:
+def test_mistakes_in_the_options_are_one_line():
     for options, said in MISTAKES:
         with pytest.raises(InvalidInput, match=said) as caught:
-            PictureReading.from_options(options, "observation.image")
+            reading(**options)
         assert "\n" not in str(caught.value)
-    for given in ({"page": -1}, {"average": True, "page": 1}, {"scale": "dBm"}, {"index": 9.0}):
+    for given in ({"average": True, "page": 1}, {"index": 9.0}):
         with pytest.raises(InvalidInput):
             PictureReading(**given)
 
 
-def test_options_units_and_their_defaults() -> None:
+def test_options_units_and_their_defaults():
     assert reading().given == {}
     how = reading(page=3, scale="dB", pixel={"x": 6, "y": 4, "unit": "um"}, dataset=None)
     assert how.given == {"page": 3, "scale": "dB", "pixel": PixelSize(0.006, 0.004)}
@@ -83,20 +72,15 @@ def test_options_units_and_their_defaults() -> None:
         assert (size.x, size.y) == pytest.approx((6 * mm, 4 * mm), rel=1e-14)
 
 
-def test_a_picture_without_a_pixel_size_is_refused(tmp_path: Path) -> None:
+def test_the_size_of_a_pixel_is_that_in_a_header_or_the_picture_is_refused(tmp_path):
     Image.fromarray(NOISE[0]).save(tmp_path / "a.png", dpi=(300, 300))
     tifffile.imwrite(tmp_path / "a.tif", NOISE[0], resolution=(300, 300), resolutionunit="INCH")
     imagej(tmp_path / "b.tif")
     imagej(tmp_path / "c.tif", unit="pixel")
-    ome(tmp_path / "d.tif")
-    ome(tmp_path / "e.tif", PhysicalSizeX=2.0)
-    np.save(tmp_path / "a.npy", NOISE[0])
-    for name in ("a.png", "a.tif", "b.tif", "c.tif", "d.tif", "e.tif", "a.npy"):
-        with pytest.raises(InvalidInput, match=f"{name} does not state the size of a pixel.*Add e.g. `pixel:"):
-            read_picture(tmp_path / name, reading())
-
-
-def test_the_size_in_a_header(tmp_path: Path) -> None:
+    ome(tmp_path / "d.tif", PhysicalSizeX=2.0)
+    for path in sorted(tmp_path.iterdir()):
+        with pytest.raises(InvalidInput, match=f"{path.name} does not state the size of a pixel.*Add e.g. `pixel:"):
+            read_picture(path, reading())
     for unit in ("um", "micron", "\\u00B5m"):
         imagej(tmp_path / "a.tif", unit=unit)
         found = read_picture(tmp_path / "a.tif", reading())
@@ -110,21 +94,19 @@ def test_the_size_in_a_header(tmp_path: Path) -> None:
     assert "pixel size 6.5 × 0.4 µm from the OME header" in found.notes
 
 
-def test_the_study_and_the_header_must_agree_and_the_index_divides_y_only(tmp_path: Path) -> None:
+def test_the_study_and_the_header_must_agree_and_the_index_divides_y_only(tmp_path):
     ome(tmp_path / "a.tif", PhysicalSizeX=6.0, PhysicalSizeY=4.0)
     found = read(tmp_path / "a.tif", pixel={"x": 6.05, "y": 4.0, "unit": "um"}, index=1.333)
     assert found.pixel == pytest.approx((6.05e-3, 4e-3 / 1.333), rel=1e-12)
-    assert "pixel size 6.05 × 4 µm from the study" in found.notes
-    assert "index 1.333 divides y" in found.notes
+    assert {"pixel size 6.05 × 4 µm from the study", "index 1.333 divides y"} <= set(found.notes)
     with pytest.raises(InvalidInput, match=r"the study and the file disagree: got 6\.07 × 4 µm in the study, 6 × 4 µm"):
         read(tmp_path / "a.tif", pixel={"x": 6.07, "y": 4.0, "unit": "um"})
 
 
-def test_pages_of_every_stack(tmp_path: Path) -> None:
+def test_pages_of_every_stack(tmp_path):
     np.save(tmp_path / "a.npy", NOISE)
     imagej(tmp_path / "imagej.tif", NOISE, axes="ZYX")
     ome(tmp_path / "ome.tif", NOISE, axes="TYX")
-    tifffile.imwrite(tmp_path / "plain.tif", NOISE, photometric="minisblack")
     tifffile.imwrite(tmp_path / "deflate.tif", NOISE, photometric="minisblack", compression="zlib")
     for path in sorted(tmp_path.iterdir()):
         for page in (None, 0, 4):
@@ -137,9 +119,13 @@ def test_pages_of_every_stack(tmp_path: Path) -> None:
         np.testing.assert_allclose(mean.values, NOISE.astype(float).mean(0), rtol=1e-14)
         assert "mean of 5 frames" in mean.notes
         assert not any(note.startswith("frame 0") for note in mean.notes)
+    with tifffile.TiffWriter(tmp_path / "sizes.tif") as file:
+        file.write(NOISE[0])
+        file.write(NOISE[0, :9])
+    assert "the first of 2 series of pictures in the file" in read(tmp_path / "sizes.tif").notes
 
 
-def test_pages_of_several_axes_are_counted_through_also_in_colour(tmp_path: Path) -> None:
+def test_pages_of_several_axes_are_counted_through_also_in_colour(tmp_path):
     values = RNG.integers(0, 255, (2, 3, 4, 20, 30)).astype(np.uint8)
     imagej(tmp_path / "a.tif", values, axes="TZCYX")
     np.save(tmp_path / "a.npy", values)
@@ -152,7 +138,7 @@ def test_pages_of_several_axes_are_counted_through_also_in_colour(tmp_path: Path
     np.testing.assert_array_equal(read(tmp_path / "b.tif", page=2, channel="blue").values, colours[2, ..., 2])
 
 
-def test_a_stack_above_4_gb_has_one_page(tmp_path: Path) -> None:
+def test_a_stack_above_4_gb_has_one_page(tmp_path):
     """ImageJ describes the frames in the first page only; they follow one another in the file."""
     path, description = tmp_path / "a.tif", "ImageJ=1.54f\nimages=5\nslices=5\nunit=micron\nspacing=2.0\n"
     tifffile.imwrite(path, NOISE[0], metadata=None, description=description, resolution=(2, 4))
@@ -164,14 +150,7 @@ def test_a_stack_above_4_gb_has_one_page(tmp_path: Path) -> None:
         read_picture(path, reading(page=4))
 
 
-def test_pages_of_another_size_are_said(tmp_path: Path) -> None:
-    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
-        file.write(NOISE[0])
-        file.write(NOISE[0, :9])
-    assert "the first of 2 series of pictures in the file" in read(tmp_path / "a.tif").notes
-
-
-def test_several_files_are_frames_of_one_state(tmp_path: Path) -> None:
+def test_several_files_are_frames_of_one_state(tmp_path):
     """They are averaged in intensity."""
     paths, how = saved_frames(tmp_path), reading(pixel=SQUARE)
     found = read_picture(paths, how)
@@ -180,44 +159,32 @@ def test_several_files_are_frames_of_one_state(tmp_path: Path) -> None:
     digests = [hashlib.sha256(path.read_bytes()).digest() for path in paths]
     assert found.sha256 == hashlib.sha256(b"".join(digests)).hexdigest()
     assert read_picture(paths[:1], how).sha256 == read_picture(paths[0], how).sha256 == digests[0].hex()
-    for frame, values in zip(read_frames(paths, how), NOISE, strict=True):
-        np.testing.assert_array_equal(frame.values, values)
+    np.testing.assert_array_equal([frame.values for frame in read_frames(paths, how)], NOISE)
     for path, decibels in zip(paths[:2], (0.0, 20.0), strict=True):
         np.save(path, np.full((4, 4), decibels))
-    np.testing.assert_allclose(read_picture(paths[:2], reading(pixel=SQUARE, scale="dB")).values, 50.5, rtol=1e-14)
-
-
-def test_files_that_are_no_frames_of_one_state(tmp_path: Path) -> None:
-    a, b, c, d = (tmp_path / name for name in ("a.npy", "b.npy", "c.tif", "d.tif"))
-    np.save(a, NOISE[0])
-    np.save(b, NOISE[0, :9])
-    ome(c, NOISE[0], PhysicalSizeX=2.0, PhysicalSizeY=2.0)
-    ome(d, NOISE[1], PhysicalSizeX=2.0, PhysicalSizeY=2.1)
-    for files, how, said in (
-        ([a, b], reading(pixel=SQUARE), r"b\.npy differs from a\.npy: got Picture\(b\.npy, 30 × 9 pixels"),
-        ([a, b, a], reading(pixel=SQUARE), r"files of a picture: got a\.npy; expected .*each once"),
-        ([], reading(pixel=SQUARE), "files of a picture: got no file"),
-        ([c, d], reading(), r"d\.tif differs from c\.tif"),
+    np.testing.assert_allclose(read(paths[:2], scale="dB").values, 50.5, rtol=1e-14)
+    a, b = tmp_path / "a.tif", tmp_path / "b.tif"
+    ome(a, NOISE[0], PhysicalSizeX=2.0, PhysicalSizeY=2.0)
+    ome(b, NOISE[1], PhysicalSizeX=2.0, PhysicalSizeY=2.1)
+    for files, pixel, said in (
+        (paths[1:3], SQUARE, r"2\.npy differs from 1\.npy: got Picture\(2\.npy, 30 × 20 pixels"),
+        ([a, b, a], SQUARE, r"files of a picture: got a\.tif; expected .*each once"),
+        ([], SQUARE, "files of a picture: got no file"),
+        ([a, b], None, r"b\.tif differs from a\.tif"),
     ):
         with pytest.raises(InvalidInput, match=said):
-            read_picture(files, how)
+            read(files, pixel=pixel)
 
 
-FORWARD = {
-    "intensity": lambda v: v,
-    "amplitude": np.sqrt,
-    "log10": np.log10,
-    "dB": lambda v: 10 * np.log10(v),
-    "sRGB": lambda v: np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055),
-}
-
-
-def test_a_scale_is_undone_and_said(tmp_path: Path) -> None:
+def test_a_scale_is_undone_and_said(tmp_path):
     truth = RNG.uniform(0, 1, (20, 30))
     truth[3, 4] = 0.0
-    for scale, forward in FORWARD.items():
-        with np.errstate(divide="ignore"):
-            np.save(tmp_path / "a.npy", forward(truth))
+    with np.errstate(divide="ignore"):
+        logarithm = np.log10(truth)
+    coded = np.where(truth <= 0.0031308, 12.92 * truth, 1.055 * truth ** (1 / 2.4) - 0.055)
+    stored = {"intensity": truth, "amplitude": np.sqrt(truth), "log10": logarithm, "dB": 10 * logarithm, "sRGB": coded}
+    for scale, values in stored.items():
+        np.save(tmp_path / "a.npy", values)
         found = read(tmp_path / "a.npy", scale=scale)
         np.testing.assert_allclose(found.values, truth, rtol=1e-9, atol=1e-12)
         assert any(note.startswith(f"scale {scale} from the study") for note in found.notes)
@@ -226,9 +193,6 @@ def test_a_scale_is_undone_and_said(tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", np.array([[0, full], [full // 5, full]], kind))
         found = read(tmp_path / "a.npy", scale="sRGB")
         np.testing.assert_allclose(found.values, [[0, 1], [0.0331048, 1]], atol=1e-6)
-
-
-def test_numbers_that_do_not_fit_the_scale(tmp_path: Path) -> None:
     display = np.arange(256, dtype=np.uint8).reshape(16, 16)
     for values, options, said in (
         (np.array([[0.0, 1.5]]), {"scale": "sRGB"}, r"is not coded as sRGB: got 0 to 1\.5"),
@@ -242,7 +206,7 @@ def test_numbers_that_do_not_fit_the_scale(tmp_path: Path) -> None:
             read(tmp_path / "a.npy", **options)
 
 
-def test_a_stack_in_one_file_and_in_several(tmp_path: Path) -> None:
+def test_a_stack_in_one_file_and_in_several(tmp_path):
     imagej(tmp_path / "a.tif", NOISE, axes="ZYX", unit="um", spacing=3.0)
     found = read_stack(tmp_path / "a.tif", reading(index=1.5))
     np.testing.assert_array_equal(found.values, NOISE)
@@ -251,16 +215,11 @@ def test_a_stack_in_one_file_and_in_several(tmp_path: Path) -> None:
     several = read_stack(saved_frames(tmp_path), reading(pixel=VOXEL))
     np.testing.assert_array_equal(several.values, NOISE)
     assert several.voxel == pytest.approx((2e-3, 2e-3, 7e-3))
-    assert repr(several) == "Stack(0.npy and 4 more, 30 × 20 × 5 voxels of 2 × 2 × 7 µm)"
-
-
-def test_files_that_are_no_stack(tmp_path: Path) -> None:
-    np.save(tmp_path / "one.npy", NOISE[0])
     np.save(tmp_path / "many.npy", NOISE.reshape(5, 2, 10, 30))
     np.save(tmp_path / "a.npy", NOISE)
     imagej(tmp_path / "times.tif", NOISE, axes="TYX", unit="um", spacing=3.0)
     for name, options, said in (
-        ("one.npy", {"pixel": VOXEL}, r"one\.npy holds no stack: got one plane"),
+        ("0.npy", {"pixel": VOXEL}, r"0\.npy holds no stack: got one plane"),
         ("many.npy", {"pixel": VOXEL}, r"many\.npy holds no stack: got axis 0 5, axis 1 2"),
         ("times.tif", {}, r"times\.tif holds no stack: got T 5"),
         ("a.npy", {"pixel": SQUARE}, r"a\.npy does not state z.*Add z to the size of a voxel"),
@@ -270,13 +229,11 @@ def test_files_that_are_no_stack(tmp_path: Path) -> None:
             read_stack(tmp_path / name, reading(**options))
 
 
-def test_pictures_made_by_hand_are_checked() -> None:
-    assert repr(Picture(np.ones((3, 4)), (0.1, 0.2), "a", "0")) == "Picture(a, 4 × 3 pixels of 100 × 200 µm)"
-    holes = np.ones((3, 4))
-    holes[1, 1] = np.nan
-    with pytest.raises(InvalidInput, match="a has pixels that are not finite: got 1 of 12"):
-        Picture(holes, (0.1, 0.2), "a", "0")
-    with pytest.raises(InvalidInput, match="pixel size of a"):
-        Picture(np.ones((3, 4)), (0.1, 0.0), "a", "0")
-    with pytest.raises(InvalidInput, match="a is empty"):
-        Stack(np.ones((0, 3, 4)), (0.1, 0.1, 0.1), "a", "0")
+def test_pictures_made_by_hand_are_checked():
+    for kind, values, sizes, said in (
+        (Picture, [[1.0, np.nan]], (0.1, 0.2), "a has pixels that are not finite: got 1 of 2"),
+        (Picture, [[1.0]], (0.1, 0.0), "pixel size of a"),
+        (Stack, np.ones((0, 3, 4)), (0.1, 0.1, 0.1), "a is empty"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            kind(np.array(values), sizes, "a", "0")

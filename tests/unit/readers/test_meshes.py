@@ -2,42 +2,96 @@
 
 import sys
 from contextlib import suppress
-from pathlib import Path
-from typing import Any
 
 import meshio
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.unit.readers.meshes import BENT, FACES, NX, NY, TETRA, TOP, VTP_ASCII, cells_of, grid, pvd, read, vtu
 
 from strandline.errors import InvalidInput
-from strandline.interface import Interface
-from strandline.readers import READERS, Unreadable
+from strandline.readers import READERS, Reading, Unreadable, read_interface
+
+NX, NY = 4, 2
+TOP = np.stack([np.arange(NX + 1.0), np.full(NX + 1, float(NY))], axis=1)
+BENT = TOP + np.stack([np.zeros(NX + 1), 0.2 * np.arange(NX + 1.0)], axis=1)
+TETRA = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+LINE = {"cells": {"region": 7}}
+VTP_ASCII = """<VTKFile type="PolyData" version="0.1"><PolyData>
+<Piece NumberOfPoints="4" NumberOfVerts="1" NumberOfLines="2" NumberOfPolys="0">
+<Points><DataArray type="Float32" NumberOfComponents="3" format="ascii">0 0 0 1 0 0 2 1 0 3 1 0</DataArray></Points>
+<Verts><DataArray type="Int32" Name="connectivity">0</DataArray><DataArray type="Int32" Name="offsets">1</DataArray>
+</Verts>
+<Lines><DataArray type="Int32" Name="connectivity">3 2 0 1 2</DataArray>
+<DataArray type="Int32" Name="offsets">2 5</DataArray></Lines>
+<CellData><DataArray type="Int32" Name="part">0 1 2</DataArray></CellData>
+</Piece></PolyData></VTKFile>"""
 
 
-def test_line_cells_in_any_order_with_a_displacement(tmp_path: Path) -> None:
-    for options in (
-        {"binary": False},
-        {"binary": True, "compression": None},
-        {"binary": True, "compression": "zlib"},
-        {"binary": True, "compression": "lzma"},
-    ):
-        found = read(vtu(tmp_path, grid(), **options), cells={"region": 7}, field="u", start=[0, 2])
+def read(path, **options):
+    return read_interface(path, Reading.from_options({"file": path.name, "unit": "mm", **options}, "result"))
+
+
+def grid(kind="triangle"):
+    """A rectangle 4 by 2 of triangles or quads, its region 1 below, 2 above; line cells along its top, shuffled."""
+    x, y = np.meshgrid(np.arange(NX + 1.0), np.arange(NY + 1.0))
+    points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    corner = np.array([j * (NX + 1) + i for j in range(NY) for i in range(NX)])
+    cells, region = corner[:, None] + np.array([0, 1, NX + 2, NX + 1]), np.repeat([1, 2], NX)
+    if kind == "triangle":
+        cells, region = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.concatenate([region, region])
+    top = NY * (NX + 1) + np.arange(NX)
+    lines = np.stack([top, top + 1], axis=1)[[2, 0, 3, 1]]
+    lines[0] = lines[0, ::-1]
+    moved = np.stack([0 * points[:, 0], 0.1 * points[:, 0] * points[:, 1], 0 * points[:, 0]], axis=1)
+    return meshio.Mesh(
+        points,
+        [(kind, cells), ("line", lines)],
+        point_data={"u": moved, "top": (points[:, 1] == NY).astype(float)},
+        cell_data={"region": [region, np.full(NX, 7)]},
+    )
+
+
+def vtu(folder, mesh, **options):
+    path = folder / "mesh.vtu"
+    meshio.vtu.write(str(path), mesh, **options)
+    return path
+
+
+def cells_of(folder, points, kind, cells):
+    return vtu(folder, meshio.Mesh(np.array(points, float), [(kind, cells)]))
+
+
+def pvd(folder):
+    """Write a series of three times, at which the displacements are 0, 1 and 2 times those of the grid."""
+    entries, mesh = "", grid()
+    (folder / "steps").mkdir(exist_ok=True)
+    for k in range(3):
+        mesh.point_data["u"] = k * grid().point_data["u"]
+        meshio.vtu.write(str(folder / "steps" / f"{k}.vtu"), mesh)
+        entries += f'<DataSet timestep="{k}.0" part="0" file="steps/{k}.vtu"/>'
+    path = folder / "series.pvd"
+    path.write_text(f'<?xml version="1.0"?><VTKFile type="Collection"><Collection>{entries}</Collection></VTKFile>')
+    return path
+
+
+def test_line_cells_in_any_order_with_a_displacement(tmp_path):
+    for options in ({"binary": False}, {"compression": None}, {"compression": "zlib"}, {"compression": "lzma"}):
+        found = read(vtu(tmp_path, grid(), **options), **LINE, field="u", start=[0, 2])
         np.testing.assert_array_equal(found.points, BENT)
         assert not found.closed
     for suffix in (".xdmf", ".xmf"):
         meshio.xdmf.write(str(tmp_path / f"mesh{suffix}"), grid(), data_format="XML")
-        found = read(tmp_path / f"mesh{suffix}", cells={"region": 7}, field="u", start=[0, 2])
+        found = read(tmp_path / f"mesh{suffix}", **LINE, field="u", start=[0, 2])
         np.testing.assert_array_equal(found.points, BENT)
     for suffix in (".vtu", ".vtk"):
         meshio.write(str(tmp_path / f"mesh{suffix}"), grid())
-        found = read(tmp_path / f"mesh{suffix}", cells={"region": 7}, start=[4000, 2000], unit="m")
+        found = read(tmp_path / f"mesh{suffix}", **LINE, start=[4000, 2000], unit="m")
         np.testing.assert_array_equal(found.points, TOP[::-1] * 1000)
 
 
-def test_the_boundary_of_a_region_is_closed_and_counter_clockwise(tmp_path: Path) -> None:
+def test_the_boundary_of_a_region_is_closed_and_counter_clockwise(tmp_path):
     for kind in ("triangle", "quad"):
         found = read(vtu(tmp_path, grid(kind)), cells={"region": 2}, start=[0, 1])
         assert found.closed
@@ -46,34 +100,34 @@ def test_the_boundary_of_a_region_is_closed_and_counter_clockwise(tmp_path: Path
         np.testing.assert_array_equal(found.points[:3], [[0, 1], [1, 1], [2, 1]])
 
 
-def test_a_box_and_point_data_choose_a_part_of_a_boundary(tmp_path: Path) -> None:
+def test_a_box_and_point_data_choose_a_part_of_a_boundary(tmp_path):
     path = vtu(tmp_path, grid())
-    by_box = read(path, block="triangle", select={"y": [1.9, 2.1]}, field="u", start=[0, 2])
-    by_data = read(path, block=0, points={"top": 1}, field="u", start=[0, 2])
-    np.testing.assert_array_equal(by_box.points, BENT)
-    np.testing.assert_array_equal(by_data.points, BENT)
+    for part in ({"block": "triangle", "select": {"y": [1.9, 2.1]}}, {"block": 0, "points": {"top": 1}}):
+        np.testing.assert_array_equal(read(path, **part, field="u", start=[0, 2]).points, BENT)
 
 
-def test_quadratic_cells_keep_their_middle_nodes(tmp_path: Path) -> None:
+def test_quadratic_cells_keep_their_middle_nodes(tmp_path):
     points = np.array(
         [[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, 0.1, 0], [1.2, 1.2, 0], [0, 1, 0], [3, 0, 0], [2.5, 0.1, 0]]
     )
-    found = read(cells_of(tmp_path, points, "triangle6", [[0, 1, 2, 3, 4, 5]]), start=[0, 0])
-    np.testing.assert_array_equal(found.points, points[[0, 3, 1, 4, 2, 5], :2])
-    found = read(cells_of(tmp_path, points, "line3", [[1, 6, 7], [0, 1, 3]]), start=[0, 0])
-    np.testing.assert_array_equal(found.points, points[[0, 3, 1, 7, 6], :2])
+    for kind, cells, order in (
+        ("triangle6", [[0, 1, 2, 3, 4, 5]], [0, 3, 1, 4, 2, 5]),
+        ("line3", [[1, 6, 7], [0, 1, 3]], [0, 3, 1, 7, 6]),
+    ):
+        found = read(cells_of(tmp_path, points, kind, cells), start=[0, 0])
+        np.testing.assert_array_equal(found.points, points[order, :2])
 
 
-def test_another_plane(tmp_path: Path) -> None:
+def test_another_plane(tmp_path):
     mesh = grid()
     mesh.points = mesh.points[:, [0, 2, 1]]
     path = vtu(tmp_path, mesh)
-    np.testing.assert_array_equal(read(path, cells={"region": 7}, plane="xz", start=[0, 2]).points, TOP)
+    np.testing.assert_array_equal(read(path, **LINE, plane="xz", start=[0, 2]).points, TOP)
     with pytest.raises(Unreadable, match="leaves its plane"):
         read(path, cells={"region": [7]}, block="line", plane="yz")
 
 
-def test_pieces_and_branches_are_refused_with_their_places_or_one_piece_is_chosen(tmp_path: Path) -> None:
+def test_pieces_and_branches_are_refused_with_their_places_or_one_piece_is_chosen(tmp_path):
     points = [[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [5, 1, 0], [5.5, 1, 0]]
     path = cells_of(tmp_path, points, "line", [[3, 4], [1, 2], [0, 1]])
     with pytest.raises(Unreadable, match=r"in 2 pieces: got \(0, 0\) to \(2, 0\), \(5, 1\) to \(5\.5, 1\) mm"):
@@ -83,43 +137,38 @@ def test_pieces_and_branches_are_refused_with_their_places_or_one_piece_is_chose
     points = [[0.0, 0, 0], [1, 0, 0], [2, 0.5, 0], [2, -0.5, 0]]
     with pytest.raises(Unreadable, match=r"branches at \(1, 0\) mm: got 3 segments"):
         read(cells_of(tmp_path, points, "line", [[0, 1], [1, 2], [1, 3]]))
-
-
-def test_most_line_cells_give_the_direction(tmp_path: Path) -> None:
-    points = np.array([[float(k), 0.1 * k * k, 0] for k in range(5)])
+    points = np.array([[float(k), 0.1 * k * k, 0] for k in range(5)])  # most cells give the direction
     found = read(cells_of(tmp_path, points, "line", [[1, 0], [2, 1], [2, 3], [4, 3]]))
     np.testing.assert_array_equal(found.points, points[::-1, :2])
 
 
-def assert_outward(found: Interface, *, area: float) -> None:
+def assert_outward(found, *, area):
     assert found.closed
     assert found.areas.sum() == pytest.approx(area)
     assert (found.normals * (found.centres - found.points.mean(axis=0))).sum(axis=1).min() > 0
 
 
-def test_surfaces(tmp_path: Path) -> None:
-    for suffix in (".stl", ".ply", ".vtu"):
-        path = tmp_path / f"surface{suffix}"
-        meshio.write_points_cells(str(path), TETRA, [("triangle", FACES)])
-        found = read(path, unit="um")
-        assert len(found.points) == 4
-        assert_outward(found, area=(1.5 + np.sqrt(3) / 2) * 1e-6)
-
-
 CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)
 EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
 SIDES = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
-SOLIDS: list[tuple[str, Any, float]] = [
-    ("tetra", TETRA, 1.5 + np.sqrt(3) / 2),
-    ("tetra10", np.concatenate([TETRA, [(TETRA[a] + TETRA[b]) / 2 for a, b in SIDES]]), 1.5 + np.sqrt(3) / 2),
+TETRA_AREA = 1.5 + np.sqrt(3) / 2
+SOLIDS = [
+    ("tetra", TETRA, TETRA_AREA),
+    ("tetra10", np.concatenate([TETRA, TETRA[np.array(SIDES)].mean(axis=1)]), TETRA_AREA),
     ("hexahedron", CUBE, 6.0),
-    ("hexahedron20", np.concatenate([CUBE, [(CUBE[a] + CUBE[b]) / 2 for a, b in EDGES]]), 6.0),
+    ("hexahedron20", np.concatenate([CUBE, CUBE[np.array(EDGES)].mean(axis=1)]), 6.0),
     ("wedge", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], float), 3 + np.sqrt(2)),
     ("pyramid", np.concatenate([CUBE[:4], [[0.5, 0.5, 0.5]]]), 1 + np.sqrt(2)),
 ]
 
 
-def test_all_faces_of_solids_face_outwards(tmp_path: Path) -> None:
+def test_surfaces_and_all_faces_of_solids_face_outwards(tmp_path):
+    for suffix in (".stl", ".ply", ".vtu"):
+        path = tmp_path / f"surface{suffix}"
+        meshio.write_points_cells(str(path), TETRA, [("triangle", FACES)])
+        found = read(path, unit="um")
+        assert len(found.points) == 4
+        assert_outward(found, area=TETRA_AREA * 1e-6)
     for kind, points, area in SOLIDS:
         assert_outward(read(cells_of(tmp_path, points, kind, [list(range(len(points)))])), area=area)
     points = np.concatenate([CUBE, CUBE[4:] + np.array([0, 0, 1])])
@@ -127,29 +176,26 @@ def test_all_faces_of_solids_face_outwards(tmp_path: Path) -> None:
     assert two.areas.sum() == pytest.approx(10.0)  # without the face between them
 
 
-TIMES: list[tuple[Any, float]] = [(None, 2.0), ("last", 2.0), ({"index": 0}, 0.0), ({"value": 1.0}, 1.0)]
-
-
 @pytest.mark.parametrize("data_format", ["XML", "HDF", "pvd"])
-def test_times_of_a_series(tmp_path: Path, data_format: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_of_a_series(tmp_path, data_format, monkeypatch):
     mesh, path, options = grid(), tmp_path / "series.xdmf", {"block": "line"}
     monkeypatch.chdir(tmp_path)
     if data_format == "pvd":
-        path, options = pvd(tmp_path), {"cells": {"region": 7}}
+        path, options = pvd(tmp_path), LINE
     else:
         with meshio.xdmf.TimeSeriesWriter("series.xdmf", data_format=data_format) as writer:
             writer.write_points_cells(mesh.points, mesh.cells[1:])
             for at in (0.0, 1.0, 2.0):
                 writer.write_data(at, point_data={"u": at * mesh.point_data["u"]})
-    for time, factor in TIMES:
-        found = read(path, **options, field="u", start=[0, 2], **({"time": time} if time else {}))
+    for time, factor in ((None, 2.0), ("last", 2.0), ({"index": 0}, 0.0), ({"value": 1.0}, 1.0)):
+        found = read(path, **options, field="u", start=[0, 2], time=time)
         np.testing.assert_allclose(found.points, TOP + factor * (BENT - TOP), rtol=1e-15)
     for time in ({"index": 3}, {"value": 1.5}):
         with pytest.raises(Unreadable, match=r"has no time of .*: got 3 times from 0 to 2"):
             read(path, time=time)
 
 
-def test_a_series_does_not_lead_out_of_its_folder(tmp_path: Path) -> None:
+def test_a_series_does_not_lead_out_of_its_folder(tmp_path):
     inner = tmp_path / "inner"
     inner.mkdir()
     (inner / "link").symlink_to(tmp_path)
@@ -161,29 +207,26 @@ def test_a_series_does_not_lead_out_of_its_folder(tmp_path: Path) -> None:
             read(inner / "series.pvd")
 
 
-def test_parallel_pieces_are_joined_without_a_seam(tmp_path: Path) -> None:
-    mesh = grid("quad")
-    whole = mesh.cells[0].data
-    for k, half in enumerate((whole[:NX], whole[NX:])):
+def test_parallel_pieces_are_joined_without_a_seam(tmp_path):
+    mesh, pieces = grid("quad"), ""
+    for k, half in enumerate(np.split(mesh.cells[0].data, 2)):
         used = np.unique(half)
         part = meshio.Mesh(mesh.points[used], [("quad", np.searchsorted(used, half))])
         meshio.vtu.write(str(tmp_path / f"p{k}.vtu"), part)
-    path = tmp_path / "all.pvtu"
-    path.write_text(
-        '<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid><Piece Source="p0.vtu"/><Piece Source="p1.vtu"/>'
-        "</PUnstructuredGrid></VTKFile>"
-    )
-    found = read(path)
+        pieces += f'<Piece Source="p{k}.vtu"/>'
+    root = "PUnstructuredGrid"
+    (tmp_path / "all.pvtu").write_text(f'<VTKFile type="{root}"><{root}>{pieces}</{root}></VTKFile>')
+    found = read(tmp_path / "all.pvtu")
     assert found.closed
     assert found.lengths.sum() == pytest.approx(2 * (NX + NY))
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("damaged")
 
 
-def whole_file(folder: Path, suffix: str) -> Path:
+def whole_file(folder, suffix):
     path = folder / f"mesh{suffix}"
     if suffix == ".pvd":
         return pvd(folder)
@@ -203,13 +246,13 @@ TABLES = {".csv", ".tsv", ".txt", ".dat", ".npy", ".pvtu", ".pvtp"}
 
 
 @pytest.mark.parametrize("suffix", sorted(set(READERS) - TABLES))
-def test_damaged_files_are_one_clear_error(folder: Path, suffix: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_files_are_one_clear_error(folder, suffix, capsys):
     path = whole_file(folder, suffix)
     whole = path.read_bytes()
 
     @settings(max_examples=8)
     @given(share=st.floats(0.0, 1.0))
-    def is_read_or_refused(share: float) -> None:
+    def is_read_or_refused(share):
         path.write_bytes(whole[: int(share * len(whole))])
         with suppress(Unreadable):
             read(path)
@@ -224,42 +267,35 @@ def test_damaged_files_are_one_clear_error(folder: Path, suffix: str, capsys: py
     assert capsys.readouterr().out == ""
 
 
-def test_polylines_of_vtp(tmp_path: Path) -> None:
+def test_polylines_of_vtp(tmp_path):
     path = tmp_path / "line.vtp"
     path.write_text(VTP_ASCII)
     np.testing.assert_array_equal(read(path, start=[0, 0]).points, [[0, 0], [1, 0], [2, 1], [3, 1]])
     np.testing.assert_array_equal(read(path, cells={"part": 2}).points, [[0, 0], [1, 0], [2, 1]])
 
 
-def test_nan_in_a_mesh(tmp_path: Path) -> None:
+def test_selections_that_are_not_there_and_numbers_that_are_not_finite(tmp_path):
     mesh = grid()
     mesh.point_data["u"][NX + 1 + NX + 1 + 1, 1] = np.nan
     path = vtu(tmp_path, mesh)
-    with pytest.raises(Unreadable, match="not finite") as caught:
-        read(path, cells={"region": 7}, field="u")
-    assert caught.value.kind == "non_finite"
-    assert len(read(path, cells={"region": 7}).points) == NX + 1
-
-
-def test_selections_that_are_not_there(tmp_path: Path) -> None:
-    path = vtu(tmp_path, grid())
-    missing: list[tuple[dict[str, Any], str]] = [
-        ({"cells": {"regoin": 7}}, "no cell data regoin: got region"),
-        ({"cells": {"region": 9}}, "no such cells: got region = 9"),
-        ({"field": "v", "block": "line"}, "no point data v: got"),
-        ({"field": "top", "block": "line"}, "expected one vector per point"),
-        ({"points": {"bottom": 1}}, "no point data bottom"),
-        ({"block": 5}, "no block 5: got 2 blocks"),
-        ({"block": "hexahedron"}, "no cells of the kind hexahedron: got triangle, line"),
-        ({"select": {"x": [10, 11]}}, "nothing in the selection"),
-        ({"cells": {"region": 7}, "count": 9}, "number of points: got 5; expected 9"),
-    ]
-    for options, words in missing:
-        with pytest.raises(Unreadable, match=words):
+    for options, words, kind in (
+        ({"cells": {"regoin": 7}}, "no cell data regoin: got region", "result_unreadable"),
+        ({"cells": {"region": 9}}, "no such cells: got region = 9", "result_unreadable"),
+        ({"field": "v", "block": "line"}, "no point data v: got", "result_unreadable"),
+        ({"field": "top", "block": "line"}, "expected one vector per point", "result_unreadable"),
+        ({"block": 5}, "no block 5: got 2 blocks", "result_unreadable"),
+        ({"block": "hexahedron"}, "no cells of the kind hexahedron: got triangle, line", "result_unreadable"),
+        ({"select": {"x": [10, 11]}}, "nothing in the selection", "result_unreadable"),
+        ({**LINE, "count": 9}, "number of points: got 5; expected 9", "result_unreadable"),
+        ({**LINE, "field": "u"}, "not finite", "non_finite"),
+    ):
+        with pytest.raises(Unreadable, match=words) as caught:
             read(path, **options)
+        assert caught.value.kind == kind
+    assert len(read(path, **LINE).points) == NX + 1
 
 
-def test_a_missing_extra_names_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_names_its_command(tmp_path, monkeypatch):
     path = tmp_path / "surface.stl"
     meshio.write_points_cells(str(path), TETRA, [("triangle", FACES[:1])])
     monkeypatch.setitem(sys.modules, "meshio", None)

@@ -3,8 +3,7 @@
 import base64
 import lzma
 import zlib
-from pathlib import Path
-from typing import Any
+from contextlib import suppress
 
 import h5py
 import numpy as np
@@ -17,10 +16,9 @@ from strandline.readers import Reading, Unreadable, read_interface
 POINTS = np.array([[0.0, 0, 0], [1, 0.5, 0], [2, 0.25, 0]])
 LINES = np.array([[0, 1], [1, 2]])
 ARRAYS = {"points": POINTS, "connectivity": np.array([0, 1, 2]), "offsets": np.array([3])}
-KINDS = {"points": "Float64", "connectivity": "Int64", "offsets": "Int64"}
 
 
-def packed(array: np.ndarray, order: str, header: str, *, compressed: bool, text: bool, apart: bool) -> bytes:
+def packed(array, order, header, *, compressed, text, apart):
     """Return one array as VTK writes it."""
     data = array.astype(np.dtype(order + array.dtype.str[1:])).tobytes()
     count = np.dtype(order + header)
@@ -34,44 +32,42 @@ def packed(array: np.ndarray, order: str, header: str, *, compressed: bool, text
     return encode(head) + encode(b"".join(small))
 
 
-def vtp(form: str, *, order: str = "<", header: str = "u4", compressed: bool = False, apart: bool = False) -> bytes:
+def vtp(form, *, order="<", header="u4", compressed=False, apart=False):
     """Return a VTP file of one polyline."""
     appended, elements = b"", {}
     for name, array in ARRAYS.items():
         data = packed(array, order, header, compressed=compressed, text=form != "raw", apart=apart)
         place = 'format="binary"' if form == "binary" else f'format="appended" offset="{len(appended)}"'
         elements[name] = (
-            f'<DataArray type="{KINDS[name]}" Name="{name}" NumberOfComponents="{2 * array.ndim - 1}" {place}>'
+            f'<DataArray type="{array.dtype.name.title()}" Name="{name}" '
+            f'NumberOfComponents="{2 * array.ndim - 1}" {place}>'
             f"{data.decode() if form == 'binary' else ''}</DataArray>"
         )
         appended += data
     root = f'<VTKFile type="PolyData" byte_order="{"LittleEndian" if order == "<" else "BigEndian"}"'
-    root += f' header_type="{ {"u4": "UInt32", "u8": "UInt64"}[header] }"'
+    root += f' header_type="UInt{8 * int(header[1])}"'
     root += ' compressor="vtkZLibDataCompressor">' if compressed else ">"
     body = f'<PolyData><Piece NumberOfPoints="3" NumberOfLines="1"><Points>{elements["points"]}</Points>'
     body += f"<Lines>{elements['connectivity']}{elements['offsets']}</Lines></Piece></PolyData>"
-    tail = b""
-    if form != "binary":
-        tail = f'<AppendedData encoding="{"raw" if form == "raw" else "base64"}">\n _'.encode() + appended
-        tail += b"\n</AppendedData>"
-    return ('<?xml version="1.0"?>\n' + root + body).encode() + tail + b"</VTKFile>"
+    tail = f'<AppendedData encoding="{form}">\n _'.encode() + appended + b"\n</AppendedData>"
+    return (root + body).encode() + (b"" if form == "binary" else tail) + b"</VTKFile>"
 
 
-def read(path: Path) -> np.ndarray:
+def read(path):
     return read_interface(path, Reading(path.name, "mm", start=(0.0, 0.0))).points
 
 
-def test_every_encoding(tmp_path: Path) -> None:
+def test_every_encoding(tmp_path):
     for form in ("binary", "raw", "base64"):
         for order, header in (("<", "u4"), (">", "u8"), ("<", "u8")):
             for compressed, apart in ((False, False), (False, True), (True, False)):
-                content = vtp(form, order=order, header=header, compressed=compressed, apart=apart)
-                (tmp_path / "a.vtp").write_bytes(content)
+                file = vtp(form, order=order, header=header, compressed=compressed, apart=apart)
+                (tmp_path / "a.vtp").write_bytes(file)
                 np.testing.assert_array_equal(read(tmp_path / "a.vtp"), POINTS[:, :2])
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("damaged")
 
 
@@ -82,9 +78,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cut=st.floats(0.0, 0.999),
     flipped=st.lists(st.tuples(st.floats(0.0, 0.999), st.integers(0, 255)), min_size=1, max_size=3),
 )
-def test_a_damaged_file_is_refused_or_other_numbers(
-    folder: Path, form: str, compressed: bool, cut: float, flipped: list[tuple[float, int]]
-) -> None:
+def test_a_damaged_file_is_refused_or_other_numbers(folder, form, compressed, cut, flipped):
     path, whole = folder / "a.vtp", vtp(form, compressed=compressed)
     path.write_bytes(whole[: int(cut * (len(whole) - len(b"</VTKFile>")))])
     with pytest.raises(Unreadable):
@@ -93,13 +87,11 @@ def test_a_damaged_file_is_refused_or_other_numbers(
     for place, byte in flipped:
         damaged[int(place * len(whole))] = byte
     path.write_bytes(bytes(damaged))
-    try:
+    with suppress(Unreadable):
         read(path)
-    except Unreadable:
-        return
 
 
-def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path: Path) -> None:
+def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path):
     path, number = tmp_path / "bomb.vtp", 80
     for name, pack in (("ZLib", zlib.compress), ("LZMA", lzma.compress)):
         block = pack(bytes(10**6))
@@ -110,13 +102,11 @@ def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path: Path) -> None:
             f'<Points><DataArray type="Float64" NumberOfComponents="3" format="binary">{text}</DataArray></Points>'
             "</Piece></PolyData></VTKFile>"
         )
-        with pytest.raises(
-            Unreadable, match=r"bomb\.vtp cannot be read: .*unpack to more than \d\d MB, from 0\.\d+ MB"
-        ):
+        with pytest.raises(Unreadable, match=r"bomb\.vtp .*unpack to more than \d\d MB, from 0\.\d+ MB"):
             read(path)
 
 
-def test_a_list_of_files_names_each_once_and_no_other_list(tmp_path: Path) -> None:
+def test_a_list_of_files_names_each_once_and_no_other_list(tmp_path):
     (tmp_path / "a.vtp").write_bytes(vtp("raw"))
     for sources, words in (
         (["a.vtp", "a.vtp"], "names a.vtp more than once"),
@@ -129,7 +119,7 @@ def test_a_list_of_files_names_each_once_and_no_other_list(tmp_path: Path) -> No
 
 
 @pytest.fixture
-def inner(tmp_path: Path) -> Path:
+def inner(tmp_path):
     """A folder with a file of numbers, beside another such file."""
     (tmp_path / "inner" / "sub").mkdir(parents=True)
     for path in ("outside.h5", "inner/a.h5", "inner/sub/b.h5"):
@@ -138,7 +128,7 @@ def inner(tmp_path: Path) -> Path:
     return tmp_path / "inner"
 
 
-def xdmf(folder: Path, points: str, lines: str = "a.h5:/lines", form: str = "HDF") -> Path:
+def xdmf(folder, points, lines="a.h5:/lines", form="HDF"):
     """Write an XDMF file whose numbers are where two texts say."""
     path = folder / "m.xdmf"
     path.write_text(
@@ -151,7 +141,7 @@ def xdmf(folder: Path, points: str, lines: str = "a.h5:/lines", form: str = "HDF
     return path
 
 
-def test_only_data_beside_xdmf_and_below_are_read(inner: Path) -> None:
+def test_only_data_beside_xdmf_and_below_are_read(inner):
     np.testing.assert_array_equal(read(xdmf(inner, "a.h5:/points", "sub/b.h5:/lines")), POINTS[:, :2])
     outside = inner.parent / "outside.h5"
     (inner / "link.h5").symlink_to(outside)
@@ -163,7 +153,7 @@ def test_only_data_beside_xdmf_and_below_are_read(inner: Path) -> None:
         read(xdmf(inner, str(inner / "points.bin"), form="Binary"))
 
 
-def test_hdf5_does_not_lead_out_either(inner: Path) -> None:
+def test_hdf5_does_not_lead_out_either(inner):
     outside, raw = str(inner.parent / "outside.h5"), str(inner.parent / "raw.bin")
     POINTS.tofile(raw)
     with h5py.File(inner / "a.h5", "a") as file:
@@ -173,19 +163,13 @@ def test_hdf5_does_not_lead_out_either(inner: Path) -> None:
         layout = h5py.VirtualLayout(POINTS.shape, "f8")
         layout[:] = h5py.VirtualSource(outside, "points", POINTS.shape)
         file.create_virtual_dataset("virtual", layout)
-    for name, words in (
-        ("linked", "elsewhere"),
-        ("soft", "elsewhere"),
-        ("stored", "other files"),
-        ("virtual", "other"),
-    ):
+    for name, words in (("linked", "elsewhere"), ("soft", "elsewhere"), ("stored", "other"), ("virtual", "other")):
         with pytest.raises(Unreadable, match=f"a.h5 refers to data .*{words}"):
             read(xdmf(inner, f"a.h5:/{name}"))
 
 
-def test_data_that_unpack_to_far_more_than_their_file_are_not_read(inner: Path) -> None:
-    how: dict[str, Any] = {"chunks": (10**6, 3), "compression": "gzip"}
-    with h5py.File(inner / "a.h5", "a") as file:
-        file.create_dataset("many", (4 * 10**6, 3), "f8", **how)  # 96 MB of zeros
+def test_data_that_unpack_to_far_more_than_their_file_are_not_read(inner):
+    with h5py.File(inner / "a.h5", "a") as file:  # 96 MB of zeros
+        file.create_dataset("many", (4 * 10**6, 3), "f8", chunks=(10**6, 3), compression="gzip")
     with pytest.raises(Unreadable, match=r"unpack to more than \d\d MB"):
         read(xdmf(inner, "a.h5:/many"))

@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.readers.meshes import read
 
 from strandline.errors import InvalidInput
 from strandline.readers import Reading, Unreadable, read_interface
@@ -15,17 +13,21 @@ POINTS = np.array([[0.0, 0.0], [0.5, 0.25], [1.0, -0.125]])
 TABLE = "node, x coord, U1, y coord, U2\n7,0,0,0,0\n8,500,1,250,2\n9,1000,3,-125,4\n"
 
 
-def written(folder: Path, text: str | bytes, name: str = "points.csv") -> Path:
+def read(path, **options):
+    return read_interface(path, Reading.from_options({"file": path.name, "unit": "mm", **options}, "result"))
+
+
+def written(folder, text, name="points.csv"):
     path = folder / name
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return path
 
 
-def rows(points: Any) -> str:
-    return "\n".join(f"{x},{y}" for x, y in points)
+def rows(points):
+    return "\n".join(f"{x},{y}" for x, y in np.asarray(points).tolist())
 
 
-def test_columns_by_name_and_number_in_another_unit(tmp_path: Path) -> None:
+def test_columns_by_name_and_number_in_another_unit(tmp_path):
     path = written(tmp_path, TABLE)
     for columns in (["x coord", "y coord"], [2, 4]):
         found = read(path, columns=columns, delimiter=",", unit="um")
@@ -38,15 +40,13 @@ def test_columns_by_name_and_number_in_another_unit(tmp_path: Path) -> None:
     assert len(read(written(tmp_path, "x,y,\n0,0,\n1,1,\n"), columns=["x", "y"], delimiter=",").points) == 2
 
 
-def test_decimal_commas_are_read_where_they_are_declared(tmp_path: Path) -> None:
+def test_decimal_commas_are_read_where_they_are_declared(tmp_path):
     named = "# mm\nx, mm;y, mm\n0;0\n5e-1;0,25\n1,0;-0,125\n"
     plain = "0,0;0,0\n0,5;0,25\n1;-0,125"
-    blank = [rows(POINTS.tolist()).replace(",", separator).replace(".", ",") for separator in (" ", "\t", "; ")]
+    blank = [rows(POINTS).replace(",", separator).replace(".", ",") for separator in (" ", "\t", "; ")]
     for text, options in (
         (plain, {}),
         (plain, {"columns": [1, 2]}),
-        (plain, {"delimiter": ";"}),
-        (named.replace(", mm", ""), {}),
         (named.replace(", mm", ""), {"columns": [1, 2]}),
         (named, {"delimiter": ";"}),
         *((text, {}) for text in blank),
@@ -54,7 +54,7 @@ def test_decimal_commas_are_read_where_they_are_declared(tmp_path: Path) -> None
         np.testing.assert_array_equal(read(written(tmp_path, text), decimal=",", **options).points, POINTS)
 
 
-def test_only_what_a_program_writes_must_end_its_last_line(tmp_path: Path) -> None:
+def test_only_what_a_program_writes_must_end_its_last_line(tmp_path):
     for end in ("\n", "\r\n", ""):
         path = written(tmp_path, f"0,0\n1,1.2{end}")
         how = Reading.from_options({"file": path.name, "unit": "mm"}, "observation")
@@ -67,20 +67,16 @@ def test_only_what_a_program_writes_must_end_its_last_line(tmp_path: Path) -> No
     assert caught.value.kind == "result_unreadable"
 
 
-def test_an_outline_closed_by_repeating_its_first_point_is_closed(tmp_path: Path) -> None:
+def test_points_are_sorted_where_asked_and_an_outline_that_repeats_its_first_point_is_closed(tmp_path):
+    np.testing.assert_array_equal(read(written(tmp_path, rows(POINTS[[1, 2, 0]])), sort="x").points, POINTS)
     square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
     found = read(written(tmp_path, rows([*square, square[0]])))
     assert found.closed
     assert found.points.tolist() == square
-    assert found.lengths.sum() == 4.0
     assert not read(written(tmp_path, rows(square))).closed
 
 
-def test_points_in_the_order_of_the_nodes_are_sorted(tmp_path: Path) -> None:
-    np.testing.assert_array_equal(read(written(tmp_path, rows(POINTS[[1, 2, 0]].tolist())), sort="x").points, POINTS)
-
-
-def test_what_cannot_be_seen_is_hidden(tmp_path: Path) -> None:
+def test_what_cannot_be_seen_is_hidden(tmp_path):
     """A shadow in the middle and a stray end: the polyline goes on behind them."""
     path = written(tmp_path, "".join(f"{0.1 * k},{k % 3}\n" for k in range(30)))
     found = read(path, hide=[{"x": [0.95, 1.45]}, {"x": [2.85, 9.0]}])
@@ -91,7 +87,7 @@ def test_what_cannot_be_seen_is_hidden(tmp_path: Path) -> None:
         read(path, hide={"x": [0.55, 9.0]})
 
 
-def test_a_box_selects_before_the_displacement_and_does_not_cut(tmp_path: Path) -> None:
+def test_a_box_selects_before_the_displacement_and_does_not_cut(tmp_path):
     path = written(tmp_path, "x,y,u,v\n0,0,9,0\n1,0,9,0\n2,0,9,0\n3,0,9,0\n")
     found = read(path, columns=["x", "y"], field=["u", "v"], select={"x": [0.5, 2.5]})
     np.testing.assert_array_equal(found.points, [[10.0, 0.0], [11.0, 0.0]])
@@ -100,38 +96,37 @@ def test_a_box_selects_before_the_displacement_and_does_not_cut(tmp_path: Path) 
         read(path, select={"y": [-1, 1]})
 
 
-class Trap:
-    """An object whose pickle makes a file when it is read."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> Any:
-        return Path.touch, (self.path,)
-
-
-def test_arrays(tmp_path: Path) -> None:
+def test_arrays(tmp_path):
     np.save(tmp_path / "a.npy", POINTS.astype(np.float32))
     np.testing.assert_array_equal(read(tmp_path / "a.npy").points, POINTS)
     np.save(tmp_path / "b.npy", np.column_stack([np.arange(3), POINTS]))
     np.testing.assert_array_equal(read(tmp_path / "b.npy", columns=[2, 3]).points, POINTS)
-    np.save(tmp_path / "a.npy", POINTS)
-    whole = (tmp_path / "a.npy").read_bytes()
+    whole = (tmp_path / "b.npy").read_bytes()
     for cut in (0, 5, 60, 127, 130, 170):
         (tmp_path / "a.npy").write_bytes(whole[:cut])
         with pytest.raises(Unreadable, match=r"a\.npy cannot be read"):
             read(tmp_path / "a.npy")
-    for number, array in enumerate([np.zeros(4), np.zeros((3, 3)), np.array([["a", "b"]]), np.zeros((0, 2))]):
-        np.save(tmp_path / f"{number}.npy", array)
+    for array in (np.zeros(4), np.zeros((3, 3)), np.array([["a", "b"]]), np.zeros((0, 2))):
+        np.save(tmp_path / "a.npy", array)
         with pytest.raises(Unreadable, match="holds no points"):
-            read(tmp_path / f"{number}.npy")
+            read(tmp_path / "a.npy")
     np.save(tmp_path / "c.npy", np.zeros((3, 5)))
     for options in ({}, {"columns": ["x", "y"]}, {"columns": [1, 6]}):
         with pytest.raises(Unreadable, match=r"the 5 columns to take, .* `columns: \[1, 2\]`"):
             read(tmp_path / "c.npy", **options)
 
 
-def test_a_pickle_is_never_read(tmp_path: Path) -> None:
+class Trap:
+    """An object whose pickle makes a file when it is read."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def test_a_pickle_is_never_read(tmp_path):
     np.save(tmp_path / "trap.npy", np.array([[Trap(tmp_path / "sprung"), 1.0]], dtype=object), allow_pickle=True)
     with pytest.raises(Unreadable, match=r"trap\.npy cannot be read"):
         read(tmp_path / "trap.npy")
@@ -140,20 +135,16 @@ def test_a_pickle_is_never_read(tmp_path: Path) -> None:
     assert (tmp_path / "sprung").exists()  # the trap works
 
 
-XY: dict[str, Any] = {"columns": ["x", "y"]}
-FIRST: dict[str, Any] = {"columns": [1, 2]}
-BAD: list[tuple[str | bytes, dict[str, Any], str]] = [
+XY, FIRST = {"columns": ["x", "y"]}, {"columns": [1, 2]}
+BAD = [
     ("x,y\n0,0\n1,", XY, "no point in line 3"),
     ("x,y\n0,0\n1,1\n", {"columns": ["x", "z"]}, "no column z"),
     ("0,0\n1,1\n", XY, "no line of column names"),
     ("x,x\n0,0\n1,1\n", {"columns": ["x", 2]}, "one column called x"),
     ("0,0\n1,1\n", {"columns": [1, 3]}, "no point in line 1"),
-    ("0,0\n1,1\n", {"count": 3}, "got 2; expected 3"),
     (b"\x00\xff\xfe" * 100, {}, "cannot be read"),
-    (b"\x00" * 100, {}, "holds no points"),
     ("", {}, "holds no points"),
     ("x;y\n0,5;1,0\n1,5;2,0\n", XY, "semicolons and commas in line 2"),
-    ("0,5;1,0\n1,5;2,0\n", FIRST, 'give `decimal: ","`'),
     ("x y\n0,5 1,0\n1,5 2,0\n", XY, "too many fields in line 2"),
     ("x y\n0,5 1,0\n1,5 2,0\n", FIRST, "4: 0 5 1 0; expected 2"),
     ("# x y\n0,5 1,0\n1,5 2,0\n", XY, "too many fields in line 2"),
@@ -164,31 +155,30 @@ BAD: list[tuple[str | bytes, dict[str, Any], str]] = [
     ("0,٣\n1,1\n", {}, "no point in line 1"),
     ("x,y\n0,0\n1\n", {}, "no point in line 3: got 1; expected two numbers x, y. Correct the line"),
 ]
-REMEDIES: list[tuple[str, dict[str, Any], str]] = [
+REMEDIES = [
     ("node,x,y,z\n1,0,0,0\n2,1,1,0\n", {}, "no point in line 2: got 1 0 0 0; .* the 4 columns.* `columns: [x, y]`"),
-    ("# node X Y\n1 0 0\n2 1 1\n", {}, "e.g. `columns: [X, Y]`."),
     ("1 0 0\n2 1 1\n", {}, "the 3 columns to take, by name or by number from 1, e.g. `columns: [1, 2]`."),
-    ("node, x coord, y coord\n1,0,0\n2,1,1\n", {}, "the 3 columns to take.* `columns: [1, 2]`."),
     ("X,Y\n0,0\n1,1\n", XY, "no column x: got X, Y; .* the 2 columns to take.* `columns: [X, Y]`."),
 ]
 
 
-def test_bad_text(tmp_path: Path) -> None:
+def test_bad_text(tmp_path):
     for text, options, words in BAD:
         with pytest.raises(Unreadable, match=r"points\.csv") as caught:
             read(written(tmp_path, text), **options)
         assert words in str(caught.value)
         assert caught.value.kind == "result_unreadable"
-    for text, words, kind in (
-        ("0,0\n1,inf\n", "point 1 of", "non_finite"),
-        ("0,0\n0,0\n", "no l", "invalid_interface"),
-    ):
-        with pytest.raises(Unreadable, match=words) as caught:
+    for text, kind in (("0,0\n1,inf\n", "non_finite"), ("0,0\n0,0\n", "invalid_interface")):
+        with pytest.raises(Unreadable) as caught:
             read(written(tmp_path, text))
+        assert caught.value.kind == kind
+    for path, words, kind in (("none.npy", "is missing", "result_missing"), ("", "is not a file", "result_unreadable")):
+        with pytest.raises(Unreadable, match=words) as caught:
+            read(tmp_path / path)
         assert caught.value.kind == kind
 
 
-def test_the_remedy_of_missing_columns_is_what_to_write(tmp_path: Path) -> None:
+def test_the_remedy_of_missing_columns_is_what_to_write(tmp_path):
     for text, options, told in REMEDIES:
         with pytest.raises(Unreadable, match=told.replace("[", r"\[")) as caught:
             read(written(tmp_path, text), **options)
@@ -200,50 +190,33 @@ def test_the_remedy_of_missing_columns_is_what_to_write(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(path, columns=["x", "y"]).points, [[1.0, 0.0], [3.0, 2.0]])
 
 
-def test_what_is_no_file(tmp_path: Path) -> None:
-    with pytest.raises(Unreadable, match="is missing") as caught:
-        read(tmp_path / "none.npy")
-    assert caught.value.kind == "result_missing"
-    with pytest.raises(Unreadable, match="is not a file"):
-        read(tmp_path)
-
-
-OPTIONS: list[tuple[str, dict[str, Any], str]] = [
+OPTIONS = [
     ("a.csv", {"unit": None}, "result.unit: got nothing"),
     ("a.csv", {"unit": "inch"}, "one of mm, um"),
     ("a.csv", {"colums": [1, 2]}, "Did you mean columns?"),
     ("a.csv", {"columns": [0, 1]}, "by number from 1"),
-    ("a.csv", {"columns": [True, 2]}, "by number from 1"),
     ("a.csv", {"columns": ["x"]}, "two columns"),
     ("a.csv", {"time": "last"}, "no such option for a .csv file"),
     ("a.csv", {"field": "u"}, "two columns"),
     ("a.vtu", {"field": ["u", "v"]}, "the name of point data"),
-    ("a.vtu", {"time": "last"}, "no such option for a .vtu file"),
     ("a.pvd", {"time": "first"}, "last, {index: 0} or {value: 0.5}"),
     ("a.pvd", {"time": {"index": -1}}, "last, {index: 0} or {value: 0.5}"),
     ("a.vtu", {"cells": {"a": "b"}}, "e.g. {region: 3}"),
     ("a.vtu", {"near": [0, 0], "keep": "longest"}, "one of the two"),
-    ("a.vtu", {"keep": "shortest"}, "longest"),
     ("a.vtu", {"select": {"x": [1, 0]}}, "[low, high]"),
     ("a.vtu", {"select": {"r": [0, 1]}}, "intervals of x, y or z"),
-    ("a.csv", {"hide": [{"x": [1, 0]}]}, "[low, high]"),
     ("a.vtu", {"hide": [{"x": [0, 1]}]}, "no such option for a .vtu file"),
     ("a.vtu", {"block": True}, "a number from 0"),
     ("a.vtu", {"plane": "zx"}, "one of xy, xz, yz"),
     ("a.csv", {"count": 1}, "at least 2"),
     ("a.csv", {"decimal": ";"}, ". or ,"),
     ("a.csv", {"decimal": ",", "delimiter": ","}, "another one than the decimal comma"),
-    ("a.vtu", {"decimal": ","}, "no such option for a .vtu file"),
 ]
 
 
-def test_options_that_cannot_be() -> None:
-    given: list[tuple[Any, str]] = [({"file": file, "unit": "mm", **more}, words) for file, more, words in OPTIONS]
-    for options, words in [
-        *given,
-        ("result.csv", "expected keys with values"),
-        ({"unit": "mm"}, "result.file: got no"),
-    ]:
+def test_options_that_cannot_be():
+    given = [({"file": file, "unit": "mm", **more}, words) for file, more, words in OPTIONS]
+    for options, words in (*given, ("a.csv", "expected keys with values"), ({"unit": "mm"}, "result.file: got no")):
         with pytest.raises(InvalidInput) as caught:
             Reading.from_options(options, "result")
         assert words in str(caught.value)

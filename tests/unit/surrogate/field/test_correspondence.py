@@ -1,4 +1,4 @@
-"""Interfaces of all runs over common points."""
+"""Interfaces of all runs over common points, and which runs have none with most others."""
 
 import numpy as np
 import pytest
@@ -8,41 +8,45 @@ from tests.unit.discrepancy.surfaces import divided, sheet
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import FEWEST_POINTS, common_layout, fields_of, registered
+from strandline.surrogate.field.odd import flipped, odd_ones
 
 
-def arc(nodes: int, *, height: float = 0.3, seed: int | None = None) -> Interface:
+def line(s, y):
+    return Interface.polyline(np.stack([s, y], axis=1))
+
+
+def arc(nodes, *, height=0.3, seed=None):
     """Return an arc through unevenly spaced nodes."""
     s = np.linspace(0.0, 1.0, nodes)
     if seed is not None:
         s[1:-1] = np.sort(np.random.default_rng(seed).uniform(0.0, 1.0, nodes - 2))
-    return Interface.polyline(np.stack([s, height * np.sin(np.pi * s)], axis=1))
+    return line(s, height * np.sin(np.pi * s))
 
 
-def ring(nodes: int, *, start: float = 0.0, stretch: float = 1.0) -> Interface:
+def ring(nodes, *, start=0.0):
     angle = start + np.linspace(0.0, 2 * np.pi, nodes, endpoint=False)
-    return Interface.polyline(np.stack([stretch * np.cos(angle), np.sin(angle)], axis=1), closed=True)
+    return Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=True)
 
 
-def test_nodes_that_correspond_are_taken_as_they_are() -> None:
-    runs = [arc(20), arc(20, height=0.5)]
+def test_nodes_that_correspond_are_taken_as_they_are_and_weigh_their_share_of_the_length_or_the_area():
+    runs, surface = [arc(20), arc(20, height=0.5)], sheet(5)
     layout = common_layout(runs)
     assert layout.way == "nodes"
     points, error = registered(runs[1], layout)
     np.testing.assert_array_equal(points, runs[1].points)
     assert error == 0.0
+    layout = common_layout([line([0.0, 1.0, 4.0], [0.0, 0.0, 0.0])])
+    np.testing.assert_allclose(layout.weights, [1 / 8, 1 / 2, 3 / 8])
+    layout = common_layout([surface, sheet(5, height=0.1)])
+    assert layout.way == "nodes"
+    assert layout.weights.sum() == pytest.approx(1.0)
+    assert layout.weights @ surface.points[:, 0] == pytest.approx(0.5)
+    layout = common_layout([surface, divided(surface)])
+    assert layout.way == "projection"
     assert layout.weights.sum() == pytest.approx(1.0)
 
 
-def test_weights_are_shares_of_the_length_or_the_area() -> None:
-    layout = common_layout([Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [4.0, 0.0]]))])
-    np.testing.assert_allclose(layout.weights, [1 / 8, 1 / 2, 3 / 8])
-    surface = sheet(5)
-    weights = common_layout([surface]).weights
-    assert weights.sum() == pytest.approx(1.0)
-    assert weights @ surface.points[:, 0] == pytest.approx(0.5)
-
-
-def test_polylines_of_other_nodes_are_taken_by_arclength() -> None:
+def test_polylines_of_other_nodes_are_taken_by_arclength():
     runs = [arc(60, seed=1), arc(90, seed=2), arc(75, seed=3).reversed()]
     layout = common_layout(runs)
     assert layout.way == "arclength"
@@ -60,7 +64,7 @@ def test_polylines_of_other_nodes_are_taken_by_arclength() -> None:
     assert len(common_layout([arc(4), arc(5)]).template.points) == FEWEST_POINTS
 
 
-def test_closed_polylines_may_begin_anywhere_and_run_either_way() -> None:
+def test_closed_polylines_may_begin_anywhere_and_run_either_way():
     runs = [ring(80), ring(97, start=2.1), ring(97, start=1.0).reversed()]
     layout = common_layout(runs)
     first, _ = registered(runs[0], layout)
@@ -70,25 +74,35 @@ def test_closed_polylines_may_begin_anywhere_and_run_either_way() -> None:
         assert error < 2e-3
 
 
-def test_surfaces_of_other_triangles_are_projected() -> None:
-    surface = sheet(5)
-    assert common_layout([surface, sheet(5, height=0.1)]).way == "nodes"
-    layout = common_layout([surface, divided(surface)])
-    assert layout.way == "projection"
-    assert layout.weights.sum() == pytest.approx(1.0)
-
-
-def test_interfaces_of_other_kinds_are_refused() -> None:
-    for together, words in [
+def test_interfaces_of_other_kinds_are_refused():
+    for together, words in (
         ([arc(30), ring(30)], "open polylines in some runs"),
         ([sheet(4), arc(30)], "polylines in some runs, surfaces in others"),
-    ]:
+    ):
         with pytest.raises(InvalidInterface, match=words):
             common_layout(together)
-    for together, other, words in [
+    for together, other, words in (
         ([arc(30), arc(40)], ring(30), "open or closed where the others are not"),
         ([arc(20)], arc(21), "a different number of points"),
         ([sheet(4), sheet(5)], arc(30), "a polyline where the others are surfaces"),
-    ]:
+    ):
         with pytest.raises(InvalidInterface, match=words):
             registered(other, common_layout(together))
+
+
+def test_the_surface_that_no_other_fits_is_odd_even_if_it_comes_first_and_so_is_another_kind():
+    """The others have different meshes of the same square; the first one is three times as large."""
+    squares = [sheet(nodes, bend=0.02) for nodes in (6, 7, 8, 9, 10)]
+    assert list(odd_ones([{"": one} for one in [sheet(7, size=3.0), *squares]], 0.01)) == [0]
+    assert odd_ones([{"": one} for one in squares], 0.01) == {}
+    found = odd_ones([{"": one} for one in (*(arc(9, height=h) for h in (0.1, 0.2, 0.3)), ring(8))], 0.01)
+    assert found == {3: "its interface is a closed polyline, most others are an open polyline"}
+
+
+def test_an_interface_close_to_another_one_in_the_opposite_direction_is_flipped():
+    """Reversing the points of a line of length 1 moves them by 0.58, root mean square."""
+    s = np.linspace(0.0, 1.0, 40)
+    for off, is_flipped in ((0.0, True), (0.2, True), (0.6, False)):
+        other = line(s, 0 * s + off * 0.58)
+        assert flipped(other.reversed(), line(s, 0 * s)) == is_flipped
+        assert not flipped(other, line(s, 0 * s))

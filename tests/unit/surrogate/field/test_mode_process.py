@@ -1,11 +1,15 @@
-"""One coefficient's process against its own data, against refitting, and against scikit-learn."""
+"""Modes of the field, and one coefficient's process: against its own data, refitting, scikit-learn and contrasts."""
 
 import itertools
+import math
 from dataclasses import replace
-from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import null_space
+from scipy.stats import multivariate_normal
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 
@@ -13,41 +17,78 @@ from strandline.design import sobol
 from strandline.errors import NumericsError
 from strandline.surrogate.field import mode_process
 from strandline.surrogate.field.mode_process import ModeProcess, fit_mode
-from strandline.surrogate.field.restricted_evidence import Observed, condition_mode
+from strandline.surrogate.field.modes import decompose
+from strandline.surrogate.field.restricted_evidence import Observed, condition_mode, restricted_evidence
 
-CASES = list(itertools.product([False, True], [False, True]))
+S = np.linspace(0.0, 1.0, 40)
+WEIGHTS = np.random.default_rng(0).uniform(0.5, 1.5, 40)
+WEIGHTS /= WEIGHTS.sum()
+SHAPES = np.array([S, np.sin(3 * S), np.cos(5 * S), S**3])
+FIELDS = 2.0 + (np.random.default_rng(1).normal(size=(30, 4)) * [1.0, 0.1, 0.01, 0.001]) @ SHAPES
+
+
+def rms(values):
+    """Return the root of the mean over runs of the mean square along the interface."""
+    return float(np.sqrt(np.mean(values**2 @ WEIGHTS)))
+
+
+def test_the_fewest_modes_within_the_tolerance_and_no_more_than_there_are_processes():
+    for tolerance, most, number in [(1e-7, 9, 4), (2e-4, 9, 3), (5e-3, 9, 2), (0.3, 9, 1), (10.0, 9, 1), (1e-9, 2, 2)]:
+        found = decompose(FIELDS, WEIGHTS, None, tolerance=tolerance, most=most)
+        np.testing.assert_allclose(found.basis @ found.basis.T, np.eye(number), atol=1e-12)
+        fewer = found.coefficients(FIELDS)
+        left = rms(FIELDS - found.fields(fewer))
+        assert found.remainder == pytest.approx(left, rel=1e-6, abs=1e-12)
+        assert left <= tolerance or number == most
+        fewer[:, -1] = 0.0
+        assert number == 1 or rms(FIELDS - found.fields(fewer)) > tolerance
+    np.testing.assert_allclose(found.tail @ found.basis.T, 0.0, atol=1e-12)
+
+
+def test_coefficients_are_lengths_and_derivatives_are_spanned_and_carried_over():
+    """The squared norm of a field is its mean square along the interface. Runs may know a derivative only."""
+    found = decompose(FIELDS, WEIGHTS, None, tolerance=1e-9)
+    norms = np.sum(found.coefficients(FIELDS) ** 2, axis=1)
+    np.testing.assert_allclose(norms, ((FIELDS - FIELDS.mean(axis=0)) ** 2) @ WEIGHTS, rtol=1e-8)
+    F = np.outer(np.random.default_rng(2).normal(size=12), SHAPES[0])
+    derivatives = np.stack([np.tile(SHAPES[0], (12, 1)), np.tile(SHAPES[1], (12, 1))], axis=2)
+    found = decompose(F, WEIGHTS, derivatives, tolerance=1e-6)
+    by_input = found.by_input(derivatives)
+    change = found.coefficients(F + SHAPES[0]) - found.coefficients(F)
+    np.testing.assert_allclose(by_input[:, :, 0], change, rtol=1e-6, atol=1e-9)
+    assert np.sum(by_input[0, :, 0] ** 2) == pytest.approx(SHAPES[0] ** 2 @ WEIGHTS, rel=1e-2)
+
+
+CASES = pytest.mark.parametrize(("gradients", "linear"), list(itertools.product([False, True], [False, True])))
 LENGTHS = np.array([1.4, 2.2])
 FLAT = 1e5
 """Variance of a prior that says nothing, in variances of the process."""
 
 
-def truth(z: np.ndarray) -> np.ndarray:
-    return np.sin(1.1 * z[:, 0]) * np.exp(0.3 * z[:, 1]) + 0.4 * z[:, 1]
-
-
-def slopes(z: np.ndarray) -> np.ndarray:
+def slopes(z):
     a, b, grown = np.sin(1.1 * z[:, 0]), np.cos(1.1 * z[:, 0]), np.exp(0.3 * z[:, 1])
     return np.stack([1.1 * b * grown, 0.3 * a * grown + 0.4], axis=1)
 
 
-def observed(gradients: bool, linear: bool, runs: int = 12) -> Observed:
+def observed(gradients, linear, runs=12):
     z = np.sqrt(12.0) * (sobol(runs, 2) - 0.5)
-    return Observed(z, truth(z), slopes(z) if gradients else None, linear)
+    values = np.sin(1.1 * z[:, 0]) * np.exp(0.3 * z[:, 1]) + 0.4 * z[:, 1]
+    return Observed(z, values, slopes(z) if gradients else None, linear)
 
 
-def without(one: Observed, run: int) -> Observed:
+def without(one, run):
     keep = np.arange(len(one.z)) != run
     return Observed(one.z[keep], one.values[keep], None if one.gradients is None else one.gradients[keep], one.linear)
 
 
-def conditioned(one: Observed, lengths: np.ndarray, nugget: float) -> ModeProcess:
-    return ModeProcess(one, lengths, nugget, condition_mode(one, lengths, nugget))
+def conditioned(one, nugget):
+    return ModeProcess(one, LENGTHS, nugget, condition_mode(one, LENGTHS, nugget))
 
 
-@pytest.mark.parametrize(("gradients", "linear"), CASES)
-def test_it_goes_through_what_was_observed(gradients: bool, linear: bool) -> None:
+@CASES
+def test_it_goes_through_what_was_observed(gradients, linear):
     one = observed(gradients, linear)
-    process = conditioned(one, LENGTHS, 1e-10)
+    process = conditioned(one, 1e-10)
     np.testing.assert_allclose(process.mean(one.z), one.values, atol=1e-5)
     assert np.sqrt(process.variance(one.z)).max() < 1e-4
     if gradients:
@@ -59,14 +100,14 @@ def test_it_goes_through_what_was_observed(gradients: bool, linear: bool) -> Non
     assert left < min(2 * np.sqrt(fitted.nugget * fitted.scale), 0.01)
 
 
-@pytest.mark.parametrize(("gradients", "linear"), CASES)
-def test_left_out_is_what_refitting_without_the_run_gives(gradients: bool, linear: bool) -> None:
+@CASES
+def test_left_out_is_what_refitting_without_the_run_gives(gradients, linear):
     """And the variance is the diagonal of the covariance."""
     one, nugget = observed(gradients, linear), 1e-4
-    process = conditioned(one, LENGTHS, nugget)
+    process = conditioned(one, nugget)
     found = process.left_out()
     for run in range(len(one.z)):
-        refitted, place = conditioned(without(one, run), LENGTHS, nugget), one.z[run : run + 1]
+        refitted, place = conditioned(without(one, run), nugget), one.z[run : run + 1]
         error = one.values[run] - float(refitted.mean(place)[0])
         assert found.errors[run] == pytest.approx(error, rel=1e-5, abs=1e-8)
         relative = float(refitted.variance(place)[0]) / refitted.scale + nugget
@@ -79,10 +120,10 @@ def test_left_out_is_what_refitting_without_the_run_gives(gradients: bool, linea
 
 
 @pytest.mark.parametrize("linear", [False, True])
-def test_scikit_learn_says_the_same(linear: bool) -> None:
+def test_scikit_learn_says_the_same(linear):
     """There the unknown mean is a further term of the kernel, of nearly infinite variance."""
     one, nugget = observed(False, linear), 1e-3
-    process = conditioned(one, LENGTHS, nugget)
+    process = conditioned(one, nugget)
     s2 = process.scale
     kernel = ConstantKernel(s2) * RBF(LENGTHS) + ConstantKernel(FLAT * s2)
     if linear:
@@ -95,11 +136,10 @@ def test_scikit_learn_says_the_same(linear: bool) -> None:
     np.testing.assert_allclose(process.covariance(z, z), other.predict(z, return_cov=True)[1], atol=2e-4 * s2)
 
 
-def test_residuals_that_are_too_large_widen_the_variance() -> None:
+def test_residuals_that_are_too_large_widen_the_variance():
     """Values with noise ten times what the largest nugget allows for; as if four more runs were as expected."""
     one = observed(False, False, runs=20)
-    noisy = Observed(one.z, one.values + np.random.default_rng(7).normal(size=20), None, False)
-    process = fit_mode(noisy)
+    process = fit_mode(replace(one, values=one.values + np.random.default_rng(7).normal(size=20)))
     left_out, narrow = process.left_out(), replace(process, widening=1.0).left_out()
     assert 0.3 < np.mean(left_out.errors**2 / left_out.variances) < 1.3
     surprise = float(np.sum(narrow.errors**2 / narrow.variances))
@@ -108,21 +148,83 @@ def test_residuals_that_are_too_large_widen_the_variance() -> None:
     assert 1 <= fit_mode(one).widening < 20
 
 
-def test_a_mode_without_variation_is_refused() -> None:
-    one = observed(False, False)
-    with pytest.raises(NumericsError, match="no length scales"):
-        fit_mode(Observed(one.z, np.zeros(len(one.z)), None, False))
-
-
-def test_a_fast_response_is_not_taken_for_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fast_response_is_not_taken_for_scatter(monkeypatch):
     """Runs all over the box and many at one place; planted: without the last start, all is called noise."""
     spread, cluster = sobol(60, 2, scramble=1) - 0.5, 0.04 * (sobol(70, 2, scramble=3) - 0.5) - 0.05
     z, search = np.sqrt(12.0) * np.concatenate([spread, cluster]), mode_process.minimize
-    observed = Observed(z, np.sin(9 * z.sum(axis=1)), None, True)
-    assert fit_mode(observed).nugget < 1e-8
+    one = Observed(z, np.sin(9 * z.sum(axis=1)), None, True)
+    assert fit_mode(one).nugget < 1e-8
 
-    def from_afar(function: Any, start: np.ndarray, **options: Any) -> Any:
+    def from_afar(function, start, **options):
         return search(function, np.where([True, True, False], np.maximum(start, 0.0), start), **options)
 
     monkeypatch.setattr(mode_process, "minimize", from_afar)
-    assert fit_mode(observed).nugget > 1e-3
+    assert fit_mode(one).nugget > 1e-3
+
+
+@jax.jit
+def all_pairs(z, lengths):
+    """Return covariances of value and derivatives of all pairs (run, run, 3, 3), by automatic differentiation."""
+
+    def kernel(a, b):
+        return jnp.exp(-0.5 * jnp.sum(((a - b) / lengths) ** 2))
+
+    def both(a, b):
+        by_a, by_b = jax.grad(kernel, 0), jax.grad(kernel, 1)
+        return jnp.block([[kernel(a, b), by_b(a, b)[None]], [by_a(a, b)[:, None], jax.jacfwd(by_a, 1)(a, b)]])
+
+    return jax.vmap(jax.vmap(both, (None, 0)), (0, None))(z, z)
+
+
+def plain(one, log_lengths, log_nugget):
+    """Return the log density of contrasts that no mean reaches, s² at its largest likelihood, noise as in the code.
+
+    All by the inputs themselves: y = (values, ∂_1, ∂_2).
+    """
+    lengths, tau = np.exp(log_lengths), math.exp(log_nugget)
+    n, dim = one.z.shape
+    C = np.asarray(all_pairs(one.z, lengths)).transpose(2, 0, 3, 1).reshape(3 * n, 3 * n)
+    noise = tau * np.repeat([1.0, *(1 / lengths**2)], n)
+    F = np.zeros((3 * n, 3 if one.linear else 1))
+    F[:n, 0] = 1.0
+    if one.linear:
+        F[:n, 1:] = one.z
+        for j in range(dim):
+            F[(j + 1) * n : (j + 2) * n, j + 1] = 1.0
+    rows = slice(None) if one.gradients is not None else slice(n)
+    y = one.values if one.gradients is None else np.concatenate([one.values, one.gradients.T.ravel()])
+    C, F = (C + np.diag(noise))[rows, rows], F[rows]
+    A = null_space(F.T)
+    S, contrasts = A.T @ C @ A, A.T @ y
+    variance = float(contrasts @ np.linalg.solve(S, contrasts)) / len(contrasts)
+    density = multivariate_normal(cov=variance * S, allow_singular=False).logpdf(contrasts)
+    constant = -0.5 * len(contrasts) * (math.log(2 * math.pi) + 1) + 0.5 * np.linalg.slogdet(F.T @ F)[1]
+    return float(density - constant)
+
+
+@CASES
+def test_the_evidence_is_the_density_of_contrasts_and_the_gradient_is_its(gradients, linear):
+    """The precision takes no notice of the mean: P F = 0, and P y are the weights of the runs."""
+    one, step = observed(gradients, linear, runs=9), 1e-4
+    for at in np.array([[0.0, 0.4, -6.0], [0.9, -0.3, -9.0], [1.2, 1.5, -4.0]]):
+        value, slope = restricted_evidence(one, at[:2], at[2])
+        assert value == pytest.approx(plain(one, at[:2], at[2]), rel=1e-7, abs=1e-6)
+        ends = [[restricted_evidence(one, x[:2], x[2])[0] for x in (at + e, at - e)] for e in step * np.eye(3)]
+        differences = [(up - down) / (2 * step) for up, down in ends]
+        np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-4)
+    lengths = np.array([1.0, 1.5])
+    found = condition_mode(one, lengths, 1e-4)
+    np.testing.assert_allclose(found.precision @ found.trend, 0.0, atol=1e-7)
+    np.testing.assert_allclose(found.precision @ one.scaled(lengths), found.alpha, atol=1e-6)
+    np.testing.assert_allclose(found.residual, one.scaled(lengths) - found.trend @ found.coefficients)
+
+
+def test_what_has_no_evidence_is_refused():
+    flat = replace(observed(False, False), values=np.zeros(12))
+    with pytest.raises(NumericsError, match="without variation"):
+        restricted_evidence(flat, np.zeros(2), -6.0)
+    with pytest.raises(NumericsError, match="no length scales"):
+        fit_mode(flat)
+    repeated = Observed(np.zeros((4, 2)), np.arange(4.0), None, False)
+    with pytest.raises(NumericsError, match="not positive definite"):
+        restricted_evidence(repeated, np.zeros(2), -50.0)

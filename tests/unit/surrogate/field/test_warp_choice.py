@@ -1,4 +1,6 @@
-"""The warps are those that predict best, and a design that grows run by run chooses them anew only now and then."""
+"""Inputs made straighter: warps that predict best, chosen only now and then, monotone and with the chain rule."""
+
+from itertools import product
 
 import numpy as np
 import pytest
@@ -6,54 +8,82 @@ import pytest
 from strandline.design.space_filling import sobol
 from strandline.surrogate.field import warp_choice
 from strandline.surrogate.field.warp_choice import Data, choose_warping, fewest_runs
-from strandline.surrogate.field.warping import Warping
+from strandline.surrogate.field.warping import WARPS, Warping, eligible
 
 LOW, HIGH = np.array([100.0, 0.1]), np.array([800.0, 0.5])
 PLACES = np.linspace(0.0, 1.0, 15)
 PLAIN = Warping(("identity", "identity"), LOW, HIGH)
 
 
-def data(number: int, *, power: float = -1.0) -> Data:
-    """Return runs whose field is straight in this power of the first input."""
+def names_of(number, *, power=-1.0):
+    """Return the warps chosen for runs whose field is straight in this power of the first input."""
     x = LOW + (HIGH - LOW) * sobol(number, 2, scramble=3)
     field = (x[:, :1] / 100) ** power * np.sin(2 * PLACES) + x[:, 1:] * PLACES
-    return Data(x, field, np.full(15, 1 / 15), None)
+    return choose_warping(Data(x, field, np.full(15, 1 / 15), None), PLAIN, 1e-5).names
 
 
 @pytest.fixture
-def chosen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def chosen(monkeypatch):
     """Forget all choices; return a list of how many runs each new one is made with."""
-    counts: list[int] = []
-    inner = warp_choice._chosen
+    counts, inner = [], warp_choice._chosen
     monkeypatch.setattr(warp_choice, "_kept", type(warp_choice._kept)())
     monkeypatch.setattr(warp_choice, "_chosen", lambda few, *rest: counts.append(len(few.x)) or inner(few, *rest))
     return counts
 
 
-def test_a_choice_is_kept_until_the_runs_have_grown_by_a_quarter(chosen: list[int]) -> None:
-    names = [choose_warping(data(number), PLAIN, 1e-5).names for number in range(8, 21)]
+def test_a_choice_is_kept_until_the_runs_have_grown_by_a_quarter(chosen):
+    names = [names_of(number) for number in range(8, 21)]
     assert set(names) == {("reciprocal", "identity")}
     assert chosen == [7, 9, 12, 15, 19]
     warp_choice._kept.clear()
-    assert [choose_warping(data(20), PLAIN, 1e-5).names for _ in range(2)] == names[:2]
+    assert [names_of(20) for _ in range(2)] == names[:2]
     assert chosen[5:] == [19]
 
 
-def test_other_fields_at_the_same_inputs_are_chosen_for_anew_and_few_choices_are_kept(chosen: list[int]) -> None:
+def test_other_fields_at_the_same_inputs_are_chosen_for_anew_and_few_choices_are_kept(chosen):
     """A correction of a cheaper model changes the fields of old runs."""
-    assert choose_warping(data(9), PLAIN, 1e-5).names == ("reciprocal", "identity")
-    assert choose_warping(data(9, power=1.0), PLAIN, 1e-5).names == ("identity", "identity")
+    assert names_of(9) == ("reciprocal", "identity")
+    assert names_of(9, power=1.0) == ("identity", "identity")
     assert len(chosen) == 2
     for power in np.linspace(-1.0, 1.0, warp_choice.KEPT + 1):
-        choose_warping(data(9, power=float(power)), PLAIN, 1e-5)
+        names_of(9, power=power)
     assert len(warp_choice._kept) == warp_choice.KEPT
 
 
 @pytest.mark.parametrize("gradients", [False, True])
-def test_the_fewest_runs_that_there_may_be_are_enough_to_choose(gradients: bool) -> None:
+def test_the_fewest_runs_that_there_may_be_are_enough_to_choose(gradients):
     for dim in (1, 2, 3):
         number = fewest_runs(dim, gradients=gradients)
         x = sobol(number, dim)
         slopes = np.zeros((number, 15, dim)) if gradients else None
         few = Data(x, np.outer(x[:, 0], PLACES), np.full(15, 1 / 15), slopes)
         assert warp_choice._choosing_runs(few) == number
+
+
+def quantity(x):
+    """Return three values a run."""
+    a, b = x.T
+    return np.stack([1e3 * b / a, np.log(a) * b, a * b**2 / 1e3], axis=1)
+
+
+def test_gradients_follow_the_chain_rule_and_the_box_spans_what_a_uniform_distribution_does():
+    """Mean 0 and deviation 1 of a uniform distribution over the warped box: from -√3 to √3."""
+    x = np.random.default_rng(1).uniform(LOW, HIGH, (7, 2))
+    for names in product(WARPS, repeat=2):
+        warping, by_input, by_standardised = Warping(names, LOW, HIGH), [], []
+        for j, step in enumerate(1e-5 * np.diag(HIGH - LOW)):
+            change = quantity(x + step) - quantity(x - step)
+            by_input.append(change / (2 * step[j]))
+            gone = warping.standardise(x + step) - warping.standardise(x - step)
+            by_standardised.append(change / gone[:, j : j + 1])
+        found = warping.gradients(x, np.stack(by_input, axis=-1))
+        np.testing.assert_allclose(found, np.stack(by_standardised, axis=-1), rtol=1e-6)
+        ends = np.sort(warping.standardise(np.stack([LOW, HIGH])), axis=0)
+        np.testing.assert_allclose(ends, np.sqrt(3.0) * np.array([[-1, -1], [1, 1]]), rtol=1e-12)
+
+
+def test_a_warp_is_monotone_and_only_wide_and_positive_inputs_are_warped():
+    for warp in WARPS.values():
+        assert len(set(np.sign(np.diff(warp.apply(np.linspace(0.2, 9.0, 200)))))) == 1
+    low, high = np.array([100.0, -0.8, 1.0, 0.0, 1.0]), np.array([800.0, 0.5, 1.5, 1.0, 2.0])
+    assert eligible(low, high) == [0, 4]
