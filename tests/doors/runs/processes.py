@@ -1,6 +1,10 @@
 """Processes that the tests start, look at and wait for."""
 
+import contextlib
+import os
 import pickle
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -35,6 +39,32 @@ def pids(folder, file="calls"):
     """Return the processes in the lines that a model has left, one for each of its runs."""
     path = folder / file
     return [int(line.split()[0]) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+HANGING = """
+import sys
+from strandline.runs import LocalProcesses
+from strandline.runs.executors.dask import DaskCluster
+from strandline.testing.executors import requests_for
+from strandline.testing.models import Counted, Faulty
+if __name__ == "__main__":
+    {before}
+    model = Counted(sys.argv[1], Faulty(fault=sys.argv[2], above=0.0))
+    list({executor}(model, requests_for(model)))
+"""
+
+
+@contextlib.contextmanager
+def hanging_driver(folder, executor, fault="hang_in_c", before="pass"):
+    """Start a driver; give it when two of its runs hang in the given way."""
+    command = [sys.executable, "-c", HANGING.format(executor=executor, before=before), str(folder), fault]
+    options = {"env": {**os.environ, "TMPDIR": str(folder)}, "stderr": subprocess.PIPE, "start_new_session": True}
+    with subprocess.Popen(command, **options) as driver:
+        try:
+            assert wait_until(lambda: len(pids(folder)) == 2, 60)
+            yield driver
+        finally:
+            driver.kill()
 
 
 def driven_by(place, **limits):

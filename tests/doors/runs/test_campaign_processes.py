@@ -1,19 +1,25 @@
-"""Campaigns in worker processes; a killed driver costs nothing but the runs that it was making."""
+"""Campaigns in worker processes and ledgers between processes: a killed driver costs only the runs under way."""
 
 import json
 import os
 import random
 import signal
+import socket
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from tests.doors.runs.processes import pids, wait_until
-from tests.unit.runs.fakes import Seen, batches, calls, campaign, counts, design, repeated, states, stiffnesses
+from tests.unit.runs import fakes
+from tests.unit.runs.fakes import Seen, batches, calls, campaign, counts, design, states, stiffnesses
 
-from strandline.runs import Counts, Ledger, LocalProcesses
+from strandline.errors import LedgerError
+from strandline.runs import Counts, Ledger, LocalProcesses, journal, tables
 from strandline.runs.journal import VARIABLE
+from strandline.runs.overview import Overview
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, Counted, CrashesOnce, Faulty, Patient, Slow
 
@@ -108,9 +114,8 @@ def follow(folder, executor):
 
     lines = noted.read_text().split("\n")[:-1] if noted.exists() else []
     first, options = [design(330, 410), *map(json.loads, lines)], {"patience": float("inf"), "maximum_attempts": 100}
-    return batches(
-        folder / "ledger.sqlite", Counted(str(folder), Slow(seconds=0.02)), first, choose, executor, **options
-    )
+    model = Counted(str(folder), Slow(seconds=0.02))
+    return batches(folder / "ledger.sqlite", model, first, choose, executor, **options)
 
 
 def many(folder, executor):
@@ -138,11 +143,11 @@ def snapshot(folder):
         return {record.key: record for record in ledger}
 
 
-def killed_in_the_middle(folder, work, rng, journal="wal"):
+def killed_in_the_middle(folder, work, rng, kept="wal"):
     """Start a driver, and kill it when it has finished some runs; return what it has left."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]), "TMPDIR": str(folder)}
     command, before = [sys.executable, "-c", DRIVER, work, str(folder)], snapshot(folder)
-    with subprocess.Popen(command, env={**environment, VARIABLE: journal}) as driver:
+    with subprocess.Popen(command, env={**environment, VARIABLE: kept}) as driver:
         target = len(pids(folder, "ends")) + rng.randrange(5, 12)
         assert wait_until(lambda: len(pids(folder, "ends")) >= target, 60)
         wait_until(lambda: False, rng.uniform(0, 0.03))
@@ -155,27 +160,27 @@ def killed_in_the_middle(folder, work, rng, journal="wal"):
     return after
 
 
-@pytest.mark.parametrize(("journal", "kills"), [pytest.param("wal", 1, marks=pytest.mark.smoke), ("delete", 2)])
-def test_drivers_killed_at_random_moments_lose_and_repeat_nothing(tmp_path, monkeypatch, journal, kills):
+@pytest.mark.parametrize(("kept", "kills"), [pytest.param("wal", 1, marks=pytest.mark.smoke), ("delete", 2)])
+def test_drivers_killed_at_random_moments_lose_and_repeat_nothing(path, tmp_path, monkeypatch, kept, kills):
     rng = random.Random(20220824)
-    monkeypatch.setenv(VARIABLE, journal)
+    monkeypatch.setenv(VARIABLE, kept)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     for _ in range(kills):
-        before = killed_in_the_middle(tmp_path, "many", rng, journal)
+        before = killed_in_the_middle(tmp_path, "many", rng, kept)
     assert len(before) < 48
     assert list(tmp_path.glob("strandline-runs-*"))
     done = many(tmp_path, LocalProcesses(2))
     assert not list(tmp_path.glob("strandline-runs-*")), "the next driver clears the folders of those that were killed"
     after = snapshot(tmp_path)
     assert all(same_outcome(after[key], record) for key, record in before.items())
-    assert repeated(tmp_path / "ledger.sqlite") == 0
+    assert fakes.repeated(path) == 0
     assert calls(tmp_path, "ends").total() <= 48 + 2 * kills, "more was run again than what was under way"
     for record in done:
         assert record.state == ("failed" if record.inputs["E"] > 480.0 else "ok")
         if record.ok:
             direct = Cantilever()(record.inputs, tmp_path)
             assert record.interface.points.tobytes() == direct.interface.points.tobytes()
-    assert counts(tmp_path / "ledger.sqlite") == Counts(ok=37, failed=11)
+    assert counts(path) == Counts(ok=37, failed=11)
 
 
 def test_batches_of_drivers_killed_at_random_moments_go_on_as_they_would_have(tmp_path):
@@ -192,3 +197,89 @@ def test_batches_of_drivers_killed_at_random_moments_go_on_as_they_would_have(tm
     assert len(once) == len(again) == 32
     assert all(same_outcome(*pair) for pair in zip(once, again, strict=True))
     assert calls(killed, "ends").total() <= 32 + 2 * 2, "more was run again than what was under way"
+
+
+HOLDER = """
+import sys
+from strandline.runs import Ledger
+with Ledger.open(sys.argv[1], model="m"):
+    print("open", flush=True)
+    sys.stdin.readline()
+print("closed", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.smoke
+def test_a_second_driver_is_refused_and_told_who_the_first_is(path):
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", HOLDER, str(path)], stdin=pipe, stdout=pipe, text=True) as first:
+        assert first.stdout.readline() == "open\n"
+        with pytest.raises(LedgerError, match=f"locked.*another run is using it.*process {first.pid} "):
+            Ledger.open(path, model="m")
+        with Ledger.open(path, model="m", read_only=True) as reader, Overview(path) as overview:
+            assert reader.counts().total == 0
+            found = overview.driver()
+            assert (found.pid, found.host, found.at_work) == (first.pid, socket.gethostname(), True)
+            with pytest.raises(LedgerError, match="locked"):  # to look took nothing away
+                Ledger.open(path, model="m")
+            first.stdin.write("\n")
+            first.stdin.flush()
+            assert first.stdout.readline() == "closed\n"
+            if Path("/proc/self/fd").is_dir():
+                assert overview.driver().at_work is False
+        first.communicate()
+    with Overview(path) as overview:
+        assert overview.driver().at_work is False
+    Ledger.open(path, model="m").close()
+
+
+KILLED_WITH_A_LOG = """
+import os, signal, sys
+from strandline.runs import Ledger, RunRecord, RunRequest
+ledger = Ledger.open(sys.argv[1], model="m")
+for key in "abc":
+    ledger.started(RunRequest(key, {}))
+    ledger.finished(RunRecord(key, {}, "failed"))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+KILLED_WHILE_WRITING = """
+import os, signal, sqlite3, sys
+from strandline.runs import tables
+connection = tables.connect(sys.argv[1])
+connection.execute("PRAGMA cache_size = 1")
+connection.execute("BEGIN IMMEDIATE")
+for k in range(300):
+    connection.execute("INSERT INTO starts (session, key, inputs, started_at) VALUES (1, ?, '{}', 0)", (str(k) * 500,))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def killed(script, path, kept):
+    done = subprocess.run([sys.executable, "-c", script, str(path)], env={**os.environ, VARIABLE: kept})
+    assert done.returncode == -signal.SIGKILL
+
+
+def test_a_ledger_with_a_log_is_converted_and_keeps_what_is_in_the_log(path, monkeypatch):
+    killed(KILLED_WITH_A_LOG, path, "wal")
+    log = path.with_name("ledger.sqlite-wal")
+    assert log.stat().st_size > 0
+    monkeypatch.setenv(VARIABLE, "delete")
+    with Ledger.open(path, model="m") as ledger:
+        assert ledger.counts() == Counts(failed=3)
+    assert not log.exists()
+    assert journal.has_rollback_journal(path)
+
+
+def test_what_a_killed_driver_had_only_begun_to_write_is_undone_by_a_reader(path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "delete")
+    with Ledger.open(path, model="m") as ledger:
+        fakes.put(ledger, fakes.failed("a"))
+    killed(KILLED_WHILE_WRITING, path, "delete")
+    assert path.with_name("ledger.sqlite-journal").stat().st_size > 0
+    with Ledger.open(path, model="m", read_only=True) as reader:
+        assert reader.counts() == Counts(failed=1)
+        with pytest.raises(sqlite3.OperationalError):
+            reader._connection.execute("DELETE FROM starts")
+    with closing(tables.connect_read_only(path)) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)

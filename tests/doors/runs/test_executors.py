@@ -9,19 +9,12 @@ import textwrap
 import time
 
 import pytest
-from tests.doors.runs.processes import Unloadable, pids, processes_of_group, wait_until
+from tests.doors.runs.processes import Unloadable, hanging_driver, pids, processes_of_group, wait_until
 
 from strandline.errors import InvalidInput
 from strandline.runs import NOT_NOW, InProcess, LocalProcesses
 from strandline.runs.on_call import OnCall
-from strandline.testing.executors import (
-    CHECKS,
-    CRASH_CHECKS,
-    TIMEOUT_CHECKS,
-    WAITING_CHECKS,
-    check_asks_beside_a_run,
-    requests_for,
-)
+from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, WAITING_CHECKS, requests_for
 from strandline.testing.models import Cantilever, Counted, Faulty, KilledWhileLoading, Slow
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -41,10 +34,10 @@ def test_local_processes_stop_hanging_runs():
         check(LocalProcesses(1, timeout=0.6), workers=1)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_local_processes_wait_for_requests(workers):
+def test_local_processes_wait_for_requests():
+    WAITING_CHECKS["waits_for_what_follows"](LocalProcesses(2), workers=2)
     for name in ("waits_for_what_follows", "hands_over_before_it_asks_again"):
-        WAITING_CHECKS[name](LocalProcesses(workers), workers=workers)
+        WAITING_CHECKS[name](LocalProcesses(1), workers=1)
 
 
 def only_after_records(model, requests):
@@ -53,10 +46,7 @@ def only_after_records(model, requests):
 
     def asked():
         told_at = None
-        while True:
-            request = NOT_NOW if told_at == records else next(requests, None)
-            if request is None:
-                return
+        while (request := NOT_NOW if told_at == records else next(requests, None)) is not None:
             told_at = records if request is NOT_NOW else None
             yield request
 
@@ -66,9 +56,10 @@ def only_after_records(model, requests):
 
 
 def test_local_processes_ask_beside_a_run_and_the_suite_catches_one_that_does_not():
-    check_asks_beside_a_run(LocalProcesses(2), workers=2, pause=0.2)
+    check = WAITING_CHECKS["asks_beside_a_run"]
+    check(LocalProcesses(2), workers=2, pause=0.2)
     with pytest.raises(AssertionError, match="waits for the third"):
-        check_asks_beside_a_run(only_after_records, workers=2, pause=0.2, longest=1.5)
+        check(only_after_records, workers=2, pause=0.2, longest=1.5)
 
 
 def on_call(model, requests):
@@ -126,53 +117,24 @@ def test_a_script_that_no_worker_can_load_gets_the_remedy(tmp_path):
     assert "put the model into a module" in typed.stderr
 
 
-DRIVER = """
-import sys
-from strandline.runs import LocalProcesses
-from strandline.testing.executors import requests_for
-from strandline.testing.models import Counted, Faulty
-if __name__ == "__main__":
-    model = Counted(sys.argv[1], Faulty(fault=sys.argv[2], above=0.0))
-    for record in LocalProcesses(2)(model, requests_for(model)):
-        print(record)
-"""
-
-
-@pytest.fixture
-def driver(tmp_path):
-    """Start a driver whose two workers hang in the given way; return it and the workers' process ids."""
-    with contextlib.ExitStack() as stack:
-
-        def start(fault):
-            environment = {**os.environ, "TMPDIR": str(tmp_path)}
-            command = [sys.executable, "-c", DRIVER, str(tmp_path), fault]
-            process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, start_new_session=True)
-            stack.enter_context(process)
-            stack.callback(process.kill)
-            assert wait_until(lambda: len(pids(tmp_path)) == 2, 20)
-            return process, pids(tmp_path)
-
-        yield start
-
-
 @ON_LINUX
 @pytest.mark.parametrize("fault", ["hang_in_c", pytest.param("child", marks=pytest.mark.smoke)])
-def test_workers_and_their_children_vanish_when_the_driver_is_killed(driver, fault):
-    process, workers = driver(fault)
+def test_workers_and_their_children_vanish_when_the_driver_is_killed(tmp_path, fault):
     number = 2 if fault == "child" else 1
-    assert wait_until(lambda: all(len(processes_of_group(pid)) == number for pid in workers), 5)
-    process.kill()
+    with hanging_driver(tmp_path, "LocalProcesses(2)", fault):
+        workers = pids(tmp_path)
+        assert wait_until(lambda: all(len(processes_of_group(pid)) == number for pid in workers), 5)
     assert wait_until(lambda: not any(processes_of_group(pid) for pid in workers), 3)
 
 
 @ON_LINUX
-def test_ctrl_c_stops_the_workers_and_removes_their_folders(driver, tmp_path):
-    process, workers = driver("hang_in_c")
-    os.killpg(process.pid, signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
-    assert process.returncode != 0
+def test_ctrl_c_stops_the_workers_and_removes_their_folders(tmp_path):
+    with hanging_driver(tmp_path, "LocalProcesses(2)") as driver:
+        os.killpg(driver.pid, signal.SIGINT)
+        _, stderr = driver.communicate(timeout=60)
+    assert driver.returncode != 0
     assert stderr.decode().count("KeyboardInterrupt") == 1
-    assert not any(processes_of_group(pid) for pid in workers)
+    assert not any(processes_of_group(pid) for pid in pids(tmp_path))
     assert not list(tmp_path.glob("strandline-*"))
 
 
@@ -207,8 +169,8 @@ def test_folders_are_removed_and_the_driver_stays_where_it_is(tmp_path, monkeypa
 
 
 def test_the_time_for_a_run_is_small():
-    records = LocalProcesses(1)(Cantilever(), requests_for(Cantilever(), [300.0 + 0.1 * k for k in range(300)]))
+    records = LocalProcesses(1)(Cantilever(), requests_for(Cantilever(), [300.0 + 0.1 * k for k in range(100)]))
     next(records)
     begin = time.perf_counter()
-    assert sum(record.ok for record in records) == 299
-    assert (time.perf_counter() - begin) / 299 < 0.02, "the aim is 0.005 s; a busy machine gets some grace"
+    assert sum(record.ok for record in records) == 99
+    assert (time.perf_counter() - begin) / 99 < 0.02, "the aim is 0.005 s; a busy machine gets some grace"

@@ -1,16 +1,68 @@
-"""Campaigns of the cantilever; models and executors in this process that behave as a test needs it."""
+"""Campaigns of the cantilever, records and ledgers of every kind, and models and executors in this process."""
 
+import shutil
 import sqlite3
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
+
 from strandline.errors import ForwardModelError
+from strandline.interface import Interface
 from strandline.models.protocol import fingerprint
 from strandline.runs import NOT_NOW, InProcess, Ledger, RunRecord, RunRequest, run_batches, run_campaign, run_key
 from strandline.testing.models import Cantilever
 
-DATA = Path(__file__).parents[2] / "data"
+LINE = Interface.polyline(np.random.default_rng(1).normal(size=(66, 2)))
+TETRAHEDRON = Interface(np.eye(4, 3), np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]))
+SLOPES = {"slow": {"E": np.random.default_rng(2).normal(size=(66, 2)), "nu": np.full((66, 2), -1e-300)}}
+TWO = RunRecord("two", {"E": 7.0}, "ok", {"slow": LINE, "a b": TETRAHEDRON}, sensitivities=SLOPES)
+ONE = RunRecord("line", {"E": 0.1, "nu": -1e-300}, "ok", {"": LINE}, {"iterations": 7.0, "J": float("nan")}, 0.25)
+SURFACE = RunRecord("surface", {"E": 1 / 3}, "ok", {"": TETRAHEDRON})
+BAD = RunRecord("bad", {"E": 2.0}, "failed", {}, {"load": 0.5}, 1.0, "limit_point", "no équilibre", "a\nlog")
+RECORDS = [
+    TWO,
+    RunRecord("steep", {"E": 8.0}, "ok", {"": LINE}, sensitivities={"": SLOPES["slow"]}),
+    ONE,
+    SURFACE,
+    BAD,
+    RunRecord("slow", {"E": 3.0}, "timeout", failure_kind="timeout", message="still running"),
+    RunRecord("gone", {"E": 4.0}, "killed", failure_kind="worker_died", message="SIGKILL"),
+    RunRecord("odd", {"E": 5.0}, "invalid", failure_kind="non_finite", message="NaN"),
+]
+
+
+def exact(record):
+    """Return all that a record says, comparable to the last bit."""
+    arrays = [(c, i.points.tobytes(), i.points.shape, i.cells.tolist()) for c, i in record.interfaces.items()]
+    slopes = [(c, n, a.tobytes(), a.shape) for c, some in record.sensitivities.items() for n, a in some.items()]
+    figures = {name: float(value).hex() for name, value in record.diagnostics.items()}
+    rest = (record.seconds, record.failure_kind, record.message, record.log, record.origin)
+    return record.key, dict(record.inputs), record.state, arrays, slopes, figures, *rest
+
+
+def failed(key):
+    return RunRecord(key, {}, "failed")
+
+
+def put(ledger, *records):
+    for record in records:
+        ledger.started(RunRequest(record.key, record.inputs))
+        ledger.finished(record)
+
+
+def query(path, *statements):
+    """Execute statements as another program would; return the rows of the last one."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        return [connection.execute(statement).fetchall() for statement in statements][-1]
+
+
+def stored(name, folder):
+    """Return a copy of a ledger that an earlier version has written."""
+    path = Path(shutil.copy(Path(__file__).parents[2] / "data" / name, folder / "ledger.sqlite"))
+    path.chmod(0o644)
+    return path
 
 
 def design(*stiffness):
@@ -42,7 +94,7 @@ def batches(path, model, first, choose, executor=None, **options):
 def begun_before(path, model, inputs, times=1):
     """Start a run `times` times without an end, as drivers do that are killed; return its request."""
     request = RunRequest(key_of(model, inputs), inputs)
-    with Ledger.open(path, model=fingerprint(model)) as ledger:
+    with Ledger.open(path, model=model) as ledger:
         for _ in range(times):
             ledger.started(request)
     return request
@@ -58,18 +110,16 @@ def attempts(path):
         return sorted(ledger.attempts(record.key) for record in ledger)
 
 
+def repeated(path):
+    """Return how many outcomes a ledger holds beyond one for each run."""
+    return query(path, "SELECT count(*) - count(DISTINCT key) FROM outcomes JOIN starts USING (attempt)")[0][0]
+
+
 def calls(folder, file="calls"):
     """Return how often each run of a `Counted` model was begun, or ended."""
     path = folder / file
     lines = path.read_text().splitlines() if path.exists() else []
     return Counter(line.partition(" ")[2] for line in lines)
-
-
-def repeated(path):
-    """Return how many outcomes a ledger holds beyond one for each run."""
-    sql = "SELECT count(*) - count(DISTINCT key) FROM outcomes JOIN starts USING (attempt)"
-    with closing(sqlite3.connect(path)) as connection:
-        return connection.execute(sql).fetchone()[0]
 
 
 class Seen(list):
@@ -92,43 +142,28 @@ class Moody:
 
     fingerprint = "moody"
 
-    def __init__(self, moods, kind="licence"):
-        self.moods, self.kind, self.calls = dict(moods), kind, Counter()
+    def __init__(self, moods):
+        self.moods, self.calls = dict(moods), Counter()
 
     def __call__(self, inputs, workdir):
         stiffness = inputs["E"]
         self.calls[stiffness] += 1
         if self.calls[stiffness] <= self.moods.get(stiffness, 0):
-            raise ForwardModelError(self.kind, "no licence to be had\nserver busy")
+            raise ForwardModelError("licence", "no licence to be had\nserver busy")
         return Cantilever()(inputs, workdir)
 
 
 class Noted:
-    """Runs one after the other; notes what it runs, and each of its calls."""
+    """Runs one after the other; notes the runs of each of its calls. One that waits takes `NOT_NOW`."""
 
-    def __init__(self, executor=None):
-        self.executor, self.made, self.calls = executor or InProcess(), [], []
-
-    def __call__(self, model, requests):
-        asked = list(requests)
-        self.calls.append(stiffnesses(asked))
-        for record in self.executor(model, asked):
-            self.made.append(record.inputs["E"])
-            yield record
-
-
-class Waits:
-    """Takes `NOT_NOW`; counts its calls."""
-
-    asks_again = True
-
-    def __init__(self):
-        self.calls = 0
+    def __init__(self, waits=False):
+        self.asks_again, self.calls = waits, []
 
     def __call__(self, model, requests):
-        self.calls += 1
+        self.calls.append([])
         for request in requests:
             if request is not NOT_NOW:
+                self.calls[-1].append(request.inputs["E"])
                 yield from InProcess()(model, [request])
 
 
@@ -137,38 +172,29 @@ class Elsewhere:
 
     Args:
         lost: how often the run at a stiffness ends ``killed`` before it ends well.
+        waits: whether it takes one request after the other, and `NOT_NOW`.
     """
 
-    def __init__(self, lost=()):
-        self.submitted, self.waiting, self.lost = [], {}, Counter(lost)
+    def __init__(self, lost=(), waits=False):
+        self.submitted, self.waiting, self.lost, self.asks_again = [], {}, Counter(lost), waits
 
     def outstanding(self, model, keys):
         return self.waiting.keys() & keys
 
     def __call__(self, model, requests):
-        asked = list(requests)
+        one_by_one = ([request] for request in requests if request is not NOT_NOW)
+        for asked in one_by_one if self.asks_again else [list(requests)]:
+            yield from self.answered(model, asked)
+
+    def answered(self, model, asked):
         for request in asked:
             if request.key not in self.waiting:
                 self.submitted.append(request.inputs["E"])
                 self.waiting[request.key] = request
         for request in asked:
-            yield self.record(model, request)
+            self.lost[request.inputs["E"]] -= 1
+            if self.lost[request.inputs["E"]] >= 0:
+                yield RunRecord(request.key, request.inputs, "killed", failure_kind="node_failed", message="gone")
+            else:
+                yield from InProcess()(model, [request])
             self.waiting.pop(request.key, None)
-
-    def record(self, model, request):
-        self.lost[request.inputs["E"]] -= 1
-        if self.lost[request.inputs["E"]] >= 0:
-            return RunRecord(request.key, request.inputs, "killed", failure_kind="node_failed", message="gone")
-        (record,) = InProcess()(model, [request])
-        return record
-
-
-class ElsewhereWaits(Elsewhere):
-    """The same for one request after the other, and with `NOT_NOW`."""
-
-    asks_again = True
-
-    def __call__(self, model, requests):
-        for request in requests:
-            if request is not NOT_NOW:
-                yield from super().__call__(model, [request])

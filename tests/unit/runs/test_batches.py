@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from tests.unit.runs import fakes
-from tests.unit.runs.fakes import Moody, Noted, Seen, Waits, batches, begun_before, counts, design, states, stiffnesses
+from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, batches, begun_before, design, states, stiffnesses
 
 from strandline.errors import CampaignStopped, InvalidInput, LedgerError
 from strandline.runs import NOT_NOW, Counts, FailurePolicy, InProcess, Ledger, Retry, RunRecord, RunRequest
@@ -26,9 +26,9 @@ class Choice:
         return self.left.pop(0) if self.left else []
 
 
-@pytest.fixture(params=[Waits, Noted], ids=["waits", "a call for each batch"])
+@pytest.fixture(params=[True, False], ids=["waits", "a call for each batch"])
 def executor(request):
-    return request.param()
+    return Noted(waits=request.param)
 
 
 def follows(records):
@@ -67,19 +67,17 @@ def test_batches_chosen_before_are_run_first_and_nothing_that_is_known_is_made_a
     choice = Choice(design(300), design(450))
     assert stiffnesses(batches(path, model, [design(350)], choice, executor)) == [350.0, 300.0, 450.0]
     assert sorted(fakes.calls(tmp_path).values()) == [1] * 5
-
-    def refusing(model, requests):
-        raise AssertionError("there was nothing to run")
-
-    assert batches(path, model, [design(400)], Choice(design(300)), refusing)
+    calls = list(executor.calls)
+    assert batches(path, model, [design(400)], Choice(design(300)), executor)
+    assert executor.calls == calls, "there was nothing to run"
 
 
 def test_only_an_executor_that_cannot_wait_is_called_for_each_batch(path):
-    plain, waiting = Noted(), Waits()
+    plain, waiting = Noted(), Noted(waits=True)
     batches(path, BEAM, [design(300), design(400)], Choice(design(350, 360), design(370)), plain)
     assert plain.calls == [[300.0, 400.0], [350.0, 360.0], [370.0]]
     batches(path, BEAM, [design(500)], Choice(design(510), design(520)), waiting)
-    assert waiting.calls == 1
+    assert waiting.calls == [[500.0, 510.0, 520.0]]
 
 
 class Aged:
@@ -116,20 +114,17 @@ class Aged:
         return replace(record, seconds=self.seconds)
 
 
-@pytest.mark.parametrize(
-    ("first", "chosen", "killed", "shown", "ended"),
-    [
-        ((600, 400), [(300, 350), (450,)], 0, [1, 3, 4], [400.0, 300.0, 350.0, 450.0, 600.0]),
-        ((600, 400), [(450,)], 1, [1, 2], [400.0, 400.0, 450.0, 600.0]),
-    ],
-    ids=["made", "tried again"],
-)
-def test_batches_are_made_beside_a_slow_run_that_is_waited_for_in_the_end(path, first, chosen, killed, shown, ended):
-    choice, seen = Choice(*(design(*each) for each in chosen)), Seen()
-    done = batches(path, BEAM, [design(*first)], choice, Aged(killed=killed), on_record=seen, patience=3.0)
-    assert seen.stiffnesses == ended
-    assert states(done) == ["ok"] * len(done)
-    assert choice.shown == [stiffnesses(done)[1 : number + 1] for number in shown]
+def test_batches_are_made_beside_a_slow_run_that_is_waited_for_in_the_end(path):
+    """The second time, the run beside it is killed at first, and tried again at once."""
+    for chosen, killed, shown, ended in (
+        ([(300, 350), (450,)], 0, [1, 3, 4], [400.0, 300.0, 350.0, 450.0, 600.0]),
+        ([(450,)], 1, [1, 2], [400.0, 400.0, 450.0, 600.0]),
+    ):
+        choice, seen, place = Choice(*(design(*each) for each in chosen)), Seen(), path.with_name(f"{killed}.sqlite")
+        done = batches(place, BEAM, [design(600, 400)], choice, Aged(killed=killed), on_record=seen, patience=3.0)
+        assert seen.stiffnesses == ended
+        assert states(done) == ["ok"] * len(done)
+        assert choice.shown == [stiffnesses(done)[1 : number + 1] for number in shown]
 
 
 def test_a_slow_run_that_has_ended_is_shown_in_its_place(path):
@@ -223,27 +218,24 @@ def test_an_interrupted_choice_costs_nothing_but_the_runs_under_way(path):
 
     with pytest.raises(KeyboardInterrupt):
         batches(path, BEAM, [design(600, 400)], interrupted, Aged(), maximum_attempts=1)
-    assert counts(path) == Counts(ok=1, killed=1)
+    assert fakes.counts(path) == Counts(ok=1, killed=1)
     choice = Choice(design(300))
     assert states(batches(path, BEAM, [design(600, 400)], choice, maximum_attempts=1)) == ["ok"] * 3
     assert choice.shown == [[600.0, 400.0], [600.0, 400.0, 300.0]]
 
 
 @pytest.mark.parametrize(
-    ("executor", "submitted", "attempts"),
-    [
-        (fakes.Elsewhere(), [400.0, 350.0, 360.0], [1, 1, 1, 1]),
-        (fakes.ElsewhereWaits(), [400.0, 350.0, 360.0], [1, 1, 1, 1]),
-        (fakes.ElsewhereWaits(lost={300.0: 1}), [400.0, 300.0, 350.0, 360.0], [1, 1, 1, 2]),
-    ],
+    ("waits", "lost", "attempts"),
+    [(False, {}, [1, 1, 1, 1]), (True, {}, [1, 1, 1, 1]), (True, {300.0: 1}, [1, 1, 1, 2])],
     ids=["plain", "waits", "killed meanwhile"],
 )
-def test_runs_that_go_on_without_a_driver_are_collected(path, executor, submitted, attempts):
-    choice, request = Choice(design(350, 360)), begun_before(path, BEAM, *design(300))
+def test_runs_that_go_on_without_a_driver_are_collected(path, waits, lost, attempts):
+    executor, choice = Elsewhere(lost, waits), Choice(design(350, 360))
+    request = begun_before(path, BEAM, *design(300))
     executor.waiting[request.key] = request
     done = batches(path, BEAM, [design(300, 400)], choice, executor, maximum_attempts=max(attempts))
     assert states(done) == ["ok"] * 4
-    assert executor.submitted == submitted
+    assert executor.submitted == [400.0, *lost, 350.0, 360.0]
     assert fakes.attempts(path) == attempts
     assert choice.shown == [[300.0, 400.0], [300.0, 400.0, 350.0, 360.0]]
 
@@ -285,6 +277,6 @@ def test_what_makes_no_campaign_is_refused(path):
     listed = iter([design(350)])
     with pytest.raises(InvalidInput, match="give `next` a default"):
         batches(path, BEAM, [design(300)], lambda records: next(listed))
-    assert counts(path) == Counts(ok=2), "no silent end"
+    assert fakes.counts(path) == Counts(ok=2), "no silent end"
     with pytest.raises(LedgerError, match="another model"):
         batches(path, Cantilever(length=2.0), [design(300)], Choice())

@@ -1,15 +1,20 @@
 """Campaigns: what is run and what is not, what becomes of runs that fail or are lost, and executors that err."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from tests.unit.runs import fakes
-from tests.unit.runs.fakes import Elsewhere, Noted, Seen, begun_before, campaign, counts, design, states
+from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, begun_before, campaign, counts, design, states
 
-from strandline.errors import InvalidInput, LedgerError, NumericsError
-from strandline.runs import Counts, InProcess, Ledger, Progress, RunRecord, run_campaign
+from strandline.errors import CampaignStopped, InvalidInput, LedgerError, NumericsError
+from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
+from strandline.runs.failures import require_kinds
+from strandline.runs.ledger import INTERRUPTED
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, Counted, Faulty, TwoLoads
+
+BEAM = Cantilever()
 
 
 def alike(first, second, *, strict=True):
@@ -43,14 +48,13 @@ def test_failures_are_data_and_final(path):
 
 def test_each_run_is_started_in_the_ledger_before_it_runs(path):
     seen = []
-    with Ledger.open(path, model=Cantilever()) as ledger:
 
-        def peeking(model, requests):
-            for request in requests:
-                seen.append(ledger.counts().open)
-                yield from InProcess()(model, [request])
+    def peeking(model, requests):
+        for request in requests:
+            seen.append(counts(path).open)
+            yield from InProcess()(model, [request])
 
-        run_campaign(Cantilever(), design(300, 400, 500), ledger=ledger, executor=peeking)
+    campaign(path, BEAM, design(300, 400, 500), peeking)
     assert seen == [1, 1, 1]
 
 
@@ -59,14 +63,14 @@ def test_runs_without_sensitivities_are_made_again_where_they_are_asked_for(path
     first = campaign(path, plain, inputs)
     executor, idle = Noted(), Noted()
     second = campaign(path, asked, [*inputs, *design(500)], executor)
-    assert executor.made == [300.0, 400.0, 500.0]
+    assert executor.calls == [[300.0, 400.0, 500.0]]
     assert [list(record.sensitivities) for record in second] == [["light", "heavy"]] * 2 + [[]] + [["light", "heavy"]]
     for one, other in zip(first, second, strict=False):
         for condition, interface in one.interfaces.items():
             assert other.interfaces[condition].points.tobytes() == interface.points.tobytes()
     assert alike(second, campaign(path, asked, [*inputs, *design(500)], idle))
     assert alike(campaign(path, plain, inputs, idle), second, strict=False), "the newer outcome counts"
-    assert idle.made == []
+    assert idle.calls == []
     assert fakes.repeated(path) == 2
 
 
@@ -101,25 +105,23 @@ def test_only_runs_with_sensitivities_are_copied_where_they_are_asked_for(path, 
         assert ledger.copy_from(other, keys) == 1
 
 
-def test_a_run_lost_with_its_driver_too_often_is_given_up(path):
+def test_a_run_lost_with_its_driver_or_killed_too_often_is_given_up_and_says_so(path):
     """A simulator that takes an in-process driver down would otherwise do so for ever."""
-    begun_before(path, Cantilever(), *design(400), times=2)
-    (given_up,) = campaign(path, Cantilever(), design(400), maximum_attempts=2)
+    begun_before(path, BEAM, *design(400), times=2)
+    (given_up,) = campaign(path, BEAM, design(400), maximum_attempts=2)
     assert (given_up.state, given_up.failure_kind) == ("killed", "lost")
     assert "given up after 2 attempts" in given_up.message
-    (done,) = campaign(path, Cantilever(), design(400), maximum_attempts=3)
-    assert done.ok
-
-
-def test_a_run_that_was_killed_too_often_is_given_up_and_says_so(path):
     made = Seen()
-    (killed,) = campaign(path, Cantilever(), design(300), dying, maximum_attempts=2, on_record=made)
+    (killed,) = campaign(path, BEAM, design(300), dying, maximum_attempts=2, on_record=made)
     assert (killed.state, killed.failure_kind, len(made)) == ("killed", "worker_died", 2)
-    (again,) = campaign(path, Cantilever(), design(300), Noted(), maximum_attempts=2)
+    (again,) = campaign(path, BEAM, design(300), Noted(), maximum_attempts=2)
     assert again.message.startswith("gone\ngiven up after 2 attempts")
     assert "raise maximum_attempts" in again.message
-    (done,) = campaign(path, Cantilever(), design(300), maximum_attempts=3)
-    assert done.ok
+    assert states(campaign(path, BEAM, design(300, 400), maximum_attempts=3)) == ["ok", "ok"]
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
 
 
 def test_an_interruption_keeps_what_is_finished_and_costs_no_attempt(path, tmp_path):
@@ -152,8 +154,8 @@ class Forgetful(Ledger):
 
 def test_the_count_of_repeated_runs_sees_a_forgetful_ledger(path):
     for _ in range(2):
-        with Forgetful.open(path, model=Cantilever()) as ledger:
-            run_campaign(Cantilever(), design(300, 400), ledger=ledger, executor=InProcess())
+        with Forgetful.open(path, model=BEAM) as ledger:
+            run_campaign(BEAM, design(300, 400), ledger=ledger, executor=InProcess())
     assert fakes.repeated(path) == 2
 
 
@@ -179,7 +181,7 @@ def answering(answer):
 )
 def test_an_executor_that_answers_wrongly_is_named(path, executor, error, said):
     with pytest.raises(error, match=said):
-        campaign(path, Cantilever(), design(400, 500), executor)
+        campaign(path, BEAM, design(400, 500), executor)
 
 
 def test_an_executor_that_forgets_a_run_has_it_tried_again_and_given_up(path):
@@ -187,52 +189,143 @@ def test_an_executor_that_forgets_a_run_has_it_tried_again_and_given_up(path):
         list(requests)
         return iter(())
 
-    (record,) = campaign(path, Cantilever(), design(300), forgetful, maximum_attempts=3)
+    (record,) = campaign(path, BEAM, design(300), forgetful, maximum_attempts=3)
     assert (record.state, record.failure_kind) == ("killed", "lost")
 
 
 def test_what_a_campaign_cannot_do_is_refused(path):
     with Ledger.open(path, model="other") as ledger, pytest.raises(LedgerError, match="another model"):
-        run_campaign(Cantilever(), design(300), ledger=ledger, executor=InProcess())
+        run_campaign(BEAM, design(300), ledger=ledger, executor=InProcess())
     with pytest.raises(InvalidInput, match="maximum_attempts"):
-        campaign(path.with_name("new.sqlite"), Cantilever(), design(300), maximum_attempts=0)
-
-
-def interrupted_after_one(path, executor, inputs, **options):
-    def interrupt(record, progress):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        campaign(path, Cantilever(), inputs, executor, on_record=interrupt, **options)
+        campaign(path.with_name("new.sqlite"), BEAM, design(300), maximum_attempts=0)
 
 
 def test_runs_that_go_on_without_a_driver_stay_open_and_the_next_driver_collects_them(path):
     executor, inputs = Elsewhere(), design(300, 400, 500, 600)
     for made in (1, 2, 3):
-        interrupted_after_one(path, executor, inputs, maximum_attempts=1)
+        with pytest.raises(KeyboardInterrupt):
+            campaign(path, BEAM, inputs, executor, on_record=interrupt, maximum_attempts=1)
         assert counts(path) == Counts(ok=made, open=4 - made)
     with Ledger.open(path, model=None, read_only=True) as ledger:
         done = [record.key for record in ledger]
         (waiting,) = executor.waiting.keys() - done
         assert ledger.open_runs([*done, waiting, "unknown"]) == {waiting}
         assert ledger.open_runs(done) == frozenset()
-    assert states(campaign(path, Cantilever(), inputs, executor, maximum_attempts=1)) == ["ok"] * 4
+    assert states(campaign(path, BEAM, inputs, executor, maximum_attempts=1)) == ["ok"] * 4
     assert executor.submitted == [300.0, 400.0, 500.0, 600.0]
     assert fakes.attempts(path) == [1, 1, 1, 1]
 
 
-def test_a_run_that_was_killed_elsewhere_is_submitted_again_and_each_time_counts(path):
+def test_a_run_killed_elsewhere_is_submitted_again_and_one_that_is_not_known_there_any_more_is_started_again(path):
     executor = Elsewhere(lost={300.0: 2, 400.0: 3})
-    done, given_up = campaign(path, Cantilever(), design(300, 400), executor)
+    done, given_up = campaign(path, BEAM, design(300, 400), executor)
     assert done.ok
     assert (given_up.state, given_up.failure_kind) == ("killed", "node_failed")
     assert sorted(executor.submitted) == [300.0] * 3 + [400.0] * 3
     assert fakes.attempts(path) == [3, 3]
-
-
-def test_what_the_executor_does_not_know_any_more_is_started_again(path):
-    executor, inputs = Elsewhere(), design(300, 400)
-    interrupted_after_one(path, executor, inputs)
+    with pytest.raises(KeyboardInterrupt):
+        campaign(path, BEAM, design(500, 600), executor, on_record=interrupt)
     executor.waiting.clear()
-    assert states(campaign(path, Cantilever(), inputs, executor)) == ["ok", "ok"]
-    assert fakes.attempts(path) == [1, 2]
+    assert states(campaign(path, BEAM, design(500, 600), executor)) == ["ok", "ok"]
+    assert fakes.attempts(path) == [1, 2, 3, 3]
+
+
+MANY = [300.0 + i for i in range(26)]
+
+
+def test_failed_runs_are_tried_again_only_if_the_policy_says_so_and_as_often(path):
+    model, inputs = Moody({400.0: 1, 500.0: 2, 600.0: 3}), design(300, 400, 500, 600)
+    for _ in range(2):
+        assert states(campaign(path, model, inputs)) == ["ok", "failed", "failed", "failed"]
+        assert model.calls == {300.0: 1, 400.0: 1, 500.0: 1, 600.0: 1}
+    model, retry, other = Moody(model.moods), FailurePolicy({"licence": Retry(2)}), path.with_name("other.sqlite")
+    for _ in range(2):
+        assert states(campaign(other, model, inputs, policy=retry)) == ["ok", "ok", "ok", "failed"]
+        assert model.calls == {300.0: 1, 400.0: 2, 500.0: 3, 600.0: 3}
+
+
+def test_an_action_for_a_state_serves_its_kinds_and_one_for_the_kind_goes_before():
+    failed = RunRecord("key", {"E": 1.0}, "failed", failure_kind="licence", message="reason")
+    killed = RunRecord("key", {"E": 1.0}, "killed", failure_kind="worker_died", message="reason")
+    assert FailurePolicy({"failed": Retry(4)}).attempts(failed, killed=3) == 5
+    assert FailurePolicy({"failed": Retry(4), "licence": "continue"}).attempts(failed, killed=3) == 1
+    assert FailurePolicy().attempts(killed, killed=3) == 3
+    assert FailurePolicy({"killed": "continue"}).attempts(killed, killed=3) == 1
+    assert FailurePolicy({"failed": "abort"}).aborts(failed)
+    assert not FailurePolicy({"failed": "abort", "licence": "continue"}).aborts(failed)
+
+
+def test_abort_ends_the_campaign_keeps_what_is_done_and_tries_that_run_first_when_started_again(path):
+    model, policy = Moody({400.0: 1}), FailurePolicy({"licence": "abort"})
+    with pytest.raises(CampaignStopped, match=r"licence.*\n.*E = 400.*no licence(.|\n)*server busy(.|\n)*tried again"):
+        campaign(path, model, design(300, 400, 500), policy=policy)
+    assert model.calls == {300.0: 1, 400.0: 1}
+    assert states(campaign(path, model, design(300, 400, 500), policy=policy)) == ["ok"] * 3
+    assert model.calls == {300.0: 1, 400.0: 2, 500.0: 1}
+
+
+def abreast(model, requests):
+    """Have two runs under way, and tell how the second one ended."""
+    for request in list(requests)[1:2]:
+        yield attempt(model, request, Path())
+
+
+def test_abort_leaves_a_run_beside_it_to_be_made_without_an_attempt_less(path):
+    model, policy = Moody({400.0: 4}), FailurePolicy({"licence": "abort", "killed": "continue"})
+    options = {"maximum_attempts": 1, "policy": policy}
+    for _ in range(4):
+        with pytest.raises(CampaignStopped):
+            campaign(path, model, design(300, 400), abreast, **options)
+        with Ledger.open(path, model=None, read_only=True) as ledger:
+            beside, _ = ledger
+            assert (beside.inputs["E"], beside.state, beside.failure_kind) == (300.0, "killed", INTERRUPTED)
+            assert "it will be run again" in beside.message
+            assert ledger.attempts(beside.key) == 0
+    assert states(campaign(path, model, design(300, 400), **options)) == ["ok", "ok"]
+    assert model.calls == {300.0: 1, 400.0: 5}
+
+
+def test_failures_asked_for_again_are_run_once_more_with_all_their_retries_and_no_others(path):
+    model, inputs = Moody({400.0: 1, 500.0: 9, 600.0: 9}), design(300, 400, 500)
+    campaign(path, model, inputs)
+    again = campaign(path, model, inputs, policy=FailurePolicy(again=frozenset({"licence"})))
+    assert states(again) == ["ok", "ok", "failed"]
+    campaign(path, model, inputs, policy=FailurePolicy(again=frozenset({"timeout"})))
+    assert model.calls == {300.0: 1, 400.0: 2, 500.0: 2}
+    for policy in ({}, {"again": frozenset({"failed"})}):
+        campaign(path, model, design(600), policy=FailurePolicy({"licence": Retry()}, **policy))
+    assert model.calls[600.0] == 4
+
+
+def test_a_campaign_most_of_whose_runs_fail_stops_early_and_says_why(path):
+    some = [value for value in MANY if value % 4]
+    for failing, options, said, made in (
+        (MANY, {}, r"20 of 20 runs failed \(20 × licence\)(.|\n)*server busy", 20),
+        (some, {"stop_after": 12, "stop_share": 0.7}, "9 of 12 runs failed", 12),
+    ):
+        model = Moody(dict.fromkeys(failing, 1))
+        with pytest.raises(CampaignStopped, match=said):
+            campaign(path.with_name(f"{made}.sqlite"), model, design(*MANY), policy=FailurePolicy(**options))
+        assert sum(model.calls.values()) == made
+
+
+def test_failures_are_borne_where_they_are_of_an_earlier_campaign_or_the_policy_says_so(path):
+    model = Moody(dict.fromkeys(MANY[:19], 1))
+    campaign(path, model, design(*MANY[:19]))
+    assert len(campaign(path, model, design(*MANY[:21]), policy=FailurePolicy())) == 21
+    failing, other = Moody(dict.fromkeys(MANY, 1)), path.with_name("other.sqlite")
+    assert len(campaign(other, failing, design(*MANY[:21]), policy=FailurePolicy(stop_share=2.0))) == 21
+    assert len(campaign(other, failing, design(*MANY[:22]))) == 22
+
+
+def test_what_makes_no_policy_is_refused():
+    for wrong in ({"actions": {"timeout": "recover"}}, {"stop_after": 0}, {"stop_share": 0.0}):
+        with pytest.raises(InvalidInput):
+            FailurePolicy(**wrong)
+    with pytest.raises(InvalidInput, match="at least 1"):
+        Retry(0)
+    require_kinds(["timeout"], {"timeout", "failed"})
+    with pytest.raises(InvalidInput, match=r"got timout; expected one of failed, timeout"):
+        require_kinds(["timout"], {"timeout", "failed"})
+    with pytest.raises(InvalidInput, match="there is none"):
+        require_kinds(["timeout"], set())

@@ -59,14 +59,11 @@ SENSELESS = [
 ]
 
 
-def test_senseless_options_are_refused():
+def test_senseless_options_are_refused_and_those_at_their_bounds_taken():
     """A run that outlives its job would be killed and submitted again, for ever and without an error."""
     for executor, options, said in SENSELESS:
         with pytest.raises(InvalidInput, match=said):
             executor(**options)
-
-
-def test_options_at_their_bounds_are_taken():
     assert DaskCluster(**SLURM, timeout=3540.0, minimum=2, maximum=2).kind == "slurm"
     assert slurm_array(timeout=240.0, walltime="00:05:00", max_jobs=1).timeout == 240.0
     assert LocalProcesses(1, timeout=366 * 24 * 3600.0).workers == 1
@@ -126,28 +123,15 @@ def test_only_keys_of_drivers_of_this_machine_that_are_gone_are_removed(tmp_path
 
 
 def test_the_options_of_an_array_are_those_of_sbatch():
-    fixed = ["--array=0-9", "--no-requeue", "--signal=B:USR1@45"]
-    assert slurm_array().options(10) == fixed
-    everything = slurm_array(
-        walltime="00:05:00", partition="p", account="a", cpus=2, memory="1G", max_running=3, extra=("--hold",)
-    ).options(10)
-    assert everything[:3] == ["--array=0-9%3", "--no-requeue", "--signal=B:USR1@30"]
-    assert everything[3:] == [
-        "--time=00:05:00",
-        "--partition=p",
-        "--account=a",
-        "--cpus-per-task=2",
-        "--mem=1G",
-        "--hold",
-    ]
-
-
-def new_batch(folder):
-    return Batch.new(folder, BEAM, REQUESTS, 50.0)
+    assert slurm_array().options(10) == ["--array=0-9", "--no-requeue", "--signal=B:USR1@45"]
+    asked = {"walltime": "00:05:00", "partition": "p", "account": "a", "cpus": 2, "memory": "1G", "max_running": 3}
+    found = " ".join(slurm_array(**asked, extra=("--hold",)).options(10))
+    limits = "--time=00:05:00 --partition=p --account=a --cpus-per-task=2 --mem=1G --hold"
+    assert found == f"--array=0-9%3 --no-requeue --signal=B:USR1@30 {limits}"
 
 
 def test_a_batch_is_read_as_it_was_written_and_keeps_what_came_back(tmp_path):
-    batch = new_batch(tmp_path)
+    batch = Batch.new(tmp_path, BEAM, REQUESTS, 50.0)
     batch.submitted("17")
     again = Batch.read(batch.folder)
     assert (again, again.job, again.timeout) == (batch, "17", 50.0)
@@ -168,7 +152,7 @@ def test_a_batch_is_read_as_it_was_written_and_keeps_what_came_back(tmp_path):
 
 
 def test_batches_are_listed_oldest_first_without_those_that_another_driver_removes(tmp_path, monkeypatch):
-    made = [new_batch(tmp_path) for _ in range(3)]
+    made = [Batch.new(tmp_path, BEAM, REQUESTS, 50.0) for _ in range(3)]
     assert [batch.name for batch in known_batches(tmp_path)] == [batch.name for batch in made]
     read = Batch.read
 
@@ -183,7 +167,7 @@ def test_batches_are_listed_oldest_first_without_those_that_another_driver_remov
 
 
 def test_a_job_without_a_result_is_told_by_its_state(tmp_path):
-    batch = new_batch(tmp_path)
+    batch = Batch.new(tmp_path, BEAM, REQUESTS, 50.0)
     (batch.folder / "logs" / "3.txt").write_text("the last words\n")
     ends = {
         "TIMEOUT": ("timeout", "walltime"),

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.unit.runs.fakes import Noted, campaign, design, key_of, states
-from tests.unit.runs.ledgers import BAD, LINE, ONE, RECORDS, SURFACE, TETRAHEDRON, TWO, exact, failed, put, tamper
+from tests.unit.runs import fakes
+from tests.unit.runs.fakes import BAD, LINE, ONE, RECORDS, SURFACE, TWO, exact, failed, put, query, states
 
 from strandline.errors import LedgerError
 from strandline.interface import Interface
@@ -19,6 +19,9 @@ from strandline.runs.overview import Overview
 from strandline.runs.plans import Plan
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever
+
+KILLED = RunRecord("a", {}, "killed", failure_kind="worker_died")
+PLAN = Plan("digest", "beam", "m", ("E",), False, 1, (("two",),))
 
 
 def test_everything_comes_back_bit_for_bit(path):
@@ -50,35 +53,29 @@ def test_more_keys_than_one_query_takes(path):
 
 
 def test_the_last_outcome_counts_and_attempts_are_counted(path):
-    killed = RunRecord("a", {}, "killed", failure_kind="worker_died")
     with Ledger.open(path, model="m") as ledger:
-        put(ledger, killed, replace(killed, failure_kind="interrupted"))
+        put(ledger, KILLED, replace(KILLED, failure_kind="interrupted"))
         ledger.started(RunRequest("a", {}))
         assert (ledger.attempts("a"), ledger.open_attempts("a"), ledger.attempts("never")) == (2, 2, 0)
         put(ledger, RunRecord("a", {}, "ok", {"": LINE}))
         assert (ledger.attempts("a"), ledger.open_attempts("a")) == (3, 0)
         assert ledger.latest(["a"])["a"].ok
         assert ledger.counts() == Counts(ok=1)
-        assert [record.state for record in ledger] == ["ok"]
-        put(ledger, killed)
+        assert states(ledger) == ["ok"]
+        put(ledger, KILLED)
         ledger.started(RunRequest("a", {}))
-        put(ledger, replace(killed, key="b"))
+        put(ledger, replace(KILLED, key="b"))
         assert (ledger.attempts("a"), ledger.open_attempts("a")) == (5, 2)
         assert (ledger.open_attempts("b"), ledger.open_attempts("never")) == (1, 0)
 
 
-def test_an_outcome_without_a_start_is_refused(path):
-    with Ledger.open(path, model="m") as ledger:
-        put(ledger, ONE)
-        for record in (ONE, SURFACE):
-            with pytest.raises(LedgerError, match="started and has no outcome"):
-                ledger.finished(record)
-
-
-def test_nothing_is_ever_changed(path):
+def test_an_outcome_without_a_start_is_refused_and_nothing_is_ever_changed(path):
     with Ledger.open(path, model="m") as ledger:
         put(ledger, TWO)
-        ledger.plan(Plan("digest", "beam", "m", ("E",), False, 1, (("two",),)))
+        for record in (TWO, SURFACE):
+            with pytest.raises(LedgerError, match="started and has no outcome"):
+                ledger.finished(record)
+        ledger.plan(PLAN)
         ledger.exclude("two", "odd")
         for name in ("sessions", "starts", "outcomes", "arrays", "plans", "exclusions"):
             (column, *_) = ledger._connection.execute(f"SELECT * FROM {name}").description[0]
@@ -107,16 +104,14 @@ DAMAGES = [
 def test_damage_to_a_run_is_noticed_and_the_run_named(path):
     with Ledger.open(path, model="m") as ledger:
         put(ledger, ONE, TWO)
-    tamper(path, *(f"DROP TRIGGER {name}" for name in ("outcomes_no_UPDATE", "starts_no_UPDATE")))
-    tamper(path, *(f"DROP TRIGGER arrays_no_{verb}" for verb in ("UPDATE", "DELETE")))
+    guards = ("outcomes_no_UPDATE", "starts_no_UPDATE", "arrays_no_UPDATE", "arrays_no_DELETE")
+    query(path, *(f"DROP TRIGGER {name}" for name in guards))
     sound = path.read_bytes()
     for record, damage in DAMAGES:
         path.write_bytes(sound)
-        tamper(path, damage)
-        with (
-            Ledger.open(path, model="m", read_only=True) as ledger,
-            pytest.raises(LedgerError, match=f"run {record.key} in .* is damaged"),
-        ):
+        query(path, damage)
+        said = f"run {record.key} in .* is damaged"
+        with Ledger.open(path, model="m", read_only=True) as ledger, pytest.raises(LedgerError, match=said):
             ledger.latest([record.key])
 
 
@@ -143,12 +138,10 @@ def test_a_run_that_cannot_be_found_any_more_is_noticed(path):
 
 
 def test_an_outcome_is_written_with_all_its_arrays_or_not_at_all(path):
+    full = "BEFORE INSERT ON arrays WHEN NEW.input = 'nu' BEGIN SELECT RAISE(ABORT, 'full'); END"
     with Ledger.open(path, model="m") as ledger:
         ledger.started(RunRequest("two", {"E": 7.0}))
-        ledger._connection.execute(
-            "CREATE TEMP TRIGGER full BEFORE INSERT ON arrays WHEN NEW.input = 'nu' "
-            "BEGIN SELECT RAISE(ABORT, 'full'); END"
-        )
+        ledger._connection.execute(f"CREATE TEMP TRIGGER full {full}")
         with pytest.raises(LedgerError, match="full"):
             ledger.finished(TWO)
         assert ledger._rows("SELECT count(*) FROM arrays") == [(0,)]
@@ -166,42 +159,43 @@ def test_a_ledger_of_another_model_is_refused_with_both_names(path):
     Ledger.open(path, model="beam-1").close()  # the refusal left no lock behind
 
 
-def overwritten(path):
+def overwrite(path):
     data = bytearray(path.read_bytes())
     data[4096:12288] = b"\xff" * 8192
     path.write_bytes(data)
 
 
 NEWER = f"UPDATE meta SET value = '{tables.VERSION + 1}' WHERE key = 'schema_version'"
-SPOILT = {
-    "text": (lambda path: path.write_bytes(b"this is not a database" * 100), "damaged or not a ledger"),
-    "empty": (lambda path: path.write_bytes(b""), "damaged or not a ledger|cannot be read"),
-    "overwritten": (overwritten, "damaged"),
-    "foreign": (lambda path: (path.unlink(), tamper(path, "CREATE TABLE other (x)")), "cannot be read"),
-    "newer": (lambda path: tamper(path, NEWER), "newer strandline"),
-}
 
 
-@pytest.mark.parametrize("spoilt", SPOILT)
-def test_a_damaged_foreign_or_newer_file_is_refused(path, spoilt):
-    spoil, said = SPOILT[spoilt]
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda path: path.write_bytes(b"this is not a database" * 100), "damaged or not a ledger"),
+        (lambda path: path.write_bytes(b""), "damaged or not a ledger|cannot be read"),
+        (overwrite, "damaged"),
+        (lambda path: (path.unlink(), query(path, "CREATE TABLE other (x)")), "cannot be read"),
+        (lambda path: query(path, NEWER), "newer strandline"),
+    ],
+    ids=["text", "empty", "overwritten", "foreign", "newer"],
+)
+def test_a_damaged_foreign_or_newer_file_is_refused(path, spoil, said):
     Ledger.open(path, model="m").close()
     spoil(path)
-    for look in (
-        lambda: Ledger.open(path, model="m"),
-        lambda: Ledger.open(path, model="m", read_only=True),
-        lambda: Overview(path, model="m").runs(),
-    ):
+    for read_only in (False, True):
         with pytest.raises(LedgerError, match=said):
-            look()
+            Ledger.open(path, model="m", read_only=read_only)
+    with pytest.raises(LedgerError, match=said):
+        Overview(path, model="m").runs()
 
 
 def test_what_cannot_be_opened_is_refused(path):
     with pytest.raises(LedgerError, match="folder"):
         Ledger.open(path.parent / "nowhere" / "ledger.sqlite", model="m")
-    for look in (lambda: Ledger.open(path, model="m", read_only=True), lambda: Overview(path)):
-        with pytest.raises(LedgerError, match="no such file"):
-            look()
+    with pytest.raises(LedgerError, match="no such file"):
+        Ledger.open(path, model="m", read_only=True)
+    with pytest.raises(LedgerError, match="no such file"):
+        Overview(path)
     with pytest.raises(LedgerError, match="fingerprint"):
         Ledger.open(path, model=None)
     assert not list(path.parent.iterdir())
@@ -210,12 +204,11 @@ def test_what_cannot_be_opened_is_refused(path):
 @pytest.fixture
 def unwritable():
     """Give the place of a ledger in a folder that this process cannot write, even where the tests run as root."""
-    folder = Path(tempfile.mkdtemp())
+    folder, root = Path(tempfile.mkdtemp()), os.geteuid() == 0
     Ledger.open(folder / "ledger.sqlite", model="m").close()
     for file in folder.iterdir():
         file.chmod(0o444)
     folder.chmod(0o555)
-    root = os.geteuid() == 0
     if root:
         os.seteuid(65534)
     yield folder / "ledger.sqlite"
@@ -250,29 +243,27 @@ def test_a_failure_while_creating_leaves_no_ledger(path, monkeypatch):
 def test_a_reader_cannot_write(path):
     Ledger.open(path, model="m").close()
     with Ledger.open(path, model=None, read_only=True) as ledger:
-        for write in (
-            lambda: ledger.started(RunRequest("a", {})),
-            lambda: ledger.finished(failed("a")),
-            lambda: ledger.copy_from(path, ["a"]),
-            lambda: ledger.exclude("a", "odd"),
-            lambda: ledger.plan(Plan("digest", "beam", "m", ("E",), False, 1, (("two",),))),
+        for write, *arguments in (
+            (ledger.started, RunRequest("a", {})),
+            (ledger.finished, failed("a")),
+            (ledger.copy_from, path, ["a"]),
+            (ledger.exclude, "a", "odd"),
+            (ledger.plan, PLAN),
         ):
             with pytest.raises(LedgerError, match="read_only"):
-                write()
+                write(*arguments)
 
 
 def test_a_reader_sees_what_a_driver_has_written_so_far(path):
-    with Ledger.open(path, model="m") as driver:
+    with Ledger.open(path, model="m") as driver, Ledger.open(path, model="m", read_only=True) as reader:
         put(driver, TWO)
-        with Ledger.open(path, model="m", read_only=True) as reader:
-            assert reader.counts() == Counts(ok=1)
-            assert exact(reader.latest(["two"])["two"]) == exact(TWO)
-            driver.started(RunRequest("next", {"E": 7.0}))
+        assert exact(reader.latest(["two"])["two"]) == exact(TWO)
+        driver.started(RunRequest("next", {"E": 7.0}))
+        assert reader.counts() == Counts(ok=1, open=1)
+        with driver._transaction():
+            put(driver, ONE)
             assert reader.counts() == Counts(ok=1, open=1)
-            with driver._transaction():
-                put(driver, ONE)
-                assert reader.counts() == Counts(ok=1, open=1)
-            assert reader.counts() == Counts(ok=2, open=1)
+        assert reader.counts() == Counts(ok=2, open=1)
 
 
 def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
@@ -282,7 +273,7 @@ def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
         put(ledger, *RECORDS, replace(ONE, key="excluded"))
         ledger.exclude("excluded", "odd")
     with Ledger.open(second, model="m") as ledger:
-        put(ledger, replace(ONE, interfaces={"": TETRAHEDRON}))
+        put(ledger, replace(ONE, interfaces={"": fakes.TETRAHEDRON}))
         assert ledger.copy_from(first, [*keys, "excluded"]) == 5
         assert ledger.copy_from(first, keys) == 0
         found = ledger.latest([*keys, "excluded"])
@@ -299,9 +290,9 @@ def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
 
 
 def test_an_excluded_run_is_not_used_and_not_made_again(path):
-    model, inputs, executor = Cantilever(), design(300, 400, 500), Noted()
-    keys = [key_of(model, entry) for entry in inputs]
-    made = campaign(path, model, inputs, executor)
+    model, inputs, executor = Cantilever(), fakes.design(300, 400, 500), fakes.Noted()
+    keys = [fakes.key_of(model, entry) for entry in inputs]
+    made = fakes.campaign(path, model, inputs, executor)
     with Ledger.open(path, model=model) as ledger:
         ledger.exclude(keys[1], "the mesh\nfolded")
         after = ledger.latest(keys)
@@ -312,39 +303,38 @@ def test_an_excluded_run_is_not_used_and_not_made_again(path):
         assert [run.exclusion and run.exclusion.why for run in overview.runs()] == [None, "the mesh folded", None]
         assert list(overview.exclusions()) == [keys[1]]
     for policy in (None, FailurePolicy({"invalid": Retry(3)}), FailurePolicy(again=frozenset({"excluded"}))):
-        assert states(campaign(path, model, inputs, executor, policy=policy)) == ["ok", "excluded", "ok"]
+        assert states(fakes.campaign(path, model, inputs, executor, policy=policy)) == ["ok", "excluded", "ok"]
     with Ledger.open(path, model=model) as ledger:
         ledger.include(keys[1], "it was right")
         rows = ledger._rows("SELECT key, excluded, why FROM exclusions")
         assert rows == [(keys[1], 1, "the mesh folded"), (keys[1], 0, "it was right")], "every decision stays"
-    again = campaign(path, model, inputs, executor)
+    again = fakes.campaign(path, model, inputs, executor)
     assert all(same_outcome(*pair) for pair in zip(again, made, strict=True))
-    assert executor.made == [300.0, 400.0, 500.0]
+    assert executor.calls == [[300.0, 400.0, 500.0]]
 
 
 def test_what_cannot_be_excluded_or_included(path):
     with Ledger.open(path, model="m") as ledger:
         put(ledger, ONE, BAD)
         ledger.exclude("bad", "odd")
-        for decide, said in (
-            (lambda: ledger.exclude("line", " "), "a few words"),
-            (lambda: ledger.exclude("unknown", "odd"), "no outcome yet"),
-            (lambda: ledger.include("line"), "not excluded"),
-            (lambda: ledger.exclude("bad", "odd"), "excluded already"),
+        for decide, arguments, said in (
+            (ledger.exclude, ("line", " "), "a few words"),
+            (ledger.exclude, ("unknown", "odd"), "no outcome yet"),
+            (ledger.include, ("line",), "not excluded"),
+            (ledger.exclude, ("bad", "odd"), "excluded already"),
         ):
             with pytest.raises(LedgerError, match=said):
-                decide()
+                decide(*arguments)
 
 
 def test_equal_outcomes_are_told_from_different_ones():
     assert same_outcome(TWO, replace(TWO, seconds=9.0))
-    less = {"slow": {"E": TWO.sensitivities["slow"]["E"]}}
     moved = Interface.polyline(np.nextafter(LINE.points, 1.0))
-    for other in (
-        replace(TWO, sensitivities=less),
-        replace(TWO, interfaces={"slow": LINE}),
-        replace(TWO, interfaces={**TWO.interfaces, "slow": moved}),
-        replace(TWO, diagnostics={"steps": 1.0}),
-        replace(TWO, state="failed"),
+    for change in (
+        {"sensitivities": {"slow": {"E": TWO.sensitivities["slow"]["E"]}}},
+        {"interfaces": {"slow": LINE}},
+        {"interfaces": {**TWO.interfaces, "slow": moved}},
+        {"diagnostics": {"steps": 1.0}},
+        {"state": "failed"},
     ):
-        assert not same_outcome(TWO, other)
+        assert not same_outcome(TWO, replace(TWO, **change))

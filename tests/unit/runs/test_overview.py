@@ -1,47 +1,43 @@
-"""A ledger looked at without its interfaces: the same as the records say, and who is at work."""
+"""A ledger looked at without its interfaces: the same as the records say, what a study plans, and who is at work."""
 
 import os
 import socket
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.unit.runs.ledgers import BAD, put
+from tests.unit.runs.fakes import BAD, LINE, SLOPES, put, query
 
 from strandline.errors import LedgerError
-from strandline.interface import Interface
 from strandline.runs import Ledger, RunRecord, RunRequest, tables
 from strandline.runs.overview import OPEN, STATES, Overview, is_at_work
+from strandline.runs.plans import Plan
 from strandline.runs.record import STATES as ENDS
 from strandline.studies.study_runs import settled
 
-LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
-SLOPES = {"": {"E": np.ones((4, 2))}}
 KEYS = [f"k{number}" for number in range(40)]
 
 
 def some_end(key, rng):
     state, interrupted = str(rng.choice(ENDS)), rng.random() < 0.3
     kind = None if state == "ok" else "interrupted" if state == "killed" and interrupted else f"because_{state}"
-    slopes = SLOPES if state == "ok" and rng.random() < 0.5 else {}
+    slopes = {"": SLOPES["slow"]} if state == "ok" and rng.random() < 0.5 else {}
     good = {"": LINE} if state == "ok" else {}
     return RunRecord(key, {"E": 1.0}, state, good, seconds=float(rng.random()), failure_kind=kind, sensitivities=slopes)
 
 
-def at_random(ledger, rng):
-    """Start runs and let most of them end, several times some."""
-    with ledger._transaction():
-        for key in rng.choice(KEYS, 150).tolist():
-            ledger.started(RunRequest(key, {"E": 1.0}))
-            if rng.random() < 0.8:
-                ledger.finished(some_end(key, rng))
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_settled_runs_are_those_of_the_records(path, seed):
+    """Of runs started at random, most of which ended, several times some."""
+    rng = np.random.default_rng(seed)
     with Ledger.open(path, model="m") as ledger:
-        at_random(ledger, np.random.default_rng(seed))
+        with ledger._transaction():
+            for key in rng.choice(KEYS, 150).tolist():
+                ledger.started(RunRequest(key, {"E": 1.0}))
+                if rng.random() < 0.8:
+                    ledger.finished(some_end(key, rng))
         with Overview(path) as overview:
             runs = overview.runs()
         for sensitivities in (False, True):
@@ -91,19 +87,51 @@ def test_interfaces_are_not_passed_over(path):
 
 
 def test_whether_a_driver_is_at_work_is_told_or_said_to_be_unknown(path):
-    assert is_at_work(os.getpid(), f"not-{socket.gethostname()}", path) is None
-    assert is_at_work(os.getpid(), socket.gethostname(), path) is False, "no lock was ever made"
+    me, here = os.getpid(), socket.gethostname()
+    assert is_at_work(me, f"not-{here}", path) is None
+    assert is_at_work(me, here, path) is False, "no lock was ever made"
     with path.open("w"):
-        assert is_at_work(os.getpid(), socket.gethostname(), path) is True
-    assert is_at_work(os.getpid(), socket.gethostname(), path) is False
+        assert is_at_work(me, here, path) is True
+    assert is_at_work(me, here, path) is False
     path.unlink()
     tables.create(path, model="m", description="")
     with Overview(path, model="m") as overview:
-        assert overview.driver() is None
-        assert overview.runs() == []
-    with Ledger.open(path, model="m"):
-        overview = Overview(path)
+        assert (overview.driver(), overview.runs()) == (None, [])
+    with Ledger.open(path, model="m") as ledger, Overview(path) as overview:
         driver = overview.driver()
-        assert (driver.pid, driver.host, driver.at_work) == (os.getpid(), socket.gethostname(), True)
-    assert overview.driver().at_work is False
-    overview.close()
+        assert (driver.pid, driver.host, driver.at_work) == (me, here, True)
+        ledger.close()
+        assert overview.driver().at_work is False
+
+
+DESIGN = ("a" * 64, "b" * 64, "c" * 64)
+PLAN = Plan("digest", "béam", "m", ("tilt", "E"), False, 7, (DESIGN,))
+FIRST = replace(PLAN, parts=(DESIGN, ("d", "e")))
+BOTH = replace(PLAN, planned=6, parts=(DESIGN, ("d", "e"), ("f",)))
+STEEP = replace(BOTH, sensitivities=True)
+OTHER_ROUND = replace(PLAN, parts=(DESIGN, ("d", "x")))
+OTHER_DESIGN = replace(PLAN, parts=(("z",),))
+ENDED = replace(BOTH, planned=BOTH.planned - 1)
+COURSES = [
+    ([STEEP], STEEP, 3),
+    ([BOTH, BOTH], BOTH, 3),
+    ([PLAN, FIRST, BOTH], BOTH, 3),
+    ([BOTH, PLAN, FIRST], BOTH, 3),
+    ([BOTH, OTHER_ROUND], OTHER_ROUND, 4),
+    ([BOTH, OTHER_ROUND, BOTH], BOTH, 6),
+    ([BOTH, OTHER_DESIGN], OTHER_DESIGN, 4),
+    ([BOTH, ENDED], ENDED, 4),
+]
+
+
+def test_the_last_plan_counts_and_only_what_is_new_is_noted(path):
+    """Rounds are added; those that are known stay while they are gone through again; another takes their place."""
+    with Ledger.open(path, model="m") as ledger, Overview(path) as overview:
+        for number, (plans, last, rows) in enumerate(COURSES):
+            study = f"study {number}"
+            for plan in plans:
+                ledger.plan(replace(plan, study_sha256=study))
+            assert overview.plan(study) == replace(last, study_sha256=study)
+            assert query(path, f"SELECT count(*) FROM plans WHERE study_sha256 = '{study}'") == [(rows,)]
+        assert overview.plan("neither") is None
+    assert replace(PLAN, parts=(("a", "b"), ("b", "c"))).keys == ["a", "b", "c"]

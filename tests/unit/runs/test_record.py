@@ -1,20 +1,29 @@
-"""Records: the content address, and what becomes of every way in which a model can end."""
+"""Records: the content address, every way in which a model can end, records in files, and the folders of runs."""
 
 import errno
 import hashlib
+import math
+import os
+import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.unit.runs.fakes import design, key_of
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
-from strandline.runs import RunRecord, RunRequest, attempt, run_key
+from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key, scratch
 from strandline.runs.record import MESSAGE_CHARACTERS, with_log
-from strandline.testing.models import Cantilever
+from strandline.runs.run_file import read_run, write_run
+from strandline.testing.executors import same_outcome
+from strandline.testing.models import Cantilever, TwoLoads
 
 LINE = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 1.0]]))
 BOTH = {"slow": LINE, "fast": Interface.polyline(LINE.points[:2] + 1.0)}
@@ -23,7 +32,7 @@ BROKEN = Interface.polyline(LINE.points.copy())
 BROKEN.points[1] = np.nan
 
 
-def outcome(model) -> RunRecord:
+def outcome(model):
     return attempt(model, RunRequest("k", {"E": 1.0}), Path())
 
 
@@ -116,7 +125,6 @@ UNPROMISED = [
     (Simulation({}), "not_an_interface", "Simulation without interfaces"),
     (changed(interfaces=LINE), "not_an_interface", "Simulation"),
     (changed(interfaces={**BOTH, "fast": None}), "not_an_interface", "Simulation"),
-    (changed(sensitivities={}), "sensitivities", "returned none for at least one condition"),
     (changed(sensitivities={"slow": SLOPES["slow"]}), "sensitivities", "none for at least one condition"),
     (changed(sensitivities=None), "sensitivities", "none for at least one condition"),
     (changed(sensitivities=SLOPES | {"fast": {"E": np.ones((3, 2))}}), "sensitivities", "(3, 2); expected (2, 2)"),
@@ -178,3 +186,86 @@ def test_the_log_ends_the_message_of_a_failure_only():
     assert told.log.startswith("step 0\n")
     good = RunRecord("k", {}, "ok", {"": LINE})
     assert with_log(good, "chatter") is good
+
+
+INPUTS = {"E": 1000 * (0.1 + 0.2), "load": 1e-5}
+RESULT = TwoLoads(sensitivities=True)(INPUTS, Path())
+FIGURES = {**RESULT.diagnostics, "none": math.inf}
+FILED = {
+    "steep": RunRecord("c", INPUTS, "ok", RESULT.interfaces, FIGURES, 1.5, sensitivities=RESULT.sensitivities),
+    "one interface": RunRecord("a", INPUTS, "ok", {"": Interface.polyline(np.random.default_rng(1).random((5, 2)))}),
+    "failed": RunRecord("b", INPUTS, "failed", {}, {"load": 0.5}, 2.0, "stalled", "it’s ∂-stuck\nlines", "log\n"),
+    "bare": RunRecord("c", {}, "killed"),
+}
+
+
+def test_a_record_is_read_from_its_file_as_it_was_written(tmp_path):
+    for record in FILED.values():
+        write_run(tmp_path / "7.run", record)
+        found = read_run(tmp_path / "7.run")
+        assert same_outcome(found, record)
+        assert (found.seconds, found.message, found.log) == (record.seconds, record.message, record.log)
+        assert [path.name for path in tmp_path.iterdir()] == ["7.run"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("runs")
+
+
+@settings(max_examples=20)
+@given(name=st.sampled_from(["one interface", "failed"]), place=st.floats(0, 1, exclude_max=True), cut=st.booleans())
+def test_a_changed_byte_or_a_missing_end_of_a_file_is_seen(folder, name, place, cut):
+    path = folder / "7.run"
+    write_run(path, FILED[name])
+    content = bytearray(path.read_bytes())
+    number = int(place * len(content))
+    content[number] ^= 1
+    path.write_bytes(content[:number] if cut else content)
+    with pytest.raises(InvalidInput, match=r"7\.run"):
+        read_run(path)
+
+
+@pytest.fixture
+def parent(tmp_path, monkeypatch):
+    """Give the folder in which those of runs are made."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_the_next_driver_clears_the_folder_of_one_that_is_gone_and_its_own(parent):
+    mine = scratch.scratch_folder()
+    gone = parent / mine.name.replace(f"-{os.getpid()}-", "-999999999-")
+    gone.mkdir()
+    (gone / "mesh.msh").write_text("large")
+    (inputs,) = design(400)
+    (record,) = InProcess()(Cantilever(), [RunRequest(key_of(Cantilever(), inputs), inputs)])
+    assert record.ok
+    assert list(parent.iterdir()) == [mine]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system does not say when a process was started")
+def test_a_process_that_has_the_number_of_a_dead_one_does_not_keep_its_folder(parent):
+    mine = scratch.scratch_folder()
+    machine, pid, begun = mine.name.removeprefix(scratch.PREFIX).split("-")[:3]
+    (parent / f"{scratch.PREFIX}{machine}-{pid}-{int(begun) - 1}-abc").mkdir()
+    assert scratch.clear_stale(parent) == 1
+    assert list(parent.iterdir()) == [mine]
+
+
+def test_folders_of_other_machines_and_users_and_links_stay(parent, monkeypatch):
+    gone = scratch.scratch_folder().name.replace(f"-{os.getpid()}-", "-999999999-")
+    machine = gone.removeprefix(scratch.PREFIX).split("-")[0]
+    elsewhere = gone.replace(machine, "0" * 8)
+    foreign = [parent / name for name in (elsewhere, "strandline-runs-notes", "strandline-on-call-abc", "target")]
+    for folder in foreign:
+        folder.mkdir()
+    (parent / gone).symlink_to(parent / "target")
+    assert scratch.clear_stale(parent) == 0
+    (parent / gone).unlink()
+    (parent / gone).mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "getuid", lambda: 12345)
+        assert scratch.clear_stale(parent) == 0
+    assert scratch.clear_stale(parent) == 1
+    assert all(folder.is_dir() for folder in foreign)
