@@ -1,5 +1,6 @@
 """Runs as jobs of real SLURM arrays: the conformance suite, and each way in which jobs, nodes and drivers go."""
 
+import os
 import pickle
 import signal
 import subprocess
@@ -18,12 +19,8 @@ from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, r
 from strandline.testing.models import Cantilever, Counted, Faulty, Slow
 
 TASK = str(Path(__file__).with_name("pickled_task.py"))
-CONFORMANCE = [
-    "pulls_when_a_worker_is_free",
-    "stops_when_closed",
-    "returns_all_conditions_and_sensitivities",
-    "sigkill",
-]
+CONFORMANCE = ["pulls_when_a_worker_is_free", "returns_all_conditions_and_sensitivities"]
+CONFORMANCE += ["stops_when_closed", "sigkill"]
 
 
 def array(folder, model, **options):
@@ -43,9 +40,6 @@ def test_slurm_array_conforms(slurm, tmp_path):
     for name in CONFORMANCE:
         (tmp_path / name).mkdir()
         (CHECKS | CRASH_CHECKS)[name](pickled(tmp_path / name, max_jobs=2), workers=2)
-
-
-def test_slurm_array_stops_hanging_runs(slurm, tmp_path):
     TIMEOUT_CHECKS["hanging_child"](pickled(tmp_path, timeout=1.0), workers=6)
 
 
@@ -90,23 +84,17 @@ def test_a_campaign_in_arrays_that_are_cut_to_what_slurm_allows(slurm, tmp_path,
 DRIVER = """
 import sys
 from pathlib import Path
-from strandline.runs import Ledger, run_campaign
-from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.testing.models import Counted, Slow
-folder, task, number = sys.argv[1], sys.argv[2], int(sys.argv[3])
-model = Counted(folder, Slow(seconds=1.0))
-inputs = [{"E": 300.0 + 5.0 * k, "load": 1e-5} for k in range(number)]
-executor = SlurmArray(Path(folder) / "slurm", (sys.executable, task, folder + "/model.pickle"), poll=0.2)
-with Ledger.open(folder + "/ledger.sqlite", model=model) as ledger:
-    run_campaign(model, inputs, ledger=ledger, executor=executor)
+from tests.doors.slurm.test_slurm_array import campaign
+campaign(Path(sys.argv[1]), Counted(sys.argv[1], Slow(seconds=1.0)), 12)
 """
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
 def test_a_stopped_driver_repeats_nothing_and_loses_nothing(slurm, tmp_path, number):
     model, ledger = Counted(str(tmp_path), Slow(seconds=1.0)), ledger_of(tmp_path)
-    array(tmp_path, model)
-    with subprocess.Popen([sys.executable, "-c", DRIVER, str(tmp_path), TASK, "12"], stderr=subprocess.PIPE) as driver:
+    options = {"env": {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", DRIVER, str(tmp_path)], **options) as driver:
         assert wait_until(lambda: ledger.exists() and counts(ledger).ok >= 2, 60)
         driver.send_signal(number)
         driver.wait(30)

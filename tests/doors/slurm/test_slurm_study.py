@@ -21,8 +21,6 @@ SMALL = {
     "sampler": {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}},
     "executor": {"slurm_array": {"poll": 0.3, "timeout": 50, "walltime": "00:05:00"}},
 }
-HELD = {**SMALL, "executor": {"slurm_array": {"poll": 0.3, "extra": ["--hold"]}}}
-STRANDLINE = [sys.executable, "-m", "strandline"]
 
 
 def test_detached_and_collected(slurm, tmp_path, capsys):
@@ -48,8 +46,10 @@ def test_detached_and_collected(slurm, tmp_path, capsys):
 
 
 def test_ctrl_c_says_what_goes_on(slurm, tmp_path):
-    folder = write_study(tmp_path / "study", **HELD)
-    with subprocess.Popen([*STRANDLINE, "run", "--quiet", str(folder)], stderr=subprocess.PIPE, text=True) as driver:
+    held = {"slurm_array": {"poll": 0.3, "extra": ["--hold"]}}
+    folder = write_study(tmp_path / "study", **{**SMALL, "executor": held})
+    command = [sys.executable, "-m", "strandline", "run", "--quiet", str(folder)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as driver:
         assert wait_until(lambda: list(folder.glob("slurm/*/job")), 60)
         wait_until(lambda: False, 0.2)
         driver.send_signal(signal.SIGINT)
