@@ -7,19 +7,17 @@ import subprocess
 import sys
 import uuid
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.doors.models.waiting import until
+from tests.unit.models.command.commands import RESULT
 from verification.validation.command_faults import FAULTS, MARKER, left_after, processes_with, study, zombies
 
-from strandline.models.command import supervisor
 from strandline.models.command.model import CommandModel
 from strandline.models.command.process import LOG_LIMIT
-from strandline.runs import Counts, InProcess, Ledger, LocalProcesses, RunRecord, RunRequest, run_campaign
+from strandline.runs import Counts, InProcess, Ledger, LocalProcesses, RunRequest, run_campaign
+from strandline.testing.studies import write_study
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")
 
@@ -36,10 +34,12 @@ open("started", "w").close()
 while True:
     time.sleep(600)
 """
+PROCESSES = 5
+"""Of a run of it: the supervisor, the simulator and three of its children."""
 
 
 @pytest.fixture
-def marker() -> Iterator[str]:
+def marker():
     """A text in the environment of a test's processes; the test's own leftovers are ended after it."""
     text = uuid.uuid4().hex
     yield text
@@ -47,11 +47,8 @@ def marker() -> Iterator[str]:
         os.kill(pid, signal.SIGKILL)
 
 
-Ended = tuple[Path, dict[str, RunRecord], Mapping[int, int]]
-
-
 @pytest.fixture(scope="module")
-def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
+def ended(tmp_path_factory):
     """The folder and the records of one campaign of all faults, and the processes that it left."""
     folder, marker = tmp_path_factory.mktemp("faults"), uuid.uuid4().hex
     model = replace(study(folder, marker), timeout=2.0, grace=0.2)
@@ -61,7 +58,7 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
     return folder, dict(zip((fault.what for fault in FAULTS), records, strict=True)), left_after(marker)
 
 
-def test_each_fault_ends_as_it_must_and_leaves_nothing(ended: Ended) -> None:
+def test_each_fault_ends_as_it_must_and_leaves_nothing(ended):
     folder, records, left = ended
     assert zombies() == []
     assert [fault.what for number, fault in enumerate(FAULTS) if left[number]] == []
@@ -80,7 +77,7 @@ def test_each_fault_ends_as_it_must_and_leaves_nothing(ended: Ended) -> None:
             assert last in record.log
 
 
-def test_messages_end_with_a_traceback_and_prints_are_kept_at_both_ends(ended: Ended) -> None:
+def test_messages_end_with_a_traceback_and_prints_are_kept_at_both_ends(ended):
     folder, records, _ = ended
     raised = records["raises an exception"]
     assert str(raised.message).rstrip().endswith("RuntimeError: diverged")
@@ -94,7 +91,7 @@ def test_messages_end_with_a_traceback_and_prints_are_kept_at_both_ends(ended: E
     assert len(str(records["prints 100 MB in one line, and fails"].message)) < 5000
 
 
-def test_a_process_that_is_left_and_a_zombie_would_be_seen(marker: str) -> None:
+def test_a_process_that_is_left_and_a_zombie_would_be_seen(marker):
     process = subprocess.Popen(["sleep", "600"], env={**os.environ, MARKER: f"{marker}-3-"})
     assert left_after(marker)[3] == 1
     process.kill()
@@ -104,70 +101,96 @@ def test_a_process_that_is_left_and_a_zombie_would_be_seen(marker: str) -> None:
     assert left_after(marker)[3] == 0
 
 
-def hanging(folder: Path, marker: str, **options: Any) -> CommandModel:
+def hanging(folder, marker):
+    """Return the options of a simulator that never ends, its input as an argument."""
     (folder / "hang.py").write_text(HANGING)
-    return CommandModel(
-        command=["{{ python }}", "hang.py"],
-        files=["hang.py"],
-        environment={MARKER: f"{marker}-0-"},
-        result={"file": "interface.csv", "unit": "mm"},
-        folder=folder,
-        **options,
-    )
+    command = ["{{ python }}", "hang.py", "{{ E }}"]
+    return {"command": command, "files": ["hang.py"], "environment": {MARKER: f"{marker}-0-"}, "result": RESULT}
 
 
-def started(marker: str, number: int) -> None:
-    """Wait until `number` processes with the marker run."""
-    until(lambda: len(processes_with(marker)) >= number)
+REQUEST = RunRequest("key", {"E": 1.0})
 
 
-def test_the_executors_own_timeout_leaves_nothing(tmp_path: Path, marker: str) -> None:
-    executor = LocalProcesses(workers=1, timeout=1.0)
-    (record,) = executor(hanging(tmp_path, marker), [RunRequest("key", {})])
+def test_the_executors_own_timeout_or_its_end_leaves_nothing(tmp_path, marker):
+    model = CommandModel(**hanging(tmp_path, marker), folder=tmp_path)
+    (record,) = LocalProcesses(workers=1, timeout=1.0)(model, [REQUEST])
     assert (record.state, record.failure_kind) == ("timeout", "timeout")
     assert left_after(marker, patience=5.0)[0] == 0
 
-
-def test_a_closed_campaign_leaves_nothing(tmp_path: Path, marker: str) -> None:
-    def requests() -> Iterator[RunRequest]:
-        yield RunRequest("first", {})
-        started(marker, 4)
+    def requests():
+        yield REQUEST
+        until(lambda: len(processes_with(marker)) >= PROCESSES)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(LocalProcesses(workers=2)(hanging(tmp_path, marker), requests()))
+        list(LocalProcesses(workers=2)(model, requests()))
     assert left_after(marker, patience=5.0)[0] == 0
 
 
 DRIVER = """
 import pickle, sys
 sys.path[:] = {path!r}
-from strandline.runs import InProcess, LocalProcesses, RunRequest
-list({executor}(pickle.loads({model!r}), [RunRequest("key", {{}})]))
+from strandline.runs import InProcess, LocalProcesses
+list({executor}(pickle.loads({model!r}), [pickle.loads({request!r})]))
 """
+WORKER, ALONE = "LocalProcesses(workers=1)", "InProcess()"
 
 
-@pytest.mark.parametrize(
-    ("executor", "number"),
-    [
-        ("LocalProcesses(workers=1)", signal.SIGKILL),
-        ("InProcess()", signal.SIGKILL),
-        ("InProcess()", signal.SIGINT),
-    ],
-    ids=["driver of workers killed", "single process killed", "single process interrupted"],
-)
-def test_nothing_outlives_the_driver(tmp_path: Path, marker: str, executor: str, number: signal.Signals) -> None:
-    model = pickle.dumps(hanging(tmp_path, marker, grace=0.2))
-    script = DRIVER.format(path=sys.path, executor=executor, model=model)
+@pytest.mark.parametrize(("executor", "number"), [(WORKER, "SIGKILL"), (ALONE, "SIGKILL"), (ALONE, "SIGINT")])
+def test_nothing_outlives_the_driver(tmp_path, marker, executor, number):
+    model = CommandModel(**hanging(tmp_path, marker), folder=tmp_path, grace=0.2)
+    pickled = {"model": pickle.dumps(model), "request": pickle.dumps(REQUEST)}
+    script = DRIVER.format(path=sys.path, executor=executor, **pickled)
     driver = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL)
     try:
-        started(marker, 5)  # the supervisor, the simulator and three of its children
-        driver.send_signal(number)
+        until(lambda: len(processes_with(marker)) >= PROCESSES)
+        driver.send_signal(signal.Signals[number])
         driver.wait(30.0)
     finally:
         driver.kill()
         driver.wait()
     assert left_after(marker, patience=10.0)[0] == 0
+
+
+@pytest.mark.parametrize(
+    "number", ["SIGTERM", *(pytest.param(one, marks=pytest.mark.long) for one in ("SIGHUP", "SIGINT"))]
+)
+def test_a_signal_ends_the_run_of_a_study_and_all_its_children(tmp_path, marker, number):
+    """With one line, and 128 + its number; temporary folders go, too, and the runs can be made again."""
+    folder, temporary, number = tmp_path / "study", tmp_path / "tmp", signal.Signals[number]
+    folder.mkdir()
+    temporary.mkdir()
+    (folder / "seen.csv").write_text("0,0\n1,1\n2,0\n")
+    write_study(
+        folder,
+        model={"command": hanging(folder, marker)},
+        fixed=None,
+        inputs={"E": {"prior": {"uniform": [1, 2]}, "unit": "Pa"}},
+        observation={"file": "seen.csv", "unit": "mm"},
+        discrepancy={"closest_point": {}},
+        executor={"local": {"workers": 2}},
+    )
+    command = [sys.executable, "-m", "strandline", "run", "--quiet", str(folder)]
+    environment = {**os.environ, "TMPDIR": str(temporary)}
+    driver = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+    try:
+        until(lambda: len(processes_with(marker)) >= 2 * PROCESSES)
+        assert driver.poll() is None
+        driver.send_signal(number)
+        _, said = driver.communicate(timeout=30.0)
+    finally:
+        driver.kill()
+        driver.wait()
+    assert driver.returncode == 128 + number
+    assert said.count("\n") == 1
+    assert said.startswith("strandline: interrupted")
+    assert number == signal.SIGINT or number.name in said
+    assert left_after(marker, patience=10.0)[0] == 0
+    assert list(temporary.glob("strandline-*")) == []
+    with Ledger.open(folder / "ledger.sqlite", model=None, read_only=True) as ledger:
+        assert ledger.counts().open == 0
+        assert [(record.state, record.failure_kind) for record in ledger] == [("killed", "interrupted")] * 2
+        assert [ledger.attempts(record.key) for record in ledger] == [0, 0]
 
 
 KILLED_ONCE = """
@@ -184,14 +207,13 @@ printf 'x,y\\n0,0\\n1,1\\n' > out.csv
 """
 
 
-def shell(folder: Path, script: str, **options: Any) -> CommandModel:
+def shell(folder, script, **options):
     """Return a simulator that is a script."""
     (folder / "run.sh").write_text(script)
-    result = {"file": "out.csv", "unit": "mm"}
-    return CommandModel(command=["/bin/sh", "run.sh"], files=["run.sh"], result=result, folder=folder, **options)
+    return CommandModel(command=["/bin/sh", "run.sh"], files=["run.sh"], result=RESULT, folder=folder, **options)
 
 
-def test_none_of_eight_children_killed_by_signal_9_becomes_a_final_failure(tmp_path: Path) -> None:
+def test_none_of_eight_children_killed_by_signal_9_becomes_a_final_failure(tmp_path):
     """The first attempt of each run is killed by signal 9, or loses its supervisor so, in turn."""
     (tmp_path / "marks").mkdir()
     (tmp_path / "in.j2").write_text("{{ number | int }}")
@@ -210,7 +232,7 @@ def test_none_of_eight_children_killed_by_signal_9_becomes_a_final_failure(tmp_p
     assert Counter(ends) == {("killed", "simulator_killed"): 4, ("killed", "supervisor_died"): 4, ("ok", None): 8}
 
 
-def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path: Path) -> None:
+def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path):
     model = shell(tmp_path, "kill -9 $$")
     with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
         (record,) = run_campaign(model, [{}], ledger=ledger, executor=InProcess(), maximum_attempts=2)
@@ -220,7 +242,7 @@ def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path: P
         assert other.copy_from(tmp_path / "ledger.sqlite", [record.key]) == 0
 
 
-OUTCOMES: list[tuple[str, dict[str, Any], str, str | None]] = [
+OUTCOMES = [
     ("sh -c 'kill -9 $$'; exit $?", {}, "killed", "simulator_killed"),
     ("exit 137", {"exit_codes": [0, 137]}, "invalid", "result_missing"),
     ("kill -9 $$", {"exit_codes": "any"}, "killed", "simulator_killed"),
@@ -231,39 +253,25 @@ OUTCOMES: list[tuple[str, dict[str, Any], str, str | None]] = [
 
 
 @pytest.mark.smoke
-def test_only_a_foreign_sigkill_is_an_infrastructure_failure(tmp_path: Path) -> None:
+def test_only_a_foreign_sigkill_is_an_infrastructure_failure(tmp_path):
     for script, options, state, kind in OUTCOMES:
-        (record,) = InProcess()(shell(tmp_path, script, keep="none", **options), [RunRequest("key", {})])
+        (record,) = InProcess()(shell(tmp_path, script, keep="none", **options), [REQUEST])
         assert (record.state, record.failure_kind) == (state, kind), f"{script}: {record.message}"
         assert record.seconds < 15.0
 
 
-@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")  # JAX, where another test has started it
-def test_an_end_between_two_slices_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The supervisor itself, with slices of a hundredth of a second."""
-    monkeypatch.setattr(supervisor, "descendants", lambda _: [])  # those of this process are none of its
-    waits: list[float] = []
-    monkeypatch.setattr(supervisor.Tree, "wait", _counted(supervisor.Tree.wait, waits))
-    stdin = os.pipe()
-    saved = os.dup(0)
-    os.dup2(stdin[0], 0)
-    try:
-        asked = {"log": str(tmp_path / "log"), "log_limit": 100, "timeout": 1e300, "grace": 0.1}
-        asked |= {"arguments": ["/bin/sleep", "0.2"], "environment": {}}
-        ended = supervisor.run(asked, longest_poll=0.01)
-    finally:
-        os.dup2(saved, 0)
-        signal.set_wakeup_fd(-1)
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        for descriptor in (*stdin, saved):
-            os.close(descriptor)
-    assert (ended["exit_code"], ended["timeout"]) == (0, False)
-    assert len(waits) > 5
+SLICED = """
+from strandline.models.command import supervisor
+waits, wait = [], supervisor.Tree.wait
+supervisor.Tree.wait = lambda self, deadline: (waits.append(deadline), wait(self, deadline))
+asked = {"log": "log", "log_limit": 100, "timeout": 1e300, "grace": 0.1, "environment": {}}
+ended = supervisor.run(asked | {"arguments": ["/bin/sleep", "0.2"]}, longest_poll=0.01)
+print(ended["exit_code"], ended["timeout"], len(waits) > 5)
+"""
 
 
-def _counted(method: Any, waits: list[float]) -> Any:
-    def counting(self: Any, deadline: float) -> None:
-        waits.append(deadline)
-        method(self, deadline)
-
-    return counting
+def test_an_end_between_two_slices_is_waited_for(tmp_path):
+    """The supervisor itself, with slices of a hundredth of a second; its input stays open."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", SLICED], cwd=tmp_path, **pipes) as process:
+        assert process.stdout.read() == "0 False True\n"

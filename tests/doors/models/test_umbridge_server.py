@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import httpx
 import pytest
 import umbridge
 from tests.doors.models.waiting import until
-from tests.unit.models.umbridge.served import AT, BARE, WHOLE, served, whole
+from tests.unit.models.umbridge.served import AT, BARE, TOKEN, WHOLE, served, whole
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.umbridge.answers import ServedModel
@@ -25,17 +24,14 @@ from strandline.models.umbridge.door import Door
 from strandline.models.umbridge.server import UMBridgeServer
 from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest
 
-TOKEN = "0123456789abcdef"
 POST = b"POST /Evaluate HTTP/1.1\r\nHost: localhost\r\n"
 NO_REQUESTS = [
     b"nonsense\r\n\r\n",
-    b"GET http://[::1\r\n\r\n",
     b"GET http://[::1 HTTP/1.1\r\nHost: localhost\r\n\r\n",
     b"GET //[::1/Info HTTP/1.1\r\nHost: localhost\r\n\r\n",
     b"GET * HTTP/1.1\r\nHost: localhost\r\n\r\n",
     b"GET /Info HTTP/1.0\r\n\r\n",
     POST + b"Content-Length: -1\r\n\r\n",
-    POST + b"Content-Length: 99999999999999999999999\r\n\r\n",
     POST + b"Content-Length: " + b"0" * 20 + b"99999999999\r\n\r\n",
     POST + b"Content-Length: " + b"9" * 5001 + b"\r\n\r\n",
     POST + b"Content-Length: 2\r\nContent-Length: 3\r\n\r\n{}",
@@ -48,14 +44,19 @@ NO_REQUESTS = [
 ]
 
 
+def connected(url):
+    address = httpx.URL(url)
+    return socket.create_connection((address.host, address.port), timeout=10)
+
+
 @pytest.fixture(scope="module")
-def ours() -> Iterator[str]:
+def ours():
     with served(WHOLE, BARE) as url:
         yield url
 
 
 @pytest.fixture(scope="module")
-def reference() -> Iterator[str]:
+def reference():
     """A server of the reference implementation in a process of its own."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -64,28 +65,26 @@ def reference() -> Iterator[str]:
     process = subprocess.Popen([sys.executable, str(peer), str(port)], stdout=subprocess.DEVNULL)
     url = f"http://127.0.0.1:{port}"
 
-    def answers() -> bool:
+    def answers():
         assert process.poll() is None
         with contextlib.suppress(httpx.TransportError):
             return bool(httpx.get(f"{url}/Info", trust_env=False, verify=False))
-        return False
 
     try:
-        until(answers, patience=60.0)
+        until(answers)
         yield url
     finally:
         process.kill()
         process.wait()
 
 
-@pytest.mark.parametrize("name", ["whole", "bare"])
 @pytest.mark.smoke
-def test_it_passes_its_own_suite_over_http(ours: str, name: str) -> None:
+def test_it_passes_its_own_suite_over_http(ours):
     for check in {**CHECKS, **STRICT_CHECKS}.values():
-        check(ModelUnderTest(ours, name, AT))
+        check(ModelUnderTest(ours, "whole", AT))
 
 
-def test_so_does_the_reference_but_it_has_no_errors_for_malformed_requests(reference: str) -> None:
+def test_so_does_the_reference_but_it_has_no_errors_for_malformed_requests(reference):
     for check in CHECKS.values():
         for name in ("whole", "bare"):
             check(ModelUnderTest(reference, name, AT))
@@ -95,7 +94,7 @@ def test_so_does_the_reference_but_it_has_no_errors_for_malformed_requests(refer
 
 
 @pytest.mark.smoke
-def test_the_reference_client_gets_the_same_numbers(ours: str) -> None:
+def test_the_reference_client_gets_the_same_numbers(ours):
     model = umbridge.HTTPModel(ours, "whole")
     x, y = AT[0]
     assert umbridge.supported_models(ours) == ["whole", "bare"]
@@ -109,12 +108,9 @@ def test_the_reference_client_gets_the_same_numbers(ours: str) -> None:
 
 
 @pytest.mark.smoke
-def test_what_is_no_proper_request_gets_an_error_and_the_next_one_an_answer(
-    ours: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    address = httpx.URL(ours)
+def test_what_is_no_proper_request_gets_an_error_and_the_next_one_an_answer(ours, capfd):
     for sent in NO_REQUESTS:
-        with socket.create_connection((address.host, address.port or 0), timeout=10) as connection:
+        with connected(ours) as connection:
             connection.sendall(sent)
             connection.shutdown(socket.SHUT_WR)
             reply = b"".join(iter(lambda connection=connection: connection.recv(65536), b""))
@@ -124,14 +120,14 @@ def test_what_is_no_proper_request_gets_an_error_and_the_next_one_an_answer(
     assert capfd.readouterr().err == ""
 
 
-def test_it_listens_on_this_machine_alone_unless_told_otherwise() -> None:
+def test_it_listens_on_this_machine_alone_unless_told_otherwise():
     with UMBridgeServer([BARE], port=0) as server:
         assert server.server_address[0] == "127.0.0.1"
         with pytest.raises(InvalidInput, match="port"):
             UMBridgeServer([BARE], port=server.server_address[1])
 
 
-def test_a_token_is_sent_by_our_client_and_by_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_token_is_sent_by_our_client_and_by_the_reference(monkeypatch):
     with served(WHOLE, door=Door.of("127.0.0.1", token=TOKEN)) as url:
         answer = httpx.get(f"{url}/Info", trust_env=False, verify=False)
         assert (answer.status_code, answer.json()["error"]["type"]) == (401, "Unauthorized")
@@ -150,21 +146,10 @@ def test_a_token_is_sent_by_our_client_and_by_the_reference(monkeypatch: pytest.
 # --- many connections
 
 
-@contextlib.contextmanager
-def silent(url: str, number: int) -> Iterator[list[socket.socket]]:
-    address = httpx.URL(url)
-    opened = [socket.create_connection((address.host, address.port or 0), timeout=10) for _ in range(number)]
-    try:
-        yield opened
-    finally:
-        for connection in opened:
-            connection.close()
-
-
-def test_requests_at_once_are_all_answered() -> None:
+def test_requests_at_once_are_all_answered():
     together = threading.Barrier(8, timeout=30)
 
-    def waits(blocks: list[list[float]]) -> list[list[float]]:
+    def waits(blocks):
         together.wait()
         return whole(blocks)
 
@@ -174,18 +159,19 @@ def test_requests_at_once_are_all_answered() -> None:
         assert list(answers) == [[[0.25, 0.5 * y, y]] for y in range(8)]
 
 
-def test_silent_connections_take_no_more_threads_than_there_are_places_and_make_way() -> None:
+def test_silent_connections_take_no_more_threads_than_there_are_places_and_make_way():
     before = threading.active_count()
-    with served(BARE, connections=4) as url, silent(url, 9):
+    with served(BARE, connections=4) as url, contextlib.ExitStack() as silent:
+        for _ in range(9):
+            silent.enter_context(connected(url))
         assert ModelUnderTest(url, "bare", AT).ask("Evaluate", input=AT)
         assert threading.active_count() <= before + 1 + 4
 
 
-def test_silent_and_dripping_connections_are_ended_in_time() -> None:
-    before = threading.active_count()
-    with served(BARE, connections=30, patience=0.2) as url, silent(url, 20) as opened:
-        *quiet, dripping = opened
-        sent = 0
+def test_silent_and_dripping_connections_are_ended_in_time():
+    before, sent = threading.active_count(), 0
+    with served(BARE, connections=30, patience=0.2) as url, contextlib.ExitStack() as opened:
+        *quiet, dripping = (opened.enter_context(connected(url)) for _ in range(20))
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             while sent < 200:
                 dripping.sendall(b"G")
@@ -197,22 +183,19 @@ def test_silent_and_dripping_connections_are_ended_in_time() -> None:
         until(lambda: threading.active_count() <= before + 1)
 
 
-def test_a_connection_at_work_is_not_ended() -> None:
+def test_a_connection_at_work_is_not_ended():
     begun, going = threading.Event(), threading.Event()
 
-    def slow(blocks: list[list[float]]) -> list[list[float]]:
+    def slow(blocks):
         begun.set()
         going.wait(10)
         return blocks
 
-    answers: list[object] = []
-    with served(ServedModel("slow", (2,), (2,), slow), connections=1, patience=0.1) as url:
-        model = ModelUnderTest(url, "slow", AT)
-        asking = threading.Thread(target=lambda: answers.append(model.ask("Evaluate", input=AT)))
-        asking.start()
+    one = {"connections": 1, "patience": 0.1}
+    with served(ServedModel("slow", (2,), (2,), slow), **one) as url, ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(ModelUnderTest(url, "slow", AT).ask, "Evaluate", input=AT)
         assert begun.wait(10)
         turned_away = httpx.get(f"{url}/Info", trust_env=False, verify=False)
         going.set()
-        asking.join()
+        assert answer.result() == {"output": AT}
     assert (turned_away.status_code, turned_away.json()["error"]["type"]) == (503, "Busy")
-    assert answers == [{"output": AT}]

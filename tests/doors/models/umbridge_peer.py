@@ -4,7 +4,6 @@ Two inputs x, three outputs (x0², x0 x1, x1), with all derivatives; the second 
 """
 
 import sys
-from typing import Any
 
 import umbridge
 
@@ -12,32 +11,32 @@ import umbridge
 class Bare(umbridge.Model):
     """Evaluate alone."""
 
-    def get_input_sizes(self, config: Any) -> list[int]:
+    def get_input_sizes(self, config):
         return [2]
 
-    def get_output_sizes(self, config: Any) -> list[int]:
+    def get_output_sizes(self, config):
         return [3]
 
-    def __call__(self, parameters: Any, config: Any = None) -> list[list[float]]:
+    def __call__(self, parameters, config=None):
         x, y = parameters[0]
         return [[x * x, x * y, y]]
 
-    def supports_evaluate(self) -> bool:
+    def supports_evaluate(self):
         return True
 
 
 class Whole(Bare):
     """All four features."""
 
-    def gradient(self, out_wrt: int, in_wrt: int, parameters: Any, sens: Any, config: Any = None) -> list[float]:
+    def gradient(self, out_wrt, in_wrt, parameters, sens, config=None):
         x, y = parameters[0]
         return [2 * x * sens[0] + y * sens[1], x * sens[1] + sens[2]]
 
-    def apply_jacobian(self, out_wrt: int, in_wrt: int, parameters: Any, vec: Any, config: Any = None) -> list[float]:
+    def apply_jacobian(self, out_wrt, in_wrt, parameters, vec, config=None):
         x, y = parameters[0]
         return [2 * x * vec[0], y * vec[0] + x * vec[1], vec[1]]
 
-    def apply_hessian(self, out: int, in1: int, in2: int, parameters: Any, sens: Any, vec: Any, config: Any = None):
+    def apply_hessian(self, out_wrt, in_wrt1, in_wrt2, parameters, sens, vec, config=None):
         return [2 * sens[0] * vec[0] + sens[1] * vec[1], sens[1] * vec[0]]
 
     supports_gradient = supports_apply_jacobian = supports_apply_hessian = Bare.supports_evaluate

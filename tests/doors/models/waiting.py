@@ -1,10 +1,9 @@
 """Waiting for what another thread or process does."""
 
 import time
-from collections.abc import Callable
 
 
-def until(happened: Callable[[], bool], patience: float = 30.0) -> None:
+def until(happened, patience=60.0):
     """Wait until something has happened."""
     deadline = time.monotonic() + patience
     while not happened():

@@ -1,92 +1,265 @@
-"""The adapter to a Python function."""
+"""A Python function as the model: its results, its module beside study.yaml, and the sources that identify it."""
 
+import importlib
+import pickle
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from strandline.errors import ForwardModelError, InvalidInput
-from strandline.interface import Interface
-from strandline.models.protocol import Simulation, declared_inputs, fingerprint
+from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
+from strandline.models.beside import lies_in, modules_of
+from strandline.models.protocol import declared_inputs, earlier_fingerprint, fingerprint
 from strandline.models.python import PythonModel
+from strandline.models.sources import sources_of
 from strandline.runs import RunRequest, attempt
-from strandline.testing.studies import beam
+from strandline.studies import load_study
+from strandline.studies.build import build_model
+from strandline.testing.studies import beam, write_study
 
 INPUTS = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
 BEAM = "strandline.testing.studies:beam"
-SOURCE = """
-def points(inputs, workdir):
-    return [[0.0, 0.0], [1.0, inputs["a"]]]
 
-def other_points(inputs, workdir):
-    return [[0.0, 0.0], [1.0, 2 * inputs["a"]]]
 
-def ragged(inputs, workdir):
-    return [[0.0, 0.0], [1.0]]
+def written(folder, modules):
+    for name, text in modules.items():
+        path = folder / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder
 
-def solid(inputs, workdir):
-    return [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
 
-def text(inputs, workdir):
-    return "done"
+# --- the function
 
+
+RESULTS = """
+def points(inputs, workdir): return [[0.0, 0.0], [1.0, inputs["a"]]]
+def other_points(inputs, workdir): return [[0.0, 0.0], [1.0, 2 * inputs["a"]]]
+def ragged(inputs, workdir): return [[0.0, 0.0], [1.0]]
+def solid(inputs, workdir): return [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
+def text(inputs, workdir): return "done"
 NUMBER = 3
 """
 
 
 @pytest.fixture
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    (tmp_path / "my_adapter_model.py").write_text(SOURCE)
-    monkeypatch.syspath_prepend(tmp_path)
-    return "my_adapter_model"
+def adapter(tmp_path, monkeypatch):
+    """Write modules of results, one that is broken, and one that needs another."""
+    modules = {"my_adapter": RESULTS, "broken_adapter": "def f(:\n", "needy_adapter": "import no_such_dependency\n"}
+    monkeypatch.syspath_prepend(written(tmp_path, modules))
 
 
-def test_it_calls_the_function_and_passes_its_failures_on(tmp_path: Path) -> None:
-    model = PythonModel(BEAM)
-    simulation = model(INPUTS, tmp_path)
-    assert isinstance(simulation, Simulation)
+def test_it_calls_the_function_and_passes_its_failures_on(tmp_path):
+    simulation = PythonModel(BEAM)(INPUTS, tmp_path)
     np.testing.assert_array_equal(simulation.interface.points, beam(INPUTS, tmp_path).interface.points)
     assert simulation.diagnostics == {"tip": pytest.approx(0.12)}
     with pytest.raises(ForwardModelError, match="large_deflection"):
-        model({**INPUTS, "load": 1.0}, tmp_path)
+        PythonModel(BEAM)({**INPUTS, "load": 1.0}, tmp_path)
 
 
-def test_points_become_a_polyline_and_other_results_a_failure(module: str, tmp_path: Path) -> None:
-    interface = PythonModel(f"{module}:points")({"a": 0.5}, tmp_path)
-    assert isinstance(interface, Interface)
-    np.testing.assert_array_equal(interface.points, [[0.0, 0.0], [1.0, 0.5]])
+def test_points_become_a_polyline_and_other_results_a_failure(adapter, tmp_path):
+    found = PythonModel("my_adapter:points")({"a": 0.5}, tmp_path)
+    np.testing.assert_array_equal(found.points, [[0.0, 0.0], [1.0, 0.5]])
     for name in ("ragged", "solid", "text"):
-        record = attempt(PythonModel(f"{module}:{name}"), RunRequest("key", {"a": 0.5}), tmp_path)
+        record = attempt(PythonModel(f"my_adapter:{name}"), RunRequest("key", {"a": 0.5}), tmp_path)
         assert (record.state, record.failure_kind) == ("invalid", "not_an_interface")
 
 
-def test_inputs_and_fingerprint_are_those_of_the_function_or_its_source(module: str) -> None:
+def test_inputs_and_fingerprint_are_those_of_the_function_or_its_source(adapter):
     assert [item.name for item in declared_inputs(PythonModel(BEAM))] == ["E", "tilt", "load"]
     assert fingerprint(PythonModel(BEAM)) == "test:beam-1"
-    one, other = (PythonModel(f"{module}:{name}") for name in ("points", "other_points"))
+    one, other = (PythonModel(f"my_adapter:{name}") for name in ("points", "other_points"))
     assert declared_inputs(one) == ()
-    assert fingerprint(one) == fingerprint(PythonModel(f"{module}:points")) != fingerprint(other)
+    assert fingerprint(one) == fingerprint(PythonModel("my_adapter:points")) != fingerprint(other)
     with pytest.raises(InvalidInput, match="attribute `fingerprint`"):
         fingerprint(PythonModel("math:sin"))
 
 
-@pytest.mark.parametrize(
-    ("function", "words"),
-    [
-        ("simulate", "module:name"),
+def test_what_cannot_be_found_is_refused(adapter, tmp_path):
+    for function, words in (
         (":simulate", "module:name"),
         ("no_such_module_anywhere:f", "no_such_module_anywhere"),
         ("strandline.nowhere:f", "strandline.nowhere"),
-        ("my_adapter_model:nothing", "a callable nothing in my_adapter_model"),
-        ("my_adapter_model:NUMBER", "a callable NUMBER"),
-        ("broken_adapter_model:f", "SyntaxError"),
-        ("needy_adapter_model:f", "no_such_dependency"),
-    ],
-)
-def test_what_cannot_be_found_is_refused(module: str, tmp_path: Path, function: str, words: str) -> None:
-    (tmp_path / "broken_adapter_model.py").write_text("def f(:\n")
-    (tmp_path / "needy_adapter_model.py").write_text("import no_such_dependency\n")
-    with pytest.raises(InvalidInput) as caught:
-        PythonModel(function)
-    assert words in str(caught.value)
-    assert "PYTHONPATH" in caught.value.remedy
+        ("my_adapter:NUMBER", "a callable NUMBER in my_adapter"),
+        ("broken_adapter:f", "SyntaxError"),
+        ("needy_adapter:f", "no_such_dependency"),
+    ):
+        with pytest.raises(InvalidInput) as caught:
+            PythonModel(function, folder=tmp_path)
+        assert words in str(caught.value)
+        assert "put it beside study.yaml, install it, or put its folder on PYTHONPATH" in caught.value.remedy
+    with pytest.raises(InvalidStudy, match=r"unknown option.*folder"):
+        build_model({"python": {"function": BEAM, "folder": str(tmp_path)}}, tmp_path)
+
+
+# --- its module beside study.yaml
+
+
+BESIDE = """import beside_slope
+
+def bend(inputs, workdir):
+    import lazily_beside
+    return [[0.0, 0.0], [lazily_beside.LENGTH, beside_slope.SLOPE * inputs["a"]]]
+"""
+BEND = "beside_beam:bend"
+
+
+def study(folder, slope, length):
+    write_study(
+        folder,
+        model={"python": {"function": BEND}},
+        fixed=None,
+        inputs={"a": {"prior": {"uniform": [0.5, 1.5]}}},
+        observation={"synthetic": {"a": 1}},
+    )
+    numbers = {"beside_slope": f"SLOPE = {slope}\n", "lazily_beside": f"LENGTH = {length}\n"}
+    return written(folder, {"beside_beam": BESIDE, **numbers})
+
+
+def end(model):
+    return [float(value) for value in model({"a": 1.0}, Path()).points[-1, :2]]
+
+
+@pytest.fixture
+def two(tmp_path):
+    return study(tmp_path / "one", 2.0, 1.0), study(tmp_path / "other", 3.0, 5.0)
+
+
+def test_folders_with_modules_of_the_same_names_do_not_mix(two):
+    before, modules = list(sys.path), set(sys.modules)
+    models = one, other = [load_study(folder).model for folder in two]
+    assert [end(model) for model in models] == [[1.0, 2.0], [5.0, 3.0]]
+    assert [end(model) for model in reversed(models)] == [[5.0, 3.0], [1.0, 2.0]]
+    with modules_of(one.folder):
+        assert end(other) == [5.0, 3.0]
+        assert end(one) == [1.0, 2.0]
+    assert fingerprint(one) != fingerprint(other)
+    assert one != other
+    assert sys.path == before
+    assert not {name for name in set(sys.modules) - modules if "besid" in name and "strandline" not in name}
+    with pytest.raises(InvalidInput, match="beside_beam"):
+        PythonModel(BEND)
+
+
+def test_a_module_is_executed_once(tmp_path):
+    counting = "from pathlib import Path\nwith Path(__file__).with_name('count').open('a') as file: file.write('x')\n"
+    written(tmp_path, {"counted_beside": counting + "def f(inputs, workdir): return [[0.0, 0.0], [1.0, 1.0]]\n"})
+    for _ in range(3):
+        end(PythonModel("counted_beside:f", folder=tmp_path))
+    assert (tmp_path / "count").read_text() == "x"
+
+
+def test_it_is_the_same_model_as_on_the_python_path_and_wherever_the_folder_lies(two, tmp_path, monkeypatch):
+    """A ledger that was begun with PYTHONPATH stays valid; a relative folder travels."""
+    monkeypatch.chdir(tmp_path)
+    beside = PythonModel(BEND, folder=Path("one"))
+    monkeypatch.chdir("/")
+    assert pickle.loads(pickle.dumps(beside)) == beside
+    assert end(pickle.loads(pickle.dumps(beside))) == [1.0, 2.0]
+    found = [beside, PythonModel(BEND, folder=study(tmp_path / "moved", 2.0, 1.0))]
+    alone = fingerprint(PythonModel(BEND, function_alone=True, folder=two[0]))
+    monkeypatch.syspath_prepend(two[0])
+    found.append(PythonModel(BEND))
+    assert len({fingerprint(model) for model in found}) == 1
+    assert fingerprint(PythonModel(BEND, function_alone=True)) == alone
+    assert str(tmp_path) not in repr(beside)
+
+
+def test_packages_and_what_is_no_module_there(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    parts = {"model": "from .parts import f\n", "parts": "def f(inputs, workdir): return [[0, 0], [1, 7]]\n"}
+    written(tmp_path / "beside_package", {"__init__": "", **parts})
+    written(tmp_path, {"queue": "def f(inputs, workdir): return None\n"})
+    assert end(PythonModel("beside_package.model:f", folder=tmp_path)) == [1.0, 7.0]
+    assert "beside_package.model" not in sys.modules
+    assert lies_in(tmp_path, "beside_package.model")
+    assert not any(lies_in(tmp_path, name) for name in ("queue", "nothing", ""))
+    assert PythonModel(BEAM, folder=tmp_path).folder is None
+    assert not list(tmp_path.rglob("*.pyc"))
+    assert sys.dont_write_bytecode is False
+
+
+# --- the sources that its fingerprint covers
+
+
+FILES = {
+    "beside_model": "WIDTH = 2.0\n",
+    "unrelated_model": "NOTHING = 0\n",
+    "fp_package/__init__": "from fp_package import constants\n",
+    "fp_package/constants": "LENGTH = 1.0\n",
+    "fp_package/deep/__init__": "",
+    "fp_package/deep/shape": "from ..constants import LENGTH\n\ndef height(a):\n    return LENGTH * a\n",
+    "fp_package/unused": "NEVER = 1\n",
+    "fp_package/model": """import numpy as np
+
+def lift(a):
+    from .deep import shape
+    import beside_model
+    return beside_model.WIDTH * shape.height(a)
+
+def f(inputs, workdir):
+    return [[0.0, 0.0], [1.0, lift(inputs["a"])]]
+""",
+}
+USED = ["fp_package", "fp_package.constants", "fp_package.deep", "fp_package.deep.shape", "fp_package.model"]
+
+
+def forget():
+    for name in [name for name in sys.modules if name.partition(".")[0] in ("fp_package", "beside_model")]:
+        del sys.modules[name]
+    importlib.invalidate_caches()
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(written(tmp_path, FILES))
+    forget()
+    yield tmp_path
+    forget()
+
+
+def covered(module="fp_package.model"):
+    return [name for name, _ in sources_of(module)]
+
+
+def identity(**options):
+    forget()
+    return fingerprint(PythonModel("fp_package.model:f", **options))
+
+
+def test_a_change_of_what_the_function_calls_is_another_model(package):
+    assert covered() == ["beside_model", *USED]
+    importlib.import_module("fp_package.model")
+    assert covered() == ["beside_model", *USED]
+    before, alone = identity(), identity(function_alone=True)
+    for name in ("fp_package/model.py", "fp_package/deep/shape.py", "fp_package/constants.py"):
+        text = (package / name).read_text()
+        changed = text.replace("1.0\n", "1.5\n").replace("* a", "* a * a").replace("WIDTH *", "WIDTH +")
+        assert changed != text
+        (package / name).write_text(changed)
+        assert identity() != before
+        assert identity(function_alone=True) == alone
+        (package / name).write_text(text)
+    written(package, dict.fromkeys(("unrelated_model", "fp_package/unused"), "CHANGED = 1\n"))
+    assert identity() == before
+
+
+def test_of_an_installed_package_its_own_modules_count_and_of_strandline_its_version(package, monkeypatch):
+    site = package / "site-packages"
+    site.mkdir()
+    for name in ("fp_package", "beside_model.py"):
+        (package / name).rename(site / name)
+    monkeypatch.syspath_prepend(site)
+    forget()
+    assert covered() == USED
+    assert covered("strandline.testing.studies") == ["strandline.testing.studies"]
+
+
+def test_the_earlier_fingerprint_is_what_ledgers_hold(tmp_path, monkeypatch):
+    """The value that version 0.1 gave: with another one, old ledgers of unchanged models are refused."""
+    source = "def f(inputs, workdir):\n    return [[0, 0], [1, 1]]\n"
+    monkeypatch.syspath_prepend(written(tmp_path, {"fp_first_model": source}))
+    found = importlib.import_module("fp_first_model").f
+    assert earlier_fingerprint(found) == "python:02ca610c26e4e6c5"
+    assert fingerprint(found).startswith("python-files:")

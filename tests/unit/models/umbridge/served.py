@@ -1,19 +1,17 @@
 """A model that is served: two inputs x, three outputs (x0², x0 x1, x1), and what it cannot do."""
 
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import ThreadingHTTPServer
-from typing import Any
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.umbridge.answers import ServedModel
 from strandline.models.umbridge.server import UMBridgeServer
 
 AT = [[0.5, -2.0]]
+TOKEN = "0123456789abcdef"
 
 
-def whole(blocks: list[list[float]]) -> list[list[float]]:
+def whole(blocks):
     x, y = blocks[0]
     if x > 1:
         raise ForwardModelError("singular", "the matrix is singular")
@@ -36,7 +34,7 @@ BARE = ServedModel("bare", (2,), (3,), whole)
 
 
 @contextmanager
-def running(server: ThreadingHTTPServer) -> Iterator[str]:
+def running(server):
     """Run a server in a thread; yield its address."""
     thread = threading.Thread(target=server.serve_forever, args=(0.02,))
     thread.start()
@@ -48,8 +46,6 @@ def running(server: ThreadingHTTPServer) -> Iterator[str]:
         server.server_close()
 
 
-@contextmanager
-def served(*models: ServedModel, **options: Any) -> Iterator[str]:
+def served(*models, **options):
     """Serve models at a free port; yield the address."""
-    with running(UMBridgeServer(models, port=0, **options)) as url:
-        yield url
+    return running(UMBridgeServer(models, port=0, **options))

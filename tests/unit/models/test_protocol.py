@@ -1,0 +1,184 @@
+"""What a model declares and offers: conditions, sensitivities, a fingerprint, an interface at rest, a cheaper one."""
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.interface import Interface
+from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, WithCheaper, by_cheaper, first_runs, run_identity
+from strandline.models.offers import KeepsFolders, SolvesOnFinerMesh, undeformed_interface
+from strandline.models.protocol import (
+    Simulation,
+    asks_sensitivities,
+    declared_conditions,
+    fingerprint,
+    require_conditions,
+    with_sensitivities,
+)
+from strandline.models.python import PythonModel
+from strandline.testing.models import Cantilever, TwoLoads
+
+LINE = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 1.0]]))
+INPUTS = {"E": 400.0, "load": 1e-5}
+
+
+class Plain:
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Interface:
+        return LINE
+
+
+@dataclass(frozen=True)
+class Sensitive(Plain):
+    """A model that offers sensitivities, without a fingerprint of its own."""
+
+    size: float = 1.0
+    sensitivities: bool = False
+
+
+@dataclass(frozen=True)
+class Labelled(Plain):
+    nodes: int = 41
+    sensitivities: bool = False
+    fingerprint = "mine-1"
+
+
+@dataclass(frozen=True)
+class Declared(Plain):
+    nodes: int = 41
+    fingerprint: ClassVar[str] = "mine-1"
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A straight rod whose number of nodes is its fidelity."""
+
+    nodes: int = 9
+    conditions: tuple[str, ...] = ("",)
+
+    @property
+    def fingerprint(self) -> str:
+        return f"rod:{self.nodes}"
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+        assert set(inputs) == {"slope"}
+        x = np.linspace(0.0, 1.0, self.nodes)
+        return Simulation.of(Interface.polyline(np.stack([x, inputs["slope"] * x], axis=1)))
+
+    def undeformed(self) -> str:
+        return f"{self.nodes} nodes"
+
+
+def test_one_condition_needs_no_name_and_several_have_theirs():
+    simulation = Simulation.of(LINE, {"steps": 3.0}, {"E": LINE.points})
+    assert dict(simulation.interfaces) == {"": LINE}
+    assert dict(simulation.diagnostics) == {"steps": 3.0}
+    assert list(simulation.sensitivities[""]) == ["E"]
+    assert Simulation.of(LINE).sensitivities == {}
+    assert Simulation({"slow": LINE}).interface is LINE
+    with pytest.raises(InvalidInput, match="conditions slow, fast; expected one condition"):
+        _ = Simulation({"slow": LINE, "fast": LINE}).interface
+
+
+def test_conditions_are_declared_and_an_observed_one_must_be_among_them():
+    for model, beam, expected in ((Cantilever(), "beam", ("",)), (TwoLoads(), "two_loads", ("light", "heavy"))):
+        named = declared_conditions(model)
+        assert named == expected == declared_conditions(PythonModel(f"strandline.testing.studies:{beam}"))
+        require_conditions(named, model)
+    with pytest.raises(InvalidInput, match="got heavier; expected one of light, heavy"):
+        require_conditions(["light", "heavier"], TwoLoads())
+    with pytest.raises(InvalidInput, match="got light; expected no name"):
+        require_conditions(["light"], Cantilever())
+
+
+def test_sensitivities_are_no_part_of_the_identity():
+    for model in (Sensitive(), TwoLoads(), PythonModel("strandline.testing.studies:two_loads")):
+        asked = with_sensitivities(model)
+        assert not asks_sensitivities(model)
+        assert asks_sensitivities(asked)
+        assert fingerprint(asked) == fingerprint(model) == fingerprint(pickle.loads(pickle.dumps(asked)))
+    assert fingerprint(Sensitive(size=2.0)) != fingerprint(Sensitive())
+    for model in (Plain(), lambda inputs, workdir: LINE, PythonModel("strandline.testing.studies:beam")):
+        with pytest.raises(InvalidInput, match="this model offers none"):
+            with_sensitivities(model)
+        assert not asks_sensitivities(model)
+
+
+def test_options_count_where_a_class_states_one_fingerprint_for_all():
+    assert fingerprint(Labelled()) == fingerprint(Labelled(sensitivities=True)) == "mine-1"
+    assert fingerprint(Labelled(5)) == 'mine-1/{"nodes": 5}'
+    assert fingerprint(Declared(5)) == fingerprint(Declared()) == "mine-1"
+    assert fingerprint(Rod(5)) == "rod:5"
+
+
+def test_two_loads_are_the_beam_under_each_with_its_derivatives(tmp_path):
+    """Central differences; and a Python model hands the request for sensitivities on."""
+    python, model = PythonModel("strandline.testing.studies:two_loads"), TwoLoads(sensitivities=True)
+    run = replace(model, ratio=2.0)(INPUTS, tmp_path)
+    for condition, load in (("light", 1e-5), ("heavy", 2e-5)):
+        expected = Cantilever()(INPUTS | {"load": load}, tmp_path).interface
+        np.testing.assert_array_equal(run.interfaces[condition].points, expected.points)
+    with pytest.raises(ForwardModelError, match="large_deflection"):
+        replace(model, ratio=1e4)(INPUTS, tmp_path)
+    exact = model(INPUTS, tmp_path).sensitivities
+    assert python(INPUTS, tmp_path).sensitivities == {}
+    handed = with_sensitivities(python)(INPUTS, tmp_path).sensitivities
+    for name, step, largest in (("E", 1e-2, 2e-4), ("E", 1e-3, 2e-6), ("load", 1e-3, 2e-6)):
+        one, other = (model({**INPUTS, name: INPUTS[name] * (1 + s)}, tmp_path).interfaces for s in (step, -step))
+        for condition in TwoLoads.conditions:
+            found = (one[condition].points - other[condition].points) / (2 * step * INPUTS[name])
+            slope = exact[condition][name]
+            assert np.abs(found - slope).max() < largest * np.abs(slope).max()
+            np.testing.assert_array_equal(handed[condition][name], slope)
+
+
+def test_the_undeformed_interface_is_given_lacking_or_refused():
+    model = Plain()
+    assert undeformed_interface(model) is None
+    assert not isinstance(model, SolvesOnFinerMesh | KeepsFolders)
+    model.undeformed = lambda: LINE
+    assert undeformed_interface(model) is LINE
+    for wrong, said in ((LINE, "got an attribute"), (lambda: LINE.points, "got a ndarray")):
+        model.undeformed = wrong
+        with pytest.raises(InvalidInput, match=said):
+            undeformed_interface(model)
+
+
+# --- a cheaper model beside it
+
+
+def test_a_mark_chooses_the_cheaper_model_and_its_address_and_all_else_is_the_models():
+    both, plain, marked = WithCheaper(Rod(9), Rod(3), 0.2), {"slope": 1.0}, by_cheaper({"slope": 1.0})
+    assert [len(both(inputs, Path()).interface.points) for inputs in (plain, marked)] == [9, 3]
+    assert fingerprint(both) == fingerprint(Rod(9))
+    assert [run_identity(both, "rod:9", inputs) for inputs in (plain, marked)] == ["rod:9", "rod:3"]
+    assert run_identity(Rod(9), "rod:9", marked) == "rod:9"
+    travelled = pickle.loads(pickle.dumps(both))
+    assert travelled.undeformed() == "9 nodes"
+    assert declared_conditions(travelled) == ("",)
+    with pytest.raises(AttributeError, match="on_finer_mesh"):
+        travelled.on_finer_mesh({})
+
+
+def test_a_first_design_runs_both_models_at_some_inputs():
+    inputs = [{"slope": float(k)} for k in range(5)]
+    assert first_runs(Rod(), inputs) == inputs
+    found = first_runs(WithCheaper(Rod(9), Rod(3), 0.2), inputs)
+    assert [CHEAPER in one for one in found] == [True] * 5 + [False] * FIRST_PAIRS
+    assert found[5:] == inputs[:FIRST_PAIRS]
+
+
+def test_a_cheaper_model_that_does_not_fit_is_refused():
+    for cheaper, cost, message in (
+        (Rod(9), 0.2, "the model itself"),
+        (Rod(3), 1.0, "above 0 and below 1"),
+        (Rod(3), 0.0, "above 0 and below 1"),
+        (Rod(3, ("a",)), 0.2, "conditions of the cheaper model: got a; expected those of the model"),
+    ):
+        with pytest.raises(InvalidInput, match=message):
+            WithCheaper(Rod(9), cheaper, cost)
