@@ -4,20 +4,12 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from strandline.testing.studies import write_study
 
-COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
-SMALL = {
-    "design": {"sobol": {"runs": 32}},
-    "sampler": {"smc": {"particles": 1000, "rejuvenation_steps": 2, "zeta": 0.5}},
-    "draft": True,
-    "report": "none",
-}
+COMMAND = [sys.executable, "-m", "strandline"]
 PROBE = "import jax; print(jax.default_backend())"
 SPY = """
 import sys, jax
@@ -36,22 +28,27 @@ assert seen == [{"gpu"}], seen
 """
 
 
-def started(program: list[str], *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def started(program, *arguments, **environment):
     """Return the end of a program that finds JAX as the machine has it, not as the tests set it."""
     clean = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
     return subprocess.run([*program, *arguments], capture_output=True, text=True, env={**clean, **environment})
 
 
 @pytest.fixture(scope="module")
-def backend() -> str:
+def backend():
     return started([sys.executable, "-c", PROBE]).stdout.split()[-1]
 
 
+@pytest.fixture
+def folder(tmp_path):
+    sampler = {"smc": {"particles": 1000, "rejuvenation_steps": 2, "zeta": 0.5}}
+    return write_study(tmp_path / "study", design={"sobol": {"runs": 32}}, sampler=sampler, draft=True, report="none")
+
+
 @pytest.mark.parametrize("command", ["run", "report"])
-def test_a_gpu_that_is_not_there_is_refused_in_one_line(command: str, backend: str, tmp_path: Path) -> None:
+def test_a_gpu_that_is_not_there_is_refused_in_one_line(command, backend, folder):
     if backend == "gpu":
         pytest.skip("there is a GPU")
-    folder = write_study(tmp_path / "study", **SMALL)
     ended = started(COMMAND, command, str(folder), "--device", "gpu")
     assert ended.returncode == 2
     (line,) = ended.stderr.splitlines()
@@ -61,27 +58,19 @@ def test_a_gpu_that_is_not_there_is_refused_in_one_line(command: str, backend: s
 
 
 @pytest.mark.long
-def test_the_option_comes_before_the_environment(tmp_path: Path) -> None:
-    folder = write_study(tmp_path / "study", **SMALL)
+def test_the_option_comes_before_the_environment(folder):
     ended = started(COMMAND, "run", str(folder), "--quiet", "--device", "cpu", JAX_PLATFORMS="nonsense")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert started(COMMAND, "report", str(folder), "--quiet", JAX_PLATFORMS="nonsense").returncode != 0
 
 
-def test_the_sampler_runs_on_the_gpu(backend: str, tmp_path: Path) -> None:
+def test_the_sampler_runs_on_the_gpu(backend, folder):
     if backend != "gpu":
         pytest.skip("no GPU")
-    folder = write_study(tmp_path / "study", **SMALL)
-    on_gpu = started([sys.executable, "-c", SPY], "run", str(folder), "--quiet", "--device", "gpu")
-    assert (on_gpu.returncode, on_gpu.stderr) == (0, "")
-    there = summary(folder)
-    assert started(COMMAND, "report", str(folder), "--quiet", "--device", "cpu").returncode == 0
-    here = summary(folder)
-    for name, found in there["inputs"].items():
-        assert found["mean"] == pytest.approx(here["inputs"][name]["mean"], rel=0.3)
-
-
-def summary(folder: Path) -> dict[str, Any]:
-    """Return the summary of the last analysis."""
-    (path,) = folder.rglob("summary.json")
-    return dict(json.loads(path.read_text()))
+    means = []
+    for program, command, device in (([sys.executable, "-c", SPY], "run", "gpu"), (COMMAND, "report", "cpu")):
+        ended = started(program, command, str(folder), "--quiet", "--device", device)
+        assert (ended.returncode, ended.stderr) == (0, "")
+        (path,) = folder.rglob("summary.json")
+        means.append({name: one["mean"] for name, one in json.loads(path.read_text())["inputs"].items()})
+    assert means[0] == pytest.approx(means[1], rel=0.3)

@@ -3,8 +3,6 @@
 import subprocess
 import sys
 
-import pytest
-
 PROGRAM = """
 import jax
 import strandline as sl
@@ -16,6 +14,6 @@ assert jax.numpy.ones(()).dtype == "float64"
 """
 
 
-def test_it_is_switched_on_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_switched_on_for_the_process(monkeypatch):
     monkeypatch.delenv("JAX_ENABLE_X64", raising=False)
     subprocess.run([sys.executable, "-c", PROGRAM], check=True)

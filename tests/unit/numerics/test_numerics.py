@@ -1,13 +1,31 @@
-"""Order, laziness and errors of parts; threads are kept, and as many as those of the surrogate's kernels."""
+"""Parts side by side on threads that are kept, powers of two against NumPy's, and double precision."""
 
 import os
 import threading
 
 import jax
+import numpy as np
 import pytest
 
+from strandline.errors import InvalidInput
+from strandline.numerics.exp2 import WHOLE, exp2_of_minus
+from strandline.numerics.precision import use_double
 from strandline.numerics.threads import double, side_by_side, threads
 from strandline.surrogate.kernels import tiles
+
+
+def test_power_of_two_is_exact_to_2e_14_and_vanishes_where_it_should():
+    x = np.concatenate([np.linspace(-900.0, 60.0, 100_001), [899.0, 1e4, 1e300]])
+    power = jax.jit(exp2_of_minus, static_argnames="bounded")
+    found = np.asarray(power(x, WHOLE, bounded=False))
+    assert np.array_equal(power(x[:-3], WHOLE, bounded=True), found[:-3])
+    assert found[:-3] == pytest.approx(np.exp2(-x[:-3]), rel=2e-14)
+    assert (found[-3:] < 1e-270).all()
+
+
+def test_where_double_precision_cannot_be_switched_on_it_is_refused():
+    with jax.enable_x64(False), pytest.raises(InvalidInput, match="float32"):
+        use_double()
 
 
 @pytest.fixture(params=["1", "3"])
@@ -39,7 +57,7 @@ def test_as_many_parts_are_at_work_as_there_are_threads_which_are_kept(number):
 def test_a_part_that_fails_spares_those_behind_it(number):
     done = []
 
-    def task(k: int) -> None:
+    def task(k):
         done.append(k)
         raise ValueError(k)
 
