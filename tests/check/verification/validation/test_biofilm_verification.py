@@ -1,21 +1,52 @@
-"""Sensitivities, extreme inputs and meshes of the biofilm at a few points; the tables are made by `validation`."""
+"""What verifies the biofilm, at a few points and each with an error planted; `validation` makes the tables."""
 
 import numpy as np
 import pytest
-from verification.validation import extremes, mesh_on_other_outlines
+from verification.validation import analytic, extremes, mesh_on_other_outlines
 from verification.validation.biofilm_mesh import box_points, flow_cell
 from verification.validation.sensitivities import POINTS, Inputs, partition_of, relative_differences
+from verification.validation.tables import observed_orders
 
 from strandline.models.biofilm.geometry import MeshSize
+from strandline.models.biofilm.materials import LAWS, MixedStress
 from strandline.models.biofilm.sizes import FINER, MESHES
 
+CORNERS = [("uniaxial", "saint_venant_kirchhoff", 0.5), ("uniaxial", "neo_hookean", 0.5), ("shear", "yeoh", -0.9)]
 ROUGH = MeshSize(far=0.3, interface=0.09, foot=0.06, grading=0.6)
 
 
-def test_points_cover_the_box():
-    points = box_points(64)
-    np.testing.assert_allclose(points.mean(axis=0), [450.0, -0.15], rtol=0.05)
-    assert (np.ptp(points, axis=0) > [650.0, 1.2]).all()
+def test_homogeneous_states_are_exact_and_a_wrong_law_is_noticed(monkeypatch):
+    for case in [*(("shear", law, 0.3) for law in LAWS), *CORNERS]:
+        assert max(analytic.block_error(*case)) < 1e-10, case
+    neo_hookean = LAWS["neo_hookean"]
+
+    def stiffer(d, solid_pressure, young, poisson):
+        right = neo_hookean(d, solid_pressure, young, poisson)
+        return MixedStress(1.001 * right.second_piola, right.constraint)
+
+    monkeypatch.setitem(LAWS, "neo_hookean", stiffer)
+    assert max(analytic.block_error("shear", "neo_hookean", 0.3)) > 1e-5
+
+
+@pytest.mark.parametrize("law", ["saint_venant_kirchhoff", "neo_hookean"])
+def test_manufactured_solution_converges_at_the_orders_of_the_elements(law):
+    sizes = (0.16, 0.08)
+    errors = np.array(analytic.manufactured_errors(law, 0.3, sizes))
+    displacement, pressure = (observed_orders(sizes, errors[:, k])[-1] for k in range(2))
+    assert displacement > 2.8
+    assert pressure > 1.8
+
+
+def test_poiseuille_flow_is_exact_forces_and_mass_balance_and_those_of_an_unfinished_solution_do_not():
+    assert max(analytic.poiseuille_error()) < 1e-12
+    assert analytic.layer_error() < 1e-8, "above a layer too stiff to move"
+    cell = analytic.default_cell()
+    solution = cell.solve([400.0], [0.3], 100.0)
+    assert max(analytic.force_imbalance(cell)) < 1e-8
+    assert analytic.mass_imbalance(cell) < 1e-9
+    cell.system.set_unknowns(solution.unknowns * (1 + 1e-6 * np.sin(np.arange(len(solution.unknowns)))))
+    assert max(analytic.force_imbalance(cell)) > 1e-7
+    assert analytic.mass_imbalance(cell) > 1e-9
 
 
 @pytest.mark.long
@@ -40,7 +71,10 @@ def test_sensitivities_with_a_jacobian_from_elsewhere_do_not(monkeypatch):
     assert max(relative_differences(cell, Inputs((400.0,), (0.3,), 100.0))) > 1e-5
 
 
-def test_extreme_inputs_are_solved():
+def test_points_cover_the_box_and_extreme_inputs_are_solved():
+    points = box_points(64)
+    np.testing.assert_allclose(points.mean(axis=0), [450.0, -0.15], rtol=0.05)
+    assert (np.ptp(points, axis=0) > [650.0, 1.2]).all()
     laws = ("saint_venant_kirchhoff", "neo_hookean")
     (table,) = extremes.tables(mesh="coarse", laws=laws)
     assert set(table.column("outcome")) == {"solved"}
