@@ -1,115 +1,215 @@
-"""Parts, points and errors of a view, and what they tell, against sums by hand."""
+"""Candidates, what they look at and with what errors, and the interface in another experiment, against sums by hand."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from strandline.calibration.experiment import CoordinateErrors
 from strandline.calibration.footprint import footprint
+from strandline.design import sobol
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors
+from strandline.planning.candidate import Candidate, Look, candidates
+from strandline.planning.failing import crossing_share, learn_failure_by_size
 from strandline.planning.observing import Observing
+from strandline.planning.transferred import transfer
 from strandline.planning.view import View, focused
+from strandline.surrogate.field import FieldTraining, fit_field
 
 X = np.linspace(0.0, 2.0, 41)
 LINE = Interface.polyline(np.column_stack([X, np.zeros(41)]))
 SLOPES = {"": np.stack([np.column_stack([0 * X, X]), np.column_stack([0 * X, X**2])], axis=2)}
 """The line rises by x and by x² per unit of two inputs."""
+EVEN = PointErrors(0.01)
 
 
-def view(errors: PointErrors | CoordinateErrors) -> View:
-    return View(footprint(LINE, LINE), errors)
+def labels(*given, **options):
+    return [one.label() for one in candidates(*given, **options)]
 
 
-def fisher(one: View) -> np.ndarray:
+def test_candidates_are_all_combinations_alone_and_together_in_words():
+    assert labels({"V_in": [50.0, 125.0]}, [Look(), Look(points=20)], together=2) == [
+        "V_in 50", "V_in 50, 20 points", "V_in 125", "V_in 125, 20 points",
+        "V_in 50 and V_in 50", "V_in 50 and V_in 50, 20 points", "V_in 50 and V_in 125",
+        "V_in 50 and V_in 125, 20 points", "V_in 125 and V_in 125", "V_in 125 and V_in 125, 20 points",
+    ]  # fmt: skip
+    again = ["V_in 50", "the same again", "V_in 50 and V_in 50", "V_in 50 and the same again", "the same again, twice"]
+    present = {"V_in": 100.0}  # present values and values given twice are one candidate
+    assert labels({"V_in": [50.0, 100.0, 50.0]}, [Look()], together=2, present=present) == again
+    look = Look(("slow",), (0.0, 0.5), sd=0.003)
+    (one,) = candidates({"V_in": [50.0], "h": [0.5]}, [look])
+    assert one.label() == "V_in 50 h 0.5, condition slow, 0–50 % of the interface, sd 3 µm"
+    assert one == Candidate(({"V_in": 50.0, "h": 0.5},), look)
+    assert candidates({}, [Look()])[0].label("as planned") == "as planned"
+    assert labels({}, [Look(("slow", "fast"), points=20)]) == ["conditions slow and fast, 20 points"]
+
+
+def view(errors=EVEN, line=LINE, **part):
+    """Return a view of a line, or of a part of it."""
+    whole = View(footprint(LINE, LINE), errors)
+    return focused(whole, line.points, **part) if part else whole
+
+
+def fisher(one):
     return Observing({"": one}, {"": LINE.points}).fisher(SLOPES)
 
 
-def by_hand(x: np.ndarray, sd: float) -> np.ndarray:
-    rows = np.column_stack([x, x**2]) / sd
-    return np.asarray(rows.T @ rows)
+def by_hand(x, sd):
+    rows = np.column_stack([x, x**2]) / np.reshape(sd, (-1, 1))
+    return rows.T @ rows
 
 
-def test_the_whole_line_a_part_and_other_points() -> None:
-    whole = view(PointErrors(0.01))
-    half = focused(whole, LINE.points, part=(0.5, 1.0))
-    few = focused(whole, LINE.points, part=(0.25, 0.75), points=5)
+def test_the_whole_line_a_part_and_other_points():
+    half, few = view(part=(0.5, 1.0)), view(part=(0.25, 0.75), points=5)
     places = np.linspace(0.5, 1.5, 5)
     assert len(half.seen(LINE.points).points) == 21
     np.testing.assert_allclose(few.seen(LINE.points).points[:, 0], places)
     np.testing.assert_allclose(fisher(half), by_hand(X[20:], 0.01))
     np.testing.assert_allclose(fisher(few), by_hand(places, 0.01), rtol=2e-3)
-    for errors in (PointErrors(0.01), CoordinateErrors(0.01)):
+    for errors in (EVEN, CoordinateErrors(0.01)):
         np.testing.assert_allclose(fisher(view(errors)), by_hand(X, 0.01))
-        np.testing.assert_allclose(fisher(focused(view(errors), LINE.points, sd=0.005)), by_hand(X, 0.005))
+        np.testing.assert_allclose(fisher(view(errors, sd=0.005)), by_hand(X, 0.005))
 
 
-def test_views_of_two_models_have_the_same_points_if_one_arc_length_counts() -> None:
+def test_views_of_two_models_have_the_same_points_if_one_arc_length_counts():
     """Where one model stretches the line's first half, fewer of its points lie in it."""
-    stretched = Interface.polyline(np.column_stack([np.where(X < 1, 3 * X, X + 2), np.zeros(41)]))
-    one, other = (focused(view(PointErrors(0.01)), at.points, part=(0.0, 0.4)) for at in (LINE, stretched))
+    stretched, part = Interface.polyline(np.column_stack([np.where(X < 1, 3 * X, X + 2), np.zeros(41)])), (0.0, 0.4)
+    one, other = (view(line=at, part=part) for at in (LINE, stretched))
     assert len(one.footprint.corners) != len(other.footprint.corners)
     for options in ({}, {"points": 7}):
-        one = focused(view(PointErrors(0.01)), LINE.points, part=(0.0, 0.4), **options)
-        other = focused(view(PointErrors(0.01)), stretched.points, part=(0.0, 0.4), along=LINE, **options)
+        one, other = view(part=part, **options), view(line=stretched, part=part, along=LINE, **options)
         np.testing.assert_allclose(other.seen(LINE.points).points, one.seen(LINE.points).points)
 
 
-def test_errors_of_each_point_go_with_their_points() -> None:
-    shares = tuple(np.linspace(1.0, 2.0, 41))
-    half = focused(view(PointErrors(0.01, shares=shares)), LINE.points, part=(0.5, 1.0))
-    assert half.errors == PointErrors(0.01, shares=shares[20:])
-    rows = np.column_stack([X, X**2])[20:] / (0.01 * np.array(shares[20:]))[:, None]
-    np.testing.assert_allclose(fisher(half), rows.T @ rows)
-    few = focused(view(PointErrors(0.01, shares=shares)), LINE.points, points=5)
-    assert few.errors == PointErrors(0.01)
+def test_errors_of_each_point_go_with_their_points():
+    shares = np.linspace(1.0, 2.0, 41)
+    errors = PointErrors(0.01, shares=tuple(shares))
+    half = view(errors, part=(0.5, 1.0))
+    assert half.errors == PointErrors(0.01, shares=tuple(shares[20:]))
+    np.testing.assert_allclose(fisher(half), by_hand(X[20:], 0.01 * shares[20:]))
+    assert view(errors, points=5).errors == EVEN
 
 
-def test_a_closed_outline_keeps_its_closure_only_as_a_whole() -> None:
-    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    ring = Interface.polyline(np.column_stack([np.cos(angles), np.sin(angles)]), closed=True)
-    whole = View(footprint(ring, ring), PointErrors(0.01))
-    assert focused(whole, ring.points, points=20).seen(ring.points).closed
-    part = focused(whole, ring.points, part=(0.0, 0.5)).seen(ring.points)
-    assert not part.closed
-    assert len(part.points) == 21
-
-
-def test_shared_errors_of_two_conditions_count_once() -> None:
+def test_shared_errors_of_two_conditions_count_once():
     """A common shift of unknown size hides what both lines do together; what differs between them stays."""
-    together = {"": SLOPES[""], "b": SLOPES[""]}
-    opposite = {"": SLOPES[""], "b": -SLOPES[""]}
+    together, opposite = ({"": SLOPES[""], "b": sign * SLOPES[""]} for sign in (1, -1))
     own = PointErrors(0.01, shift=0.5)
-    for errors, factor in ((replace(own, shared=True), 50.0), (own, 1.0)):
+    for errors, shared in ((replace(own, shared=True), True), (own, False)):
         both = Observing({"": view(errors), "b": view(errors)}, {"": LINE.points, "b": LINE.points})
         ratio = both.fisher(opposite)[0, 0] / both.fisher(together)[0, 0]
-        assert ratio == pytest.approx(1.0, rel=1e-6) if factor == 1.0 else ratio > 2.0
+        assert ratio > 2.0 if shared else ratio == pytest.approx(1.0, rel=1e-6)
 
 
-def test_signals_differ_by_what_the_errors_hide() -> None:
-    draws = np.random.default_rng(0).standard_normal((50, 2)) * 0.01
-    nodes = LINE.points + np.einsum("nad,kd->kna", SLOPES[""], draws)
-    observing = Observing({"": view(PointErrors(0.01))}, {"": LINE.points})
-    signals = observing.signals({"": nodes})
-    squares = ((signals[:, None] - signals[None]) ** 2).sum(axis=2)
-    apart = draws[:, None] - draws[None]
-    np.testing.assert_allclose(
-        squares, np.einsum("ijk,kl,ijl->ij", apart, by_hand(X, 0.01), apart), rtol=1e-3, atol=1e-6
+def test_signals_differ_by_what_the_errors_hide():
+    draws, observing = (
+        np.random.default_rng(0).standard_normal((50, 2)) * 0.01,
+        Observing({"": view()}, {"": LINE.points}),
     )
+    signals = observing.signals({"": LINE.points + np.einsum("nad,kd->kna", SLOPES[""], draws)})
+    squares, apart = ((signals[:, None] - signals[None]) ** 2).sum(axis=2), draws[:, None] - draws[None]
+    expected = np.einsum("ijk,kl,ijl->ij", apart, by_hand(X, 0.01), apart)
+    np.testing.assert_allclose(squares, expected, rtol=1e-3, atol=1e-6)
+    assert observing.displacement({"": LINE.points - np.array([0.0, 0.03])}) == pytest.approx(3.0)
 
 
-def test_displacement_in_standard_deviations() -> None:
-    lower = {"": LINE.points - np.array([0.0, 0.03])}
-    assert Observing({"": view(PointErrors(0.01))}, {"": LINE.points}).displacement(lower) == pytest.approx(3.0)
-
-
-def test_parts_of_surfaces_and_too_few_points_are_refused() -> None:
-    with pytest.raises(InvalidInput, match="at least 3 points"):
-        focused(view(PointErrors(0.01)), LINE.points, part=(0.0, 0.03))
+def test_closed_outlines_and_surfaces_are_whole_or_no_longer_closed():
+    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ring = Interface.polyline(np.column_stack([np.cos(angles), np.sin(angles)]), closed=True)
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     surface = Interface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    whole = View(footprint(surface, surface), PointErrors(0.01))
-    assert focused(whole, corners) is whole
+    whole, all_of_it = (View(footprint(one, one), EVEN) for one in (ring, surface))
+    assert focused(whole, ring.points, points=20).seen(ring.points).closed
+    part = focused(whole, ring.points, part=(0.0, 0.5)).seen(ring.points)
+    assert (part.closed, len(part.points)) == (False, 21)
+    assert focused(all_of_it, corners) is all_of_it
     with pytest.raises(InvalidInput, match="the whole surface"):
-        focused(whole, corners, points=10)
+        focused(all_of_it, corners, points=10)
+    with pytest.raises(InvalidInput, match="at least 3 points"):
+        view(part=(0.0, 0.03))
+
+
+S = np.linspace(0.0, 1.0, 21)
+LIMIT = 0.4
+YOUNG = np.random.default_rng(1).normal(400, 60, 500)
+
+
+def bent(young, load):
+    """Return arcs of height load/E, mm."""
+    heights = load / young[:, None] * np.sin(np.pi * S)
+    return np.stack([np.broadcast_to(S, heights.shape), heights], axis=-1)
+
+
+@cache
+def failures(at_random=False, larger=()):
+    """Return what 60 runs at load 100 show: they fail where the arc is higher than LIMIT, or every tenth does."""
+    x = 100.0 + 700.0 * sobol(60, 1, scramble=1)
+    ok = np.arange(60) % 10 != 0 if at_random else 100.0 / x[:, 0] < LIMIT
+    runs = [{"": Interface.polyline(points)} for points in bent(x[ok, 0], 100.0)]
+    surrogate = fit_field(FieldTraining(x[ok], runs, None, np.array([100.0]), np.array([800.0])))
+    others = bent(np.array(larger), 100.0).reshape(len(larger), 2 * len(S))
+    return learn_failure_by_size(surrogate, x, ok, np.column_stack([S, 0 * S]).ravel(), others)
+
+
+def test_arcs_fail_where_they_are_too_high():
+    """The share at the limit is the true one; failures at random say nothing about the size.
+
+    Runs of another experiment that succeeded count, at a height between what succeeded and what failed before.
+    """
+
+    def share(load, at_random=False):
+        return float(failures(at_random).failing(bent(YOUNG, load).reshape(500, -1)).mean())
+
+    shares = [share(load) for load in (10.0, 20.0, 50.0, 100.0, 150.0, 200.0, 250.0)]
+    assert shares == sorted(shares)
+    assert shares[1] <= 0.01
+    assert shares[3] <= 0.05
+    assert shares[-1] >= 0.9
+    assert share(160.0) == pytest.approx(float((160.0 / YOUNG > LIMIT).mean()), abs=0.1)
+    for load in (20.0, 60.0):
+        assert share(load, at_random=True) == pytest.approx(0.1, abs=0.08)
+    higher, field = 100.0 / (1.05 * LIMIT), bent(np.array([100.0 / LIMIT]), 100.0).reshape(1, -1)
+    assert failures(larger=(higher,)).failing(field)[0] < failures().failing(field)[0]
+
+
+def test_the_share_of_interfaces_that_cross_themselves():
+    loop = np.array([[0.0, 0], [1, 0], [1, 1], [0.5, -1], [2, -1]])
+    line = np.column_stack([np.arange(5.0), np.zeros(5)])
+    assert crossing_share({"": np.array([loop, line, line, line])}, {"": Interface.polyline(line)}) == 0.25
+
+
+LOW, HIGH, AT = np.array([100.0, -0.8]), np.array([800.0, 0.5]), np.array([400.0, 0.2])
+
+
+def fields(x, load):
+    """Return displacements across: one shape that softens with the load, one that depends on ν."""
+    share, nu = load / x[:, :1], x[:, 1:]
+    across = (share + 2 * share**2) * np.sin(np.pi * S) + share * np.exp(1.5 * nu) * np.sin(2 * np.pi * S)
+    return np.stack([np.broadcast_to(S, across.shape), across], axis=-1).reshape(len(x), -1)
+
+
+def slopes_of(displacements, step):
+    """Return the slopes at `AT` by central differences."""
+    return ((displacements(AT + np.diag(step)) - displacements(AT - np.diag(step))) / (2 * np.array(step)[:, None])).T
+
+
+def test_one_run_predicts_the_interface_under_another_load():
+    """At the inputs of the run it is the run itself, with its slopes."""
+    x, covariance = LOW + (HIGH - LOW) * sobol(40, 2, scramble=1), np.array([[900.0, 2.0], [2.0, 0.01]])
+    runs = [{"": Interface.polyline(row.reshape(-1, 2))} for row in fields(x, 40.0)]
+    surrogate = fit_field(FieldTraining(x, runs, None, LOW, HIGH))
+    draws = np.random.default_rng(1).multivariate_normal(AT, covariance, 200)
+    for load, most in ((20.0, 0.02), (40.0, 2e-3), (60.0, 0.03)):
+        true, here = fields(draws, load), fields(AT[None], load)[0]
+        slopes = slopes_of(lambda x, load=load: fields(x, load), [1e-2, 1e-5])
+        one = transfer(surrogate, AT, here, slopes, covariance)
+        off, linear_off = (
+            np.sqrt(np.mean((found - true) ** 2) / np.mean((true - true.mean(axis=0)) ** 2))
+            for found in (one.fields(draws), here + (draws - AT) @ slopes.T)
+        )
+        assert off < most
+        assert linear_off > 3 * off
+        np.testing.assert_allclose(one.fields(AT[None])[0], here, atol=1e-12)
+        largest = np.abs(slopes).max(axis=0)
+        np.testing.assert_allclose(slopes_of(one.fields, [1.0, 1e-3]) / largest, slopes / largest, atol=2e-3)

@@ -5,21 +5,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from strandline.design import sobol
+import strandline as sl
 from strandline.design.active.checking import LeftOut
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Knowledge, State
-from strandline.discrepancy import TrackedPoints
 from strandline.errors import TooFewRuns
-from strandline.interface import Interface, Observation
 from strandline.likelihood import FieldLikelihood
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
-from strandline.runs import RunRecord
 from strandline.surrogate.feasibility import learn_feasibility
 from strandline.surrogate.field import FieldTraining, fit_field
 
-SPACE = ParameterSpace((Parameter("a", Uniform(-1.0, 1.0)), Parameter("b", Uniform(-1.0, 1.0))))
+SPACE = sl.ParameterSpace((sl.Parameter("a", sl.Uniform(-1.0, 1.0)), sl.Parameter("b", sl.Uniform(-1.0, 1.0))))
 S = np.linspace(0.0, 1.0, 9)
 NOISE = 0.02
 MEAN = np.array([0.2, 0.1])
@@ -27,18 +22,18 @@ MEAN = np.array([0.2, 0.1])
 
 def even(number, scramble=None):
     """Return points of the Sobol sequence."""
-    return SPACE.to_physical(sobol(number, 2, scramble=scramble))
+    return SPACE.to_physical(sl.sobol(number, 2, scramble=scramble))
 
 
 def interface(x):
     """Return a line that is bent by the first input and lifted by the second."""
     y = 0.1 * (x[0] * S + np.sin(2 * x[0] + x[1]) * S**2 + 0.5 * x[1])
-    return Interface.polyline(np.stack([S, y], axis=1))
+    return sl.Interface.polyline(np.stack([S, y], axis=1))
 
 
 def record(x, *, ok=True):
     found = {"": interface(x)} if ok else {}
-    return RunRecord(x.tobytes().hex(), SPACE.as_mapping(x), "ok" if ok else "failed", found)
+    return sl.RunRecord(x.tobytes().hex(), SPACE.as_mapping(x), "ok" if ok else "failed", found)
 
 
 def inputs_of(one):
@@ -66,7 +61,7 @@ def _known(inputs, outcomes, noise):
     surrogate = fit_field(training(x[ok], [{"": interface(row)} for row in x[ok]]))
     z = surrogate.warping.standardise(x)
     feasibility = learn_feasibility(z, ok)
-    likelihood = FieldLikelihood(surrogate, (Observation(interface(MEAN), noise**2),), TrackedPoints())
+    likelihood = FieldLikelihood(surrogate, (sl.Observation(interface(MEAN), noise**2),), sl.TrackedPoints())
     return Knowledge(x, ok, likelihood, feasibility, float(feasibility.log_probability(z).max()))
 
 

@@ -1,15 +1,17 @@
-"""Which runs are chosen, against brute force."""
+"""Which runs are chosen, against brute force, and which would be lost where runs are known to fail."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from scipy.special import log_softmax
-from tests.unit.design.active.fakes import SPACE, even, known, state_of
+from tests.unit.design.active.fakes import MEAN, SPACE, Assumed, even, inputs_of, known, normal, own, record, state_of
 
-from strandline.design.active import CRITERIA
+import strandline as sl
+from strandline.design.active import CRITERIA, Active, ActiveDesign, State
 from strandline.design.active.choice import choose
-from strandline.errors import InvalidInput
+from strandline.design.active.elsewhere import points_elsewhere
+from strandline.design.active.failing import MOST, SAFE, UNLIKELY, Losses, safe_candidates
 from strandline.surrogate.field.mode_process import ModeProcess
 from strandline.surrogate.field.restricted_evidence import Observed, condition_mode
 
@@ -99,5 +101,112 @@ def test_a_criterion_that_picks_wrongly_is_refused(state, monkeypatch):
     for wrong, runs in wrongly:
         mine = lambda state, pool, *others, wrong=wrong: lambda exploring: wrong(pool)  # noqa: E731
         monkeypatch.setitem(CRITERIA, "mine", mine)
-        with pytest.raises(InvalidInput, match="what the criterion mine picks"):
+        with pytest.raises(sl.InvalidInput, match="what the criterion mine picks"):
             choose(state, SPACE, runs, explore=0.0, first=10, criterion="mine", seed=3)
+
+
+ALLOWED, SD = 60, 0.15
+FIRST, X = even(12), even(60)
+REGIONS = [lambda x: np.linalg.norm(x - MEAN) < 0.5, lambda x: x[0] > 0.0, lambda x: x[1] > -0.4 * np.sin(3 * x[0])]
+"""A disc over the truth, half of the box with the truth, a curved border with the truth beyond: there runs fail."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wary(Assumed):
+    """A normal likelihood, times the probability that a run succeeds."""
+
+    def plug_in(self, x):
+        return super().plug_in(x) + self.log_feasibility(x)
+
+
+def learn(x, records):
+    """Return the posterior that these runs teach, on an even set of points."""
+    knowledge = Wary(**own(known(x, np.array([one.ok for one in records]))), sd=SD)
+    points = even(1000, 6)
+    value = knowledge.plug_in(points)
+    whole, half = log_softmax(value), log_softmax(0.5 * value)
+    return State(knowledge, points, whole, half, whole, value, value, float(np.log(np.mean(np.exp(0.5 * value)))))
+
+
+def lost_in(fails):
+    """Run a design to its end; return it, the number of its runs, and how many failed besides the first ones."""
+    options = {"learn": learn, "log_likelihood": lambda one: float(normal(inputs_of(one), sd=SD)), "seed": 1}
+    one = ActiveDesign(Active(ALLOWED, unseen=1.0), SPACE, batch=4, scramble=1, **options)
+    one.start(FIRST)
+    x = FIRST
+    while (batch := one.next(x, [record(row, ok=not fails(row)) for row in x])) is not None:
+        x = np.concatenate([x, batch.points])
+    return one, len(x), sum(fails(row) for row in x[len(FIRST) :])
+
+
+@pytest.mark.parametrize("region", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2))])
+def test_no_more_than_a_tenth_of_the_runs_is_lost(region):
+    """The observation is best explained by inputs that fail."""
+    one, runs, lost = lost_in(REGIONS[region])
+    assert (one.converged, runs) == (False, ALLOWED)
+    assert 1 <= lost <= MOST * ALLOWED + 2
+    assert any("of the posterior lies where runs are likely to fail" in reason for reason in one.reasons)
+
+
+def test_without_that_limit_far_more_are_lost_but_not_by_a_region_that_fails_elsewhere(monkeypatch):
+    """The planted bug: every batch and every check may be made."""
+    limited, _, _ = lost_in(lambda x: x[0] < -0.5)
+    monkeypatch.setattr(Losses, "bears", lambda self, x: True)
+    monkeypatch.setattr(Losses, "bears_check", lambda self, state, draws: True)
+    assert lost_in(REGIONS[0])[2] > 3 * MOST * ALLOWED
+    free, _, _ = lost_in(lambda x: x[0] < -0.5)
+    assert limited.converged
+    for one, other in zip(limited.batches, free.batches, strict=True):
+        np.testing.assert_array_equal(one.points, other.points)
+
+
+@pytest.fixture(scope="module")
+def losses():
+    """A quarter of the box fails; more runs than may be are lost there."""
+    return Losses(known(X, X[:, 0] < 0.5), ALLOWED, frozenset())
+
+
+def test_the_first_runs_and_failures_at_random_are_no_losses(losses):
+    failed = ~losses.knowledge.ok & (losses.chance(X) < UNLIKELY)
+    assert losses.lost == failed.sum() > 10
+    assert losses.left == MOST * ALLOWED - losses.lost < 0
+    first = frozenset(row.tobytes() for row in X[:30])
+    assert Losses(losses.knowledge, ALLOWED, first).lost == failed[30:].sum() > 5
+    at_random = Losses(known(X, np.random.default_rng(3).random(60) > 0.2), ALLOWED, frozenset())
+    assert (at_random.lost, at_random.bears(X)) == (0, True)
+
+
+def test_runs_at_safe_points_are_always_borne_and_a_posterior_where_runs_fail_is_not_checked(losses):
+    safe, gone = np.array([[-0.5, 0.0]]), np.array([[0.9, 0.0]])
+    assert losses.chance(gone)[0] < UNLIKELY < SAFE < losses.chance(safe)[0]
+    assert [losses.bears(x) for x in (safe, gone, np.concatenate([safe, gone]))] == [True, False, False]
+    np.testing.assert_array_equal(losses.bearable(np.concatenate([gone, safe])), safe)
+    inside, outside = (state_of(losses.knowledge, mean=mean, sd=0.1) for mean in [(0.9, 0.0), (-0.4, 0.0)])
+    assert [losses.bears_check(one, 9) for one in (inside, outside)] == [False, True]
+    assert losses.words(outside) == ()
+    assert losses.words(inside)[0].endswith(f"{losses.lost} runs were lost there")
+    many = Losses(losses.knowledge, 1000, frozenset())
+    assert (many.bears(gone), many.bears_check(inside, 9)) == (True, True)
+
+
+def test_safe_runs_are_chosen(losses):
+    """Where hardly a particle is safe, points of the box take their place."""
+    state, options = state_of(losses.knowledge, mean=(0.9, 0.0), sd=0.1), {"explore": 0.25, "first": 60, "seed": 2}
+    assert (losses.chance(state.positions) >= SAFE).mean() < 0.05
+    for criterion in ("expected_variance", "repulsion"):
+        options["criterion"] = criterion
+        anywhere, chosen = (choose(state, SPACE, 12, losses=one, **options) for one in (None, losses))
+        assert (losses.chance(anywhere) < UNLIKELY).any()
+        assert (losses.chance(chosen) >= SAFE).all()
+        assert len(np.unique(chosen, axis=0)) == 12
+    state = state_of(losses.knowledge, mean=(0.2, 0.0), sd=0.3)
+    found = safe_candidates(losses, state, state.positions, SPACE, 1)
+    np.testing.assert_array_equal(found, state.positions[losses.chance(state.positions) >= SAFE])
+
+
+def test_nobody_looks_where_runs_fail(losses):
+    anywhere, likely = (points_elsewhere(X[:8], SPACE, 0.05, 50, allowed) for allowed in (None, losses.likely))
+    assert (losses.chance(anywhere) < UNLIKELY).any()
+    assert (losses.chance(likely) >= UNLIKELY).all()
+    assert 0 < len(likely) < len(anywhere)
+    assert len(points_elsewhere(X[:8], SPACE, 0.05, 50, lambda x: np.zeros(len(x), bool))) == 0

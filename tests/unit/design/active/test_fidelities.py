@@ -41,6 +41,14 @@ def learnt(records, tolerated=1e-3):
     return used
 
 
+def tried(used, some, points, **model):
+    """Try a correction at some points, and learn from the runs; return these points."""
+    here = used.try_at(points)
+    some += runs(here, []) + runs([], here, **model)
+    used.learn(some)
+    return here
+
+
 def test_cheaper_runs_count_as_corrected_runs_of_the_model():
     """The key of a corrected run changes with the correction."""
     used = learnt(first(slopes=True))
@@ -91,9 +99,7 @@ def test_a_cheaper_model_that_explains_nothing_is_dropped():
 def test_a_trial_confirms_the_correction_by_runs_that_it_has_not_learnt_from():
     used = learnt(first(), 2e-3)
     assert used.doubts() == UNCONFIRMED
-    tried = used.try_at(POINTS[8:])
-    assert len(tried) == TRIED
-    used.learn([*first(), *runs(tried, tried)])
+    assert len(tried(used, first(), POINTS[8:])) == TRIED
     assert used.doubts() == ()
     report = used.report(0.02)
     assert 0 < report.error < 2e-3
@@ -104,12 +110,9 @@ def test_a_trial_confirms_the_correction_by_runs_that_it_has_not_learnt_from():
 
 def test_once_confirmed_a_correction_is_tried_at_one_draw_of_a_later_posterior():
     used, some = learnt(first(), 9e-3), first()
-    some += [one for at in used.try_at(POINTS[5:]) for one in runs([at], [at])]
-    used.learn(some)
+    tried(used, some, POINTS[5:])
     assert used.report(0.02).pairs == 6
-    tried = used.try_at(POINTS[8:])
-    assert len(tried) == AGAIN < TRIED
-    used.learn([*some, *runs(tried, []), *runs([], tried, lacks=0.2)])
+    assert len(tried(used, some, POINTS[8:], lacks=0.2)) == AGAIN < TRIED
     assert "wrong at a draw" in used.doubts()[0]
     assert len(used.try_at(POINTS[8:])) == TRIED
 
@@ -118,36 +121,28 @@ def test_a_correction_that_is_wrong_at_the_posterior_is_refuted_and_then_dropped
     some = runs(POINTS[:8], POINTS[:8])
     used = learnt(some, 9e-3)
     for k, lacks in enumerate((0.2, 0.0, 0.3)[:REFUTED]):  # elsewhere it is .1
-        tried = used.try_at(POINTS[8 + k : 9 + k])
-        some += runs(tried, []) + runs([], tried, lacks=lacks)
-        used.learn(some)
+        tried(used, some, POINTS[8 + k : 9 + k], lacks=lacks)
         (reason,) = used.doubts()
         assert "wrong at a draw of the posterior" in reason
         assert ("misleads" in reason) == (used.dropped is not None) == (k == REFUTED - 1)
     assert used.report(0.01).error is None
     assert "is not used" in used.report(0.01).statement
-
-
-def test_a_correction_that_is_wrong_everywhere_is_dropped_at_once():
-    used = learnt(first(), 1e-5)
-    tried = used.try_at(POINTS[8:9])
-    used.learn([*first(), *runs(tried, tried)])
-    assert used.dropped is not None
-    assert used.doubts() != ()
-    used.no_check()
-    assert used.doubts() == ()
+    everywhere = learnt(first(), 1e-5)  # at once
+    tried(everywhere, first(), POINTS[8:9])
+    assert everywhere.dropped is not None
+    assert everywhere.doubts() != ()
+    everywhere.no_check()
+    assert everywhere.doubts() == ()
 
 
 def test_a_model_that_fails_where_the_cheaper_one_does_not_refutes_it_and_the_other_way_round_tells_nothing():
     used, other = learnt(first()), learnt(first())
-    (at,) = used.try_at(POINTS[8:9])
-    used.learn([*first(), run(at, cheaper=True), run(at, ok=False)])
+    tried(used, first(), POINTS[8:9], ok=False)
     assert "the model fails where the cheaper one does not" in used.doubts()[0]
     assert not used.records[-1].ok
-    tried = other.try_at(POINTS[8:])
-    other.learn([*first(), *runs(tried, [], ok=False), *runs([], tried)])
-    assert other.doubts() == UNCONFIRMED
-    assert other.report(0.01).error is None
+    here = other.try_at(POINTS[8:])
+    other.learn([*first(), *runs(here, [], ok=False), *runs([], here)])
+    assert (other.doubts(), other.report(0.01).error) == (UNCONFIRMED, None)
 
 
 def test_a_pair_pays_if_the_correction_errs_more_than_the_field_for_its_cost():

@@ -99,11 +99,8 @@ def test_a_posterior_far_away_or_without_its_evidence_is_sampled_from_the_prior(
     far, near = assumed((-0.6, -0.5)), assumed(sd=0.2)
     for knowledge, last in ((far, before), (near, state_of(known(X), number=PARTICLES))):
         np.testing.assert_array_equal(sampled(knowledge).positions, sampled(knowledge, before=last).positions)
-
-
-def test_as_many_particles_as_the_inputs_need_unless_stated(before):
-    assert len(before.positions) == PARTICLES
-    assert len(module.posterior_state(assumed(), SPACE, (1,)).positions) == module.PARTICLES[2]
+    as_needed = module.posterior_state(assumed(), SPACE, (1,))
+    assert (len(before.positions), len(as_needed.positions)) == (PARTICLES, module.PARTICLES[2])
 
 
 def test_a_mode_that_appears_elsewhere_is_noticed(before, monkeypatch):
