@@ -53,21 +53,17 @@ def oct_file(header, pixels):
     return file.getvalue()
 
 
-def of_size(rows, columns):
-    """Return the header of a scan of one frame."""
-    entry = f'<DataFile SizeZ="{rows}" SizeX="{columns}">data\\Intensity.data</DataFile>'
-    return f"<Ocity><DataFiles>{entry}</DataFiles></Ocity>"
-
-
-def scan(path, values, *, header=""):
-    """Write a Thorlabs scan whose frames (y, z, x) measure 1.5 mm in depth, 3.1 mm in x and 0.4 mm in y."""
-    frames, rows, columns = values.shape
-    header = header or (
+def of_size(rows, columns, more=""):
+    """Return the header of a scan, which has a picture of the sample, too."""
+    return (
         '<?xml version="1.0"?><Ocity><Acquisition><RefractiveIndex>1.000000</RefractiveIndex></Acquisition><DataFiles>'
-        '<DataFile Type="Colored" SizeZ="4" SizeX="4">data\\VideoImage.data</DataFile>'
-        f'<DataFile Type="Real" SizeZ="{rows}" SizeX="{columns}" SizeY="{frames}" RangeZ="1.5" RangeX="3.1" '
-        'RangeY="0.4" BytesPerPixel="4">data\\Intensity.data</DataFile></DataFiles></Ocity>'
+        '<DataFile SizeZ="4" SizeX="4">data\\VideoImage.data</DataFile>'
+        f'<DataFile SizeZ="{rows}" SizeX="{columns}" {more}>data\\Intensity.data</DataFile></DataFiles></Ocity>'
     )
+
+
+def scan(path, values, header):
+    """Write a Thorlabs scan of frames (y, z, x)."""
     path.write_bytes(oct_file(header, np.ascontiguousarray(values.transpose(0, 2, 1)).astype("<f4").tobytes()))
 
 

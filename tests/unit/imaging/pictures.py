@@ -16,17 +16,6 @@ def straight(shape=(60, 140), *, at=30.3, slope=0.0, blur=1.5):
     return 1.0 + 2.0 * ndtr((y - at - slope * x) / np.hypot(1.0, slope) / blur)
 
 
-def steep(slope):
-    """Return a picture that is bright (10) right of the line x = 50 + slope (y - 60) and dark (1) left of it."""
-    x, y = grid((120, 100))
-    return 1.0 + 9.0 * ndtr((x - 50 - slope * (y - 60)) / np.hypot(1.0, slope))
-
-
-def shadow(at, *, width=5.0):
-    """Return the light left in each of 100 columns beside a Gaussian shadow."""
-    return 1 - 0.75 * np.exp(-0.5 * ((np.arange(100) - at) / width) ** 2)
-
-
 def disc(shape=(120, 120), *, radius=40.0, blur=1.0, stretch=1.0):
     """Return a bright disc about the middle; rows are `stretch` times as high as columns are wide."""
     x, y = grid(shape)

@@ -25,58 +25,50 @@ HUGE = 200_000
 NOISE = np.random.default_rng(2).integers(0, 65536, (64, 80)).astype(np.uint16)
 
 
-def by_pillow(values, kind, **how):
+BYTES = Image.fromarray((NOISE // 256).astype(np.uint8))
+
+
+def saved(write):
+    """Return what a function writes to a file."""
     file = io.BytesIO()
-    Image.fromarray(values).save(file, kind, **how)
+    write(file)
     return file.getvalue()
 
 
-def npy(values):
-    file = io.BytesIO()
-    np.save(file, values)
-    return file.getvalue()
-
-
-def hdf5(values):
-    file = io.BytesIO()
+def hdf5(file):
     with h5py.File(file, "w") as archive:
-        archive["a"] = values
-    return file.getvalue()
+        archive["a"] = NOISE
 
 
 WHOLE = {
-    "a.png": by_pillow(NOISE, "PNG"),
-    "a.jpg": by_pillow((NOISE // 256).astype(np.uint8), "JPEG", quality=95),
+    "a.png": saved(lambda file: Image.fromarray(NOISE).save(file, "PNG")),
+    "a.jpg": saved(lambda file: BYTES.save(file, "JPEG", quality=95)),
     "a.tif": tiff(NOISE),
     "strips.tif": tiff(NOISE, rowsperstrip=8, compression="zlib"),
     "tiles.tif": tiff(NOISE, tile=(16, 16)),
     "stack.tif": tiff(np.stack([NOISE, NOISE, NOISE])),
-    "a.h5": hdf5(NOISE),
-    "a.npy": npy(NOISE),
+    "a.h5": saved(hdf5),
+    "a.npy": saved(lambda file: np.save(file, NOISE)),
     "a.oct": oct_file(of_size(64, 80), NOISE.astype("<f4").tobytes()),
 }
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("damaged")
 
 
 @pytest.mark.parametrize("name", WHOLE)
 @settings(max_examples=10)
 @given(share=st.floats(0.0, 0.99), flipped=st.lists(st.floats(0.0, 0.999), max_size=3))
-def test_a_damaged_file_is_refused_in_one_line_or_read(folder, name, share, flipped):
+def test_a_damaged_file_is_refused_in_one_line_or_read(tmp_path_factory, name, share, flipped):
     """A file that is cut off is always refused. Bits of HDF5 are not flipped: its library is not safe against it."""
-    (folder / name).write_bytes(WHOLE[name][: int(share * len(WHOLE[name]))])
-    refusal(folder / name, scale="intensity")
+    path = tmp_path_factory.getbasetemp() / name
+    path.write_bytes(WHOLE[name][: int(share * len(WHOLE[name]))])
+    refusal(path, scale="intensity")
     content = bytearray(WHOLE[name])
     for place in flipped if name != "a.h5" else ():
         content[int(place * len(content))] ^= 0xFF
-    (folder / name).write_bytes(bytes(content))
+    path.write_bytes(bytes(content))
     with suppress(InvalidInput):
-        assert np.isfinite(read(folder / name, scale="intensity").values).all()
+        assert np.isfinite(read(path, scale="intensity").values).all()
         return
-    refusal(folder / name, scale="intensity")
+    refusal(path, scale="intensity")
 
 
 def test_garbage_and_other_formats_are_refused_and_a_flipped_bit_in_compressed_numbers(tmp_path):
@@ -93,14 +85,13 @@ def test_garbage_and_other_formats_are_refused_and_a_flipped_bit_in_compressed_n
 
 
 def test_a_huge_header_is_refused(tmp_path):
-    array, small = io.BytesIO(), tiff(np.zeros((4, 4), np.uint8))
-    np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (HUGE, HUGE)})
-    jpeg = by_pillow(np.zeros((8, 8), np.uint8), "JPEG")
+    header, small = {"descr": "<f8", "fortran_order": False, "shape": (HUGE, HUGE)}, tiff(np.zeros((4, 4), np.uint8))
+    array, jpeg = saved(lambda file: np.lib.format.write_array_header_1_0(file, header)), WHOLE["a.jpg"]
     place = jpeg.index(b"\xff\xc0") + 5
     for name, content, said in (
         ("a.png", png(HUGE, HUGE, b""), "from 1 to 400 million pixels"),
         ("a.tif", with_tag(with_tag(small, "ImageWidth", HUGE), "ImageLength", HUGE), "from 1 to 400 million pixels"),
-        ("a.npy", array.getvalue() + bytes(64), "mmap length"),
+        ("a.npy", array + bytes(64), "mmap length"),
         ("a.oct", oct_file(of_size(HUGE, HUGE), bytes(64)), "from 1 to 400 million pixels"),
         ("a.jpg", jpeg[:place] + struct.pack(">HH", 65000, 65000) + jpeg[place + 4 :], "from 1 to 400 million pixels"),
     ):
@@ -116,9 +107,9 @@ def test_a_huge_header_is_refused(tmp_path):
 
 def test_the_bound_on_pixels_is_that_of_this_package(tmp_path, monkeypatch):
     require_pixels("a", 20_000, 20_000)
-    for sizes in ((20_000, 20_001), (0, 5), (-2, -2)):
-        with pytest.raises(InvalidInput, match=f"got {sizes[0]} × {sizes[1]}"):
-            require_pixels("a", *sizes)
+    for rows, columns in ((20_000, 20_001), (0, 5), (-2, -2)):
+        with pytest.raises(InvalidInput, match=f"got {rows} × {columns}"):
+            require_pixels("a", rows, columns)
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
     (tmp_path / "a.png").write_bytes(WHOLE["a.png"])
     assert read(tmp_path / "a.png").values.shape == NOISE.shape
@@ -199,18 +190,17 @@ def test_colours_formats_and_arrays_that_are_not_read_say_why(tmp_path):
 
 
 def test_a_missing_package_names_its_install_command(tmp_path, monkeypatch):
-    (tmp_path / "a.tif").write_bytes(by_pillow((NOISE // 256).astype(np.uint8), "TIFF", compression="tiff_lzw"))
+    (tmp_path / "a.tif").write_bytes(saved(lambda file: BYTES.save(file, "TIFF", compression="tiff_lzw")))
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
     assert "pip install imagecodecs" in refusal(tmp_path / "a.tif")
     monkeypatch.setitem(sys.modules, "tifffile", None)
     assert 'pip install "strandline[image]"' in refusal(tmp_path / "a.tif")
 
 
+def read_raw(path, how, name):
+    return PictureFile(NOISE.shape, lambda frame: np.fromfile(path, np.uint16).reshape(NOISE.shape))
+
+
 def test_a_reader_of_the_users_own(tmp_path):
     (tmp_path / "a.raw").write_bytes(NOISE.tobytes())
     np.testing.assert_array_equal(read(tmp_path / "a.raw", reader=f"{__name__}:read_raw").values, NOISE)
-
-
-def read_raw(path, how, name):
-    values = np.fromfile(path, np.uint16).reshape(NOISE.shape)
-    return PictureFile(NOISE.shape, lambda frame: values)

@@ -1,16 +1,22 @@
-"""Edges in small pictures whose truth is known."""
+"""Edges in small pictures whose truth is known; samples on their normals, their noise, and a random walk."""
 
 import re
 
 import numpy as np
 import pytest
-from tests.unit.imaging.pictures import circle, disc, shadow, steep, straight
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.special import ndtr
+from tests.unit.imaging.pictures import circle, disc, grid, straight
 from verification.validation.rendered import Camera, Scan, arch, clicks
 
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
+from strandline.imaging.course import course_through
 from strandline.imaging.edge import find_edge
 from strandline.imaging.markov_path import MarkovPath
+from strandline.imaging.noise_covariance import noise_covariance, roughness, scatter_of, sum_to_first_zero
+from strandline.imaging.random_walk import walk
+from strandline.imaging.strip import grey_values, inside_polygon, strip_along
 from strandline.interface import Interface
 
 LINE = np.array([[5.0, 31.5], [60.0, 29.0], [134.0, 31.0]])
@@ -112,11 +118,17 @@ def test_errors_of_a_scan_are_those_that_the_truth_shows():
     assert found[2][0].errors == found[3][0].errors
 
 
+def steep(slope):
+    """Return a picture that is bright (10) right of the line x = 50 + slope (y - 60) and dark (1) left of it."""
+    x, y = grid((120, 100))
+    return 1.0 + 9.0 * ndtr((x - 50 - slope * (y - 60)) / np.hypot(1.0, slope))
+
+
 def test_a_shadow_on_a_steep_flank_does_not_move_the_edge():
     """Nor is a vertical flank taken for a shadow."""
-    y = np.array([2.0, 40.0, 80.0, 117.0])
+    y, shadow = np.array([2.0, 40.0, 80.0, 117.0]), np.exp(-0.5 * ((np.arange(100) - 55.0) / 5.0) ** 2)
     for slope in (0.2, 0.4):
-        picture = speckle(steep(slope) * shadow(55.0), 1, looks=4)
+        picture = speckle(steep(slope) * (1 - 0.75 * shadow), 1, looks=4)
         edge = find_edge(picture, np.stack([50 + slope * (y - 60), y], axis=1), method="path")
         off = (edge.points[:, 0] - 50 - slope * (edge.points[:, 1] - 60)) / np.hypot(1.0, slope)
         assert abs(off.mean()) < 0.2
@@ -207,3 +219,71 @@ def test_speckle_is_intensity_also_averaged_but_not_logarithmic():
     for values in (np.clip(120 + 20 * np.log(scan), 0, 255).round(), straight() + 0.1 * NOISE):
         with pytest.raises(InvalidInput, match="do not scatter like the intensity of speckle"):
             find_edge(values, LINE, method="path")
+
+
+def test_samples_of_a_plane_are_exact_and_those_outside_of_the_picture_do_not_count():
+    x, y = grid((50, 80))
+    course = course_through(np.array([[10.0, 20], [40, 30], [70, 22]]), closed=False, sigma=3.0)
+    for order, atol in ((1, 1e-9), (3, 0.2)):
+        strip = strip_along(grey_values(2 * x - 3 * y), course, reach=6.0, order=order)
+        at = course.at(np.broadcast_to(strip.places, strip.samples.shape))
+        np.testing.assert_allclose(strip.samples, 2 * at[..., 0] - 3 * at[..., 1], atol=atol)
+        assert strip.usable.all()
+    course = course_through(np.array([[5.0, 3], [70, 3]]), closed=False, sigma=3.0)
+    strip = strip_along(grey_values(np.ones((50, 80))), course, reach=8.0)
+    np.testing.assert_array_equal(strip.usable, np.broadcast_to(strip.places <= 3.0, strip.usable.shape))
+    assert (strip.samples[~strip.usable] == 0).all()
+    inside = inside_polygon(np.stack([x, y], axis=-1), np.array([[4.5, 3.5], [10.5, 3.5], [10.5, 8.5], [4.5, 8.5]]))
+    assert inside.sum() == 30
+    assert inside[4:9, 5:11].all()
+
+
+PLACES = np.linspace(-8, 8, 33)
+BASIS = np.stack([np.exp(-0.5 * PLACES**2), PLACES > 0, PLACES <= 0], axis=1).astype(float)
+
+
+def correlations(errors):
+    return np.array([np.mean(errors[: len(errors) - k] * errors[k:]) for k in range(12)]) / errors.var()
+
+
+@pytest.mark.parametrize("blur", [(0.0, 0.0), (1.0, 1.5)])
+def test_covariance_and_scatter_are_those_of_the_noise_although_a_fit_took_part_of_it_out(blur):
+    noise = gaussian_filter(np.random.default_rng(1).standard_normal((20000, 33)), blur, mode="wrap")
+    residuals, row = noise - noise @ (BASIS @ np.linalg.pinv(BASIS)).T, np.linalg.pinv(BASIS)[0]
+    found = noise_covariance(residuals, np.ones_like(residuals, dtype=bool), BASIS)
+    for along in (0, 1, 3):
+        for across in (0, 1, 3):
+            expected = np.mean(noise[: len(noise) - along, : 33 - across] * noise[along:, across:])
+            assert found[along, across] == pytest.approx(expected, abs=0.03 * found[0, 0])
+    places = noise @ row
+    scatter = scatter_of(places, found, row)
+    assert scatter.sd == pytest.approx(places.std(), rel=0.04)
+    if any(blur):
+        assert scatter.length == pytest.approx(sum_to_first_zero(correlations(places)), rel=0.1)
+
+
+def test_roughness_makes_up_for_what_the_smooth_line_follows():
+    white = np.random.default_rng(3).standard_normal(20000)
+    for errors in (white, gaussian_filter1d(white, 1.5)):
+        found = roughness(errors + np.linspace(0, 50, 20000), correlations(errors))
+        assert found == pytest.approx(errors.std(), rel=0.05)
+    assert sum_to_first_zero(np.array([1.0, 0.0, 0.7])) == 0.5
+    assert sum_to_first_zero(np.exp(-np.arange(200) / 10.0)) == pytest.approx(10.0, rel=0.01)
+
+
+def test_the_posterior_is_that_of_a_gaussian_walk_and_normals_that_show_nothing_are_bridged():
+    candidates = np.arange(-8.0, 8.01, 0.25)
+    seen, sd, drift = np.sin(np.arange(60) / 8.0) + 0.5, 1.5, 0.5
+    table = -0.5 * ((seen[:, None] - candidates) / sd) ** 2
+    found = walk(table, candidates, drift, draws=2000, random=np.random.default_rng(1))
+    steps = np.diff(np.eye(60), axis=0)
+    covariance = np.linalg.inv(np.eye(60) / sd**2 + steps.T @ steps / drift**2)
+    np.testing.assert_allclose(found.mean, covariance @ seen / sd**2, atol=2e-3)
+    np.testing.assert_allclose(found.sd, np.sqrt(np.diag(covariance)), rtol=5e-3)
+    np.testing.assert_allclose(found.draws.mean(axis=0), found.mean, atol=0.1)
+    np.testing.assert_allclose(np.cov(found.draws.T)[30, 25:36], covariance[30, 25:36], rtol=0.12)
+    table = -0.5 * ((candidates - 2.0) / 0.3) ** 2 * np.ones((40, 1))
+    table[10:30] = 0.0
+    found = walk(table, candidates, 0.3)
+    np.testing.assert_allclose(found.mean, 2.0, atol=0.02)
+    assert found.sd[20] > 2 * found.sd[5]

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from tests.unit.imaging.files import png, read, scan
+from tests.unit.imaging.files import of_size, png, read, refusal, scan
 
-from strandline.errors import InvalidInput
 from strandline.imaging.files.opening import FORMATS
 
 ROWS, COLUMNS = 23, 31
@@ -17,10 +16,6 @@ WORDS = RNG.integers(0, 65536, (ROWS, COLUMNS)).astype(np.uint16)
 REALS = RNG.normal(size=(ROWS, COLUMNS)).astype(np.float32)
 COLOURS = RNG.integers(0, 256, (ROWS, COLUMNS, 3)).astype(np.uint8)
 LUMA = np.array([0.2126, 0.7152, 0.0722])
-
-
-def saved_png(path, values):
-    Image.fromarray(values).save(path)
 
 
 def saved_hdf5(path, values):
@@ -35,7 +30,7 @@ def noted(found, words):
 def test_numbers_come_back(tmp_path):
     of_tiff = (BYTES, WORDS, WORDS.astype(">u2"), WORDS.astype(np.int32) - 999, REALS, REALS.astype(np.float16))
     for name, save, several in (
-        ("a.PNG", saved_png, (BYTES, WORDS, BYTES > 99)),
+        ("a.PNG", lambda path, values: Image.fromarray(values).save(path), (BYTES, WORDS, BYTES > 99)),
         ("a.TIFF", tifffile.imwrite, of_tiff),
         ("a.hdf5", saved_hdf5, (WORDS, REALS)),
         ("a.npy", np.save, (BYTES, REALS.astype(">f8"), np.asfortranarray(REALS))),
@@ -49,18 +44,10 @@ def test_numbers_come_back(tmp_path):
 
 
 def test_every_layout_of_a_tiff(tmp_path):
-    for how in (
-        {"compression": "zlib", "predictor": True},
-        {"tile": (16, 16)},
-        {"rowsperstrip": 5, "compression": "zlib"},
-        {"bigtiff": True},
-        {"byteorder": ">"},
-    ):
+    packed = {"compression": "zlib"}
+    for how in ({**packed, "predictor": True}, {**packed, "rowsperstrip": 5}, {"tile": (16, 16)}, {"bigtiff": True}):
         tifffile.imwrite(tmp_path / "a.tif", WORDS, **how)
         np.testing.assert_array_equal(read(tmp_path / "a.tif").values, WORDS)
-    for compression in (None, "packbits", "tiff_adobe_deflate"):
-        Image.fromarray(BYTES).save(tmp_path / "b.tif", compression=compression)
-        np.testing.assert_array_equal(read(tmp_path / "b.tif").values, BYTES)
     tifffile.imwrite(tmp_path / "a.tif", BYTES, photometric="miniswhite")
     found = read(tmp_path / "a.tif")
     np.testing.assert_array_equal(found.values, 255 - BYTES.astype(float))
@@ -68,7 +55,7 @@ def test_every_layout_of_a_tiff(tmp_path):
 
 
 def test_colours_become_grey_or_one_channel(tmp_path):
-    saved_png(tmp_path / "a.png", COLOURS)
+    Image.fromarray(COLOURS).save(tmp_path / "a.png")
     np.save(tmp_path / "a.npy", COLOURS)
     tifffile.imwrite(tmp_path / "a.tif", COLOURS, photometric="rgb")
     planes = np.moveaxis(COLOURS, -1, 0)
@@ -87,22 +74,21 @@ def test_colours_become_grey_or_one_channel(tmp_path):
 def test_pngs_lose_their_alpha_their_palette_and_half_of_16_bit_colours(tmp_path):
     Image.fromarray(np.dstack([COLOURS, BYTES])).save(tmp_path / "a.png")
     Image.fromarray(np.dstack([BYTES, BYTES]), "LA").save(tmp_path / "b.png")
-    for name, expected in (("a.png", COLOURS @ LUMA), ("b.png", BYTES)):
-        found = read(tmp_path / name)
-        np.testing.assert_allclose(found.values, expected, rtol=1e-14)
-        assert noted(found, "the alpha channel is left out")
     image = Image.fromarray(np.array([[0, 1], [2, 1]], np.uint8), "P")
     image.putpalette([10, 10, 10, 20, 20, 20, 0, 255, 0])
     image.save(tmp_path / "c.png")
-    found = read(tmp_path / "c.png")
-    np.testing.assert_allclose(found.values, [[10, 20], [255 * 0.7152, 20]], rtol=1e-12)
-    assert noted(found, "palette replaced by its colours")
     pixels = RNG.integers(0, 65536, (4, 5, 3)).astype(">u2")
     rows = b"".join(b"\0" + row.tobytes() for row in pixels)
     (tmp_path / "d.png").write_bytes(png(5, 4, rows, bits=16, colour=2))
-    found = read(tmp_path / "d.png", channel="red")
-    np.testing.assert_allclose(found.values, pixels[..., 0] / 257.0, atol=1.0)
-    assert noted(found, "16-bit colours read with 8 bits each; a TIFF keeps them all")
+    for name, expected, atol, said in (
+        ("a.png", COLOURS @ LUMA, 1e-12, "the alpha channel is left out"),
+        ("b.png", BYTES, 0.0, "the alpha channel is left out"),
+        ("c.png", [[10, 20], [255 * 0.7152, 20]], 1e-12, "palette replaced by its colours"),
+        ("d.png", pixels @ LUMA / 257.0, 1.0, "16-bit colours read with 8 bits each; a TIFF keeps them all"),
+    ):
+        found = read(tmp_path / name)
+        np.testing.assert_allclose(found.values, expected, rtol=0.0, atol=atol)
+        assert noted(found, said)
 
 
 def test_a_jpeg_is_read_to_its_own_accuracy_and_turned_as_viewers_show_it(tmp_path):
@@ -126,10 +112,8 @@ def test_the_dataset_is_named_or_the_only_one(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["one/first"], file["one/second"], file["line"] = BYTES, WORDS, np.arange(3)
     np.testing.assert_array_equal(read(tmp_path / "a.h5", dataset="/one/second").values, WORDS)
-    with pytest.raises(InvalidInput, match="holds several arrays: got one/first, one/second"):
-        read(tmp_path / "a.h5")
-    with pytest.raises(InvalidInput, match="Did you mean one/second"):
-        read(tmp_path / "a.h5", dataset="one/secnd")
+    assert "holds several arrays: got one/first, one/second" in refusal(tmp_path / "a.h5")
+    assert "Did you mean one/second" in refusal(tmp_path / "a.h5", dataset="one/secnd")
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
         stored = file.create_dataset("scan", data=np.stack([WORDS.T, WORDS.T + 1]))
         stored.attrs["MATLAB_class"] = np.bytes_("uint16")
@@ -141,7 +125,7 @@ def test_the_dataset_is_named_or_the_only_one(tmp_path):
 def test_a_scan_and_its_pixel_size(tmp_path):
     decibels = RNG.uniform(20, 60, (4, ROWS, COLUMNS)).astype(np.float32)
     linear = 10 ** (decibels.astype(float) / 10)
-    scan(tmp_path / "a.oct", decibels)
+    scan(tmp_path / "a.oct", decibels, of_size(ROWS, COLUMNS, 'SizeY="4" RangeZ="1.5" RangeX="3.1" RangeY="0.4"'))
     how = {"pixel": None, "scale": "dB"}
     found = read(tmp_path / "a.oct", **how, page=2, index=1.333)
     np.testing.assert_allclose(found.values, linear[2], rtol=1e-12)
@@ -149,13 +133,11 @@ def test_a_scan_and_its_pixel_size(tmp_path):
     assert noted(found, "from the header of the scan")
     assert noted(found, "frame 2 of 4")
     np.testing.assert_allclose(read(tmp_path / "a.oct", **how, average=True).values, linear.mean(0), rtol=1e-12)
-    with pytest.raises(InvalidInput, match=r"needs `scale`.*Add `scale: dB`"):
-        read(tmp_path / "a.oct")
-    header = (
-        "<Ocity><Image><SizePixel><SizeZ>5</SizeZ><SizeX>6</SizeX></SizePixel><SizeReal><SizeZ>1</SizeZ><SizeX>3"
-        "</SizeX></SizeReal></Image><Acquisition><RefractiveIndex>1.33</RefractiveIndex></Acquisition></Ocity>"
+    assert "Add `scale: dB`" in refusal(tmp_path / "a.oct")
+    sizes = (
+        "<SizePixel><SizeZ>5</SizeZ><SizeX>6</SizeX></SizePixel><SizeReal><SizeZ>1</SizeZ><SizeX>3</SizeX></SizeReal>"
     )
-    scan(tmp_path / "b.oct", np.ones((1, 5, 6)), header=header)
-    with pytest.raises(InvalidInput, match=r"states a refractive index: got 1\.33.*Add `index: 1\.33`"):
-        read(tmp_path / "b.oct", **how)
+    index = "<Acquisition><RefractiveIndex>1.33</RefractiveIndex></Acquisition>"
+    scan(tmp_path / "b.oct", np.ones((1, 5, 6)), f"<Ocity><Image>{sizes}</Image>{index}</Ocity>")
+    assert "Add `index: 1.33`" in refusal(tmp_path / "b.oct", **how)
     assert read(tmp_path / "b.oct", **how, index=1.0).pixel == pytest.approx((0.5, 0.2))

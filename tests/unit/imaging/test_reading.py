@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from tests.unit.imaging.files import SQUARE, read, reading
+from tests.unit.imaging.files import SQUARE, read, reading, refusal
 
 from strandline.errors import InvalidInput
 from strandline.imaging.picture import Picture, Stack
@@ -47,29 +47,22 @@ MISTAKES = [
     ({"reader": "math:pi"}, "a function"),
     ({"pixel": 3.0}, r"observation\.image\.pixel: got 3\.0; expected keys"),
     ({"pixel": {"size": 3.0}}, r"observation\.image\.pixel\.unit: got nothing"),
-    ({"pixel": {"size": 3.0, "unit": "px"}}, r"observation\.image\.pixel\.unit: got px"),
     ({"pixel": {"size": 0, "unit": "um"}}, r"observation\.image\.pixel\.size: got 0"),
     ({"pixel": {"x": 1, "unit": "um"}}, "expected x and y, or size"),
 ]
 
 
-def test_mistakes_in_the_options_are_one_line():
+def test_options_their_units_and_mistakes_in_them():
     for options, said in MISTAKES:
         with pytest.raises(InvalidInput, match=said) as caught:
             reading(**options)
         assert "\n" not in str(caught.value)
-    for given in ({"average": True, "page": 1}, {"index": 9.0}):
-        with pytest.raises(InvalidInput):
-            PictureReading(**given)
-
-
-def test_options_units_and_their_defaults():
-    assert reading().given == {}
+    with pytest.raises(InvalidInput):
+        PictureReading(index=9.0)
     how = reading(page=3, scale="dB", pixel={"x": 6, "y": 4, "unit": "um"}, dataset=None)
     assert how.given == {"page": 3, "scale": "dB", "pixel": PixelSize(0.006, 0.004)}
     for unit, mm in (("nm", 1e-6), ("um", 1e-3), ("µm", 1e-3), ("mm", 1.0), ("m", 1e3)):
-        size = PixelSize.from_options({"x": 6, "y": 4, "unit": unit}, "pixel")
-        assert (size.x, size.y) == pytest.approx((6 * mm, 4 * mm), rel=1e-14)
+        assert reading(pixel={"size": 6, "unit": unit}).pixel == PixelSize(6 * mm, 6 * mm)
 
 
 def test_the_size_of_a_pixel_is_that_in_a_header_or_the_picture_is_refused(tmp_path):
@@ -79,17 +72,16 @@ def test_the_size_of_a_pixel_is_that_in_a_header_or_the_picture_is_refused(tmp_p
     imagej(tmp_path / "c.tif", unit="pixel")
     ome(tmp_path / "d.tif", PhysicalSizeX=2.0)
     for path in sorted(tmp_path.iterdir()):
-        with pytest.raises(InvalidInput, match=f"{path.name} does not state the size of a pixel.*Add e.g. `pixel:"):
-            read_picture(path, reading())
+        assert "does not state the size of a pixel" in refusal(path, pixel=None)
     for unit in ("um", "micron", "\\u00B5m"):
         imagej(tmp_path / "a.tif", unit=unit)
-        found = read_picture(tmp_path / "a.tif", reading())
+        found = read(tmp_path / "a.tif", pixel=None)
         assert found.pixel == pytest.approx((0.5e-3, 0.25e-3), rel=1e-6)
         assert "pixel size 0.5 × 0.25 µm from the ImageJ header" in found.notes
     imagej(tmp_path / "a.tif", NOISE, axes="ZYX", unit="um", yunit="nm", zunit="mm", spacing=3.0)
     assert read_stack(tmp_path / "a.tif", reading()).voxel == pytest.approx((0.5e-3, 0.25e-6, 3.0), rel=1e-6)
     ome(tmp_path / "a.ome.tif", PhysicalSizeX=6.5, PhysicalSizeY=400.0, PhysicalSizeYUnit="nm")
-    found = read_picture(tmp_path / "a.ome.tif", reading())
+    found = read(tmp_path / "a.ome.tif", pixel=None)
     assert found.pixel == pytest.approx((6.5e-3, 4e-4), rel=1e-12)
     assert "pixel size 6.5 × 0.4 µm from the OME header" in found.notes
 
@@ -99,8 +91,8 @@ def test_the_study_and_the_header_must_agree_and_the_index_divides_y_only(tmp_pa
     found = read(tmp_path / "a.tif", pixel={"x": 6.05, "y": 4.0, "unit": "um"}, index=1.333)
     assert found.pixel == pytest.approx((6.05e-3, 4e-3 / 1.333), rel=1e-12)
     assert {"pixel size 6.05 × 4 µm from the study", "index 1.333 divides y"} <= set(found.notes)
-    with pytest.raises(InvalidInput, match=r"the study and the file disagree: got 6\.07 × 4 µm in the study, 6 × 4 µm"):
-        read(tmp_path / "a.tif", pixel={"x": 6.07, "y": 4.0, "unit": "um"})
+    message = refusal(tmp_path / "a.tif", pixel={"x": 6.07, "y": 4.0, "unit": "um"})
+    assert "the study and the file disagree: got 6.07 × 4 µm in the study, 6 × 4 µm" in message
 
 
 def test_pages_of_every_stack(tmp_path):
@@ -113,12 +105,10 @@ def test_pages_of_every_stack(tmp_path):
             found = read(path, page=page)
             np.testing.assert_array_equal(found.values, NOISE[page or 0])
             assert any(note.startswith(f"frame {page or 0} of 5") for note in found.notes)
-        with pytest.raises(InvalidInput, match=f"{path.name} has no such page: got 5; expected a page from 0 to 4"):
-            read(path, page=5)
+        assert "has no such page: got 5; expected a page from 0 to 4" in refusal(path, page=5)
         mean = read(path, average=True)
         np.testing.assert_allclose(mean.values, NOISE.astype(float).mean(0), rtol=1e-14)
-        assert "mean of 5 frames" in mean.notes
-        assert not any(note.startswith("frame 0") for note in mean.notes)
+        assert [note for note in mean.notes if "frame" in note] == ["mean of 5 frames"]
     with tifffile.TiffWriter(tmp_path / "sizes.tif") as file:
         file.write(NOISE[0])
         file.write(NOISE[0, :9])
@@ -144,10 +134,9 @@ def test_a_stack_above_4_gb_has_one_page(tmp_path):
     tifffile.imwrite(path, NOISE[0], metadata=None, description=description, resolution=(2, 4))
     path.write_bytes(path.read_bytes() + NOISE[1:].tobytes())
     for page in (0, 4):
-        np.testing.assert_array_equal(read_picture(path, reading(page=page)).values, NOISE[page])
+        np.testing.assert_array_equal(read(path, pixel=None, page=page).values, NOISE[page])
     path.write_bytes(path.read_bytes()[:-10])
-    with pytest.raises(InvalidInput):
-        read_picture(path, reading(page=4))
+    refusal(path, pixel=None, page=4)
 
 
 def test_several_files_are_frames_of_one_state(tmp_path):
@@ -195,15 +184,14 @@ def test_a_scale_is_undone_and_said(tmp_path):
         np.testing.assert_allclose(found.values, [[0, 1], [0.0331048, 1]], atol=1e-6)
     display = np.arange(256, dtype=np.uint8).reshape(16, 16)
     for values, options, said in (
-        (np.array([[0.0, 1.5]]), {"scale": "sRGB"}, r"is not coded as sRGB: got 0 to 1\.5"),
+        (np.array([[0.0, 1.5]]), {"scale": "sRGB"}, "is not coded as sRGB: got 0 to 1.5"),
         (display, {"scale": "dB"}, "has no logarithms of intensities: got 0 to 255 dB"),
         (display, {"scale": "log10"}, "has no logarithms of intensities: got 0 to 2550 dB"),
-        (display.astype(float) - 9, {"scale": "amplitude"}, r"has negative amplitudes: got -9\.0"),
+        (display.astype(float) - 9, {"scale": "amplitude"}, "has negative amplitudes: got -9.0"),
         (display, {"channel": "red"}, "has no colours: got channel: red"),
     ):
         np.save(tmp_path / "a.npy", values)
-        with pytest.raises(InvalidInput, match=said):
-            read(tmp_path / "a.npy", **options)
+        assert said in refusal(tmp_path / "a.npy", **options)
 
 
 def test_a_stack_in_one_file_and_in_several(tmp_path):

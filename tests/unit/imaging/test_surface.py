@@ -1,7 +1,6 @@
 """Surfaces in rendered stacks: where they are, how well they know it, what is refused; and their thinning."""
 
-import builtins
-import importlib
+import sys
 from dataclasses import replace
 from functools import lru_cache
 
@@ -39,20 +38,17 @@ def clean(name):
 
 
 def stack(name):
-    return CASES[name][1].with_noise(clean(name), np.random.default_rng(0))
+    return CASES[name][1].with_noise(clean(name), np.random.default_rng(0)).values
 
 
-def of(values):
-    return Stack(values, CUBES.voxel, "a", "0")
-
-
-def surface_of(one, **options):
-    return find_surface(one, **{"solid": "bright", "triangles": 1500, **options})
+def surface_of(values, voxel=CUBES.voxel, **options):
+    return find_surface(Stack(values, voxel, "a", "0"), **{"solid": "bright", "triangles": 1500, **options})
 
 
 @lru_cache
 def found(name):
-    return surface_of(stack(name), solid="bright" if CASES[name][1].bright else "dark")
+    microscope = CASES[name][1]
+    return surface_of(stack(name), microscope.voxel, solid="bright" if microscope.bright else "dark")
 
 
 def off(name, surface):
@@ -97,10 +93,10 @@ def test_forgotten_anisotropy_and_uncorrected_blur_are_caught(monkeypatch):
 def test_larger_and_correlated_noise_are_seen():
     """Twice the noise is twice the sd, in the errors as in the truth."""
     usual = found("sphere").errors
-    noisy = replace(CUBES, contrast_to_noise=5.0).with_noise(clean("sphere"), np.random.default_rng(4))
+    noisy = replace(CUBES, contrast_to_noise=5.0).with_noise(clean("sphere"), np.random.default_rng(4)).values
     smooth = gaussian_filter(np.random.default_rng(5).standard_normal(CUBES.shape), 1.5)
     larger = surface_of(noisy)
-    longer = surface_of(of(clean("sphere") + 0.05 * smooth / smooth.std()))
+    longer = surface_of(clean("sphere") + 0.05 * smooth / smooth.std())
     for surface in (larger, longer):
         assert 0.7 < surface.errors.sd / V / off("sphere", surface).std() < 1.3
     assert larger.errors.contrast_to_noise == pytest.approx(5, rel=0.1)
@@ -111,17 +107,17 @@ def test_larger_and_correlated_noise_are_seen():
 def test_the_largest_part_is_taken_and_an_open_surface_is_said_to_be_open():
     blobs = np.maximum(clean("sphere"), 0)
     blobs[2:6, 2:6, 2:6] = 1.0
-    surface = surface_of(CUBES.with_noise(blobs, np.random.default_rng(0)))
+    surface = surface_of(CUBES.with_noise(blobs, np.random.default_rng(0)).values)
     assert rms(off("sphere", surface)) < 0.1
     assert 0.8 < surface.errors.area_share < 0.999
-    half = surface_of(of(stack("sphere").values[:28]))
+    half = surface_of(stack("sphere")[:28])
     assert 0.1 < half.errors.open_share < 0.5
     assert found("sphere").errors.open_share == 0
     assert rms(off("sphere", half)) < 0.12
 
 
 def test_what_says_too_little_is_refused(monkeypatch):
-    whole, noise = stack("sphere").values, np.random.default_rng(1).standard_normal((24, 24, 24))
+    whole, noise = stack("sphere"), np.random.default_rng(1).standard_normal((24, 24, 24))
     for values, options, said in (
         (clean("sphere")[:24, :24, :24] + noise, {}, "contrast over noise"),
         (np.ones((8, 8, 8)), {}, "no voxel on one side"),
@@ -132,14 +128,8 @@ def test_what_says_too_little_is_refused(monkeypatch):
         (whole, {"solid": "grey"}, "side of the solid"),
     ):
         with pytest.raises(InvalidInput, match=said):
-            find_surface(of(values), **{"solid": "bright", **options})
-
-    def missing(name):
-        if name.startswith("skimage"):
-            raise ModuleNotFoundError(name)
-        return builtins.__import__(name)
-
-    monkeypatch.setattr(importlib, "import_module", missing)
+            surface_of(values, **options)
+    monkeypatch.setitem(sys.modules, "skimage.measure", None)
     with pytest.raises(InvalidInput, match=r'pip install "strandline\[image3d\]"'):
         surface_of(stack("sphere"))
 
@@ -168,9 +158,9 @@ BALL = {"ball": [0, 0, -14], "radius": 6, "unit": "um"}
 
 def test_a_region_is_left_out_with_all_that_it_does():
     """A bright lump on the sphere is gone, and what is left is as good, and knows it, as without the lump."""
-    values = stack("sphere").values.copy()
+    values = stack("sphere")
     values[8:13, 22:27, 22:27] = values.max()
-    whole, part = (surface_of(of(values), exclude=regions) for regions in ([], [region_of(BALL, "exclude[0]", FRAME)]))
+    whole, part = (surface_of(values, exclude=regions) for regions in ([], [region_of(BALL, "exclude[0]", FRAME)]))
     assert np.abs(off("sphere", whole)).max() > 1.0
     assert np.abs(off("sphere", part)).max() < 0.4
     assert len(part.mesh.cells) + part.left_out == len(whole.mesh.cells)
