@@ -26,6 +26,15 @@ NOISY = {
     "discrepancy": [{"normal_offset": {}}, {"tracked_points": {}}],
     "surrogate": {"field": {}},
 }
+FIELD = {
+    **NOISY,
+    "inputs": {
+        "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"},
+        "tilt": {"prior": {"uniform": [0.0, 0.04]}, "nuisance": True},
+    },
+    "design": {"sobol": {"runs": 32}},
+    "sampler": {**SAMPLER, "cut": {"values": 2}},
+}
 
 
 @dataclass(frozen=True)
@@ -70,12 +79,7 @@ def beam(share: Share) -> Finished:
 @pytest.fixture(scope="session")
 def field(share: Share) -> Finished:
     """A surrogate of the interface; the tilt is a nuisance input."""
-    inputs = {
-        "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"},
-        "tilt": {"prior": {"uniform": [0.0, 0.04]}, "nuisance": True},
-    }
-    sampler = {**SAMPLER, "cut": {"values": 2}}
-    return share("field", **NOISY, inputs=inputs, design={"sobol": {"runs": 32}}, sampler=sampler)
+    return share("field", **FIELD)
 
 
 @pytest.fixture(scope="session")

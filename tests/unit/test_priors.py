@@ -1,11 +1,14 @@
 """Priors against scipy.stats, their own integrals, and JAX."""
 
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy import integrate, stats
 
 from strandline.errors import InvalidInput
@@ -13,35 +16,25 @@ from strandline.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, Scal
 
 
 def cut(base, low, high):
-    """Return scipy's distribution of `base` restricted to [low, high], as (logpdf, cdf)."""
+    """Return scipy's distribution of `base` restricted to [low, high]."""
     kept = base.cdf(high) - base.cdf(low)
-
-    def logpdf(x):
-        return np.where((x >= low) & (x <= high), base.logpdf(x) - math.log(kept), -np.inf)
-
-    return logpdf, lambda x: (base.cdf(np.clip(x, low, high)) - base.cdf(low)) / kept
-
-
-def whole(base):
-    return base.logpdf, base.cdf
+    return SimpleNamespace(
+        logpdf=lambda x: np.where((x >= low) & (x <= high), base.logpdf(x) - math.log(kept), -np.inf),
+        cdf=lambda x: (base.cdf(np.clip(x, low, high)) - base.cdf(low)) / kept,
+    )
 
 
+LOGNORMAL = stats.lognorm(s=0.4, scale=math.exp(5.86))
+TWICE = Truncated(Truncated(Normal(0.0, 1.0), -1.0, 2.0), 0.0, 3.0)
 CASES = {
-    "uniform": (Uniform(-0.8, 0.5), whole(stats.uniform(-0.8, 1.3))),
-    "loguniform": (LogUniform(100.0, 800.0), whole(stats.loguniform(100.0, 800.0))),
-    "normal": (Normal(3.0, 0.7), whole(stats.norm(3.0, 0.7))),
-    "lognormal": (LogNormal(5.86, 0.4), whole(stats.lognorm(s=0.4, scale=math.exp(5.86)))),
-    "beta": (ScaledBeta(43 / 13, 22 / 13, -0.8, 0.5), whole(stats.beta(43 / 13, 22 / 13, -0.8, 1.3))),
-    "beta, one exponent 1": (ScaledBeta(1.0, 2.0, 0.0, 110.0), whole(stats.beta(1.0, 2.0, 0.0, 110.0))),
-    "truncated normal": (Truncated(Normal(3.0, 0.7), 2.0, 3.5), cut(stats.norm(3.0, 0.7), 2.0, 3.5)),
-    "truncated lognormal": (
-        Truncated(LogNormal(5.86, 0.4), 100.0, 800.0),
-        cut(stats.lognorm(s=0.4, scale=math.exp(5.86)), 100.0, 800.0),
-    ),
-    "truncated twice": (
-        Truncated(Truncated(Normal(0.0, 1.0), -1.0, 2.0), 0.0, 3.0),
-        cut(stats.norm(0.0, 1.0), 0.0, 2.0),
-    ),
+    "uniform": (Uniform(-0.8, 0.5), stats.uniform(-0.8, 1.3)),
+    "loguniform": (LogUniform(100.0, 800.0), stats.loguniform(100.0, 800.0)),
+    "normal": (Normal(3.0, 0.7), stats.norm(3.0, 0.7)),
+    "lognormal": (LogNormal(5.86, 0.4), LOGNORMAL),
+    "beta": (ScaledBeta(43 / 13, 22 / 13, -0.8, 0.5), stats.beta(43 / 13, 22 / 13, -0.8, 1.3)),
+    "beta, one exponent 1": (ScaledBeta(1.0, 2.0, 0.0, 110.0), stats.beta(1.0, 2.0, 0.0, 110.0)),
+    "truncated lognormal": (Truncated(LogNormal(5.86, 0.4), 100.0, 800.0), cut(LOGNORMAL, 100.0, 800.0)),
+    "truncated twice": (TWICE, cut(stats.norm(0.0, 1.0), 0.0, 2.0)),
 }
 
 
@@ -55,22 +48,25 @@ def bounds(prior: Prior) -> list[tuple[float, float, float]]:
     return [one for one in ((low, low - 1.0, 0.0), (high, high + 1.0, 1.0)) if math.isfinite(one[0])]
 
 
+def mass(prior: Prior, low: float, high: float) -> float:
+    return integrate.quad(lambda x: math.exp(float(prior.log_density(x))), low, high, epsabs=1e-11, limit=200)[0]
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_a_prior_is_that_of_scipy_and_a_density(name):
-    prior, (logpdf, cdf) = CASES[name]
+    prior, exact = CASES[name]
     x, p = inner_points(prior), np.linspace(0.0005, 0.9995, 201)
-    assert prior.log_density(x) == pytest.approx(logpdf(x), abs=1e-10)
-    assert prior.cdf(x) == pytest.approx(cdf(x), abs=1e-12)
+    assert prior.log_density(x) == pytest.approx(exact.logpdf(x), abs=1e-10)
+    assert prior.cdf(x) == pytest.approx(exact.cdf(x), abs=1e-12)
     assert prior.cdf(prior.quantile(p)) == pytest.approx(p, abs=1e-11)
     assert prior.quantile(prior.cdf(x)) == pytest.approx(x, rel=1e-9)
     low, high = prior.support
     low, high = max(low, float(prior.quantile(1e-13))), min(high, float(prior.quantile(1 - 1e-13)))
-    total, _ = integrate.quad(lambda x: math.exp(float(prior.log_density(x))), low, high, epsabs=1e-11, limit=200)
-    assert total == pytest.approx(1.0, abs=1e-9)
-    for edge, outside, mass in bounds(prior):
+    assert mass(prior, low, high) == pytest.approx(1.0, abs=1e-9)
+    for edge, outside, below in bounds(prior):
         assert float(prior.log_density(outside)) == -math.inf
-        assert float(prior.cdf(outside)) == mass
-        assert float(prior.quantile(mass)) == pytest.approx(edge)
+        assert float(prior.cdf(outside)) == below
+        assert float(prior.quantile(below)) == pytest.approx(edge)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -89,41 +85,47 @@ def test_a_prior_on_jax_is_that_on_numpy_with_a_gradient(name):
     assert all(np.isfinite(jax.grad(prior.log_density)(outside)) for _, outside, _ in bounds(prior))
 
 
-def test_modes_of_the_study():
-    """The excerpt names the modes 300 Pa, 0.2 and 88 mm²/s."""
-    for prior, mode in (
-        (LogNormal(5.86, 0.4), 300.0),
-        (ScaledBeta(43 / 13, 22 / 13, -0.8, 0.5), 0.2),
-        (ScaledBeta(2.6, 1.4, 0.0, 110.0), 88.0),
-    ):
-        x = np.linspace(*prior.quantile(np.array([0.01, 0.999])), 20001)
-        assert x[np.argmax(prior.log_density(x))] == pytest.approx(mode, rel=0.006)
-
-
 def test_beta_at_its_edges():
-    assert float(ScaledBeta(2.0, 2.0, 0.0, 1.0).log_density(0.0)) == -math.inf
-    assert float(ScaledBeta(1.0, 2.0, 0.0, 1.0).log_density(0.0)) == pytest.approx(math.log(2.0))
-    assert float(ScaledBeta(3.0, 1.0, 0.0, 2.0).log_density(2.0)) == pytest.approx(math.log(1.5))
-    assert float(ScaledBeta(0.5, 2.0, 0.0, 1.0).log_density(0.0)) == math.inf
+    for a, b, high, x, density in ((2, 2, 1, 0, 0), (1, 2, 1, 0, 2), (3, 1, 2, 2, 1.5), (0.5, 2, 1, 0, math.inf)):
+        found = float(ScaledBeta(float(a), float(b), 0.0, float(high)).log_density(float(x)))
+        assert math.exp(found) == pytest.approx(density)
 
 
-def test_mass_cut_of_a_truncation():
+def test_a_truncation_tells_the_mass_it_cuts_and_is_normalised_far_in_the_tail():
     prior = Truncated(Normal(0.0, 1.0), -1.0, 2.0)
     assert prior.mass_cut == pytest.approx(stats.norm.cdf(-1) + stats.norm.sf(2), rel=1e-12)
     assert prior.mass + prior.mass_cut == pytest.approx(1.0)
+    assert mass(Truncated(Normal(0.0, 1.0), -6.2, -6.0), -6.2, -6.0) == pytest.approx(1.0, abs=1e-9)
+    whole = Uniform(0.0, 1.0)
+    assert truncate(whole, -1.0, 1.0) is whole
+    assert isinstance(truncate(whole, 0.5, 1.0), Truncated)
+    assert truncate(whole, 0.5, 2.0).support == (0.5, 1.0)
 
 
-def test_a_truncation_far_in_the_tail_is_still_normalised():
-    prior = Truncated(Normal(0.0, 1.0), -6.2, -6.0)
-    total, _ = integrate.quad(lambda x: math.exp(float(prior.log_density(x))), -6.2, -6.0, epsabs=1e-12)
-    assert total == pytest.approx(1.0, abs=1e-9)
+probability = st.floats(0.001, 0.999)
+locations, widths, exponents = st.floats(-100.0, 100.0), st.floats(0.01, 100.0), st.floats(0.5, 20.0)
 
 
-def test_truncate_leaves_alone_what_needs_no_cut():
-    prior = Uniform(0.0, 1.0)
-    assert truncate(prior, -1.0, 1.0) is prior
-    assert isinstance(truncate(prior, 0.5, 1.0), Truncated)
-    assert truncate(prior, 0.5, 2.0).support == (0.5, 1.0)
+@st.composite
+def priors(draw) -> Prior:
+    low, width = draw(locations), draw(widths)
+    beta = ScaledBeta(draw(exponents), draw(exponents), low, low + width)
+    others = Uniform(low, low + width), Normal(low, width), LogNormal(low / 20, min(width, 2.0))
+    return draw(st.sampled_from([*others, beta]))
+
+
+@settings(max_examples=40, deadline=None)
+@given(prior=priors(), ends=st.tuples(probability, probability), p=probability)
+def test_the_cdf_of_a_quantile_is_the_probability_and_truncation_keeps_the_ratio_of_densities(prior, ends, p):
+    assert float(prior.cdf(prior.quantile(p))) == pytest.approx(p, abs=1e-7)
+    low, high = sorted(float(prior.quantile(q)) for q in ends)
+    assume(high - low > 1e-6 * max(abs(low), abs(high), 1.0))
+    kept = truncate(prior, low, high)
+    x = low + p * (high - low)
+    share = float(prior.cdf(high) - prior.cdf(low))
+    assert float(kept.log_density(x)) == pytest.approx(float(prior.log_density(x)) - math.log(share), abs=1e-9)
+    assert low <= float(kept.quantile(p)) <= high
+    assert float(kept.cdf(kept.quantile(p))) == pytest.approx(p, abs=1e-5)
 
 
 REFUSED = {
@@ -142,16 +144,11 @@ REFUSED = {
 }
 
 
-def test_invalid_numbers_are_refused_by_name():
-    for named, (kind, *given) in REFUSED.items():
-        for numbers in given:
+def test_invalid_numbers_are_refused_by_name_and_the_registry_names_the_classes():
+    for named, (kind, *wrong) in REFUSED.items():
+        for numbers in wrong:
             with pytest.raises(InvalidInput, match=named):
                 kind(*numbers)
-
-
-def test_registry_names_classes_that_satisfy_the_protocol():
-    numbers = {"uniform": (0.0, 1.0), "loguniform": (1.0, 2.0), "normal": (0.0, 1.0), "lognormal": (0.0, 1.0)}
-    numbers |= {"beta": (2.0, 2.0, 0.0, 1.0)}
-    assert set(PRIORS) == set(numbers)
-    for name, values in numbers.items():
-        assert isinstance(PRIORS[name](*values), Prior)
+    kinds = {"uniform": Uniform, "loguniform": LogUniform, "normal": Normal, "lognormal": LogNormal, "beta": ScaledBeta}
+    assert dict(PRIORS) == kinds
+    assert all(isinstance(prior, Prior) for prior, _ in CASES.values())

@@ -14,26 +14,15 @@ FINE = Region(0.0, 0.9, 0.0001, 0.001, "below", 0.4, 1.0)
 
 
 def condition(*regions: Region, name: str = "V50", length: float = 0.02, line: bool = True) -> ConditionMisfit:
-    return ConditionMisfit(
-        condition=name,
-        arc_length=ARC,
-        residual=0.002 * np.sin(9 * ARC),
-        stated=StatedErrors(PointErrors(0.001), assumed=False),
-        expected=ResidualNoise(0.001, 0.02),
-        found=ResidualNoise(0.0014, length),
-        p_value=0.3,
-        predictive_p=0.4,
-        regions=regions,
-        surface=not line,
-    )
+    stated, residual = StatedErrors(PointErrors(0.001), assumed=False), 0.002 * np.sin(9 * ARC)
+    noise = ResidualNoise(0.001, 0.02), ResidualNoise(0.0014, length)
+    return ConditionMisfit(name, ARC, residual, stated, *noise, 0.3, 0.4, regions, surface=not line)
 
 
-def verdict(
-    *conditions: ConditionMisfit, p: float = 0.43, d: float = 0.5, waves: float = 0.5, run_alone: bool = False
-) -> Verdict:
+def verdict(*conditions: ConditionMisfit, p=0.43, d=0.5, waves=0.5, run_alone=False) -> Verdict:
     return verdict_on(p, d, waves, conditions, run_alone=run_alone)
 
 
-def misfit(*conditions: ConditionMisfit, p: float = 0.43) -> Misfit:
+def misfit(*conditions: ConditionMisfit, p=0.43) -> Misfit:
     said = verdict(*conditions, p=p)
     return Misfit(said.text, said.flagged, p, 0.5, 0.2, conditions, ("The interface was predicted by a spell.",))

@@ -1,4 +1,4 @@
-"""What is said of a model that fits, of one that does not, and of all between."""
+"""What is said of a model that fits, of one that does not, and of an observation that no run comes near."""
 
 import json
 from dataclasses import replace
@@ -8,23 +8,32 @@ import numpy as np
 import pytest
 from tests.unit.report.fits import BAD, FINE, condition, misfit, verdict
 
-from strandline.calibration import Misfit
+from strandline.calibration import Misfit, Problem
 from strandline.calibration.misfit import unlikely_errors
 from strandline.calibration.misfit.verdict import Verdict, with_fitted_noise
+from strandline.discrepancy import DISCREPANCIES
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
+from strandline.likelihood import InterfaceLikelihood
 from strandline.likelihood.residual_noise import StatedErrors
+from strandline.models.protocol import Simulation
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.priors import Uniform
 from strandline.report.fit import fit_as_json
+from strandline.report.nearness import Nearest, as_json, nearest_runs, nothing_near
 from strandline.report.warnings import noise_at_an_end
+from strandline.runs import RunRecord
+
+END = "trust neither mean nor width of the posterior."
+EXPLAINED = "The model explains the observation: p = 0.43"
 
 
 def test_a_model_that_fits() -> None:
     """A small p-value of some part is not hidden by that of all."""
-    assert verdict(condition(FINE)) == Verdict("The model explains the observation: p = 0.43.", flagged=False)
+    assert verdict(condition(FINE)) == Verdict(f"{EXPLAINED}.", flagged=False)
     both = verdict(condition(FINE), condition(FINE, name="V100"))
     assert both.text.startswith("The model explains the observations: ")
-    found = verdict(condition(FINE), waves=0.006)
-    said = "p = 0.43, but look at the residuals: 4 times the smallest p-value is 0.024."
-    assert found == Verdict(f"The model explains the observation: {said}", flagged=False)
+    but = "but look at the residuals: 4 times the smallest p-value is 0.024."
+    assert verdict(condition(FINE), waves=0.006) == Verdict(f"{EXPLAINED}, {but}", flagged=False)
 
 
 def test_a_model_that_does_not_fit_and_where() -> None:
@@ -33,7 +42,7 @@ def test_a_model_that_does_not_fit_and_where() -> None:
     assert found.text == (
         "The model does not explain the observation (p = 0.0016): near s = 0.9–1.1 mm of condition V50 the observed "
         "interface lies 6 µm above the prediction (towards larger y), 5.2 times the standard deviation of that mean; "
-        "trust neither mean nor width of the posterior."
+        f"{END}"
     )
     everywhere = (replace(BAD, begin=0.0, end=0.4, p_value=0.002), BAD)
     for regions, options, words in (
@@ -49,8 +58,7 @@ def test_only_the_reason_is_given() -> None:
     """A corrected p-value that is not small is no reason; residuals that are long are."""
     long = condition(FINE, length=0.05)
     text = "The model does not explain the observation: s²ℓ of the residuals is 4.9 times that of the stated noise; "
-    end = "trust neither mean nor width of the posterior."
-    assert verdict(long, p=0.04) == Verdict(text + end, flagged=True)
+    assert verdict(long, p=0.04) == Verdict(text + END, flagged=True)
     assert "observation (p = 0.004): s²ℓ of the residuals is 4.9 times" in verdict(long, p=0.001).text
     assert "near s" not in verdict(condition(replace(FINE, p_value=0.04), length=0.05), p=0.04).text
 
@@ -84,73 +92,66 @@ def test_the_limits() -> None:
 def test_noise_that_was_fitted_to_the_residuals_explains_them_unless_they_are_smooth() -> None:
     """Of an interface 1 mm long; planted: an error of the model, which the noise takes up if it may."""
     line = Interface.polyline(np.stack([np.linspace(0.0, 1.0, 201), np.zeros(201)], axis=1))
-    right = Verdict("The model explains the observation: p = 0.43.", flagged=False)
-    for length in (0.05, 0.07):
-        found = with_fitted_noise(right, [Observation(line, PointErrors(0.0021, length))])
+    for length in (0.05, 0.07, 0.1):
+        found = with_fitted_noise(verdict(condition(FINE)), [Observation(line, PointErrors(0.0021, length))])
         fitted = f"with noise fitted to its residuals: sd 2.1 µm, correlated over {1e3 * length:.0f} µm."
-        assert not found.flagged
-        assert found.text.startswith(f"The model explains the observation: p = 0.43, {fitted} An error of the model")
-    found = with_fitted_noise(right, [Observation(line, PointErrors(0.0021, 0.1))])
-    assert found.flagged
+        assert found.flagged == (length == 0.1)
+        assert found.text.startswith(f"{EXPLAINED}, {fitted} An error of the model") != found.flagged
     assert "smooth over 100 µm, as errors of a model are" in found.text
-    assert found.text.endswith("trust neither mean nor width of the posterior.")
+    assert found.text.endswith(END)
 
 
-def strained(stated: dict[str, float], removed: dict[str, tuple[float, ...]]) -> Any:
-    """Return residuals that are noise: the errors of the whole interface have been removed from them."""
-    return replace(condition(FINE), stated=StatedErrors(PointErrors(0.001, **stated), assumed=False), removed=removed)
+FAR = (
+    ({"shift": 0.005}, {"shift": (0.03, 0.04)}, "shifted by 50 µm, 10 times the stated 5 µm"),
+    ({"rotation": 0.5}, {"rotation": (-2.5,)}, "turned by 2.5°, 5 times the stated 0.5°"),
+    ({"scale": 0.005}, {"scale": (0.03,)}, "scaled by 3 %, 6 times the stated 0.5 %"),
+    ({"offset": 0.002, "shift": 0.005}, {"shift": (0.02, 0.0), "offset": (-0.012,)}, "moved along its normals by"),
+)
+UNLIKELY = (
+    ({"rotation": 1.0}, {"rotation": (-2.1,)}, "turned by 2.1°, 2.1 times the stated rotation of 1°: measure"),
+    ({"shift": 0.01}, {"shift": (0.02, 0.015)}, "shifted by 25 µm, 2.5 times the stated shift of 10 µm: measure"),
+    ({"rotation": 1.0}, {"rotation": (-1.9,)}, ""),
+    ({"shift": 0.01}, {"shift": (0.022, 0.0)}, ""),  # of two components, not yet unlikely
+)
 
 
-def test_a_position_that_is_far_from_the_stated_one_is_flagged() -> None:
-    cases: list[tuple[dict[str, float], dict[str, tuple[float, ...]], str]] = [
-        ({"shift": 0.005}, {"shift": (0.03, 0.04)}, "shifted by 50 µm, 10 times the stated 5 µm"),
-        ({"rotation": 0.5}, {"rotation": (-2.5,)}, "turned by 2.5°, 5 times the stated 0.5°"),
-        ({"scale": 0.005}, {"scale": (0.03,)}, "scaled by 3 %, 6 times the stated 0.5 %"),
-        ({"offset": 0.002, "shift": 0.005}, {"shift": (0.02, 0.0), "offset": (-0.012,)}, "moved along its normals by"),
-    ]
-    for stated, removed, words in cases:
+def test_a_position_that_is_far_from_the_stated_one_is_flagged_and_an_unlikely_one_is_a_warning() -> None:
+    """The residuals are noise: the errors of the whole interface have been removed from them."""
+
+    def strained(stated: dict[str, float], removed: dict[str, tuple[float, ...]]) -> Any:
+        return replace(condition(FINE), stated=StatedErrors(PointErrors(0.001, **stated), False), removed=removed)
+
+    for stated, removed, words in FAR:
         found = verdict(strained(stated, removed))
         assert found.flagged
         assert f"the observed interface of condition V50 would have to be {words}" in found.text
         near = {name: tuple(0.4 * one for one in sizes) for name, sizes in removed.items()}
         assert not verdict(strained(stated, near)).flagged
         assert not verdict(strained(stated, removed), run_alone=True).flagged
-
-
-def test_a_position_that_is_unlikely_is_a_warning() -> None:
-    """Of two components, 2.2 standard deviations are not yet unlikely."""
-    cases: list[tuple[dict[str, float], dict[str, tuple[float, ...]], str]] = [
-        ({"rotation": 1.0}, {"rotation": (-2.1,)}, "turned by 2.1°, 2.1 times the stated rotation of 1°: measure"),
-        ({"shift": 0.01}, {"shift": (0.02, 0.015)}, "shifted by 25 µm, 2.5 times the stated shift of 10 µm: measure"),
-        ({"scale": 0.005}, {"scale": (0.0099,)}, "scaled by 0.99 %, 2 times the stated scale of 0.5 %: measure"),
-        ({"rotation": 1.0}, {"rotation": (-1.9,)}, ""),
-        ({"shift": 0.01}, {"shift": (0.022, 0.0)}, ""),
-    ]
-    for stated, removed, words in cases:
+    for stated, removed, words in UNLIKELY:
         one = strained(stated, removed)
-        found = list(unlikely_errors(Misfit("", flagged=False, conditions=(one,))))
-        assert len(found) == bool(words)
-        assert all(f"The observed interface of condition V50 fits best if it is {words}" in line for line in found)
+        lines = list(unlikely_errors(Misfit("", flagged=False, conditions=(one,))))
+        assert len(lines) == bool(words)
+        assert all(f"The observed interface of condition V50 fits best if it is {words}" in line for line in lines)
         assert not verdict(one).flagged
 
 
 def test_a_range_that_holds_the_noise_back_is_reported() -> None:
     for sd, length, words in (
-        (0.1001, 0.02, "The inferred sd of the noise lies at the lower end of its range, 100 µm"),
-        (0.199, 0.02, "The inferred sd of the noise lies at the upper end of its range, 200 µm"),
-        (0.15, 0.05, "The inferred correlation length of the noise lies at the upper end of its range, 50 µm"),
+        (0.1001, 0.02, "sd of the noise lies at the lower end of its range, 100 µm"),
+        (0.199, 0.02, "sd of the noise lies at the upper end of its range, 200 µm"),
+        (0.15, 0.05, "correlation length of the noise lies at the upper end of its range, 50 µm"),
         (0.15, 0.02, ""),
     ):
         found = list(noise_at_an_end({"sd": sd, "length": length}, UnknownErrors((0.1, 0.2), (0.01, 0.05))))
-        assert [one[: len(words)] for one in found] == ([words] if words else [])
+        assert [f"The inferred {words}" in one for one in found] == [True] * bool(words)
         assert not list(noise_at_an_end({"sd": sd, "length": length}, UnknownErrors(None, 0.05)))
 
 
 def test_the_summary_holds_the_numbers_in_micrometres() -> None:
     """Nothing in the box comes near: that is the verdict, then."""
     sizes = {"shift": (0.004, -0.006), "rotation": (0.5,), "scale": (0.002,), "offset": (-0.001,)}
-    content = fit_as_json(misfit(replace(condition(FINE, BAD), removed=sizes)), None)
-    assert content is not None
+    content: Any = fit_as_json(misfit(replace(condition(FINE, BAD), removed=sizes)), None)
     assert content == json.loads(json.dumps(content))
     assert (content["flagged"], content["p"], content["region_p"], content["smooth_p"]) == (True, 0.43, 0.0004, 0.2)
     (one,) = content["conditions"]
@@ -160,7 +161,69 @@ def test_the_summary_holds_the_numbers_in_micrometres() -> None:
     assert one["removed"] == pytest.approx({"rotation_deg": 0.5, "scale": 0.002, "offset_um": -1.0})
     far = "NOTHING IN THE BOX COMES NEAR the observation"
     content = fit_as_json(misfit(condition(FINE)), far)
-    assert content is not None
-    assert (content["flagged"], content["verdict"]) == (True, far)
-    assert content["conditions"][0]["removed"] == {}
+    assert (content["flagged"], content["verdict"], content["conditions"][0]["removed"]) == (True, far, {})
     assert fit_as_json(None, far) is None
+
+
+X = np.linspace(0.0, 1.0, 33)
+HEIGHTS = np.linspace(0.1, 0.3, 21)
+
+
+def arch(height: float, *, scale: float = 1.0, shift: float = 0.0) -> Interface:
+    return Interface.polyline(scale * np.stack([X, height * np.sin(np.pi * X)], axis=1) + np.array([shift, 0.0]))
+
+
+def nearest(seen: Interface, measure: Any, variance: float, *, every: int = 1, scale: float = 1.0) -> Nearest:
+    """Return what is said of arches of these heights, `scale` times too large, beside the observed one."""
+    records = [
+        RunRecord(str(k), {"h": float(h), "fixed": 1.0}, "ok", {"": arch(h, scale=scale)})
+        for k, h in enumerate(HEIGHTS[::every])
+    ]
+    observations = (Observation(seen, variance),)
+    likelihood = InterfaceLikelihood(observations, measure)
+    space = ParameterSpace((Parameter("h", Uniform(0.1, 0.3)),))
+    problem = Problem(lambda *_: Simulation.of(arch(0.1)), space, {}, observations, {"m": measure})
+    (found,) = nearest_runs(problem, records, np.array([likelihood(record.interfaces) for record in records]))
+    return found
+
+
+MEASURES = {
+    "tracked_points": ({}, 1e-6),
+    "measurement_lines": ({"lines": 10}, 1e-6),
+    "closest_point": ({"direction": "to_simulated", "weighting": "length"}, 1e-6),
+    "currents": ({"width": 0.02}, 1e-5),
+}
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_planted_misfits_are_noticed_and_sound_studies_are_not_suspected(name: str) -> None:
+    """The best of six runs with little noise is many noise units off, yet the observation lies between two of them."""
+    options, variance = MEASURES[name]
+    measure = DISCREPANCIES[name](**options)
+    sound = nearest(arch(0.2234), measure, variance)
+    assert (sound.near, nothing_near([sound]), sound.extent_ratio) == (True, None, pytest.approx(1.0))
+    few = nearest(arch(0.2234), measure, 1e-4 * variance, every=4)
+    assert (few.residual > 5.0, few.near) == (True, True)
+    units = nearest(arch(0.2), measure, variance, scale=1e3)
+    assert "has 0.001 times the extent of the run's: perhaps" in units.message
+    assert "µm and mm differ by a factor of 1000" in units.message
+    away = nearest(arch(0.2, shift=500.0), measure, variance)
+    assert "NOTHING IN THE BOX COMES NEAR the observation: the best run (h = " in away.message
+    assert "Their centres lie 500 mm apart" in away.message
+    outside = nearest(arch(0.6), measure, variance)
+    assert outside.inputs["h"] == 0.3
+    assert "wrong" in outside.message
+    assert not any(one.near for one in (units, away, outside))
+
+
+def test_a_norm_that_no_longer_grows_does_not_hide_the_distance() -> None:
+    """With so much noise d² never exceeds 25 σ_N², however far the observation."""
+    found = nearest(arch(0.2, shift=500.0), DISCREPANCIES["currents"](width=0.02), 0.02)
+    assert (found.residual < 5.0, found.near) == (True, False)
+
+
+def test_the_summary_names_the_nearest_run() -> None:
+    content = json.loads(json.dumps(as_json([nearest(arch(0.2), DISCREPANCIES["tracked_points"](), 1e-6)])))
+    assert (content["near"], content["message"]) == (True, None)
+    assert content["observations"][0]["run"] == "10"
+    assert content["observations"][0]["residual"] == pytest.approx(0.0, abs=1e-9)

@@ -5,17 +5,16 @@ import io
 import re
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 from PIL import Image
-from tests.unit.report.plots.drawn import entries
+from tests.unit.report.plots.drawn import entries, posterior_of
 
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.posterior import Offsets, Posterior, Reading
+from strandline.parameters import Parameter
+from strandline.posterior import Offsets, Reading
 from strandline.priors import Uniform
 from strandline.report import page as pages
 from strandline.report.captioned import Captioned, whole
@@ -30,8 +29,8 @@ TEMPLATES = Path(pages.__file__).parent / "templates"
 CSS = (TEMPLATES / "style.css").read_text("utf-8")
 
 
-def tempering() -> Any:
-    return plot_tempering([1.0], [10.0], [0.3])
+def captioned(name: str, section: str = "data") -> Captioned:
+    return Captioned(name, section, "", plot_tempering([1.0], [10.0], [0.3]))
 
 
 def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:
@@ -43,15 +42,15 @@ def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:
 
 
 def test_the_mark_is_on_figures_of_the_posterior() -> None:
-    for name, section, marked in (
-        ("marginals", "posterior", True),
-        ("cut_marginals", "uncertainty", True),
-        ("predictive_slow", "certificate", True),
-        ("run_history", "certificate", False),
+    for name, section in (
+        ("marginals", "posterior"),
+        ("cut_marginals", "uncertainty"),
+        ("predictive_slow", "certificate"),
+        ("run_history", "certificate"),
     ):
-        shown: Any = _marked(Captioned(name, section, "", tempering()), "not converged")
-        assert bool(shown.figure.get_suptitle()) == marked
-        assert not _marked(Captioned(name, section, "", tempering()), None).figure.get_suptitle()
+        for doubt in ("not converged", None):
+            shown = _marked(captioned(name, section), doubt)
+            assert bool(shown.figure.get_suptitle()) == (doubt is not None and name != "run_history")
 
 
 def test_pictures_for_print_have_300_dots_an_inch_with_all_labels_on_them(tmp_path: Path) -> None:
@@ -67,8 +66,9 @@ def test_pictures_for_print_have_300_dots_an_inch_with_all_labels_on_them(tmp_pa
     assert imread(io.BytesIO(png))[:, :5, :3].min() == 1.0, "the label at the left is cut off"
     assert pdf[:5] == b"%PDF-"
     assert b"/Type3" not in pdf
+    assert b"/TrueType" in pdf or b"/CIDFontType2" in pdf
     (tmp_path / "draft.pdf").write_text("of an earlier result", "utf-8")
-    _saved(Captioned("draft", "data", "", tempering()), tmp_path, draft=True)
+    _saved(captioned("draft"), tmp_path, draft=True)
     with Image.open(tmp_path / "draft.png") as picture:
         assert picture.info["dpi"] == pytest.approx((60, 60), abs=0.1)
     assert not (tmp_path / "draft.pdf").exists()
@@ -82,22 +82,19 @@ def test_the_largest_pictures_become_smaller_until_all_fit() -> None:
         Image.fromarray(random.integers(0, 255, (size, size, 3), dtype=np.uint8)).save(out, format="png")
         return base64.b64encode(out.getvalue()).decode("ascii")
 
-    small, large = noise(20), noise(80)
+    small, large = both = [noise(20), noise(80)]
     room = len(small) + len(large)
-    assert fitted([small, large], room) == [small, large]
+    assert fitted(both, room) == both
     items = _fitted([{"name": "a", "data": small}, {"name": "b", "data": large}], room - 1)
     assert items[0] == {"name": "a", "data": small}
     with Image.open(io.BytesIO(base64.b64decode(items[1]["data"]))) as picture:
         assert picture.size == (40, 40)
-    both = fitted([small, large], 1)
-    assert [len(one) < len(other) for one, other in zip(both, [small, large], strict=True)] == [True, True]
+    assert all(len(one) < len(other) for one, other in zip(fitted(both, 1), both, strict=True))
 
 
 def reading(calibrated: int) -> Reading:
-    flow = Parameter("V", Uniform(0.0, 1.0), nuisance=True)
-    space = ParameterSpace((flow, *(Parameter(name, Uniform(0.0, 1.0)) for name in "abc"[:calibrated])))
-    draws = np.random.default_rng(0).random((300, space.dim))
-    return Reading(Posterior(space, draws, np.full(300, -np.log(300)), np.zeros(300), np.zeros(300), 0.0))
+    inputs = [Parameter(name, Uniform(0.0, 1.0), nuisance=name == "V") for name in "Vabc"[: calibrated + 1]]
+    return Reading(posterior_of(np.random.default_rng(0).random((300, len(inputs))), *inputs))
 
 
 def test_a_reading_under_uncertainty_leaves_out_the_nuisance_input_and_laplace() -> None:
@@ -116,23 +113,20 @@ def test_a_reading_under_uncertainty_leaves_out_the_nuisance_input_and_laplace()
 
 
 def test_no_number_breaks_over_lines() -> None:
-    numbers = {"-0.8": "−0.8", "5e-05": "5·10⁻⁵", "1.2e+06": "1.2·10⁶", "nan": "nan"}
-    for text, shown in numbers.items():
+    for text, shown in {"-0.8": "−0.8", "5e-05": "5·10⁻⁵", "1.2e+06": "1.2·10⁶", "nan": "nan"}.items():
         assert _unbroken(text).replace("\u00a0", "") == shown
         assert not re.search("[ -]", _unbroken(text))
 
 
 def test_styles_of_print_dark_and_narrow_screens_and_names_that_keep_their_capitals() -> None:
     """Jinja's `capitalize` makes all other letters small: E would become e."""
-    printed = CSS[CSS.index("@media print") :]
-    assert "white-space: pre-wrap" in printed
-    assert "max-height" in printed
+    assert "white-space: pre-wrap" in CSS[CSS.index("@media print") :]
     assert "content: attr(data-label)" in CSS[CSS.index("@media (max-width: 600px)") :]
     dark = CSS[CSS.index("prefers-color-scheme: dark") : CSS.index("* { box-sizing")]
     light = set(re.findall(r"(--\w+):", CSS[: CSS.index("@media")]))
     assert light <= set(re.findall(r"(--\w+):", dark))
     assert "figure img { background: #fff" in dark
     assert all(color.startswith("var(") or color == "#fff" for color in re.findall(r"background: ([^;]+);", CSS))
-    files = list(TEMPLATES.glob("*.j2"))
-    assert len(files) > 1
-    assert not [one.name for one in files if "capitalize" in one.read_text("utf-8")]
+    texts = [one.read_text("utf-8") for one in TEMPLATES.glob("*.j2")]
+    assert len(texts) > 1
+    assert not any("capitalize" in text for text in texts)

@@ -1,7 +1,8 @@
-"""The rows of the page are those of the ledger, however it grew between two looks."""
+"""The rows of the page are those of the ledger, however it grew between two looks; and who may see the page."""
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,24 +12,24 @@ from hypothesis import strategies as st
 from strandline.interface import Interface
 from strandline.runs import Ledger, RunRecord, RunRequest
 from strandline.runs.overview import OPEN, Overview
+from strandline.view.door import Door
 from strandline.view.runs_feed import RunsFeed, rounded
 
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
-ENDS = ("ok", "failed", "timeout", "killed", "invalid")
+DOOR = Door("secret-of-sixteen-letters")
 
 
 def end(ledger: Ledger, key: str, random: np.random.Generator) -> None:
-    state = str(random.choice(ENDS))
+    state: Any = str(random.choice(["ok", "failed", "timeout", "killed", "invalid"]))
     good = {"": LINE} if state == "ok" else {}
     kind = None if state == "ok" else f"because_{state}"
-    ledger.finished(RunRecord(key, {"E": 1.5}, state, good, seconds=random.random(), failure_kind=kind))  # type: ignore[arg-type]
+    ledger.finished(RunRecord(key, {"E": 1.5}, state, good, seconds=random.random(), failure_kind=kind))
 
 
 def told(feed: RunsFeed, known: dict[int, tuple[object, ...]], version: int) -> int:
     """Take over what the feed says has changed since a version; return its version."""
     new = feed.since(version)
-    columns = (new[name] for name in ("row", "number", "state", "kind"))
-    for row, *rest in zip(*columns, strict=True):
+    for row, *rest in zip(*(new[name] for name in ("row", "number", "state", "kind")), strict=True):
         known[row] = tuple(rest)
     return int(new["version"])
 
@@ -48,7 +49,8 @@ def test_what_changed_adds_up_to_the_ledger(seed: int, tmp_path: Path) -> None:
             if random.random() < 0.7:
                 end(ledger, under_way.pop(random.integers(len(under_way))), random)
             if random.random() < 0.2:
-                done = [run.key for run in _runs(path) if run.outcome is not None and run.exclusion is None]
+                with Overview(path) as seen:
+                    done = [run.key for run in seen.runs() if run.outcome is not None and run.exclusion is None]
                 if done:
                     ledger.exclude(done[0], "looks wrong")
             if random.random() < 0.5:
@@ -56,28 +58,12 @@ def test_what_changed_adds_up_to_the_ledger(seed: int, tmp_path: Path) -> None:
                 version = told(feed, known, version)
     feed.update()
     told(feed, known, version)
-    runs = {run.key: run for run in _runs(path)}
-    first = list(dict.fromkeys(key for key, _ in _starts(path)))
-    expected = {
-        row: (
-            runs[key].last.number,
-            "excluded" if runs[key].exclusion is not None else runs[key].last.state,
-            runs[key].last.kind,
-        )
-        for row, key in enumerate(first)
-    }
-    assert known == expected
-    assert feed.succeeded == sum(state == "ok" for _, state, _ in expected.values())
-
-
-def _runs(path: Path) -> list[object]:
-    with Overview(path) as ledger:
-        return ledger.runs()  # type: ignore[return-value]
-
-
-def _starts(path: Path) -> list[tuple[str, object]]:
-    with Overview(path) as ledger:
-        return ledger.changes(0, ())  # type: ignore[return-value]
+    with Overview(path) as seen:
+        runs = {run.key: run for run in seen.runs()}
+        first = [runs[key] for key in dict.fromkeys(key for key, _ in seen.changes(0, ()))]
+    states = [run.last.state if run.exclusion is None else "excluded" for run in first]
+    assert known == {k: (run.last.number, states[k], run.last.kind) for k, run in enumerate(first)}
+    assert feed.succeeded == states.count("ok")
 
 
 @given(st.lists(st.none() | st.floats().filter(lambda one: one == 0.0 or not abs(one) < 1e-290)))
@@ -103,3 +89,17 @@ def test_a_quiet_ledger_says_nothing_new(tmp_path: Path) -> None:
     assert feed.since(feed.version)["row"] == []
     assert feed.key_at(0) is not None
     assert feed.key_at(1) is None
+
+
+def test_this_machine_may_and_other_names_and_pages_and_those_without_the_token_may_not() -> None:
+    """A page whose domain points here calls it by that domain."""
+    for host in ("127.0.0.1:80", "localhost:8123", "LOCALHOST", "[::1]:90", "127.1.2.3"):
+        assert DOOR.refusal(host, None, DOOR.token) == DOOR.refusal(host, f"http://{host}", DOOR.token) == ""
+    for host in ("example.org", "127.0.0.1.example.org", "192.168.0.3:80", "", "localhost.example.org"):
+        assert "127.0.0.1 only" in DOOR.refusal(host, None, DOOR.token)
+    for origin in ("http://example.org", "null", "http://localhost:81", "https://localhost:80.example.org"):
+        assert "other web pages" in DOOR.refusal("localhost:80", origin, DOOR.token)
+    for given_token in ("", "secret", DOOR.token + "x", DOOR.token.upper()):
+        assert "whole address" in DOOR.refusal("localhost:80", None, given_token)
+    assert Door().token != Door().token
+    assert len(Door().token) >= 24

@@ -1,4 +1,4 @@
-"""What the artists of a figure hold."""
+"""What the artists of a figure hold, and a posterior to draw."""
 
 from typing import Any
 
@@ -7,10 +7,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from strandline.parameters import Parameter
+from strandline.parameters import Parameter, ParameterSpace
+from strandline.posterior import Posterior
 from strandline.priors import Uniform
 
 E, NU = Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", Uniform(-0.8, 0.5), symbol="ν")
+
+
+def posterior_of(draws: np.ndarray, *inputs: Parameter, weights: Any = 1.0) -> Posterior:
+    """Return a posterior of these draws, of equal weights unless they are given."""
+    weights, zeros = np.broadcast_to(weights, len(draws)), np.zeros(len(draws))
+    return Posterior(ParameterSpace(inputs), draws, np.log(weights / weights.sum()), zeros, zeros, 0.0)
 
 
 def rendered(figure: Any) -> Any:
@@ -29,10 +36,6 @@ def entries(figure: Any) -> list[str]:
 
 def lines(ax: Any, label: str) -> list[np.ndarray]:
     return [np.asarray(line.get_xydata()) for line in ax.lines if line.get_label() == label]
-
-
-def points(ax: Any, label: str) -> int:
-    return sum(map(len, lines(ax, label)))
 
 
 def hexagon_mass(ax: Any) -> float:

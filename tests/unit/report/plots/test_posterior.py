@@ -4,53 +4,49 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.collections import PathCollection, PolyCollection
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
-from tests.unit.report.plots.drawn import entries, hexagon_mass, lines, rendered
+from matplotlib.path import Path as Outline
+from tests.unit.report.plots.drawn import NU, E, entries, hexagon_mass, lines, posterior_of, rendered
 
 from strandline.errors import InvalidInput
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import GaussianApproximation, Posterior, histogram, laplace
 from strandline.priors import LogNormal, ScaledBeta, Uniform
-from strandline.report.plots import (
-    Curve,
-    plot_hexagons,
-    plot_joint,
-    plot_marginal,
-    plot_marginals,
-    plot_pairs,
-    plot_particles,
-)
+from strandline.report import plots
+from strandline.report.plots.of_posterior import PosteriorPlots
+from strandline.report.plots.parallel import DENSITY, _order
 from strandline.report.plots.style import GREEN, ORANGE
+from strandline.report.plots.view import shown_interval
 
 INPUTS = (
     Parameter("E", LogNormal(5.86, 0.4), "Pa", (100.0, 800.0)),
     Parameter("nu", Uniform(-0.8, 0.5)),
     Parameter("V", ScaledBeta(2.6, 1.4, 0.0, 110.0), "mm²/s"),
+    *(Parameter(name, Uniform(0.0, 10.0)) for name in ("E2", "E3", "nu2", "V_in")),
 )
 
 
-def ridge_posterior(dim: int, number: int = 400) -> Posterior:
+def ridge_posterior(dim: int, number: int = 400, *, weightless: int = 0) -> Posterior:
+    """Return a posterior of the first inputs, whose first particles have no weight."""
     space = ParameterSpace(INPUTS[:dim])
     draws = space.prior_quantiles(np.random.default_rng(0).uniform(size=(number, dim)))
     centre = 400.0 - (150.0 * (draws[:, 1] - 0.3) if dim > 1 else 0.0)
     log_likelihood = -0.5 * ((draws[:, 0] - centre) / 60.0) ** 2
-    log_weights = log_likelihood - np.logaddexp.reduce(log_likelihood)
+    log_weights = np.where(np.arange(number) < weightless, -np.inf, log_likelihood)
+    log_weights -= np.logaddexp.reduce(log_weights)
     return Posterior(space, draws, log_weights, log_likelihood, space.log_prior(draws), -1.0)
 
 
-TWO, THREE = ridge_posterior(2), ridge_posterior(3)
+TWO, THREE, SEVEN = ridge_posterior(2), ridge_posterior(3), ridge_posterior(7, 300, weightless=7)
+NAMES = SEVEN.space.names
 PRECISION = np.array([[1 / 60.0**2, 0.02], [0.02, 20.0]])
 
 
-@pytest.fixture(scope="module")
-def joint() -> Any:
+def test_the_joint_figure_has_units_every_entry_in_the_legend_and_ellipses_at_their_mahalanobis_radius():
     found, truth = laplace(-PRECISION, TWO.map_estimate), {"E": 400.0, "nu": 0.3}
-    return rendered(plot_joint(TWO, ("E", "nu"), laplace=found, truth=truth, percentiles=[0.5, 0.9]))
-
-
-def test_the_joint_figure_has_labels_with_units_and_every_entry_in_the_legend(joint):
+    joint = rendered(plots.plot_joint(TWO, ("E", "nu"), laplace=found, truth=truth, percentiles=[0.5, 0.9]))
     main = joint.axes[0]
     assert (main.get_xlabel(), main.get_ylabel(), main.get_xlim()) == ("E [Pa]", "nu", (100.0, 800.0))
     kinds = [f"{kind} 50, 90 %" for kind in ("KDE", "Gaussian", "Laplace")]
@@ -59,53 +55,48 @@ def test_the_joint_figure_has_labels_with_units_and_every_entry_in_the_legend(jo
     np.testing.assert_allclose(lines(main, "mean")[0][0], TWO.mean)
     np.testing.assert_allclose(lines(main, "MAP")[0][0], TWO.map_estimate)
     assert (colours["mean"], colours["MAP"]) == (ORANGE, GREEN)
-
-
-def test_ellipses_lie_at_their_mahalanobis_radius(joint):
-    radii = np.sqrt(-2 * np.log([0.5, 0.1]))
     around_mean = GaussianApproximation(TWO.mean, TWO.covariance)
     around_mode = GaussianApproximation(TWO.map_estimate, np.linalg.inv(PRECISION))
     for label, gaussian in (("Gaussian", around_mean), ("Laplace", around_mode)):
-        for curve, radius in zip(lines(joint.axes[0], label), radii, strict=True):
+        for curve, radius in zip(lines(main, label), np.sqrt(-2 * np.log([0.5, 0.1])), strict=True):
             np.testing.assert_allclose(gaussian.radius(curve), radius)
 
 
 def test_two_of_three_inputs_mark_the_fullest_bin_and_take_the_marginal_of_laplace():
     hessian = -np.diag([1 / 3600.0, 20.0, 0.01])
-    figure = plot_joint(THREE, ("V", "E"), laplace=laplace(hessian, THREE.map_estimate), percentiles=[0.5])
-    main = figure.axes[0]
+    figure = plots.plot_joint(THREE, ("V", "E"), laplace=laplace(hessian, THREE.map_estimate), percentiles=[0.5])
     assert "MAP (fullest bin)" in entries(figure)
-    (curve,) = lines(main, "Laplace")
+    (curve,) = lines(figure.axes[0], "Laplace")
     assert np.ptp(curve[:, 1]) == pytest.approx(2 * 60 * np.sqrt(2 * np.log(2)), rel=1e-3)
-    assert main.get_xlabel() == "V [mm²\u00a0s⁻¹]"
+    assert figure.axes[0].get_xlabel() == "V [mm²\u00a0s⁻¹]"
 
 
 def test_an_indefinite_laplace_is_noted_and_not_drawn_and_a_given_mode_is():
     saddle = laplace(np.diag([-1.0, 1.0]), TWO.map_estimate)
-    figure = plot_joint(TWO, ("nu", "E"), laplace=saddle, mode=np.array([0.1, 300.0]))
-    main = figure.axes[0]
-    assert not lines(main, "Laplace")
+    figure = plots.plot_joint(TWO, ("nu", "E"), laplace=saddle, mode=np.array([0.1, 300.0]))
+    assert not lines(figure.axes[0], "Laplace")
     assert any("indefinite" in text for text in entries(figure))
-    np.testing.assert_allclose(lines(main, "MAP")[0], [[0.1, 300.0]])
-    np.testing.assert_allclose(lines(main, "mean")[0][0], TWO.mean[::-1])
+    np.testing.assert_allclose(lines(figure.axes[0], "MAP")[0], [[0.1, 300.0]])
+    np.testing.assert_allclose(lines(figure.axes[0], "mean")[0][0], TWO.mean[::-1])
 
 
 def test_hexagons_sum_the_weights_of_all_particles_and_thinned_percentile_lines_stay_in_place():
     posterior, boxes = ridge_posterior(2, 2000), []
     for number in (2000, 500):
-        ax = plot_hexagons(posterior, ("E", "nu"), percentiles=[0.5], particles=number)
+        ax = plots.plot_hexagons(posterior, ("E", "nu"), percentiles=[0.5], particles=number)
         assert hexagon_mass(ax) == pytest.approx(1.0, abs=0.01)
         vertices = ax.collections[-1].get_paths()[0].vertices
         boxes.append([vertices[:, 0].min(), vertices[:, 0].max()])
     np.testing.assert_allclose(boxes[0], boxes[1], atol=40.0)
-    (hexagons,) = [c for c in plot_hexagons(TWO, ("E", "nu")).collections if isinstance(c, PolyCollection)]
+    (hexagons,) = [c for c in plots.plot_hexagons(TWO, ("E", "nu")).collections if isinstance(c, PolyCollection)]
     weighted = np.ma.filled(hexagons.get_array(), 0.0) @ np.asarray(hexagons.get_offsets())
     assert (np.abs(weighted - TWO.mean) < [5.0, 0.02]).all()
     assert abs(TWO.draws[:, 0].mean() - weighted[0]) > 15, "hexagons that count particles must be caught"
 
 
 def test_a_marginal_is_weighted_and_normalised():
-    ax = plot_marginal(TWO, "E", bins=20, truth=400.0, overlay=Curve(np.array([100.0, 800.0]), np.array([1.0, 1.0])))
+    overlay = plots.Curve(np.array([100.0, 800.0]), np.array([1.0, 1.0]))
+    ax = plots.plot_marginal(TWO, "E", bins=20, truth=400.0, overlay=overlay)
     (bars,) = [patch for patch in ax.patches if isinstance(patch, StepPatch)]
     heights, edges, _ = bars.get_data()
     assert heights @ np.diff(edges) == pytest.approx(1.0, abs=0.01)
@@ -118,43 +109,125 @@ def test_a_marginal_is_weighted_and_normalised():
         assert np.trapezoid(y, x) == pytest.approx(1.0, abs=2e-3)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("E [Pa]", "density [Pa⁻¹]")
     assert entries(ax)[-2:] == ["quadrature", "ground truth"]
-    assert plot_marginal(THREE, "V").get_ylabel().replace("\u00a0", " ") == "density [mm⁻² s]"
+    assert plots.plot_marginal(THREE, "V").get_ylabel().replace("\u00a0", " ") == "density [mm⁻² s]"
 
 
 @pytest.mark.parametrize("dim", [1, 3])
 def test_marginals_and_pairs_of_any_number_of_inputs(dim):
     posterior = ridge_posterior(dim, 200)
-    figure = rendered(plot_marginals(posterior, truth={"E": 400.0}))
+    figure = rendered(plots.plot_marginals(posterior, truth={"E": 400.0}))
     assert [ax.get_xlabel() for ax in figure.axes] == [p.figure_label() for p in posterior.space]
-    pairs = rendered(plot_pairs(posterior, truth={"E": 400.0, "nu": 0.3}))
+    pairs = rendered(plots.plot_pairs(posterior, truth={"E": 400.0, "nu": 0.3}))
     drawn = [ax for ax in pairs.axes if ax.axison and any(isinstance(c, PolyCollection) for c in ax.collections)]
-    assert len(drawn) == dim * (dim - 1) // 2
-    for ax in drawn:
-        assert hexagon_mass(ax) == pytest.approx(1.0, abs=0.01)
+    assert [hexagon_mass(ax) for ax in drawn] == [pytest.approx(1.0, abs=0.01)] * (dim * (dim - 1) // 2)
 
 
 def test_an_input_without_spread_is_drawn_without_a_density():
-    draws = np.stack([np.full(50, 300.0), np.linspace(-0.5, 0.4, 50)], axis=1)
-    zeros = np.zeros(50)
-    posterior = Posterior(ParameterSpace(INPUTS[:2]), draws, np.full(50, -np.log(50)), zeros, zeros, 0.0)
-    assert not lines(plot_marginal(posterior, "E"), "KDE")
-    assert hexagon_mass(plot_hexagons(posterior, ("E", "nu"))) == pytest.approx(1.0, abs=0.01)
+    posterior = posterior_of(np.stack([np.full(50, 300.0), np.linspace(-0.5, 0.4, 50)], axis=1), *INPUTS[:2])
+    assert not lines(plots.plot_marginal(posterior, "E"), "KDE")
+    assert hexagon_mass(plots.plot_hexagons(posterior, ("E", "nu"))) == pytest.approx(1.0, abs=0.01)
 
 
 def test_particles_have_area_and_colour_by_weight():
     figure = Figure(layout="constrained")
     left, right = figure.subfigures(1, 2)
-    own = right.add_subplot()
-    assert plot_joint(TWO, ("E", "nu"), figure=left) is left
-    ax = plot_particles(TWO, ("E", "nu"), largest=30.0, ax=own)
-    assert ax is own
+    other, own = right.subplots(1, 2)
+    assert plots.plot_joint(TWO, ("E", "nu"), figure=left) is left
+    assert plots.plot_hexagons(TWO, ("E", "nu"), ax=other) is other
+    assert plots.plot_particles(TWO, ("E", "nu"), largest=30.0, ax=own) is own
     rendered(figure)
-    (circles,) = [c for c in ax.collections if isinstance(c, PathCollection)]
+    (circles,) = [c for c in own.collections if isinstance(c, PathCollection)]
     sizes, colours = circles.get_sizes(), circles.get_array()
-    assert len(sizes) == TWO.number
     np.testing.assert_allclose(sizes / 30.0, colours / TWO.weights.max())
-    assert sizes.max() == pytest.approx(30.0)
-    np.testing.assert_allclose(colours.sum(), 1.0)
+    assert (len(sizes), sizes.max(), colours.sum()) == pytest.approx((TWO.number, 30.0, 1.0))
     np.testing.assert_allclose(circles.get_offsets()[-1], TWO.draws[np.argmax(TWO.weights)])
     with pytest.raises(InvalidInput, match="rho"):
-        plot_particles(TWO, ("E", "rho"))
+        plots.plot_particles(TWO, ("E", "rho"))
+
+
+def interval(draws: np.ndarray, weights: Any = 1.0) -> tuple[float, float]:
+    return shown_interval(posterior_of(draws[:, None], E, weights=weights), "E")
+
+
+def test_the_view_is_of_the_posterior_without_light_stragglers_and_ends_at_the_box():
+    narrow = np.linspace(390.0, 410.0, 500)
+    low, high = interval(narrow)
+    assert 375 < low < 390 < 410 < high < 425
+    draws, light = np.concatenate([narrow, np.linspace(100.0, 800.0, 50)]), np.full(50, 1e-4)
+    low, high = interval(draws, np.concatenate([np.full(500, 1.0), light]))
+    assert high - low < 60
+    assert interval(np.linspace(150.0, 780.0, 500)) == (100.0, 800.0)
+    low, high = interval(np.linspace(780.0, 800.0, 500))
+    assert high == 800.0
+    assert 760 < low < 780
+    assert interval(np.full(20, 300.0)) == pytest.approx((100.0, 800.0)), "no spread"
+
+
+DRAWS = np.random.default_rng(3).multivariate_normal([400.0, 0.1], [[400.0, 1.2], [1.2, 0.01]], 4000)
+CLOUD = posterior_of(DRAWS, E, NU)
+
+
+def test_regions_of_a_corner_plot_hold_their_probabilities_and_all_is_in_the_legend():
+    figure = plots.plot_corner(CLOUD, truth={"E": 400.0})
+    outlines = figure.axes[1].collections[-1]
+    held = [np.mean(Outline.contains_points(path, DRAWS)) for path in outlines.get_paths()]
+    np.testing.assert_allclose(held, (0.95, 0.68), atol=0.04, err_msg="the largest region first")
+    assert entries(figure) == ["posterior", "prior", "truth", "68 %", "95 %"]
+    own = Figure()
+    assert plots.plot_corner(posterior_of(DRAWS[:, :1], E), prior=False, figure=own) is own
+    assert (entries(own), len(own.axes)) == (["posterior"], 1)
+    for masses in ((), (0.0,), (0.5, 1.0)):
+        with pytest.raises(InvalidInput, match="between 0 and 1"):
+            plots.plot_corner(CLOUD, masses=masses)
+
+
+def test_a_notebook_shows_figures_and_axes():
+    own = PosteriorPlots(CLOUD)
+    for drawing in (own.joint(), own.marginal()):
+        assert drawing._repr_png_().startswith(b"\x89PNG")
+
+
+def test_parallel_axes_hold_every_particle_of_weight_from_low_to_high_density():
+    ax = plots.plot_parallel(SEVEN, truth={"E2": 5.0})
+    rendered(ax.figure)
+    (drawn,) = [c for c in ax.collections if isinstance(c, LineCollection)]
+    density = np.asarray(drawn.get_array())
+    assert len(drawn.get_segments()) == len(density) == 293
+    assert drawn.get_rasterized()
+    np.testing.assert_allclose(density, np.sort(SEVEN.log_density[7:]))
+    heights = np.asarray(drawn.get_segments()[-1])[:, 1]
+    np.testing.assert_allclose(heights, [*SEVEN.space.to_unit(SEVEN.draws[SEVEN.map_index]), 1.0])
+    labels = [t.get_text().replace("\n", " ") for t in ax.get_xticklabels()]
+    assert labels == ["E [Pa]", "nu", "V [mm²\u00a0s⁻¹]", *NAMES[3:], DENSITY]
+    np.testing.assert_allclose(lines(ax, "ground truth"), [[[3.0, 0.5]]])
+    ticks = {text.get_text(): text.get_position()[1] for text in ax.texts if text.get_position()[0] < 0}
+    assert len(ticks) >= 4
+    for label, height in ticks.items():
+        assert (float(label) - 100.0) / 700.0 == pytest.approx(height)
+
+
+def test_parallel_axes_in_the_order_that_is_asked_and_nuisance_inputs_behind_the_density():
+    ax = plots.plot_parallel(SEVEN, ("nu", DENSITY, "V_in"))
+    assert [t.get_text().replace("\n", " ") for t in ax.get_xticklabels()] == ["nu", DENSITY, "V_in"]
+    with pytest.raises(InvalidInput, match="names of inputs"):
+        plots.plot_parallel(SEVEN, ("nu9",))
+    flow = Parameter("flow", Uniform(0.0, 10.0), nuisance=True)
+    assert _order(posterior_of(SEVEN.draws[:, :3], flow, *INPUTS[:2])) == ("E", "nu", DENSITY, "flow")
+
+
+def test_pairs_all_or_those_that_are_named_have_numbers_at_the_rim_only_and_explain_the_ground_truth():
+    figure = plots.plot_pairs(SEVEN, NAMES[:3], truth={"E": 500.0, "nu": 0.2})
+    panels = np.array(figure.axes[:9]).reshape(3, 3)
+    for i, j in zip(*np.tril_indices(3), strict=True):
+        shown = panels[i, j].xaxis.get_tick_params()["labelbottom"], panels[i, j].yaxis.get_tick_params()["labelleft"]
+        assert shown == (i == 2, j == 0 and i > 0)
+    assert "ground truth" in entries(figure)
+    assert "ground truth" not in entries(plots.plot_pairs(SEVEN, NAMES[:2]))
+    assert [ax.get_xlabel().split()[0] for ax in rendered(plots.plot_marginals(SEVEN)).axes] == list(NAMES)
+    pairs = [("E2", "E"), ("E2", "nu2"), ("nu", "nu2")]
+    figure = rendered(plots.plot_selected_pairs(SEVEN, pairs, truth={"E2": 5.0, "nu2": 1.0}))
+    assert [(ax.get_xlabel().split()[0], ax.get_ylabel().split()[0]) for ax in figure.axes] == pairs
+    assert [hexagon_mass(ax) for ax in figure.axes] == [pytest.approx(1.0, abs=0.02)] * 3
+    assert [len(lines(ax, "ground truth")) for ax in figure.axes] == [0, 1, 0]
+    with pytest.raises(InvalidInput, match="at least one pair"):
+        plots.plot_selected_pairs(SEVEN, [])
