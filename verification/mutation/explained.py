@@ -25,6 +25,19 @@ _OF_NODES = "simulated.points - observed.points", "(observed.points - simulated.
 _OF_LAST = "len(cumulative) - 1", "(len(cumulative) + 1)"
 _OF_ROWS = "len(observed.z) * (1 if observed.gradients is None else 1 + dim)", "(len(observed.z))"
 _OF_KEYS = "jax.random.key_data(seed) if is_typed else seed", "(jax.random.key_data(seed))"
+_OF_MIDDLES = (
+    "observed.points.mean(axis=0) - run.points.mean(axis=0)",
+    "(run.points.mean(axis=0) - observed.points.mean(axis=0))",
+)
+_OF_BOXES = (
+    "np.maximum(low[k].take(boxes) - x, x - high[k].take(boxes))",
+    "(np.minimum(low[k].take(boxes) - x, x - high[k].take(boxes)))",
+)
+_OF_PLACES = "np.cumsum(mass) - 0.5 * mass", "(np.cumsum(mass) + 0.5 * mass)"
+_OF_SCALES = (
+    "np.sqrt(np.mean(_rms(below - middle, weights, 1) ** 2))",
+    "(np.mean(_rms(below - middle, weights, 1) ** 2))",
+)
 EXPLAINED: dict[tuple[str, str, str], str] = {
     ("design/active/elsewhere.py", "0", "(1)"): "Another scrambling of the Sobol points; either will do.",
     ("design/active/parabola.py", "np.maximum(values, 1e-12)", "(np.minimum(values, 1e-12))"): (
@@ -70,6 +83,42 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("surrogate/field/derivative_kernel.py", "0", "(1)"): "Fills rows that are not there.",
     ("smc/resampling.py", *_OF_SHARES): "The last cumulative share is 1 to rounding.",
     ("surrogate/field/projection.py", "1e-12", "(2e-12)"): "Only holds parts without a rim, however weakly.",
+    ("discrepancy/direction.py", *_OF_MIDDLES): "Only its length counts.",
+    ("discrepancy/measurement_lines.py", "np.abs(lines).max()", "(np.abs(lines).min())"): (
+        "A margin for rounding, still far above it."
+    ),
+    ("discrepancy/normal_offset.py", "len(points) >= FEWEST", "(len(points) < FEWEST)"): (
+        "Many interfaces one by one, few at once: the same sums by the other way."
+    ),
+    ("discrepancy/products/kernel_sums.py", "True", "(False)"): "Only refuses lists of different lengths.",
+    ("discrepancy/products/many_currents.py", "-math.log10(share)", "(math.log10(share))"): (
+        "Begins with the order that the bound requires: slower."
+    ),
+    ("discrepancy/search/many_distances.py", "True", "(False)"): "Only refuses lists of different lengths.",
+    ("likelihood/interfaces.py", "True", "(False)"): "Only refuses lists of different lengths.",
+    ("posterior/kde.py", "1e-12", "(2e-12)"): "No number of the cube is so near 0 or 1.",
+    ("posterior/kde.py", "-weights", "(weights)"): "The same term for every bandwidth.",
+    ("posterior/kde.py", "self.dim == 1 and close.any()", "(self.dim == 1)"): "A correction at no point.",
+    ("posterior/kde.py", "len(points) > loo_points", "(len(points) <= loo_points)"): (
+        "Many draws are all taken, few are drawn again: nearly the same bandwidth, but slower."
+    ),
+    ("posterior/netcdf.py", "np.clip(uniform, 1e-12, 1 - 1e-12)", "(uniform)"): "No number is so near 0 or 1.",
+    ("smc/carried.py", "scouts - mean", "(mean - scouts)"): "Only its size counts.",
+    ("surrogate/field/mode_process.py", "1e-300", "(2e-300)"): "Only a floor that keeps a ratio finite.",
+    (
+        "surrogate/field/projection.py",
+        "centre[balls] - start[lines]",
+        "(start[lines] - centre[balls])",
+    ): "It is squared.",
+    ("readers/shape.py", "cells.dimension(block.kind) or 0", "(cells.dimension(block.kind))"): (
+        "Cells of an unknown kind are refused before."
+    ),
+    (
+        "readers/vtk_xml.py",
+        "np.split(connectivity, ends[:-1]) if len(ends) else []",
+        "(np.split(connectivity, ends[:-1]))",
+    ): ("Only called with cells."),
+    ("runs/run_file.py", "False", "(True)"): "Only numbers are saved.",
 }
 """(file, before, after): the reason."""
 
@@ -135,5 +184,45 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ),
     ("surrogate/field/mode_process.py", "rows = len(observed.z) *", *_OF_ROWS): "More starts are tried: slower.",
     ("posterior/uniformity.py", "np.random.default_rng(0)", "0", "(1)"): "Other random numbers; any will do.",
+    ("discrepancy/measurement_lines.py", "beyond(-side, 0.0)", "0.0", "(1.0)"): "More segments are tried: slower.",
+    ("discrepancy/products/kernel_integrals.py", "reach = width * math.sqrt(2", "1.0", "(2.0)"): (
+        "Pairs are kept that are too far apart to count: slower."
+    ),
+    ("discrepancy/products/kernel_sums.py", "length = max(1 <<", "1", "(2)"): "More padding: slower.",
+    ("discrepancy/search/local_means.py", "(around - middle) @ normal", "around - middle", "(around)"): (
+        "Of the parabola only the bend counts, which no shift changes."
+    ),
+    ("discrepancy/search/nearest.py", "self.rounding = _SLACK[1]", "0.0", "(1.0)"): "A larger margin for rounding.",
+    ("discrepancy/search/nearest.py", "apart = np.maximum(np.maximum(low[k]", *_OF_BOXES): (
+        "A lower bound of the distance, which is lower still: more boxes are tried."
+    ),
+    ("likelihood/inferred_noise.py", "else 0.1) * rms, 4 * rms", "4", "(5)"): "The grid ends where nothing is left.",
+    ("likelihood/inferred_noise.py", "place = np.minimum((np.cumsum(mass)", *_OF_PLACES): (
+        "Levels that begin one value of the grid earlier."
+    ),
+    ("likelihood/interfaces.py", "Counter(self.conditions).most_common(1)", "1", "(2)"): "The first one is taken.",
+    ("likelihood/near_field.py", "if model.shared.any() else 0", "0", "(1)"): "Without shared errors they stay 0.",
+    ("likelihood/near_field.py", "away = np.where(apart", "1.0", "(2.0)"): "Divides what is replaced then.",
+    ("likelihood/near_field.py", "t *= np.where((t * chord)", "1.0", "(2.0)"): (
+        "Only where the closest point is a corner that bends by more than a right angle."
+    ),
+    (
+        "surrogate/field/correction.py",
+        "scale = max(float(np.sqrt(",
+        *_OF_SCALES,
+    ): "A scale of the kernel, which cancels.",
+    ("surrogate/field/correction.py", "scale = max(float(np.sqrt(", "below - middle", "(below + middle)"): (
+        "A scale of the kernel, which cancels."
+    ),
+    ("surrogate/field/projection.py", "np.roll(cells, -1, axis=1)", "-1", "(1)"): "The same sides, sorted then.",
+    ("surrogate/field/projection.py", "np.roll(cells, -1, axis=1)", "1", "(2)"): "The same sides, sorted then.",
+    ("readers/options.py", 'values.get("count", 2)) is int', "2", "(3)"): "A default that only has to be allowed.",
+    ("runs/tables.py", "uri=True, isolation_level=None", "True", "(False)"): "SQLite may take addresses anyway.",
+    ("runs/tables.py", "uri=True, isolation_level=None", "30.0", "(60.0)"): "Waits longer.",
+    ("runs/tables.py", 'if os.name == "posix"', "os.name == 'posix'", "(os.name != 'posix')"): (
+        "Only shows if the power fails."
+    ),
+    ("runs/workers.py", "def end(self, deadline", "0.0", "(1.0)"): "Never a time that is still to come.",
+    ("runs/workers.py", "self.process.wait(max(0.0", "0.0", "(1.0)"): "Waits up to a second longer.",
 }
 """(file, part of the line, before, after): the reason, of changes that would need another one elsewhere in the file."""

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.distance import pdist
 
 import strandline as sl
 from strandline.design import refinement, sobol
@@ -95,17 +94,6 @@ def test_half_of_the_runs_cover_the_flanks_unless_the_temperature_is_one(found):
     everywhere, (only,) = refined(refinement=replace(ONE, temperature=1.0))
     assert len(everywhere.records) == 44
     assert only.error_rms == only.error_rms_posterior
-
-
-def test_runs_close_to_each_other_are_fitted(found):
-    """They make the covariance nearly singular; the nugget keeps it from that."""
-    learnt, _ = found
-    assert any(attempt.accepted for attempt in learnt.surrogate.fit.attempts)
-    assert pdist(learnt.surrogate.process.x_train).min() < 0.02
-    apart = learnt.training[-1] + 1e-9 * (SPACE.high - SPACE.low)
-    nearly_twice = extend(learnt, np.stack([apart, apart + 1e-9]))
-    assert nearly_twice.surrogate.fit.verdict == "converged"
-    assert distance(nearly_twice) < 2 * distance(learnt)
 
 
 def test_failed_runs_are_counted_and_teach_nothing():

@@ -12,6 +12,8 @@ from tests.unit.readers.reads import read, refused
 
 from strandline.errors import InvalidInput
 from strandline.readers import READERS, Unreadable
+from strandline.readers.chains import Chain, _directed
+from strandline.readers.vtk_xml import _parts
 
 NX, NY = 4, 2
 TOP = np.stack([np.arange(NX + 1.0), np.full(NX + 1, float(NY))], axis=1)
@@ -288,3 +290,25 @@ def test_a_missing_extra_names_its_command(tmp_path, monkeypatch):
     vtp = tmp_path / "line.vtp"
     vtp.write_text(VTP_ASCII)
     assert len(read(vtp, keep="longest").points) == 4  # VTK's own formats need no extra
+
+
+def test_a_chain_runs_as_most_of_its_edges_do():
+    chain = Chain(np.arange(6), closed=False)
+    for forward, nodes in (({(0, 1), (1, 2)}, [5, 4, 3, 2, 1, 0]), ({(0, 1), (1, 2), (3, 4)}, [0, 1, 2, 3, 4, 5])):
+        assert _directed(chain, forward).nodes.tolist() == nodes
+
+
+def test_values_of_cells_are_numbers_all_of_them(tmp_path):
+    with pytest.raises(InvalidInput, match=r"cells.*the name of data with a number"):
+        read(tmp_path / "a.vtu", cells={"region": (1, "x")})
+
+
+def test_a_polygon_is_a_fan_of_triangles():
+    kind, found = _parts(7, np.array([4, 5, 6, 7, 8]))
+    assert (kind, np.array(found).tolist()) == ("triangle", [[4, 5, 6], [4, 6, 7], [4, 7, 8]])
+
+
+def test_a_small_outline_runs_counter_clockwise(tmp_path):
+    corners = 0.1 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    x, y = read(cells_of(tmp_path, corners, "quad", np.array([[0, 1, 2, 3]]))).points.T
+    assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) == pytest.approx(0.02)

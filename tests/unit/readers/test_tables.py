@@ -8,7 +8,7 @@ import pytest
 from tests.unit.readers.reads import read, refused
 
 from strandline.errors import InvalidInput
-from strandline.readers import Reading, Unreadable, read_interface
+from strandline.readers import Reading, Unreadable, read_interface, read_point_sds
 
 POINTS = np.array([[0.0, 0.0], [0.5, 0.25], [1.0, -0.125]])
 TABLE = "node, x coord, U1, y coord, U2\n7,0,0,0,0\n8,500,1,250,2\n9,1000,3,-125,4\n"
@@ -202,3 +202,34 @@ def test_options_that_cannot_be():
             Reading.from_options(options, "result")
         assert words in str(caught.value)
         assert str(caught.value).startswith("result")
+
+
+def test_pictures_are_no_tables(tmp_path):
+    path = tmp_path / "a.csv"
+    for begin, kind in ((b"\x89PNG\r\n\x1a\n", "PNG"), (b"\xff\xd8\xff\xe0", "JPEG")):
+        path.write_bytes(begin + bytes(40))
+        refused(kind, path)
+
+
+def test_standard_deviations_have_the_unit_of_the_points(tmp_path):
+    """A table of points has them in its columns, or an array."""
+    table, path = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 3.0], [2.0, 1.0, 4.0]]), tmp_path / "a.npy"
+    np.save(path, table)
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",")
+    for name in ("a.npy", "a.csv"):
+        how = Reading.from_options({"file": name, "unit": "um", "sd": 3}, "result")
+        np.testing.assert_allclose(read_point_sds(tmp_path / name, how), [0.002, 0.003, 0.004])
+        np.testing.assert_allclose(read(tmp_path / name, sd=3).points, table[:, :2])
+
+
+def test_a_triangle_closes(tmp_path):
+    found = read(written(tmp_path, "0,0\n1,0\n0,1\n0,0\n"))
+    assert (found.closed, len(found.points)) == (True, 3)
+
+
+def test_a_reader_of_ones_own_that_returns_something_else_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "a.odd").write_text("")
+    (tmp_path / "odd_reader.py").write_text("def load(*given):\n    return {}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InvalidInput, match=r"got a dict; expected strandline\.readers\.Contents"):
+        read(tmp_path / "a.odd", reader="odd_reader:load")

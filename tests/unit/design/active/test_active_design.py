@@ -1,6 +1,7 @@
 """When an active design goes on, checks and stops."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -369,3 +370,9 @@ def test_weights_between_posteriors_count_and_the_noise_of_particles_does_not():
     moved = Remembered.of(one).moved(shifted.knowledge)
     assert moved.shift > 0.3
     assert moved.effective < 0.9
+
+
+def test_runs_with_derivatives_count_for_half_of_the_inputs():
+    for dim, gradients, number in ((3, True, 2), (2, True, 1), (1, True, 1), (3, False, 3)):
+        state = SimpleNamespace(knowledge=SimpleNamespace(surrogate=SimpleNamespace(gradients=gradients)))
+        assert ActiveDesign._apart(SimpleNamespace(space=SimpleNamespace(dim=dim)), state) == number

@@ -1,13 +1,15 @@
 """How often checks pass right and wrong surrogates, after how many draws, and what smooth errors do to a posterior."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from strandline.design.active import checking, parabola
 from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, probes, verdict
-from strandline.design.active.parabola import Expected, fewest, smooth_effect
+from strandline.design.active.parabola import FREEDOM, Effect, Expected, fewest, smooth_effect
 
 TOLERANCES = Tolerances(shift=0.1, width=0.15, k_hat=0.5, effective=0.8)
 
@@ -270,3 +272,55 @@ def test_known_scatter_is_taken_out_of_the_effective_share_alone():
     for scatter in (0.01, 0.5):
         options = {"scatter": scatter, "noise": np.sqrt(scatter), "replicates": 10}
         assert share_passed(lambda z: 0.3 * z[:, 0], **options) <= 0.1, "it excuses no wrong surrogate"
+
+
+def test_a_tenth_of_the_runs_of_a_check_may_fail():
+    draws, posterior, _ = drawn(1, 60, 2)
+    ratios = np.where(np.arange(60) < 4, np.nan, 0.0)
+    made = verdict(draws, ratios, posterior, TOLERANCES, probing=9, level=0.01, last=False)
+    assert (made.passed, made.failed) == (True, 4)
+
+
+def test_looks_at_earlier_runs_and_at_draws_share_the_error_probability(monkeypatch):
+    """Either may confirm a posterior."""
+    levels, effect = [], checking.smooth_effect
+    monkeypatch.setattr(checking, "smooth_effect", lambda *a, **more: (levels.append(a[3]), effect(*a, **more))[1])
+    draws, posterior, errors = drawn(1, 14, 2)
+    before = LeftOut(*(one[:10] for one in (posterior, 3.0 * np.sin(9 * posterior[:, 0]), np.ones(500))))
+    for given, level in ((None, 0.01), (before, 0.005)):
+        levels.clear()
+        verdict(draws, 0.01 * errors, posterior, TOLERANCES, probing=6, level=0.01, last=False, left_out=given)
+        assert set(levels) == {level}
+
+
+def test_bounds_shrink_as_those_of_student_do():
+    """One degree of freedom and ten more: the root of 11, and the quantiles of Student's distribution."""
+    shrinks = np.sqrt(1 / 11) * t.ppf(checking.LEVEL, 11) / t.ppf(checking.LEVEL, 1)
+    for share, settles in ((0.9, True), (1.1, False)):
+        bound = share * TOLERANCES.shift / shrinks
+        effect = Effect(0.0, (0.0, bound), 0.0, (0.0, 0.0), (0.0, 1.0))
+        assert checking._may_settle([(effect, fewest(1) - FREEDOM + 1)], 10, 1, TOLERANCES) is settles
+
+
+def test_weights_object_to_a_shift_beyond_its_error():
+    smoothed = SimpleNamespace(log_weights=np.zeros(50), ess=50.0, k_hat=0.1)
+    for error, objected in ((0.01, 1), (0.1, 0)):
+        found = SimpleNamespace(
+            smoothed=smoothed, shift=np.array([-0.15]), shift_error=np.array([error]), sd_ratio=np.ones(1)
+        )
+        assert len(checking.objections(found, TOLERANCES)) == objected
+
+
+def test_a_shift_is_its_size_whatever_its_direction():
+    draws, posterior, _ = drawn(1, 24)
+    for slope in (-0.3, 0.3):
+        found = smooth_effect(draws, slope * draws[:, 0], posterior, 0.05)
+        assert found.shift == pytest.approx(0.3, abs=0.03)
+
+
+def test_no_draw_counts_more_than_those_that_are_expected_exact_to_a_tenth(monkeypatch):
+    roots, fitted = [], parabola._fitted
+    monkeypatch.setattr(parabola, "_fitted", lambda *given: (roots.append(given[2]), fitted(*given))[1])
+    draws, posterior, errors = drawn(1, 16)
+    smooth_effect(draws, errors, posterior, 0.05, expected=Expected(np.repeat([0.0, 0.99], 8), np.ones(500)))
+    assert roots[0][0] / roots[0][-1] == pytest.approx(10.0)

@@ -9,7 +9,7 @@ from tests.unit.design.active.fakes import MEAN, SPACE, Assumed, even, inputs_of
 
 import strandline as sl
 from strandline.design.active import CRITERIA, Active, ActiveDesign, State
-from strandline.design.active.choice import choose
+from strandline.design.active.choice import _accepted, choose
 from strandline.design.active.elsewhere import points_elsewhere
 from strandline.design.active.failing import MOST, SAFE, UNLIKELY, Losses, safe_candidates
 from strandline.surrogate.field.mode_process import ModeProcess
@@ -210,3 +210,10 @@ def test_nobody_looks_where_runs_fail(losses):
     assert (losses.chance(likely) >= UNLIKELY).all()
     assert 0 < len(likely) < len(anywhere)
     assert len(points_elsewhere(X[:8], SPACE, 0.05, 50, lambda x: np.zeros(len(x), bool))) == 0
+
+
+def test_a_criterion_may_pick_a_point_twice_once_one_of_its_pools_is_used_up():
+    one, two = np.array([[0.1, 0.2]]), np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
+    np.testing.assert_array_equal(_accepted(one[0], {True: one, False: two}, [one[0]], "mine"), one[0])
+    with pytest.raises(sl.InvalidInput, match="mine picks"):
+        _accepted(one[0], {True: two, False: two}, [one[0]], "mine")

@@ -1,6 +1,7 @@
 """Where nobody has looked: shares of the prior's mass, points to look at, what runs there and runs left out say."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -199,3 +200,16 @@ def test_a_posterior_without_any_run_inside_has_no_ratios():
     one = State(likely, positions, equal, equal, equal, np.zeros(50), np.zeros(50))
     x, ratios, variances = left_out_ratios(one, records, lambda run: 0.0, arches.SPACE.log_prior)
     assert (x.shape, len(ratios), len(variances)) == ((0, 2), 0, 0)
+
+
+def test_a_run_is_expected_as_the_uncertain_surrogate_expects_it():
+    """Planted: by the mean of its predictions alone, it would be a surprise."""
+    line = {"": Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0]]))}
+    surrogate = SimpleNamespace(interfaces=lambda x: line, predicted_error=lambda x: np.ones(len(x)))
+    for expected, number in ((0.0, 0), (-9.0, 1)):
+        told = {"expected": lambda x, at=expected: np.full(len(x), at), "plug_in": lambda x: np.full(len(x), -9.0)}
+        knowledge = SimpleNamespace(surrogate=surrogate, **told)
+        zeros = {name: np.zeros(1) for name in ("log_weights_tempered", "log_expected", "log_plug_in")}
+        state = SimpleNamespace(knowledge=knowledge, log_evidence_tempered=0.0, **zeros)
+        x, records = np.zeros((1, 1)), [SimpleNamespace(interfaces=line)]
+        assert len(surprises(state, x, records, np.array([module.UNLIKELY - 1]), 0.5, 1.0)) == number
