@@ -49,6 +49,7 @@ def test_errors_of_left_out_pairs_are_those_of_learning_without_them():
         without = fit_correction([*cheaper[:k], *cheaper[k + 1 :]], [*model[:k], *model[k + 1 :]])
         error = without.distance(without.corrected(cheaper[k]), model[k])
         assert error == pytest.approx(whole.left_out[k], rel=0.5)  # the scale and the noise share are chosen anew
+    assert whole.error == pytest.approx(np.sqrt(np.mean(whole.left_out**2)))
     assert whole.error > 0.5 * whole.spread
     right = fit_correction(*pairs(5))
     assert right.error < 0.02 * right.spread

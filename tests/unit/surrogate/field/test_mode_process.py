@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import null_space
+from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
@@ -228,3 +229,9 @@ def test_what_has_no_evidence_is_refused():
     repeated = Observed(np.zeros((4, 2)), np.arange(4.0), None, False)
     with pytest.raises(NumericsError, match="not positive definite"):
         restricted_evidence(repeated, np.zeros(2), -50.0)
+
+
+def test_the_slope_of_the_evidence_and_its_prior_is_that_of_differences():
+    one, at = observed(False, True), np.array([0.3, -0.2, -6.0])
+    expected = approx_fprime(at, lambda x: mode_process._objective(x, one)[0], 1e-6)
+    np.testing.assert_allclose(mode_process._objective(at, one)[1], expected, rtol=1e-4, atol=1e-3)

@@ -1,6 +1,7 @@
 """Inputs made straighter: warps that predict best, chosen only now and then, monotone and with the chain rule."""
 
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,3 +88,14 @@ def test_a_warp_is_monotone_and_only_wide_and_positive_inputs_are_warped():
         assert len(set(np.sign(np.diff(warp.apply(np.linspace(0.2, 9.0, 200)))))) == 1
     low, high = np.array([100.0, -0.8, 1.0, 0.0, 1.0]), np.array([800.0, 0.5, 1.5, 1.0, 2.0])
     assert eligible(low, high) == [0, 4]
+
+
+def test_fits_are_quick_only_where_they_are_compared(monkeypatch):
+    asked, fit = [], warp_choice.fit_mode
+    monkeypatch.setattr(warp_choice, "fit_mode", lambda one, quick: (asked.append(quick), fit(one, quick=quick))[1])
+    z = np.random.default_rng(1).random((8, 1))
+    data = SimpleNamespace(x=z, fields=np.sin(3 * z) * np.ones((8, 4)), weights=np.full(4, 0.25), gradients=None)
+    warping = SimpleNamespace(standardise=lambda x: 2 * x - 1)
+    for most, quick in ((None, False), (1, True)):
+        warp_choice.fit_modes(data, warping, 1e-3, most)
+        assert asked.pop() is quick
