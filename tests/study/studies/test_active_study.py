@@ -1,12 +1,11 @@
 """Studies with an active design: results, resume, another analysis of the same runs, a cheaper model."""
 
 import json
-from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from tests.study.conftest import Finished, finish
+from tests.study.conftest import finish
 from tests.study.studies import exact
 
 from strandline.calibration import Observer
@@ -14,48 +13,38 @@ from strandline.errors import InvalidStudy
 from strandline.models.fidelities import CHEAPER as MARK
 from strandline.models.fidelities import is_cheaper
 from strandline.posterior import read
-from strandline.runs import InProcess, Ledger, Progress, RunRecord
-from strandline.studies import Outcome, load_study, run_study
+from strandline.runs import InProcess, Ledger
+from strandline.studies import load_study, run_study
 from strandline.studies.progress import progress_of
 from strandline.studies.result import load_result
 from strandline.testing.studies import write_study
 
 
-class Stopped(Exception):
-    """The driver is stopped."""
-
-
-def stopped_after(runs: int, folder: Path) -> None:
+def stopped_after(runs, folder):
     """Run the study until it has made some runs."""
-    made: list[RunRecord] = []
-
-    def run(record: RunRecord, progress: Progress) -> None:
-        made.append(record)
-        if len(made) == runs:
-            raise Stopped
-
-    with pytest.raises(Stopped):
-        run_study(load_study(folder), executor=InProcess(), observer=Observer(run=run))
+    stop = Mock(side_effect=[None] * (runs - 1) + [KeyboardInterrupt])
+    with pytest.raises(KeyboardInterrupt):
+        run(folder, observer=Observer(run=stop))
 
 
-def run(folder: Path) -> Outcome:
-    return run_study(load_study(folder), executor=InProcess())
+def run(folder, **options):
+    return run_study(load_study(folder), executor=InProcess(), **options).summary
 
 
-def like(active: Finished, folder: Path, **changes: Any) -> Path:
+def like(active, folder, **changes):
     """Write the study of the active design again, without a report."""
     return write_study(folder, **json.loads((active.folder / "study.yaml").read_text()) | {"report": "none"} | changes)
 
 
-def test_the_certificate_is_in_the_summary(active: Finished) -> None:
+def test_the_certificate_is_in_the_summary_with_the_posterior_of_the_model_itself(active):
     summary = active.outcome.summary
     found = summary["certificate"]
     assert (found["converged"], found["verdict"]) == (True, "converged"), found
     assert {"initial", "check"} <= {entry["kind"] for entry in found["batches"]}
     assert sum(entry["runs"] for entry in found["batches"]) == found["runs"] == summary["runs"]["ok"] < 40
     check = found["check"]
-    assert check["by"] == "runs at draws of the posterior"
-    assert (check["passed"], check["failed"], check["reasons"]) == (True, 0, [])
+    facts = check["by"], check["passed"], check["failed"], check["reasons"]
+    assert facts == ("runs at draws of the posterior", True, 0, [])
     assert 0.8 < check["effective"] <= 1.0
     assert set(check["shift"]) == set(check["shift_error"]) == set(check["sd_ratio"]) == {"E", "tilt"}
     assert [step["runs"] for step in found["history"]] == list(np.cumsum([entry["runs"] for entry in found["batches"]]))
@@ -66,24 +55,18 @@ def test_the_certificate_is_in_the_summary(active: Finished) -> None:
     assert found["error_um"] == found["history"][-1]["error_um"]
     assert found["feasible_mass"] == pytest.approx(1.0)
     surrogate = summary["surrogate"]
-    assert (surrogate["kind"], surrogate["n_train"]) == ("field", found["runs"])
-    assert set(surrogate["warps"]) == {"E", "tilt"}
-    assert surrogate["common_points"] == "nodes"
+    facts = surrogate["kind"], surrogate["n_train"], set(surrogate["warps"]), surrogate["common_points"]
+    assert facts == ("field", found["runs"], {"E", "tilt"}, "nodes")
     assert surrogate["left_out_error_um"]["median"] <= surrogate["left_out_error_um"]["q95"]
     assert abs(surrogate["variance_effect"]["shift"]["E"]) < 0.05
     json.dumps(summary)
-
-
-def test_the_posterior_is_that_of_the_model_itself(active: Finished) -> None:
     expected, _ = exact.posterior(exact.likelihood_of(active.outcome.calibration.problem))
-    last = active.outcome.summary["certificate"]["history"][-1]
+    last = found["history"][-1]
     for name, (mean, sd) in expected.items():
         assert abs(last["mean"][name] - mean) < 0.2 * sd
         assert last["sd"][name] == pytest.approx(sd, rel=0.15)
-
-
-def test_a_finished_study_is_known_to_be_so(active: Finished) -> None:
-    study, number = active.study, active.outcome.summary["certificate"]["runs"]
+    # The finished study is known to be so.
+    study, number = active.study, found["runs"]
     study.runs.require_finished()
     state = progress_of(study)
     assert (state.planned, state.ok, state.to_do, state.results) == (number, number, 0, "current")
@@ -92,7 +75,7 @@ def test_a_finished_study_is_known_to_be_so(active: Finished) -> None:
         assert {record.key for record in ledger} == set(study.runs.needed_keys)
 
 
-def test_what_was_stopped_goes_on_to_the_same_bits(active: Finished, tmp_path: Path) -> None:
+def test_what_was_stopped_goes_on_to_the_same_bits(active, tmp_path):
     folder = like(active, tmp_path)
     assert (progress_of(load_study(folder)).planned, load_study(folder).settings.planned_runs) == (40, 40)
     stopped_after(9, folder)
@@ -100,18 +83,18 @@ def test_what_was_stopped_goes_on_to_the_same_bits(active: Finished, tmp_path: P
     assert (state.planned, state.ok, state.active) == (40, 9, True)
     with pytest.raises(InvalidStudy, match="the study is not finished"):
         load_study(folder).runs.require_finished()
-    again, straight = run(folder).summary, active.outcome.summary
+    again, straight = run(folder), active.outcome.summary
     assert (again["runs"]["reused"], straight["runs"]["reused"]) == (9, 0)
     assert again["runs"]["new"] + 9 == straight["runs"]["new"]
     assert again["certificate"] == straight["certificate"]
     assert read(folder / "posterior.nc").identical(read(active.folder / "posterior.nc"))
 
 
-def test_another_noise_takes_the_runs_that_there_are(active: Finished, tmp_path: Path) -> None:
+def test_another_noise_takes_the_runs_that_there_are(active, tmp_path):
     """New runs are those of the certificate, where left-out runs do not vouch for the posterior."""
     number = active.outcome.summary["certificate"]["runs"]
     folder = like(active, tmp_path, noise={"sd": 5, "unit": "um"}, reuse=[str(active.folder)])
-    again = run(folder).summary
+    again = run(folder)
     batches = again["certificate"]["batches"]
     assert batches[0] == {"kind": "given", "runs": number}
     assert again["certificate"]["converged"]
@@ -127,20 +110,14 @@ def test_another_noise_takes_the_runs_that_there_are(active: Finished, tmp_path:
         assert len(other.runs.begin_active(ledger) or []) >= number
 
 
-CHEAPER: dict[str, Any] = {
-    "report": "none",
-    "design": {"active": {"runs": 40, "batch": 4}},
-    "noise": {"sd": 0.006},
-    "fidelities": [{"model": {"python": {"function": "tests.study.studies.softer:softer"}}, "cost": 0.2}],
-}
-
-
 @pytest.fixture(scope="module")
-def cheaper(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    return finish(tmp_path_factory.mktemp("cheaper") / "study", **CHEAPER)
+def cheaper(tmp_path_factory):
+    softer = {"model": {"python": {"function": "tests.study.studies.exact:softer"}}, "cost": 0.2}
+    content = {"design": {"active": {"runs": 40, "batch": 4}}, "noise": {"sd": 0.006}, "fidelities": [softer]}
+    return finish(tmp_path_factory.mktemp("cheaper") / "study", report="none", **content)
 
 
-def test_the_summary_counts_runs_of_both_models(cheaper: Finished) -> None:
+def test_the_summary_counts_runs_of_both_models_and_other_posteriors_take_them(cheaper):
     summary = cheaper.outcome.summary
     found = summary["certificate"]["fidelities"]
     assert summary["certificate"]["converged"]
@@ -153,21 +130,18 @@ def test_the_summary_counts_runs_of_both_models(cheaper: Finished) -> None:
     marks = [record.inputs[MARK] for record in records if is_cheaper(record.inputs)]
     assert marks == [1.0] * found["cheaper_runs"]
     assert len({record.key for record in records}) == len(records)
+    other = load_result(cheaper.folder).with_noise(sd=0.006)
+    posterior = cheaper.outcome.calibration.posterior
+    assert np.abs((other.posterior.mean - posterior.mean) / posterior.sd).max() < 0.1
+    assert len(other.records) < len(other.all_runs)
 
 
-def test_a_stopped_study_with_a_cheaper_model_goes_on_to_the_same_result(cheaper: Finished, tmp_path: Path) -> None:
+def test_a_stopped_study_with_a_cheaper_model_goes_on_to_the_same_result(cheaper, tmp_path):
     folder = tmp_path / "study"
     folder.mkdir()
     (folder / "study.yaml").write_text(cheaper.study.text)
     stopped_after(17, folder)
-    assert 0 < run(folder).summary["runs"]["new"] < cheaper.outcome.summary["runs"]["new"]
+    assert 0 < run(folder)["runs"]["new"] < cheaper.outcome.summary["runs"]["new"]
     one, other = (read(place / "posterior.nc")["posterior"] for place in (cheaper.folder, folder))
     for name in ("E", "tilt"):
         np.testing.assert_array_equal(one[name], other[name])
-
-
-def test_other_posteriors_take_the_corrected_runs(cheaper: Finished) -> None:
-    found = load_result(cheaper.folder).with_noise(sd=0.006)
-    posterior = cheaper.outcome.calibration.posterior
-    assert np.abs((found.posterior.mean - posterior.mean) / posterior.sd).max() < 0.1
-    assert len(found.records) < len(found.all_runs)

@@ -2,20 +2,19 @@
 
 import json
 import shutil
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from tests.study.conftest import Finished
 from tests.study.studies import exact
 
 from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.discrepancy import ClosestPoint
-from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy, TooFewRuns
+from strandline.errors import ForwardModelError, InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
 from strandline.posterior import from_datatree, read
@@ -28,27 +27,23 @@ TITLE = "Checked with the true model"
 
 
 @pytest.fixture
-def folder(beam: Finished, copy_of: Callable[[Finished], Path]) -> Path:
+def folder(beam, copy_of):
     return copy_of(beam)
 
 
-def without_report(folder: Path) -> Path:
+def without_report(folder):
     """Take report and figures away, so that a check draws no page."""
     shutil.rmtree(folder / "figures")
     (folder / "report.html").unlink()
     return folder
 
 
-def checked(folder: Path, *, draws: int = 200, **changes: Any) -> dict[str, Any]:
+def checked(folder, *, draws=200, **changes):
     """Return what check.json says after a check, some fields of the study replaced."""
     found = check_posterior(replace(load_study(folder), **changes), draws=draws, executor=InProcess())
-    content: dict[str, Any] = json.loads((folder / "check.json").read_text("utf-8"))
+    content = json.loads((folder / "check.json").read_text("utf-8"))
     assert found.path == folder / "check.json"
     return content
-
-
-def effort(content: dict[str, Any]) -> tuple[int, int]:
-    return content["runs"]["new"], content["runs"]["reused"]
 
 
 @dataclass(frozen=True)
@@ -58,12 +53,9 @@ class Changed:
     weaker: float = 1.0
     fails_above: float = np.inf
     extra_nodes: bool = False
+    fingerprint: ClassVar[str] = "test:beam-1"
 
-    @property
-    def fingerprint(self) -> str:
-        return "test:beam-1"
-
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+    def __call__(self, inputs, workdir):
         if inputs["E"] > self.fails_above:
             raise ForwardModelError("snapped", f"E = {inputs['E']:g} Pa is too much")
         result = undeclared_beam({**inputs, "E": inputs["E"] / self.weaker}, workdir)
@@ -72,7 +64,7 @@ class Changed:
         return result
 
 
-def test_moments_log_likelihoods_and_band_are_those_of_the_model(folder: Path) -> None:
+def test_moments_log_likelihoods_and_band_are_those_of_the_model(folder):
     """The clamped end does not move; at the tip the quantiles are those of the closed form."""
     content = checked(without_report(folder))
     posterior, particles = from_datatree(read(folder / "posterior.nc"), load_study(folder).space), content["particles"]
@@ -105,25 +97,21 @@ def test_moments_log_likelihoods_and_band_are_those_of_the_model(folder: Path) -
     assert not (folder / "report.html").exists()
 
 
-def test_a_check_makes_no_run_twice_and_goes_on_where_it_was_stopped(folder: Path) -> None:
-    def stop(record: Any, progress: Any) -> None:
-        if progress.finished == 7:
-            raise KeyboardInterrupt
-
+def test_a_check_makes_no_run_twice_and_goes_on_where_it_was_stopped(folder):
+    stop = Mock(side_effect=[None] * 6 + [KeyboardInterrupt])
     ledger = (folder / "ledger.sqlite").read_bytes()
     with pytest.raises(KeyboardInterrupt):
         check_posterior(load_study(folder), draws=40, executor=InProcess(), observer=Observer(run=stop))
     assert not (folder / "check.json").exists()
     first = checked(without_report(folder), draws=40)
     second = checked(folder, draws=40)
-    assert (effort(first), effort(second)) == ((33, 7), (0, 40))
-    told = {**first, "runs": None, "seconds": None}
-    assert told == {**second, "runs": None, "seconds": None}
-    assert effort(checked(folder, draws=80)) == (40, 40)
+    assert [(one["runs"]["new"], one["runs"]["reused"]) for one in (first, second)] == [(33, 7), (0, 40)]
+    assert {**first, "runs": None, "seconds": None} == {**second, "runs": None, "seconds": None}
+    assert checked(folder, draws=80)["runs"]["new"] == 40
     assert (folder / "ledger.sqlite").read_bytes() == ledger
 
 
-def test_draws_that_fail_have_no_weight_and_are_told(folder: Path) -> None:
+def test_draws_that_fail_have_no_weight_and_are_told(folder):
     content = checked(folder, draws=60, model=Changed(fails_above=420.0))
     posterior = from_datatree(read(folder / "posterior.nc"), load_study(folder).space)
     above = posterior.draws[content["particles"]["number"], 0] > 420
@@ -145,7 +133,7 @@ def test_draws_that_fail_have_no_weight_and_are_told(folder: Path) -> None:
         checked(folder.parent / "none", draws=20, model=none)
 
 
-def test_a_wrong_surrogate_is_caught(folder: Path) -> None:
+def test_a_wrong_surrogate_is_caught(folder):
     content = checked(without_report(folder), draws=60, model=Changed(weaker=1.5))
     assert content["verdict"] == "bad"
     assert content["k_hat"] is None or content["k_hat"] > 0.7
@@ -153,17 +141,16 @@ def test_a_wrong_surrogate_is_caught(folder: Path) -> None:
     assert "Remedy: more runs near the posterior" in content["remarks"][1]
 
 
-def test_interfaces_of_other_nodes_have_no_band(folder: Path) -> None:
-    content = checked(
-        folder, draws=40, model=Changed(extra_nodes=True), discrepancies={"closest_point": ClosestPoint()}
-    )
+def test_interfaces_of_other_nodes_have_no_band(folder):
+    measures = {"closest_point": ClosestPoint()}
+    content = checked(folder, draws=40, model=Changed(extra_nodes=True), discrepancies=measures)
     (item,) = content["interfaces"]
     assert item["note"] == "no band: the interfaces of the draws have from 9 to 17 points"
     assert item["displacement"] is None
     assert item["note"] in (folder / "report.html").read_text("utf-8")
 
 
-def test_it_stands_in_the_report_once(folder: Path, beam: Finished, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_stands_in_the_report_once(folder, beam, capsys):
     before = (folder / "report.html").read_text("utf-8")
     assert TITLE not in before
     main(["posterior", "check", str(folder), "--draws", "30", "--workers", "1"])
@@ -194,24 +181,23 @@ def test_it_stands_in_the_report_once(folder: Path, beam: Finished, capsys: pyte
         assert read_check(folder, posterior) is None
 
 
-def test_what_is_refused(beam: Finished, tmp_path: Path) -> None:
-    """It leaves no trace."""
+def test_what_is_refused(beam, tmp_path):
     content = json.loads((beam.folder / "study.yaml").read_text())
     unfinished = "no posterior to check: got a study that is not finished"
-    number = "draws of the check: got"
-    rows: list[tuple[str, Callable[[Path], object], int, type[Exception], str]] = [
-        ("many", lambda folder: None, 1001, InvalidInput, f"{number} 1001; expected from 20 to 1000"),
-        ("few", lambda folder: None, 19, InvalidInput, f"{number} 19; expected from 20"),
-        ("no summary", lambda folder: (folder / "summary.json").unlink(), 20, InvalidStudy, unfinished),
-        ("no posterior", lambda folder: (folder / "posterior.nc").unlink(), 20, InvalidStudy, unfinished),
-        ("no ledger", lambda folder: (folder / "ledger.sqlite").unlink(), 20, InvalidStudy, "0 of 65 forward runs"),
-        ("damaged", lambda f: (f / "posterior.nc").write_bytes(b"no"), 20, InvalidStudy, "posterior.nc cannot be read"),
-        ("seed", lambda f: write_study(f, **content | {"seed": 2}), 20, InvalidStudy, "of an earlier study.yaml"),
-    ]
-    for name, spoil, draws, kind, words in rows:
-        folder = Path(shutil.copytree(beam.folder, tmp_path / name))
+    for number, (draws, spoil, words) in enumerate(
+        (
+            (1001, lambda folder: None, "draws of the check: got 1001; expected from 20 to 1000"),
+            (19, lambda folder: None, "draws of the check: got 19; expected from 20"),
+            (20, lambda folder: (folder / "summary.json").unlink(), unfinished),
+            (20, lambda folder: (folder / "posterior.nc").unlink(), unfinished),
+            (20, lambda folder: (folder / "ledger.sqlite").unlink(), "0 of 65 forward runs"),
+            (20, lambda folder: (folder / "posterior.nc").write_bytes(b"no"), "posterior.nc cannot be read"),
+            (20, lambda folder: write_study(folder, **content | {"seed": 2}), "of an earlier study.yaml"),
+        )
+    ):
+        folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
         spoil(folder)
         before = sorted(path.name for path in folder.iterdir())
-        with pytest.raises(kind, match=words):
+        with pytest.raises(InvalidInput, match=words):
             check_posterior(load_study(folder), draws=draws)
         assert [path.name for path in sorted(folder.iterdir()) if "-shm" not in path.name] == before

@@ -1,15 +1,13 @@
 """Studies of several conditions, and of sensitivities: from files to results."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from tests.study.conftest import Finished, finish
+from tests.study.conftest import finish
+from tests.unit.cli.command_line import printed, refused
 from tests.unit.studies.test_refusals import BOTH
 
-from strandline.cli import main
 from strandline.errors import InvalidStudy
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger
@@ -20,16 +18,11 @@ from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 INPUTS = {"E": 400.0, "load": 1e-5}
 OWN = {"sd": 30, "unit": "um", "conditions": {"light": {"sd": 10, "length": 15, "unit": "um"}}}
-SMALL: dict[str, Any] = {
-    **TWO_LOADS_STUDY,
-    "design": {"sobol": {"runs": 16}},
-    "discrepancy": {"closest_point": {}},
-    "noise": OWN,
-}
+SMALL = {**TWO_LOADS_STUDY, "design": {"sobol": {"runs": 16}}, "discrepancy": {"closest_point": {}}, "noise": OWN}
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+def files(tmp_path_factory):
     """A study that observes files, in µm, in another order than the model's."""
     folder = tmp_path_factory.mktemp("files") / "two"
     folder.mkdir()
@@ -38,15 +31,13 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     return finish(folder, **SMALL | {"observation": BOTH})
 
 
-def test_all_results_tell_the_conditions(files: Finished, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_results_tell_the_conditions(files, capsys):
     summary = json.loads((files.folder / "summary.json").read_text())
     estimate, likelihood = summary["inputs"]["E"], summary["likelihood"]
     assert abs(estimate["mean"] - 400.0) < estimate["sd"]
     heavy, light = likelihood["conditions"]
-    assert (light["condition"], heavy["condition"]) == ("light", "heavy")
-    assert (light["points"], heavy["points"]) == (34, 34)
-    assert (light["point_sd"], heavy["point_sd"]) == pytest.approx((0.01, 0.03))
-    assert light["correlation_length"] == pytest.approx(0.015)
+    assert (light["condition"], light["points"], heavy["condition"], heavy["points"]) == ("light", 34, "heavy", 34)
+    assert (light["point_sd"], heavy["point_sd"], light["correlation_length"]) == pytest.approx((0.01, 0.03, 0.015))
     for key in ("point_sd", "correlation_length", "noise_variance"):
         assert likelihood[key] == heavy[key]
     data = read(files.folder / "posterior.nc")["observed_data"].to_dataset()
@@ -56,15 +47,14 @@ def test_all_results_tell_the_conditions(files: Finished, capsys: pytest.Capture
     assert "<tr><td>heavy</td><td>34</td>" in page
     assert "by condition." in page
     assert page.count('id="interfaces"') == 1
-    main(["check", str(files.folder)])
-    shown = capsys.readouterr().out
+    shown = printed(capsys, "check", str(files.folder))
     assert "observed conditions: heavy, light" in shown
     assert "closest_point: log-likelihood -" in shown
 
 
-def test_sensitivities_are_added_to_known_runs(files: Finished, tmp_path: Path) -> None:
+def test_sensitivities_are_added_to_known_runs(files, tmp_path):
     """Synthetic observations, and a check of the posterior, which makes runs without sensitivities."""
-    plain: dict[str, Any] = {"noise": {"sd": 30, "unit": "um"}, "draft": True, "report": "none"}
+    plain = {"noise": {"sd": 30, "unit": "um"}, "draft": True, "report": "none"}
     content = {**SMALL, **plain, "sensitivities": True, "reuse": [str(files.folder)]}
     content["sampler"] = json.loads((files.folder / "study.yaml").read_text())["sampler"]
     study = load_study(write_study(tmp_path / "study", **content))
@@ -93,41 +83,30 @@ def test_sensitivities_are_added_to_known_runs(files: Finished, tmp_path: Path) 
         assert all(record.ok and not record.sensitivities for record in ledger)
 
 
-class TestForward:
-    def test_a_file_for_each_condition(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        """The files can be observed, and have the slopes if they are asked for."""
-        folder, exact = write_study(tmp_path / "study", **SMALL), TwoLoads(sensitivities=True)(INPUTS, tmp_path)
-        main(["forward", str(folder), "--set", "E=400", "--csv", str(folder / "seen.csv")])
-        told = "tip_light 0.1, tip_heavy 0.25\n  light: 34 points\n  heavy: 34 points\n"
-        wrote = "".join(f"wrote {folder / f'seen-{name}.csv'}\n" for name in TwoLoads.conditions)
-        assert capsys.readouterr().out.endswith(told + wrote)
-        seen = [{"condition": name, "file": f"seen-{name}.csv", "unit": "mm"} for name in TwoLoads.conditions]
-        study = load_study(write_study(folder, **SMALL | {"observation": seen}))
-        for name, interface in exact.interfaces.items():
-            np.testing.assert_array_equal(study.observed[name].points, interface.points)
-        options = ["--set", "E=400", "--csv", str(tmp_path / "s.csv"), "--sensitivities"]
-        main(["forward", str(folder), *options])
-        assert "  heavy: d/dE up to 0.000626755 mm per Pa\n" in capsys.readouterr().out
-        main(["forward", str(folder), *options, "--json"])
-        found = json.loads(capsys.readouterr().out)
-        for condition in TwoLoads.conditions:
-            assert found["csv"][condition] == str(tmp_path / f"s-{condition}.csv")
-            for name in INPUTS:
-                slopes = found["sensitivities"][condition][name]
-                np.testing.assert_array_equal(slopes, exact.sensitivities[condition][name])
-            table = np.genfromtxt(tmp_path / f"s-{condition}.csv", delimiter=",", names=True)
-            assert table.dtype.names == ("x", "y", "dx_dE", "dy_dE", "dx_dload", "dy_dload")
-            np.testing.assert_array_equal(table["dy_dE"], exact.sensitivities[condition]["E"][:, 1])
-
-    def test_what_cannot_be_is_refused_before_the_run(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        (tmp_path / "s-heavy.csv").mkdir()
-        beam, two = write_study(tmp_path / "beam"), write_study(tmp_path / "two", **SMALL)
-        for arguments, words in (
-            ([str(beam), "--set", "E=400", "--set", "tilt=0", "--sensitivities"], "this model offers none"),
-            ([str(two), "--set", "E=400", "--csv", str(tmp_path / "s.csv")], "s-heavy.csv, a folder"),
-        ):
-            with pytest.raises(SystemExit) as ended:
-                main(["forward", *arguments])
-            assert ended.value.code == 2
-            assert words in capsys.readouterr().err
-        assert not (tmp_path / "s-light.csv").exists()
+def test_a_forward_run_writes_a_file_for_each_condition(tmp_path, capsys):
+    """The files can be observed, and have the slopes that are asked for; what cannot be is refused before the run."""
+    folder, exact = write_study(tmp_path / "study", **SMALL), TwoLoads(sensitivities=True)(INPUTS, tmp_path)
+    run = ["forward", str(folder), "--set", "E=400", "--csv"]
+    told = "tip_light 0.1, tip_heavy 0.25\n  light: 34 points\n  heavy: 34 points\n"
+    wrote = "".join(f"wrote {folder / f'seen-{name}.csv'}\n" for name in TwoLoads.conditions)
+    assert printed(capsys, *run, str(folder / "seen.csv")).endswith(told + wrote)
+    seen = [{"condition": name, "file": f"seen-{name}.csv", "unit": "mm"} for name in TwoLoads.conditions]
+    study = load_study(write_study(folder, **SMALL | {"observation": seen}))
+    for name, interface in exact.interfaces.items():
+        np.testing.assert_array_equal(study.observed[name].points, interface.points)
+    run = [*run, str(tmp_path / "s.csv"), "--sensitivities"]
+    assert "  heavy: d/dE up to 0.000626755 mm per Pa\n" in printed(capsys, *run)
+    found = json.loads(printed(capsys, *run, "--json"))
+    for condition in TwoLoads.conditions:
+        assert found["csv"][condition] == str(tmp_path / f"s-{condition}.csv")
+        for name in INPUTS:
+            slopes = found["sensitivities"][condition][name]
+            np.testing.assert_array_equal(slopes, exact.sensitivities[condition][name])
+        table = np.genfromtxt(tmp_path / f"s-{condition}.csv", delimiter=",", names=True)
+        assert table.dtype.names == ("x", "y", "dx_dE", "dy_dE", "dx_dload", "dy_dload")
+        np.testing.assert_array_equal(table["dy_dE"], exact.sensitivities[condition]["E"][:, 1])
+    (tmp_path / "t-heavy.csv").mkdir()
+    assert "t-heavy.csv, a folder" in refused(capsys, *run[:-2], str(tmp_path / "t.csv"))
+    assert not (tmp_path / "t-light.csv").exists()
+    beam = ["forward", str(write_study(tmp_path / "beam")), "--set", "E=400", "--set", "tilt=0", "--sensitivities"]
+    assert "this model offers none" in refused(capsys, *beam)

@@ -17,17 +17,13 @@ FIRST = {"sobol": 20, "active": 8}
 """Runs that do not depend on others."""
 
 
-@pytest.mark.parametrize(
-    ("version", "kind"),
-    [
-        ("0.1", "sobol"),
-        *[
-            pytest.param(*case, marks=pytest.mark.long)
-            for case in (("0.2", "active"), ("0.1", "active"), ("0.2", "sobol"))
-        ],
-    ],
-)
-def test_the_posterior_is_the_same(version: str, kind: str, tmp_path: Path) -> None:
+LONG = [
+    pytest.param(*case, marks=pytest.mark.long) for case in (("0.2", "active"), ("0.1", "active"), ("0.2", "sobol"))
+]
+
+
+@pytest.mark.parametrize(("version", "kind"), [("0.1", "sobol"), *LONG])
+def test_the_posterior_is_the_same(version, kind, tmp_path):
     folder = Path(shutil.copytree(DATA / f"studies-{version}" / kind, tmp_path / kind))
     if kind == "sobol":  # what a draft leaves out does not change the posterior of runs that are given
         text = (folder / "study.yaml").read_text("utf-8")
@@ -50,13 +46,10 @@ def test_the_posterior_is_the_same(version: str, kind: str, tmp_path: Path) -> N
         assert inputs[name]["sd"] == pytest.approx(moments["sd"], rel=0.3)
 
 
-def test_an_active_study_of_version_0_2_is_known_to_be_finished(tmp_path: Path) -> None:
+def test_an_earlier_study_or_ledger_is_known_to_be_finished_before_it_is_run(tmp_path):
     study = load_study(Path(shutil.copytree(DATA / "studies-0.2" / "active", tmp_path / "active")))
     study.runs.require_finished()
     assert progress_in(study.folder).to_do == 0
-
-
-def test_an_earlier_ledger_is_loaded_until_it_is_run(tmp_path: Path) -> None:
     quick = {"draft": True, "report": "none", "sampler": SAMPLER}
     folder = write_study(tmp_path / "old", name="old", fixed={"load": 1e-4}, design={"sobol": {"runs": 8}}, **quick)
     shutil.copy(DATA / "ledger-v2-study.sqlite", folder / "ledger.sqlite")

@@ -1,13 +1,12 @@
 """A finished study by a surrogate of the interface: noise of its points, a nuisance input, both of its readings."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.study.conftest import SAMPLER, Finished, finish
+from tests.study.conftest import NOISY, SAMPLER, finish
 from tests.study.studies import exact
 
 from strandline.discrepancy import NormalOffset
@@ -15,15 +14,12 @@ from strandline.interface import PointErrors
 from strandline.likelihood import InterfaceLikelihood
 from strandline.posterior import cut_from_datatree, from_datatree, read
 from strandline.report.warnings import find_warnings
-from strandline.runs import InProcess, RunRequest, attempt
-from strandline.studies import check_posterior
-from strandline.studies.expected_widths import expected_sd, neighbours, slopes_by_differences
+from strandline.runs import InProcess
+from strandline.studies import check_posterior, load_study
 from strandline.studies.observed import SyntheticNoise, noisy
 from strandline.testing.studies import beam as simulator
 
 TRUTH = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
-
-
 INPUTS = {
     "tilt": {"prior": {"beta": [2.0, 4.0, 0.0, 0.04]}, "nuisance": True},
     "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"},
@@ -31,22 +27,29 @@ INPUTS = {
 
 
 @pytest.fixture(scope="module")
-def uncertain(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+def uncertain(tmp_path_factory):
     """A surrogate of the log-likelihood, with a nuisance input: its cut reading has a quadrature beside it."""
     sampler = {**SAMPLER, "cut": {"values": 4}}
     return finish(tmp_path_factory.mktemp("uncertain") / "beam", report="none", inputs=INPUTS, sampler=sampler)
 
 
-def test_the_posterior_is_that_of_the_model(field: Finished) -> None:
+def test_the_posterior_is_that_of_the_model_and_the_report_shows_both_readings(field):
     expected, evidence = exact.posterior(exact.likelihood_of(field.outcome.calibration.problem))
     for name, (mean, sd) in expected.items():
         found = field.outcome.summary["inputs"][name]
         assert abs(found["mean"] - mean) < 0.2 * sd
         assert found["sd"] == pytest.approx(sd, rel=0.15)
     assert field.outcome.summary["log_evidence"] == pytest.approx(evidence, abs=0.3)
+    page = field.outcome.report.read_text()
+    assert "with tilt uncertain" in " ".join(page.split())
+    for name in ("cut_marginals", "nuisance"):
+        assert f'id="{name}"' in page
+        assert (field.folder / "figures" / f"{name}.png").is_file()
+    for reading in ("joint", "cut"):
+        assert f"{field.outcome.summary['under_uncertainty'][reading]['inputs']['E']['mean']:.4g}" in page
 
 
-def test_both_readings_are_those_of_the_model(uncertain: Finished) -> None:
+def test_both_readings_are_those_of_the_model(uncertain):
     """The cut reading is the mean over values of the nuisance input, each with the posterior given it."""
     both, s = uncertain.outcome.summary["under_uncertainty"], np.clip(exact.GRID[:, 1] / 0.04, 1e-12, 1 - 1e-12)
     values = np.array([exact.tracked(*row) for row in exact.GRID.tolist()]) + np.log(s) + 3 * np.log1p(-s)
@@ -67,9 +70,8 @@ def test_both_readings_are_those_of_the_model(uncertain: Finished) -> None:
     assert abs(joint[0] - cut[0]) > 0.2 * joint[1] or abs(joint[1] / cut[1] - 1) > 0.2, "exchanged: unseen"
 
 
-def test_the_summary_agrees_with_itself_and_with_the_file(uncertain: Finished) -> None:
+def test_the_summary_agrees_with_itself_and_with_the_file(uncertain):
     summary, found = uncertain.outcome.summary, uncertain.outcome.calibration.under_uncertainty
-    assert found is not None
     both = summary["under_uncertainty"]
     assert [item["nuisance"] for item in summary["inputs"].values()] == [True, False]
     assert both["joint"]["inputs"].keys() == both["cut"]["inputs"].keys() == {"E"}
@@ -83,29 +85,15 @@ def test_the_summary_agrees_with_itself_and_with_the_file(uncertain: Finished) -
     assert json.loads((uncertain.folder / "summary.json").read_text())["under_uncertainty"] == both
     tree, space = read(uncertain.folder / "posterior.nc"), uncertain.study.space
     cut = cut_from_datatree(tree, space)
-    assert cut is not None
     np.testing.assert_array_equal(cut.extended.draws, found.cut.extended.draws)
     np.testing.assert_array_equal(cut.value_index, found.cut.value_index)
     np.testing.assert_array_equal(from_datatree(tree, space).draws, found.joint.extended.draws)
 
 
-def test_the_report_shows_both_readings(field: Finished) -> None:
-    page = field.outcome.report.read_text()
-    assert '<h2 id="uncertainty">' in page
-    assert "with tilt uncertain" in " ".join(page.split())
-    for name in ("cut_marginals", "nuisance"):
-        assert f'id="{name}"' in page
-        assert (field.folder / "figures" / f"{name}.png").is_file()
-    for reading in ("joint", "cut"):
-        assert f"{field.outcome.summary['under_uncertainty'][reading]['inputs']['E']['mean']:.4g}" in page
-
-
-def test_a_doubtful_cut_reading_is_told(uncertain: Finished) -> None:
+def test_a_doubtful_cut_reading_is_told(uncertain):
     """Planted: a rough surrogate, a quadrature that finds another mean, draws at a bound."""
     calibration = uncertain.outcome.calibration
     parts, found, surrogate = calibration.cut_quadrature, calibration.under_uncertainty, calibration.surrogate
-    assert parts is not None
-    assert found is not None
     validation = replace(surrogate.validation, residuals=surrogate.validation.residuals + 3.0)
     rough = replace(calibration, surrogates={"tracked_points": replace(surrogate, validation=validation)})
     moved = replace(calibration, cut_quadrature=tuple(replace(part, mean=part.mean + 10.0) for part in parts))
@@ -123,7 +111,7 @@ def test_a_doubtful_cut_reading_is_told(uncertain: Finished) -> None:
         assert not any(words in warning for warning in before)
 
 
-def test_the_noisy_interface_is_what_was_observed(field: Finished) -> None:
+def test_the_noisy_interface_is_what_was_observed_also_by_the_check_of_the_posterior(field, copy_of):
     (seen,) = field.outcome.calibration.problem.observations
     true = simulator(TRUTH, Path()).interface
     noise = SyntheticNoise(0.003, 1)
@@ -135,48 +123,19 @@ def test_the_noisy_interface_is_what_was_observed(field: Finished) -> None:
     (condition,) = summary["likelihood"]["conditions"]
     assert (condition["point_sd"], condition["correlation_length"], condition["noise_variance"]) == (0.003, 0.0, 1.0)
     assert condition.items() - {"condition": "", "points": 17}.items() <= summary["likelihood"].items()
-
-
-def test_the_check_of_the_posterior_sees_the_noise_too(field: Finished, copy_of: Callable[[Finished], Path]) -> None:
-    """The surrogate is nearly exact, so it agrees with the true log-likelihood; without noise it would not."""
-    from strandline.studies import load_study
-
+    # The surrogate is nearly exact, so it agrees with the true log-likelihood; without the noise it would not.
     content = check_posterior(load_study(copy_of(field)), draws=20, executor=InProcess()).content
     assert abs(content["log_likelihood"]["mean_difference"]) < 1.0
-    (seen,) = field.outcome.calibration.problem.observations
-    without = replace(seen, interface=simulator(TRUTH, Path()).interface)
-    values = [InterfaceLikelihood((one,), NormalOffset())({"": without.interface}) for one in (seen, without)]
-    assert values[1] - values[0] > 5.0
-
-
-def test_predicted_widths_are_those_of_the_posterior(field: Finished) -> None:
-    study, at = field.study, np.array([400.0, 0.02])
-    runs = [
-        attempt(study.model, RunRequest("key", {**study.fixed, **study.space.as_mapping(row)}), field.folder)
-        for row in [at, *neighbours(study.space, at)]
-    ]
-    slopes = slopes_by_differences(runs[0], runs[1:], at, neighbours(study.space, at))
-    assert slopes is not None
-    found = field.outcome.summary["inputs"]
-    assert expected_sd(study, runs[0].interfaces, slopes, {}) == pytest.approx(
-        [found["E"]["sd"], found["tilt"]["sd"]], rel=0.25
+    with_it, without = (
+        InterfaceLikelihood((one,), NormalOffset())({"": true}) for one in (seen, replace(seen, interface=true))
     )
+    assert without - with_it > 5.0
 
 
-KEYS = Path(__file__).parents[3] / "docs" / "reference" / "summary.md"
-
-
-def test_a_study_with_unknown_noise(tmp_path: Path) -> None:
-    finished = finish(
-        tmp_path / "beam",
-        report="none",
-        observation={"synthetic": TRUTH, "noise": {"sd": 0.003}},
-        discrepancy={"normal_offset": {}},
-        noise={"sd": [1, 9], "length": "unknown", "unit": "um", "model_error": True},
-        surrogate={"field": {}},
-        design={"sobol": {"runs": 32}},
-        sampler=SAMPLER,
-    )
+def test_a_study_with_unknown_noise(tmp_path):
+    noise = {"sd": [1, 9], "length": "unknown", "unit": "um", "model_error": True}
+    content = {**NOISY, "discrepancy": {"normal_offset": {}}, "noise": noise, "design": {"sobol": {"runs": 32}}}
+    finished = finish(tmp_path / "beam", report="none", **content)
     summary = finished.outcome.summary
     found = summary["likelihood"]["inferred_noise"]
     assert 1.0 < found["sd_um"]["q05"] < found["sd_um"]["median"] < found["sd_um"]["q95"] < 9.0
@@ -191,4 +150,5 @@ def test_a_study_with_unknown_noise(tmp_path: Path) -> None:
     assert 0 < without["sd"] < 1.3 * with_it["sd"]
     assert abs(without["mean"] - 400.0) < 4 * without["sd"]
     stated = PointErrors(0.003, 0.015, 0.008, 0.5, 0.005, 0.002).facts
-    assert [key for key in stated if f"`likelihood.{key}`" not in KEYS.read_text("utf-8")] == []
+    told = (Path(__file__).parents[3] / "docs" / "reference" / "summary.md").read_text("utf-8")
+    assert [key for key in stated if f"`likelihood.{key}`" not in told] == []

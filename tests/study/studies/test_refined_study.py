@@ -1,9 +1,7 @@
 """A study with rounds of refinement, some of whose runs fail: counts, resume, results, reuse."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,43 +10,35 @@ from tests.study.conftest import SAMPLER, Finished
 from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.errors import InvalidStudy
-from strandline.runs import InProcess, Ledger, Progress, RunRecord
+from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
 from strandline.studies.progress import progress_in, progress_of, recorded_plan
 from strandline.testing.studies import write_study
 
-SMALL: dict[str, Any] = {
-    "draft": True,
-    "report": "none",
-    "sampler": SAMPLER,
+SMALL = {
+    **{"draft": True, "report": "none", "sampler": SAMPLER, "noise": {"sd": 0.03}, "fixed": {"load": 1e-4}},
     "design": {"sobol": {"runs": 20}, "refine": {"rounds": 2, "runs": 6}},
-    "fixed": {"load": 1e-4},
     "observation": {"synthetic": {"E": 480, "tilt": 0.02, "load": 1e-4}},
-    "noise": {"sd": 0.03},
 }
 """Below 400 Pa, the beam bends too far."""
 
 
-class Stopped(Exception):
-    """The driver is stopped."""
-
-
 @pytest.fixture(scope="module")
-def refined(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+def refined(tmp_path_factory):
     """Stopped among the runs of the second round, and finished; the noted plan tells the same as the loaded study."""
     folder = write_study(tmp_path_factory.mktemp("refined") / "beam", **SMALL)
     study, ended = load_study(folder), []
     assert recorded_plan(folder) is None
     assert progress_in(folder) == progress_of(study)
 
-    def run(record: RunRecord, progress: Progress) -> None:
+    def run(record, progress):
         ended.append(record.state)
         assert recorded_plan(folder) == study.runs.plan
         assert progress_in(folder) == progress_of(study)
         if len(ended) == 28:
-            raise Stopped
+            raise KeyboardInterrupt
 
-    with pytest.raises(Stopped):
+    with pytest.raises(KeyboardInterrupt):
         run_study(study, executor=InProcess(), observer=Observer(run=run))
     state = progress_in(folder)
     assert (state.planned, state.done, state.to_do, state.open) == (32, 28, 4, 0)
@@ -61,7 +51,7 @@ def refined(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     return Finished(folder, study, run_study(study, executor=InProcess()))
 
 
-def test_what_was_stopped_goes_on_and_the_rounds_are_told(refined: Finished) -> None:
+def test_what_was_stopped_goes_on_and_the_rounds_are_told(refined):
     """With other draws of the second round, more than four runs would be new."""
     summary = refined.outcome.summary
     first, second = summary["refinement"]
@@ -81,14 +71,16 @@ def test_what_was_stopped_goes_on_and_the_rounds_are_told(refined: Finished) -> 
         assert {record.key for record in ledger} == set(study.runs.needed_keys)
 
 
-def test_another_study_file_makes_the_results_outdated(refined: Finished, copy_of: Callable[[Finished], Path]) -> None:
-    folder = write_study(copy_of(refined), **SMALL, seed=2)
+def test_another_study_file_makes_the_results_outdated(refined, copy_of, capsys):
+    folder = write_study(copy_of(refined), **SMALL | {"seed": 2})
     assert recorded_plan(folder) is None
     state = progress_in(folder)
     assert (state.results, state.planned, state.done) == ("outdated", 32, 20)
+    main(["check", str(write_study(folder, **SMALL | {"fixed": {"load": 1e-5}}))])
+    assert "32 forward runs planned (20 and 2 rounds of 6), 0 of them known already" in capsys.readouterr().out
 
 
-def test_rounds_belong_to_their_study_file(refined: Finished, tmp_path: Path) -> None:
+def test_rounds_belong_to_their_study_file(refined, tmp_path):
     other = write_study(tmp_path / "beam", **SMALL)
     (other / "refinement.json").write_bytes((refined.folder / "refinement.json").read_bytes())
     study = load_study(other)
@@ -101,20 +93,12 @@ def test_rounds_belong_to_their_study_file(refined: Finished, tmp_path: Path) ->
     assert (changed.runs.rounds, changed.runs.planned) == ([], 32)
 
 
-def test_rounds_are_taken_over_from_a_study_that_is_reused(refined: Finished, tmp_path: Path) -> None:
+def test_rounds_are_taken_over_from_a_study_that_is_reused(refined, tmp_path):
     """The runs of the first round are at hand when the study asks for them; it is stopped there."""
 
-    def stop(inputs: object) -> None:
-        raise Stopped
-
     study = load_study(write_study(tmp_path / "beam", **SMALL, reuse=[str(refined.folder)]))
-    with pytest.raises(Stopped):
-        run_study(study, executor=InProcess(), observer=Observer(draws=stop))
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study, executor=InProcess(), observer=Observer(draws=Mock(side_effect=KeyboardInterrupt)))
     with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
         assert {record.key for record in ledger if record.origin} == set(study.runs.needed_keys)
     assert (len(study.runs.rounds), progress_of(study).done) == (1, 26)
-
-
-def test_check_counts_the_rounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["check", str(write_study(tmp_path / "beam", **{**SMALL, "fixed": {"load": 1e-5}}))])
-    assert "32 forward runs planned (20 and 2 rounds of 6), 0 of them known already" in capsys.readouterr().out

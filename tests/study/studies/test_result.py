@@ -1,53 +1,48 @@
-"""Results read back, and other posteriors from the same runs."""
+"""Results read back, other posteriors from the same runs, and what `doctor` and `backup` make of a finished study."""
 
-from collections.abc import Callable
+import json
+import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from tests.study.conftest import Finished
+from matplotlib.figure import Figure
+from tests.unit.cli.command_line import contents, ends, printed, refused
 
 import strandline as sl
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.runs import Ledger
+from strandline.runs import Ledger, RunRequest
+from strandline.studies import load_study
+from strandline.studies.doctor import examine
 from strandline.testing.studies import write_study
 
 
 @pytest.fixture(scope="module")
-def result(beam: Finished) -> sl.Result:
+def result(beam):
     return sl.load_result(str(beam.folder))
 
 
-def runs_in(folder: Path) -> int:
+def runs_in(folder):
     with Ledger.open(folder / "ledger.sqlite", model=None, read_only=True) as ledger:
         return ledger.counts().total
 
 
-def test_it_is_what_the_study_wrote(result: sl.Result) -> None:
-    for name, mean, sd in zip(result.posterior.space.names, result.posterior.mean, result.posterior.sd, strict=True):
-        assert result.summary["inputs"][name]["mean"] == pytest.approx(mean)
-        assert result.summary["inputs"][name]["sd"] == pytest.approx(sd)
-    assert repr(result).startswith("<Result of ")
-
-
-def test_the_same_noise_gives_the_same_posterior_without_a_run(beam: Finished, result: sl.Result) -> None:
-    before = runs_in(beam.folder)
+def test_it_is_what_the_study_wrote_and_the_same_noise_gives_it_again(beam, result):
+    found, before = result.posterior, runs_in(beam.folder)
+    for name, mean, sd in zip(found.space.names, found.mean, found.sd, strict=True):
+        told = result.summary["inputs"][name]
+        assert (told["mean"], told["sd"]) == pytest.approx((mean, sd))
     same = result.with_noise(sd=0.003)
     np.testing.assert_allclose(same.posterior.draws, result.posterior.draws, rtol=1e-9)
     assert runs_in(beam.folder) == before
     for one in (result, result.study, result.posterior, same):
-        line, table = repr(one), one._repr_html_()
-        assert "\n" not in line
-        assert len(line) < 400
-        assert table.count("<table>") == table.count("</table>") >= 1
-        assert "tilt" in line
-        assert "tilt" in table
-    assert "E, tilt of PythonModel, 64 runs" in repr(result.study)
-    assert "64 of 64 runs ok" in repr(same)
+        assert len(repr(one).splitlines()) == 1
+        assert one._repr_html_().count("<table>") == one._repr_html_().count("</table>") >= 1
 
 
-def test_another_measure_without_a_run(beam: Finished, result: sl.Result) -> None:
+def test_another_measure_without_a_run(beam, result):
     before = runs_in(beam.folder)
     found = result.with_measure("closest_point", direction="symmetric")
     assert list(found.problem.discrepancies.values()) == [sl.ClosestPoint(direction="symmetric")]
@@ -58,19 +53,18 @@ def test_another_measure_without_a_run(beam: Finished, result: sl.Result) -> Non
     assert runs_in(beam.folder) == before
 
 
-def test_it_draws_into_given_axes(result: sl.Result) -> None:
-    figure, axes = plt.subplots(1, 3)
-    assert result.plot.joint(ax=axes[0]) is axes[0]
-    assert result.plot.marginal("E", ax=axes[1]) is axes[1]
-    assert result.plot.particles("tilt", ax=axes[2]) is axes[2]
-    assert axes[2].get_xlabel().startswith("tilt")
-    plt.close(figure)
+def test_it_draws_into_given_axes(result):
+    joint, marginal, particles = Figure().subplots(1, 3)
+    assert result.plot.joint(ax=joint) is joint
+    assert result.plot.marginal("E", ax=marginal) is marginal
+    assert result.plot.particles("tilt", ax=particles) is particles
+    assert particles.get_xlabel().startswith("tilt")
 
 
-def test_what_there_is_not_is_refused(result: sl.Result, beam: Finished, tmp_path: Path) -> None:
+def test_what_there_is_not_is_refused(result, beam, copy_of, tmp_path):
     for noise, words in (({}, "none"), ({"sd": 1.0, "variance": 1.0}, "more than one"), ({"sd": 0.0}, "above 0")):
         with pytest.raises(InvalidInput, match=words):
-            result.with_noise(**noise)  # type: ignore[arg-type]
+            result.with_noise(**noise)
     with pytest.raises(InvalidInput, match="Did you mean currents"):
         result.with_measure("current")
     with pytest.raises(InvalidInput, match="unknown option"):
@@ -79,10 +73,77 @@ def test_what_there_is_not_is_refused(result: sl.Result, beam: Finished, tmp_pat
         result.with_measure(sl.ClosestPoint(), direction="symmetric")
     with pytest.raises(InvalidStudy, match="not finished"):
         sl.load_result(write_study(tmp_path / "new"))
-
-
-def test_results_without_a_summary_are_to_be_made_again(beam: Finished, copy_of: Callable[[Finished], Path]) -> None:
     folder = copy_of(beam)
     (folder / "summary.json").unlink()
     with pytest.raises(InvalidStudy, match="strandline report"):
         sl.load_result(folder)
+
+
+def summary_with(folder, **changes):
+    path = folder / "summary.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def tamper(folder):
+    with closing(sqlite3.connect(folder / "ledger.sqlite")) as connection, connection:
+        for name in ("outcomes_no_UPDATE", "outcomes_no_DELETE"):
+            connection.execute(f"DROP TRIGGER {name}")
+        connection.execute("UPDATE outcomes SET seconds = 7 WHERE attempt = 9")
+
+
+def without_outcome(folder):
+    with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
+        ledger.started(RunRequest("lost", {"E": 1.0}))
+    text = (folder / "study.yaml").read_text().replace('"runs": 64', '"runs": 65')
+    (folder / "study.yaml").write_text(text)
+
+
+def exclude(folder):
+    with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
+        ledger.exclude(load_study(folder).runs.design_keys[5], "odd")
+
+
+def answer_before(folder):
+    for name in ANSWERS:
+        (folder / name).write_text('{"study_sha256": "that of another study.yaml"}')
+
+
+ANSWERS = ("check.json", "coverage.json", "next.json", "what-if.json", "specimens.json")
+WRONG = (
+    (tamper, "1 outcome(s) do not match their checksum"),
+    (without_outcome, "1 of 65 planned runs have no outcome"),
+    (exclude, "the ledger has changed since the results were made"),
+    (lambda folder: (folder / ".summary.json.7.partial").touch(), "left by a process that was killed"),
+    (lambda folder: summary_with(folder, version="0.0.1"), "other versions: strandline 0.0.1"),
+    (lambda folder: summary_with(folder, model="m"), "made with the model m"),
+    (lambda folder: (folder / "posterior.nc").unlink(), "missing next to summary.json: posterior.nc"),
+    (lambda folder: (folder / "summary.json").unlink(), "without a readable summary.json"),
+    (answer_before, *(f"{name} is of another study.yaml" for name in ANSWERS)),
+    (lambda folder: (folder / "study.yaml").write_text("version: 1\n"), "study.yaml cannot be used"),
+)
+
+
+def test_what_is_wrong_is_found_and_has_a_remedy(beam, tmp_path, capsys):
+    for number, (spoil, *words) in enumerate(WRONG):
+        folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
+        spoil(folder)
+        assert ends("doctor", str(folder)) == 1
+        shown, found = capsys.readouterr().out, examine(folder)
+        assert [word for word in words if word not in shown] == []
+        assert all(finding.remedy for finding in found)
+        assert shown.count("\n  -> ") == len(found)
+
+
+def test_a_finished_study_is_sound_and_a_backup_holds_all_its_runs(beam, copy_of, tmp_path, capsys):
+    folder, target = copy_of(beam), tmp_path / "kept.sqlite"
+    before = contents(folder)
+    assert printed(capsys, "doctor", str(folder)) == "sound: nothing found\n"
+    assert contents(folder) == before
+    with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as driver:
+        assert f"wrote {target}: 65 runs" in printed(capsys, "backup", str(folder), str(target))
+        expected = [(record.key, record.state) for record in driver]
+    with Ledger.open(target, model="test:beam-1", read_only=True) as copy:
+        assert [(record.key, record.state) for record in copy] == expected
+    content = target.read_bytes()
+    refused(capsys, "backup", str(folder), str(target))
+    assert target.read_bytes() == content

@@ -3,21 +3,20 @@
 import json
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from tests.study.conftest import SAMPLER, Finished
+from tests.study.conftest import SAMPLER
 from tests.study.studies import exact
+from tests.unit.cli.command_line import contents
 
 import strandline.report.page
 from strandline import __version__
-from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy, LedgerError, ResultsNotWritten
 from strandline.interface import GaussianNoise
@@ -28,43 +27,32 @@ from strandline.runs import FailurePolicy, InProcess, Ledger
 from strandline.studies import load_study, run_study
 from strandline.studies.first_run import known_range
 from strandline.studies.progress import progress_of, recorded_plan
-from strandline.studies.provenance import require_its_own_text
+from strandline.studies.provenance import observation_digest, require_its_own_text
 from strandline.studies.run import submit_study
 from strandline.studies.summary import _sensitivity
 from strandline.studies.unchanged import results_at_hand
 from strandline.testing.studies import BEAM_STUDY, write_study
 from strandline.testing.studies import beam as simulator
 
-Copy = Callable[[Finished], Path]
 KEYS = {
-    "study": str,
-    "version": str,
-    "seed": int,
-    "log_evidence": float,
+    **{"study": str, "version": str, "seed": int, "log_evidence": float},
     "runs": {"ok": int, "failed": int, "by_kind": dict},
     "surrogate": {"n_train": int, "loo_rms": float, "loo_rms_near_mode": float, "hyperparameters": dict},
     "sampler": {"tempering_steps": int, "likelihood_evaluations": int, "ess": float},
     "quadrature_check": {"max_mean_error_sd": float, "max_sd_ratio_error": float},
-    "seconds": {"forward": float, "surrogate": float, "sampling": float, "report": float},
+    "seconds": dict.fromkeys(("forward", "surrogate", "sampling", "report"), float),
 }
 """What programs may count on in summary.json."""
 RESULTS = ["figures", "ledger.lock", "ledger.sqlite", "posterior.nc", "report.html", "study.yaml", "summary.json"]
-MOMENTS = dict.fromkeys(("mean", "sd", "median", "q05", "q95", "map"), float)
 
 
-def rerun(folder: Path, **changes: Any) -> dict[str, Any]:
+def rerun(folder, **changes):
     if changes:
         write_study(folder, **{"draft": True, "report": "none", "sampler": SAMPLER, **changes})
     return run_study(load_study(folder), executor=InProcess()).summary
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    """Names and bytes of the files, but for those that SQLite lays beside a ledger in order to read it."""
-    files = [path for path in folder.rglob("*") if path.is_file() and not path.name.endswith(("-wal", "-shm"))]
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
-
-
-def require_keys(found: dict[str, Any], wanted: dict[str, Any]) -> None:
+def require_keys(found, wanted):
     for key, kind in wanted.items():
         if isinstance(kind, dict):
             require_keys(found[key], kind)
@@ -72,38 +60,33 @@ def require_keys(found: dict[str, Any], wanted: dict[str, Any]) -> None:
             assert isinstance(found[key], kind), f"{key}: {found[key]!r}"
 
 
-def test_summary_has_what_programs_count_on(beam: Finished) -> None:
+def test_summary_and_posterior_have_what_programs_count_on_and_tell_the_same(beam):
     summary = json.loads((beam.folder / "summary.json").read_text())
     require_keys(summary, KEYS)
     assert (summary["study"], summary["version"], summary["seed"]) == ("beam", __version__, 1)
     assert summary["runs"] == {"ok": 64, "failed": 0, "by_kind": {}, "new": 64, "reused": 0}
     assert summary["surrogate"]["n_train"] == 64
+    particles = read(beam.folder / "posterior.nc")["weighted_posterior"]
+    weights = particles["weight"].to_numpy()
     assert summary["sensitivity"] is summary["under_uncertainty"] is None
     for name, unit in (("E", "Pa"), ("tilt", "1")):
         item = summary["inputs"][name]
-        require_keys(item, MOMENTS)
+        require_keys(item, dict.fromkeys(("mean", "sd", "median", "q05", "q95", "map"), float))
         assert item["unit"] == unit
         assert item["q05"] < item["median"] < item["q95"]
         require_keys(summary["quadrature_check"][name], {"mean": float, "sd": float})
+        values = particles[name].to_numpy()
+        mean = weights @ values
+        assert (item["mean"], item["sd"]) == pytest.approx((mean, np.sqrt(weights @ (values - mean) ** 2)))
+        best = np.argmax((particles["log_likelihood"] + particles["log_prior"]).to_numpy())
+        assert item["map"] == values[best]
+    assert summary["log_evidence"] == particles.attrs["log_evidence"]
     assert summary == json.loads(json.dumps(beam.outcome.summary))
     assert [path.name for path in sorted(beam.folder.iterdir()) if "-" not in path.name] == RESULTS
     assert 'id="uncertainty"' not in (beam.folder / "report.html").read_text()
 
 
-def test_summary_and_posterior_tell_the_same(beam: Finished) -> None:
-    particles = read(beam.folder / "posterior.nc")["weighted_posterior"]
-    weights = particles["weight"].to_numpy()
-    for name, item in beam.outcome.summary["inputs"].items():
-        values = particles[name].to_numpy()
-        mean = weights @ values
-        assert item["mean"] == pytest.approx(mean)
-        assert item["sd"] == pytest.approx(np.sqrt(weights @ (values - mean) ** 2))
-        best = np.argmax((particles["log_likelihood"] + particles["log_prior"]).to_numpy())
-        assert item["map"] == values[best]
-    assert beam.outcome.summary["log_evidence"] == particles.attrs["log_evidence"]
-
-
-def test_the_posterior_is_that_of_the_model_itself(beam: Finished) -> None:
+def test_the_posterior_is_that_of_the_model_itself(beam):
     expected, evidence = exact.posterior(exact.tracked)
     for name, (mean, sd) in expected.items():
         found = beam.outcome.summary["inputs"][name]
@@ -116,18 +99,15 @@ def test_the_posterior_is_that_of_the_model_itself(beam: Finished) -> None:
     assert known_range(beam.study) == told
 
 
-def test_sensitivities_of_each_input_are_told(beam: Finished) -> None:
+def test_sensitivities_of_each_input_are_told(beam):
     rows = [np.array(pair) for pair in ((0.6, 0.3), (0.5, 0.2), (0.7, 0.4), (0.8, 0.5), (0.75, 0.45), (0.85, 0.55))]
     found = _sensitivity(replace(beam.outcome.calibration, sensitivity=SobolIndices(*rows, 100)))
-    assert found is not None
     assert (found["of"], found["evaluations"]) == ("log-likelihood", 100)
     kinds = ("first", "first_low", "first_high", "total", "total_low", "total_high")
     assert found["inputs"]["tilt"] == dict(zip(kinds, [row[1] for row in rows], strict=True))
 
 
-def test_a_rerun_repeats_no_run_and_gives_the_same_posterior(
-    beam: Finished, copy_of: Copy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rerun_repeats_no_run_and_gives_the_same_posterior(beam, copy_of, monkeypatch):
     folder = copy_of(beam)
     monkeypatch.setattr("strandline.report.page.figure_groups", lambda *_: {})
     before, plan = read(folder / "posterior.nc"), recorded_plan(folder)
@@ -140,20 +120,16 @@ def test_a_rerun_repeats_no_run_and_gives_the_same_posterior(
         assert connection.execute("SELECT count(*) FROM plans").fetchone() == (1,)
 
 
-def test_a_larger_design_and_another_prior_reuse_the_runs_of_another_folder(beam: Finished, tmp_path: Path) -> None:
+def test_a_larger_design_and_another_prior_reuse_the_runs_of_another_folder(beam, tmp_path):
     inputs = {**BEAM_STUDY["inputs"], "E": {"prior": {"lognormal": [6.0, 0.1]}, "box": [300, 560], "unit": "Pa"}}
-    summary = rerun(
-        tmp_path / "informed",
-        inputs=inputs,
-        design={"sobol": {"runs": 70}},
-        discrepancy=[{"closest_point": {}}, {"currents": {"width": 0.05}}],
-        reuse=[str(beam.folder)],
-    )
+    changes = {"inputs": inputs, "design": {"sobol": {"runs": 70}}, "reuse": [str(beam.folder)]}
+    measures = [{"closest_point": {}}, {"currents": {"width": 0.05}}]
+    summary = rerun(tmp_path / "informed", **changes, discrepancy=measures)
     assert (summary["runs"]["ok"], summary["runs"]["new"], summary["runs"]["reused"]) == (70, 6, 64)
     assert next(iter(summary["measures"])) == "closest_point"
 
 
-def test_what_is_refused_leaves_the_folder_as_it_is(beam: Finished, copy_of: Copy, tmp_path: Path) -> None:
+def test_what_is_refused_leaves_the_folder_as_it_is(beam, copy_of, tmp_path):
     other = write_study(tmp_path / "other")
     Ledger.open(other / "ledger.sqlite", model="something else").close()
     before = contents(other)
@@ -176,7 +152,7 @@ def test_what_is_refused_leaves_the_folder_as_it_is(beam: Finished, copy_of: Cop
 
 
 FULL = OSError(28, "No space left on device")
-BROKEN: dict[str, tuple[str, Exception]] = {
+BROKEN = {
     "posterior.nc": ("strandline.studies.run.write", ImportError("No module named 'h5py'")),
     "report.html": ("strandline.report.page._replaced", FULL),
     "summary.json": ("strandline.studies.run.write_json", FULL),
@@ -185,10 +161,10 @@ BROKEN: dict[str, tuple[str, Exception]] = {
 }
 
 
-def two_figures(*_: Any) -> dict[str, Iterator[Captioned]]:
+def two_figures(*_):
     """Return two small figures; the second is drawn by what a test may break."""
 
-    def drawn(name: str) -> Iterator[Captioned]:
+    def drawn(name):
         if name == "second":
             strandline.report.page.draw_check({})
         yield Captioned(name, "data", name, Figure())
@@ -197,20 +173,15 @@ def two_figures(*_: Any) -> dict[str, Iterator[Captioned]]:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_result_that_cannot_be_written_leaves_the_others(
-    beam: Finished, copy_of: Copy, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_result_that_cannot_be_written_leaves_the_others(beam, copy_of, monkeypatch, name):
     """And no older one in its place: where the summary stands, what it does not name as missing belongs to it."""
     folder, (place, error) = copy_of(beam), BROKEN[name]
     for old in ("posterior.nc", "report.html", "summary.json", "figures/second.png"):
         (folder / old).write_text("old")
 
-    def broken(*args: Any, **options: Any) -> Any:
-        raise error
-
     monkeypatch.setattr("strandline.report.page.draw_check", lambda check: None)
     monkeypatch.setattr("strandline.report.page.figure_groups", two_figures)
-    monkeypatch.setattr(place, broken)
+    monkeypatch.setattr(place, Mock(side_effect=error))
     monkeypatch.setattr("strandline.studies.run.summarise", lambda *a, **o: dict(beam.outcome.summary))
     monkeypatch.setattr("strandline.studies.run.calibrate", lambda *a, **o: beam.outcome.calibration)
     with pytest.raises(ResultsNotWritten, match="finished forward runs are kept") as raised:
@@ -232,96 +203,58 @@ def test_a_result_that_cannot_be_written_leaves_the_others(
         assert f"{name} could not be written: " in (folder / "report.html").read_text()
 
 
-def test_what_cannot_be_written_at_the_end_is_refused_before_the_first_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def missing(*args: Any, **options: Any) -> None:
-        raise ImportError("no h5py")
-
+def test_what_cannot_be_written_at_the_end_is_refused_before_the_first_run(tmp_path, monkeypatch):
     study = load_study(write_study(tmp_path))
     for broken, told in (
         ("h5netcdf.File", r"posterior\.nc could not be written at the end: got ImportError: no h5py; .* Install"),
         ("strandline.studies.results.template", r"report\.html could not be written at the end: got ImportError"),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(broken, missing)
+            patch.setattr(broken, Mock(side_effect=ImportError("no h5py")))
             for begin in (run_study, submit_study):
                 with pytest.raises(InvalidInput, match=told):
                     begin(study, executor=InProcess())
     assert [path.name for path in tmp_path.iterdir()] == ["study.yaml"]
 
 
-def test_the_observer_hears_of_every_stage_and_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stages: list[str] = []
-    runs: list[int] = []
-    observer = Observer(stage=stages.append, run=lambda record, progress: runs.append(progress.finished))
-
-    def stop(*args: Any, **options: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("strandline.calibration.learning.fit_log_likelihood", stop)
-    study = load_study(write_study(tmp_path, design={"sobol": {"runs": 8}}))
-    with pytest.raises(KeyboardInterrupt):
-        run_study(study, executor=InProcess(), observer=observer)
-    assert stages == ["observation", "forward", "surrogate"]
-    assert runs == list(range(1, 9))
-
-
-class TestUnchanged:
+def test_what_has_changed_is_noticed(beam, tmp_path):
     """A finished study is not computed again unless something that its results depend on has changed."""
 
-    def test_a_finished_study_is_not_computed_again(
-        self, beam: Finished, copy_of: Copy, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        folder = copy_of(beam)
-        before = contents(folder)
-        main(["run", str(folder)])
-        assert contents(folder) == before
-        said = capsys.readouterr().out
-        assert "64 forward runs ok, 0 failed (0 new, 64 reused)" in said
-        again = f"Nothing has changed since. To write the results again: strandline report {folder}"
-        assert said.splitlines()[-1] == again
-        main(["run", "--quiet", str(folder)])
-        assert "Nothing has changed" not in capsys.readouterr().out
+    def reworded(**changes):
+        return lambda folder: (folder / "summary.json").write_text(json.dumps(beam.outcome.summary | changes))
 
-    def test_what_has_changed_is_noticed(self, beam: Finished, tmp_path: Path) -> None:
-        def reworded(**changes: Any) -> Callable[[Path], object]:
-            summary = json.loads((beam.folder / "summary.json").read_text()) | changes
-            return lambda folder: (folder / "summary.json").write_text(json.dumps(summary))
+    key = beam.study.runs.design_keys[0]
+    content = json.loads((beam.folder / "study.yaml").read_text())
+    changes = [
+        *[lambda folder, name=name: (folder / name).unlink() for name in ("posterior.nc", "report.html")],
+        *[lambda folder, name=name: (folder / name).unlink() for name in ("summary.json", "ledger.sqlite")],
+        lambda folder: shutil.rmtree(folder / "figures"),
+        lambda folder: (folder / "summary.json").write_text("[]"),
+        lambda folder: (folder / "summary.json").write_text("{"),
+        lambda folder: write_study(folder, **content | {"seed": 2}),
+        lambda folder: write_study(folder, **content | {"design": {"sobol": {"runs": 65}}}),
+        lambda folder: main(["runs", str(folder), "--exclude", key, "--why", "odd"]),
+        reworded(version="0.0.1"),
+        reworded(versions={"numpy": "1.0"}),
+        reworded(model="another"),
+        reworded(missing={"figures": "no room"}),
+    ]
+    for number, change in enumerate([lambda folder: None, *changes]):
+        folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
+        change(folder)
+        assert (results_at_hand(load_study(folder)) is None) == (number > 0), number
+    assert progress_of(load_study(tmp_path / "0")).results == "current"
+    assert progress_of(load_study(tmp_path / "8")).results == "outdated"
+    assert progress_of(load_study(tmp_path / "7")).results == "none"
 
-        key = beam.study.runs.design_keys[0]
-        content = json.loads((beam.folder / "study.yaml").read_text())
-        changes: list[Callable[[Path], object]] = [
-            *[lambda folder, name=name: (folder / name).unlink() for name in ("posterior.nc", "report.html")],
-            *[lambda folder, name=name: (folder / name).unlink() for name in ("summary.json", "ledger.sqlite")],
-            lambda folder: shutil.rmtree(folder / "figures"),
-            lambda folder: (folder / "summary.json").write_text("[]"),
-            lambda folder: (folder / "summary.json").write_text("{"),
-            lambda folder: write_study(folder, **content | {"seed": 2}),
-            lambda folder: write_study(folder, **content | {"design": {"sobol": {"runs": 65}}}),
-            lambda folder: main(["runs", str(folder), "--exclude", key, "--why", "odd"]),
-            reworded(version="0.0.1"),
-            reworded(versions={"numpy": "1.0"}),
-            reworded(model="another"),
-            reworded(missing={"figures": "no room"}),
-        ]
-        for number, change in enumerate([lambda folder: None, *changes]):
-            folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
-            change(folder)
-            assert (results_at_hand(load_study(folder)) is None) == (number > 0), number
-        assert progress_of(load_study(tmp_path / "0")).results == "current"
-        assert progress_of(load_study(tmp_path / "8")).results == "outdated"
-        assert progress_of(load_study(tmp_path / "7")).results == "none"
 
-    def test_another_observation_is_noticed(self, beam: Finished, tmp_path: Path) -> None:
-        """With a file, the digest is of the points that were read."""
-        from strandline.studies.provenance import observation_digest
-
-        points = simulator({"E": 400.0, "tilt": 0.02, "load": 1e-5}, tmp_path).interface.points.copy()
-        digests = set()
-        for moved in (0.0, 1e-6):
-            points[5, 1] += moved
-            np.savetxt(tmp_path / "seen.csv", points, delimiter=",", fmt="%.12g")
-            folder = write_study(tmp_path / "beam", observation={"file": "../seen.csv", "unit": "mm"})
-            digests |= {observation_digest(load_study(folder)), observation_digest(load_study(folder))}
-        assert len(digests) == 2
+def test_another_observation_is_noticed(tmp_path):
+    """With a file, the digest is of the points that were read."""
+    points = simulator({"E": 400.0, "tilt": 0.02, "load": 1e-5}, tmp_path).interface.points.copy()
+    digests = set()
+    for moved in (0.0, 1e-6):
+        points[5, 1] += moved
+        np.savetxt(tmp_path / "seen.csv", points, delimiter=",", fmt="%.12g")
+        folder = write_study(tmp_path / "beam", observation={"file": "../seen.csv", "unit": "mm"})
+        digests |= {observation_digest(load_study(folder)), observation_digest(load_study(folder))}
+    assert len(digests) == 2

@@ -6,18 +6,17 @@ import socket
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
+from strandline.design import sobol
 from strandline.errors import InvalidStudy, LedgerError
-from strandline.interface import Interface
 from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_campaign, run_key
 from strandline.runs.tables import ATTEMPTS
-from strandline.studies import Study, load_study
+from strandline.studies import load_study
 from strandline.studies.doctor import examine
-from strandline.studies.progress import RATE_RUNS, StudyProgress, progress_in, progress_of, recorded_plan
+from strandline.studies.progress import RATE_RUNS, progress_in, progress_of, recorded_plan
 from strandline.studies.study_runs import settled
 from strandline.testing.studies import write_study
 
@@ -25,36 +24,34 @@ RUNS = 8
 
 
 @pytest.fixture
-def study(tmp_path: Path) -> Study:
+def study(tmp_path):
     return load_study(write_study(tmp_path / "beam", name="bent", design={"sobol": {"runs": RUNS}}))
 
 
-def opened(study: Study) -> Ledger:
+def opened(study):
     return Ledger.open(study.ledger_path, model=study.model)
 
 
-def requests(study: Study) -> list[RunRequest]:
+def requests(study):
     return [RunRequest(key, inputs) for key, inputs in zip(study.runs.design_keys, study.runs.design, strict=True)]
 
 
-def make(ledger: Ledger, study: Study, number: int) -> None:
+def make(ledger, study, number):
     for request in requests(study)[:number]:
         ledger.started(request)
         ledger.finished(attempt(study.model, request, study.folder))
 
 
-def fail(ledger: Ledger, request: RunRequest, state: str, kind: str, **story: str) -> None:
+def fail(ledger, request, state, kind, **story):
     ledger.started(request)
-    ledger.finished(RunRecord(request.key, request.inputs, state, {}, {}, 9.0, kind, **story))  # type: ignore[arg-type]
+    ledger.finished(RunRecord(request.key, request.inputs, state, {}, {}, 9.0, kind, **story))
 
 
-def counts(state: StudyProgress) -> tuple[int, ...]:
+def counts(state):
     return state.planned, state.ok, state.failed, state.open, state.lost, state.to_do
 
 
-def test_keys_are_those_of_a_campaign_and_so_are_attempts(study: Study) -> None:
-    from strandline.design import sobol
-
+def test_keys_are_those_of_a_campaign_and_so_are_attempts(study):
     points = study.space.to_physical(sobol(RUNS, 2))
     inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in points]
     assert study.runs.design_keys == [run_key(fingerprint(study.model), one) for one in inputs]
@@ -63,14 +60,11 @@ def test_keys_are_those_of_a_campaign_and_so_are_attempts(study: Study) -> None:
     assert inspect.signature(run_campaign).parameters["maximum_attempts"].default == ATTEMPTS
 
 
-def test_before_the_first_run(study: Study) -> None:
+def test_before_the_first_run_and_while_a_driver_is_at_work(study):
     state = progress_of(study)
     assert (state.name, counts(state)) == ("bent", (RUNS, 0, 0, 0, 0, RUNS))
     assert (state.results, state.driver, state.rate, state.slowest) == ("none", None, None, None)
     assert not study.ledger_path.exists()
-
-
-def test_while_a_driver_is_at_work(study: Study) -> None:
     first, failing = requests(study)[:3], requests(study)[4]
     with opened(study) as ledger:
         for request, seconds in zip(first, (1.0, 2.0, 2.0), strict=True):
@@ -84,36 +78,29 @@ def test_while_a_driver_is_at_work(study: Study) -> None:
     example = state.failures["stalled"].example
     assert (example.key, example.message, example.log) == (failing.key, "no convergence", ("one", "two"))
     assert example.inputs == pytest.approx({"E": 397.5, "tilt": 0.015})
-    assert state.slowest is not None
     assert (state.median_seconds, state.slowest.seconds, state.slowest.key) == (2.0, 9.0, failing.key)
-    assert state.driver is not None
     assert (state.driver.pid, state.driver.at_work) == (os.getpid(), True)
-    assert state.rate is not None
     assert state.seconds_left == pytest.approx(60 * 4 / state.rate)
     smaller = load_study(write_study(study.folder, design={"sobol": {"runs": 4}}))
     assert counts(progress_of(smaller)) == (4, 3, 0, 0, 1, 1)
 
 
-def test_a_run_that_killed_its_process_each_time_is_settled(study: Study) -> None:
-    request = requests(study)[0]
+def test_a_run_that_killed_its_process_each_time_is_settled(study):
+    """The last try is under way while it lasts; lost with its driver, it counts as the others."""
+    first, other = requests(study)[:2]
     with opened(study) as ledger:
         for attempts in range(1, ATTEMPTS + 1):
-            fail(ledger, request, "killed", "worker_died")
-            assert len(settled(ledger, [request.key])) == (attempts == ATTEMPTS)
-    assert progress_of(study).failures["worker_died"].count == 1
-
-
-def test_the_third_try_is_under_way_while_it_lasts(study: Study) -> None:
-    request = requests(study)[0]
-    with opened(study) as ledger:
+            fail(ledger, first, "killed", "worker_died")
+            assert len(settled(ledger, [first.key])) == (attempts == ATTEMPTS)
+        assert progress_of(study).failures["worker_died"].count == 1
         for _ in range(ATTEMPTS - 1):
-            fail(ledger, request, "killed", "worker_died")
-        ledger.started(request)
-        assert counts(progress_of(study)) == (RUNS, 0, 0, 1, 0, 7)
-    assert counts(progress_of(study)) == (RUNS, 0, 1, 0, 0, 7)
+            fail(ledger, other, "killed", "worker_died")
+        ledger.started(other)
+        assert counts(progress_of(study)) == (RUNS, 0, 1, 1, 0, 6)
+    assert counts(progress_of(study)) == (RUNS, 0, 2, 0, 0, 6)
 
 
-def test_a_lost_run_is_to_do_and_told(study: Study) -> None:
+def test_a_lost_run_is_to_do_and_told(study):
     with opened(study) as ledger:
         make(ledger, study, 2)
         ledger.started(requests(study)[2])
@@ -125,23 +112,18 @@ def test_a_lost_run_is_to_do_and_told(study: Study) -> None:
         assert counts(progress_of(study)) == (RUNS, 2, 0, 1, 0, 5)
 
 
-def test_a_driver_elsewhere_may_be_at_work(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_elsewhere_may_be_at_work(study, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("strandline.runs.ledger.socket.gethostname", lambda: "elsewhere")
         with opened(study) as ledger:
             ledger.started(requests(study)[0])
     assert socket.gethostname() != "elsewhere"
     state = progress_of(study)
-    assert state.driver is not None
     assert (state.driver.host, state.driver.at_work) == ("elsewhere", None)
     assert counts(state) == (RUNS, 0, 0, 1, 0, 7)
 
 
-Times = list[tuple[float, float]]
-"""When each run of a driver started and ended, s."""
-
-
-def at_times(study: Study, sessions: list[Times]) -> None:
+def at_times(study, sessions):
     """Let drivers make the runs of the design in order, each started and ended at the given seconds."""
     waiting = iter(requests(study))
     for times in sessions:
@@ -156,31 +138,25 @@ def at_times(study: Study, sessions: list[Times]) -> None:
             connection.execute("UPDATE outcomes SET finished_at = ? WHERE attempt = ?", (ended, number))
 
 
-@pytest.mark.parametrize(
-    ("sessions", "rate"),
-    [
+def test_pace_is_that_of_the_last_runs_of_the_last_driver(tmp_path):
+    """One by one, side by side, by two drivers, the second of which may make none, and of many runs the last."""
+    many = [(0.0, 1.0), (1.0, 2.0), *((2.0 + 60 * k, 62.0 + 60 * k) for k in range(RATE_RUNS))]
+    study = load_study(write_study(tmp_path, design={"sobol": {"runs": RATE_RUNS + 2}}))
+    for sessions, rate in (
         ([[(0.0, 10.0), (10.0, 20.0), (20.0, 30.0)]], 6.0),
         ([[(0.0, 60.0), (0.5, 60.5), (1.0, 60.0)]], 60 * 3 / 60.5),
         ([[(0.0, 1.0), (1.0, 2.0)], [(100.0, 130.0), (130.0, 160.0)]], 2.0),
         ([[(0.0, 30.0), (30.0, 60.0)], []], 2.0),
+        ([many], 1.0),
         ([[]], None),
-    ],
-    ids=["one by one", "side by side", "the last driver's", "a driver that made none", "none"],
-)
-def test_pace_is_that_of_the_last_driver(study: Study, sessions: list[Times], rate: float | None) -> None:
-    at_times(study, sessions)
-    assert progress_of(study).rate == (None if rate is None else pytest.approx(rate))
-    assert progress_of(study).seconds_left is None
+    ):
+        study.ledger_path.unlink(missing_ok=True)
+        at_times(study, sessions)
+        assert progress_of(study).rate == (rate and pytest.approx(rate))
+        assert progress_of(study).seconds_left is None
 
 
-def test_pace_is_that_of_the_last_runs(tmp_path: Path) -> None:
-    study = load_study(write_study(tmp_path, design={"sobol": {"runs": RATE_RUNS + 2}}))
-    quick, slow = [(0.0, 1.0), (1.0, 2.0)], [(2.0 + 60 * k, 62.0 + 60 * k) for k in range(RATE_RUNS)]
-    at_times(study, [quick + slow])
-    assert progress_of(study).rate == pytest.approx(1.0)
-
-
-def test_runs_of_others_and_interrupted_ones_make_no_pace(study: Study, tmp_path: Path) -> None:
+def test_runs_of_others_and_interrupted_ones_make_no_pace(study, tmp_path):
     with opened(study) as ledger:
         make(ledger, study, 4)
     assert progress_of(study).rate is not None
@@ -195,7 +171,7 @@ def test_runs_of_others_and_interrupted_ones_make_no_pace(study: Study, tmp_path
     assert other.runs.known == 6
 
 
-def test_a_plan_of_a_study_without_a_file_or_with_a_damaged_ledger(study: Study) -> None:
+def test_a_plan_of_a_study_without_a_file_or_with_a_damaged_ledger(study):
     assert recorded_plan(study.folder / "nowhere") is None
     study.ledger_path.write_bytes(b"no database" * 500)
     with pytest.raises(LedgerError, match="damaged"):
@@ -206,7 +182,19 @@ def test_a_plan_of_a_study_without_a_file_or_with_a_damaged_ledger(study: Study)
         progress_in(study.folder)
 
 
-def test_finished_means_the_observation_too(study: Study) -> None:
+def test_a_reused_ledger_of_another_model_or_without_one_of_its_facts_is_refused(study, tmp_path):
+    other = load_study(write_study(tmp_path / "other", reuse=["../beam"]))
+    Ledger.open(study.ledger_path, model="something else").close()
+    with pytest.raises(LedgerError, match=r"beam/ledger\.sqlite keeps the runs of another model"):
+        other.runs.require_sound_ledgers()
+    for row in ("model", "schema_version"):
+        with closing(sqlite3.connect(study.ledger_path)) as connection, connection:
+            connection.execute("DELETE FROM meta WHERE key = ?", (row,))
+        with pytest.raises(LedgerError, match=f"damaged.*no row {row}"):
+            other.runs.require_sound_ledgers()
+
+
+def test_finished_means_the_observation_too(study):
     with pytest.raises(InvalidStudy, match=r"not finished: got 0 of 9 forward runs done.*strandline run"):
         study.runs.require_finished()
     with opened(study) as ledger:
@@ -223,34 +211,17 @@ def test_finished_means_the_observation_too(study: Study) -> None:
         assert ledger.latest(other.runs.design_keys) == {}
 
 
-def test_a_reused_ledger_is_checked_too(study: Study, tmp_path: Path) -> None:
-    Ledger.open(study.ledger_path, model="something else").close()
-    other = load_study(write_study(tmp_path / "other", reuse=["../beam"]))
-    with pytest.raises(LedgerError, match=r"beam/ledger\.sqlite keeps the runs of another model"):
-        other.runs.require_sound_ledgers()
-
-
 OLD = "def helper(a):\n    return a\n\ndef f(inputs, workdir):\n    return [[0.0, 0.0], [1.0, helper(inputs['a'])]]\n"
-OF_A_FUNCTION = """version: 1
-name: old
-model: {python: {function: "old_ledger_model:f"}}
-inputs: {a: {prior: {uniform: [0, 1]}}}
-observation: {synthetic: {a: 0.5}}
-discrepancy: {tracked_points: {}}
-noise: {sd: 0.1}
-design: {sobol: {runs: 8}}
-"""
 
 
-def test_an_earlier_ledger_of_an_unchanged_function_is_accepted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_earlier_ledger_of_an_unchanged_function_is_accepted(tmp_path, monkeypatch):
     (tmp_path / "old_ledger_model.py").write_text(OLD)
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "study.yaml").write_text(OF_A_FUNCTION)
+    model, inputs = {"python": {"function": "old_ledger_model:f"}}, {"a": {"prior": {"uniform": [0, 1]}}}
+    write_study(tmp_path, model=model, inputs=inputs, fixed=None, observation={"synthetic": {"a": 0.5}})
     now = fingerprint(load_study(tmp_path).model)
     assert now.startswith("python-files:")
-    earlier = fingerprint(replace(load_study(tmp_path).model, function_alone=True))  # type: ignore[type-var]
+    earlier = fingerprint(replace(load_study(tmp_path).model, function_alone=True))
     ledger = tmp_path / "ledger.sqlite"
     Ledger.open(ledger, model=earlier).close()
     study = load_study(tmp_path)
@@ -262,11 +233,3 @@ def test_an_earlier_ledger_of_an_unchanged_function_is_accepted(
     Ledger.open(ledger, model="python:another").close()
     with pytest.raises(LedgerError, match="another model"):
         Ledger.open(ledger, model=fingerprint(load_study(tmp_path).model))
-
-
-def test_the_beam_is_its_closed_form(study: Study) -> None:
-    """y = F x² (3L - x) / (6 E I) + tilt x; with F = 1e-5 N/m, h = 0.1 mm: 20 x² (3 - x) / E in mm."""
-    record = attempt(study.model, RunRequest("key", {"E": 400.0, "tilt": 0.02, "load": 1e-5}), study.folder)
-    assert isinstance(record.interface, Interface)
-    x, y = record.interface.points.T
-    assert y == pytest.approx(20 / 400 * x**2 * (3 - x) + 0.02 * x, rel=1e-12)

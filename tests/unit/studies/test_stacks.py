@@ -1,103 +1,94 @@
-"""A stack of pictures as the observation of a study: the surface, its errors, and every bad input."""
+"""Stacks, and two pictures of one specimen, as the observation of a study: surface or outline, errors, bad input."""
 
 import json
+import shutil
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import tifffile
-from tests.unit.imaging.files import scan
-from tests.unit.studies.refused import message_of
-from tests.unit.studies.scans import ORIGIN, RADIUS, V, grey, loaded, written
+import yaml
+from tests.unit.studies.test_refusals import not_refused
+from verification.validation.rendered_stacks import Blob, Microscope
 
+import strandline as sl
 from strandline.cli import main
-from strandline.interface import PointErrors
+from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study
 from strandline.studies.pictures.stack_files import write_stacks
+from strandline.studies.pictures.undeformed import with_errors_of
 from strandline.studies.read_how import read_how
-from strandline.testing.studies import write_study
+from strandline.testing.studies import BEAM_STUDY, write_study
+
+V, RADIUS = 1e-3, 0.014
+ORIGIN = [20.2, 19.5, 19.8]
+CUBES = Microscope((V, V, V), (40,) * 3, (1.5 * V,) * 3)
+STATED = {"frame": {"origin": ORIGIN}, "voxel": {"x": 1, "y": 1, "z": 1, "unit": "um"}}
 
 
-def test_the_noise_is_that_of_the_stack(tmp_path: Path) -> None:
+@lru_cache(maxsize=1)
+def grey():
+    stack = CUBES(Blob((0.0202, 0.0195, 0.0198), (RADIUS,) * 3), np.random.default_rng(1)).values
+    return np.clip(np.round(1000 + 1000 * stack), 0, 65535).astype(np.uint16)
+
+
+def written(folder, *, noise=None, study=None, **changes):
+    folder.mkdir(exist_ok=True)
+    np.save(folder / "cells.npy", grey())
+    stack = {"file": "cells.npy", **STATED, "solid": "bright", "triangles": 800, **changes}
+    stack = {key: value for key, value in stack.items() if value is not None}
+    base = {"discrepancy": {"closest_point": {}}, "noise": noise or {"sd": "image", "unit": "um"}, **(study or {})}
+    return write_study(folder, observation={"stack": stack}, **base)
+
+
+def loaded(folder, **changes):
+    return load_study(written(folder, **changes))
+
+
+def test_the_noise_is_that_of_the_stack(tmp_path):
     study = loaded(tmp_path)
     surface, noise = study.observed[""], study.noise_of("")
     away = np.linalg.norm(surface.points, axis=1) - RADIUS
     assert np.sqrt(np.mean(away**2)) < 0.1 * V
-    assert isinstance(noise, PointErrors)
     assert 0.7 < noise.sd / away.std() < 1.3
     assert noise.offset >= 0.1 * V
     assert noise.length > V
     stated = loaded(tmp_path, noise={"sd": "image", "unit": "um", "unknown": {"offset": 7, "shift": 2}}).noise_of("")
-    assert isinstance(stated, PointErrors)
     assert (stated.offset, stated.shift) == pytest.approx((0.007, 0.002))
+    np.save(tmp_path / "half.npy", grey()[:22])
+    cut = loaded(tmp_path, file="half.npy")
+    assert (surface.closed, cut.observed[""].closed) == (True, False)
+    assert "the surface is open" in " ".join(cut.stacks[""].notes)
 
 
-def test_the_header_states_the_size_of_a_voxel(tmp_path: Path) -> None:
-    typed = loaded(tmp_path)
-    metadata = {"axes": "ZYX", "unit": "um", "spacing": 1.0}
-    tifffile.imwrite(tmp_path / "cells.tif", grey(), imagej=True, resolution=(1.0, 1.0), metadata=metadata)
-    header = loaded(tmp_path, file="cells.tif", voxel=None)
-    np.testing.assert_allclose(header.observed[""].points, typed.observed[""].points)
-    assert "from the ImageJ header" in " ".join(header.stacks[""].notes)
-    assert "from the study" in " ".join(typed.stacks[""].notes)
+REFUSED = """
+reader: nowhere:read; index: 0; frame: {origin: [1, 2]}; frame: {origin: [1, 2, 3], rotation: 3}
+voxel: GONE | does not state the size of a voxel
+voxel: {size: 1, unit: um}; voxel: {x: 1, y: 1, z: 1} | observation.stack.voxel
+frame: GONE | observation.stack.frame.origin
+exclude: [{voxels: [[0, 0, 0]]}] | observation.stack.exclude[0].voxels
+exclude: [{voxels: [[0, 0, 0], [39, 39, 39]]}] | at least 10
+file: nothing.npy | nothing.npy
+file: noise.npy | contrast over noise
+solid: grey | solid
+triangles: 50 | triangles
+"""
+OF_STUDY = """
+observation.file: b | `stack`
+noise: {sd: 2, unit: um} | noise.unknown.offset
+noise: {sd: image, unit: um, length: 3} | noise.sd
+"""
 
 
-OCT = (
-    "<Ocity><Image><SizePixel><SizeZ>40</SizeZ><SizeX>40</SizeX><SizeY>40</SizeY></SizePixel><SizeReal><SizeZ>0.0532"
-    "</SizeZ><SizeX>0.04</SizeX><SizeY>0.04</SizeY></SizeReal></Image><Acquisition><RefractiveIndex>1.33"
-    "</RefractiveIndex></Acquisition></Ocity>"
-)
-"""Header of a volume whose depths are optical paths: 1.33 times as long."""
-
-
-def test_a_volume_that_states_an_index_takes_the_one_that_the_message_asks_for(tmp_path: Path) -> None:
-    scan(tmp_path / "cells.oct", grey(), header=OCT)
-    volume = {"file": "cells.oct", "voxel": None, "scale": "intensity"}
-    message = message_of(written(tmp_path, **volume))
-    assert "states a refractive index" in message
-    assert "Add `index: 1.33`" in message
-    found = loaded(tmp_path, **volume, index=1.33)
-    assert found.stacks[""].stack.voxel == pytest.approx((V, V, V))
-    np.testing.assert_allclose(found.observed[""].points, loaded(tmp_path).observed[""].points, atol=1e-6)
-    assert "index 1.33 divides y" in found.stacks[""].notes
-
-
-REFUSED: list[tuple[dict[str, Any], dict[str, Any] | None, str]] = [
-    ({"reader": "nowhere:read"}, None, "observation.stack.reader"),
-    ({"index": 0}, None, "observation.stack.index"),
-    ({"voxel": None}, None, "does not state the size of a voxel"),
-    ({"voxel": {"x": 1, "y": 1, "unit": "um"}}, None, "does not state z"),
-    ({"voxel": {"size": 1, "unit": "um"}}, None, "observation.stack.voxel"),
-    ({"voxel": {"x": 1, "y": 1, "z": 1}}, None, "observation.stack.voxel.unit"),
-    ({"frame": None}, None, "observation.stack.frame.origin"),
-    ({"frame": {"origin": [1, 2]}}, None, "observation.stack.frame.origin"),
-    ({"frame": {"origin": [1, 2, 3], "rotation": 3}}, None, "observation.stack.frame.rotation"),
-    ({"exclude": [{"voxels": [[0, 0, 0]]}]}, None, "observation.stack.exclude[0].voxels"),
-    ({"exclude": [{"voxels": [[0, 0, 0], [39, 39, 39]]}]}, None, "at least 10"),
-    ({"file": "nothing.npy"}, None, "nothing.npy"),
-    ({"file": "page.npy"}, None, "holds no stack"),
-    ({"file": "noise.npy"}, None, "contrast over noise"),
-    ({"solid": "grey"}, None, "solid"),
-    ({"triangles": 50}, None, "triangles"),
-    ({"page": 3}, None, "page"),
-    ({}, {"sd": 2, "unit": "um"}, "noise.unknown.offset"),
-    ({}, {"sd": "image", "unit": "um", "length": 3}, "noise.sd"),
-]
-
-
-def test_bad_input_is_one_line(tmp_path: Path) -> None:
-    np.save(tmp_path / "page.npy", grey()[20])
+def test_bad_input_is_one_line(tmp_path):
     np.save(tmp_path / "noise.npy", np.random.default_rng(2).standard_normal((20, 20, 20)))
-    for changes, noise, words in REFUSED:
-        message = message_of(written(tmp_path, noise=noise, **changes))
-        assert words in message, message
-    both = {"stack": {"file": "a.npy", "solid": "bright"}, "file": "b"}
-    assert "`stack`" in message_of(write_study(tmp_path, observation=both))
+    content = json.loads((written(tmp_path) / "study.yaml").read_text())
+    assert not_refused(tmp_path, REFUSED, "observation.stack.", **content) == []
+    assert not_refused(tmp_path, OF_STUDY, **content) == []
 
 
-def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_command_writes_is_the_same_each_time(tmp_path, capsys):
     folder = written(tmp_path)
     main(["image", str(folder)])
     shown = capsys.readouterr().out
@@ -123,14 +114,7 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path: Path, capsys: p
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
 
 
-def test_an_open_surface_is_noted(tmp_path: Path) -> None:
-    np.save(tmp_path / "half.npy", grey()[:22])
-    study = loaded(tmp_path, file="half.npy")
-    assert not study.observed[""].closed
-    assert "the surface is open" in " ".join(study.stacks[""].notes)
-
-
-def test_a_region_in_coordinates_of_the_model_turns_with_its_frame(tmp_path: Path) -> None:
+def test_a_region_in_coordinates_of_the_model_turns_with_its_frame(tmp_path):
     """The model's x axis runs along the rows of the stack, so the same ball is another place."""
     turned = {"origin": ORIGIN, "rotation": [0, 0, 90]}
     study = loaded(tmp_path, frame=turned, exclude=[{"ball": [RADIUS, 0, 0], "radius": 0.005, "unit": "mm"}])
@@ -140,3 +124,95 @@ def test_a_region_in_coordinates_of_the_model_turns_with_its_frame(tmp_path: Pat
     mesh = study.stacks[""].surface.mesh
     assert np.linalg.norm(mesh.points - ORIGIN - [0, RADIUS / V, 0], axis=1).min() > 5
     assert "triangles in excluded regions left out" in " ".join(study.stacks[""].notes)
+
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "oct-biofilm"
+SEEN = Interface.polyline(np.stack([np.linspace(0, 1, 101), np.zeros(101)], axis=1))
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("oct") / "study"
+    folder.mkdir()
+    for name in ("study.yaml", "undeformed.png", "deformed.png"):
+        shutil.copy(EXAMPLE / name, folder)
+    return load_study(folder)
+
+
+def test_the_model_takes_the_outline_where_the_flow_cell_moved(study):
+    found, true = study.undeformed, np.asarray(sl.Biofilm().undeformed().points)
+    model = np.asarray(study.model.undeformed().points)
+    assert model.shape == true.shape
+    assert np.linalg.norm(model - true, axis=1).max() < 0.03
+    inner = Interface.polyline(found.outline.points[20:-20])
+    fine = np.stack([np.interp(np.linspace(0, 65, 6000), np.arange(66), column) for column in true.T], axis=1)
+    away = np.linalg.norm(inner.points[:, None] - fine[None], axis=2).min(axis=1)
+    assert np.sqrt(np.mean(away**2)) < 3 * np.hypot(found.errors.sd, found.errors.offset)
+    # The registration finds how the flow cell moved.
+    found = study.pictures[""].registration
+    c, s = np.cos(np.radians(0.3)), np.sin(np.radians(0.3))
+    away = np.array(found.centre) - [-105.0, 205.0]
+    true = away @ np.array([[c, s], [-s, c]]) + [4.3, -2.1] - away
+    assert np.abs(np.array(found.shift) - true).max() < 3 * found.shift_sd < 6
+    assert abs(found.rotation - 0.3) < 3 * found.rotation_sd < 0.5
+
+
+def test_its_errors_join_those_of_the_observation(study):
+    noise, own, edge = study.noise_of(""), study.undeformed.errors, study.pictures[""].errors
+    assert noise.sd == pytest.approx(np.hypot(own.sd, edge.sd))
+    assert noise.sd**2 * noise.length == pytest.approx(own.sd**2 * own.length + edge.sd**2 * edge.length)
+    assert noise.offset == pytest.approx(np.hypot(own.offset, edge.offset))
+    assert (noise.shift, noise.rotation, noise.scale) == pytest.approx((edge.shift, edge.rotation, 0.005))
+    assert noise.shift > 0.001
+    # Each condition takes its share, and other noise stays.
+    given = PointErrors(0.002, 0.0, offset=0.001)
+    one, three = (with_errors_of(study.undeformed, given, SEEN, conditions=n) for n in (1, 3))
+    assert one.sd**2 - given.sd**2 == pytest.approx(own.sd**2)
+    assert three.sd**2 - given.sd**2 == pytest.approx(3 * own.sd**2)
+    assert three.offset == pytest.approx(np.sqrt(0.001**2 + 3 * own.offset**2))
+    # white points that are 10 µm apart count as correlated over half of that
+    assert one.sd**2 * one.length == pytest.approx(given.sd**2 * 0.005 + own.sd**2 * own.length)
+    stated = GaussianNoise(1e-4)
+    assert with_errors_of(study.undeformed, stated, SEEN, conditions=1) is stated
+    assert with_errors_of(None, PointErrors(0.002), SEEN, conditions=1) == PointErrors(0.002)
+    inferred = with_errors_of(study.undeformed, UnknownErrors(offset=0.001), SEEN, conditions=1)
+    assert inferred.offset > 0.001
+
+
+def test_the_command_writes_both_pictures_and_how_they_were_read(study, capsys):
+    first, second = read_how(study)
+    assert (first["condition"], first["file"], second["file"]) == ("undeformed", "undeformed.png", "deformed.png")
+    assert first["notes"][-2].startswith("the model's (0, 0) at pixel (-105, 205) from the study")
+    assert second["notes"][-2].startswith("in undeformed.png, the model's (0, 0) at pixel (-105, 205) from the study")
+    main(["image", str(study.folder)])
+    out = capsys.readouterr().out
+    for words in ("undeformed: undeformed.png: edge of", "smooth outline: sd of a point", "set-up moved by"):
+        assert words in out
+    written = {path.name for path in (study.folder / "image").iterdir()}
+    assert {"edge.csv", "edge.png", "undeformed-edge.png", "undeformed-outline.csv"} <= written
+    outline = np.loadtxt(study.folder / "image" / "undeformed-outline.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(outline, study.undeformed.outline.points, atol=1e-6)
+    main(["image", str(study.folder), "--edit", "--condition", "undeformed"])
+    assert "undeformed.mark.html" in capsys.readouterr().out
+
+
+OUTLINE = """
+pixel: GONE | pixel
+solid: GONE; colour: red
+path: [[89, 100], [166, 50], [247, 58], [310, 126]] | undeformed outline in the picture
+"""
+REGISTRATION = """
+to: nothing.png | nothing.png
+fixed: [] | regions that do not move
+fixed: [[[2, 2], [6, 2], [6, 6]]] | fixed regions of the picture
+fixed: [[[2, 2], [100, 2], [100, 30], [2, 30]]] | correlation
+marks: nothing.path.json | nothing.path.json
+"""
+
+
+def test_bad_input_of_two_pictures_is_one_line(study, tmp_path):
+    shutil.copytree(study.folder, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("image", "*.html"))
+    content = {**dict.fromkeys(BEAM_STUDY), **yaml.safe_load((EXAMPLE / "study.yaml").read_text("utf-8"))}
+    assert not_refused(tmp_path, OUTLINE, "model.biofilm.outline.image.", **content) == []
+    assert not_refused(tmp_path, REGISTRATION, "observation.image.registration.", **content) == []
+    assert not_refused(tmp_path, "noise.unknown: {scale: 0.005, shared: true}", **content) == []

@@ -1,12 +1,14 @@
-"""A command that writes surfaces as VTK, calibrated from a stack of pictures."""
+"""Simulators that are programs: one that writes surfaces as VTK, calibrated from a stack, and an example."""
 
+import shutil
 from pathlib import Path
 
+from tests.study.conftest import SAMPLER
 from tests.unit.discrepancy.surfaces import sphere
-from tests.unit.studies.scans import RADIUS, V, loaded
+from tests.unit.studies.test_stacks import RADIUS, V, loaded
 
-from strandline.runs import InProcess
-from strandline.studies import run_study
+from strandline.runs import InProcess, LocalProcesses
+from strandline.studies import load_study, run_study
 from strandline.studies.pictures.stack_files import vtu
 
 PROGRAM = """
@@ -20,7 +22,7 @@ open("surface.vtu", "w").write("\\n".join(out))
 """Write the surface of a ball with the radius that the input file states."""
 
 
-def test_it_finds_the_radius(tmp_path: Path) -> None:
+def test_it_finds_the_radius(tmp_path):
     """The posterior holds the true radius; its width is that of the offset, not of independent points."""
     (tmp_path / "ball.vtu").write_text(vtu(sphere(1.0, 3)), "utf-8")
     (tmp_path / "ball.py").write_text(PROGRAM, "utf-8")
@@ -37,10 +39,18 @@ def test_it_finds_the_radius(tmp_path: Path) -> None:
         "inputs": {"radius": {"prior": {"uniform": [0.0135, 0.0145]}}},
         "discrepancy": {"closest_point": {}},
         "design": {"sobol": {"runs": 8}},
-        "sampler": {"smc": {"particles": 1000, "rejuvenation_steps": 4, "zeta": 0.5}},
+        "sampler": SAMPLER,
         "draft": True,
     }
     posterior = run_study(loaded(tmp_path, study=study, triangles=400), executor=InProcess()).calibration.posterior
     assert abs(posterior.mean[0] - RADIUS) < 0.25 * V
     assert 0.08 * V < posterior.sd[0] < 0.25 * V
     assert (tmp_path / "figures" / "surfaces.png").exists()
+
+
+def test_the_command_example_finds_the_truth(tmp_path):
+    study = Path(shutil.copytree(Path(__file__).parents[3] / "examples" / "command", tmp_path / "command"))
+    with (study / "study.yaml").open("a", encoding="utf-8") as file:
+        file.write("\ndraft: true\nreport: none\n")
+    found = run_study(load_study(study), executor=LocalProcesses(workers=1)).summary["inputs"]["E"]
+    assert abs(found["mean"] - 400.0) < 3 * found["sd"] < 100.0
