@@ -1,25 +1,22 @@
-"""`strandline run` and `strandline retry`, with all runs in this process."""
+"""What `strandline run` and `retry` do, with all runs in this process, and what commands print of a finished study."""
 
 import json
 import re
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock, call
 
 import pytest
 from tests.study.conftest import SAMPLER
-from tests.unit.cli.command_line import Shown, ends, refused
+from tests.unit.cli.command_line import contents, ends, printed, refused
 
 from strandline.cli import main
 from strandline.runs import Ledger
-from strandline.testing.studies import write_study
+from strandline.studies import load_study
+from strandline.testing.studies import BEAM_STUDY, write_study
 
-SMALL: dict[str, Any] = {
-    "design": {"sobol": {"runs": 32}},
-    "sampler": SAMPLER,
-    "executor": {"in_process": {}},
-    "draft": True,
-    "report": "none",
-}
+SMALL = {"design": {"sobol": {"runs": 32}}, "sampler": SAMPLER, "executor": {"in_process": {}}}
+SMALL |= {"draft": True, "report": "none"}
+STAGES = ["observation", "forward runs", "surrogate", "sampling", "checks", "figures and report"]
 LICENSED = """
 from pathlib import Path
 from strandline.errors import ForwardModelError
@@ -37,94 +34,143 @@ def simulate(inputs, workdir):
 """A beam that is not computed if it is stiffer than the licence says."""
 
 
-def beams(low: float, high: float) -> dict[str, Any]:
-    """Return inputs with E in this range; soft beams bend too far."""
-    return {"E": {"prior": {"uniform": [low, high]}, "unit": "Pa"}, "tilt": {"prior": {"uniform": [0.0, 0.04]}}}
-
-
-def test_each_run_and_step_is_shown_and_logged(tmp_path: Path, capsys: Shown) -> None:
-    folder, log = write_study(tmp_path / "beam", **SMALL, inputs=beams(30, 560)), tmp_path / "run.log"
-    log.write_text("before\n")
+def test_each_run_and_step_is_shown_and_logged(tmp_path, capsys):
+    """Some beams are so soft that they bend too far."""
+    inputs = {**BEAM_STUDY["inputs"], "E": {"prior": {"uniform": [30, 560]}, "unit": "Pa"}}
+    folder, log = write_study(tmp_path / "beam", **SMALL, inputs=inputs), tmp_path / "run.log"
     main(["run", str(folder), "--verbose", "--log", str(log)])
     shown, runs = capsys.readouterr(), json.loads((folder / "summary.json").read_text("utf-8"))["runs"]
     counts = f"{runs['ok']} forward runs ok, {runs['failed']} failed ({runs['failed']} × large_deflection)"
     assert f"\nbeam: {counts} (32 new, 0 reused)\n" in shown.out
     assert "report: " not in shown.out
     lines = shown.err.splitlines()
-    stages = ["observation …", "forward runs …", "surrogate …", "sampling …", "checks …"]
-    assert [line for line in lines if line in stages] == stages
-    told = re.findall(r"^  run [0-9a-f]{12} (\S+)(?: \(\S+\))? in \S+ s at ", shown.err, re.MULTILINE)
-    assert len(told) == 32
-    assert {*told} == {"ok", "failed"}
-    assert re.search(r"failed \(large_deflection\) in .*; no folder is kept\n    the tip would move by", shown.err)
-    assert "  32 runs by InProcess" in lines
-    assert "  of the log-likelihood, kernel matern32" in lines
-    assert "  1000 particles, seed 1, SMCSettings: " in shown.err
+    assert [line for line in lines if line.endswith(" …")] == [f"{stage} …" for stage in STAGES]
+    assert len(re.findall(r"^  run [0-9a-f]{12} (?:ok|failed \(\S+\)) in \S+ s at ", shown.err, re.MULTILINE)) == 32
     assert len(re.findall(r"^  step to tempering exponent \S+: ESS \d+, accepted ", shown.err, re.MULTILINE)) >= 2
-    first, *logged = log.read_text("utf-8").splitlines()
-    found = [re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d (.*)", line) for line in logged]
-    assert first == "before"
-    assert [one[1] for one in found if one is not None] == lines
+    for line in ("  32 runs by InProcess", "  of the log-likelihood, kernel matern32"):
+        assert line in lines
+    assert "  1000 particles, seed 1, SMCSettings: " in shown.err
+    assert [line[20:] for line in log.read_text("utf-8").splitlines()] == lines
 
 
-class TestRunsThatFail:
-    @pytest.fixture
-    def home(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-        (tmp_path / "licensed.py").write_text(LICENSED)
-        monkeypatch.syspath_prepend(tmp_path)
-        return tmp_path
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    (tmp_path / "licensed.py").write_text(LICENSED)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
 
-    def licence(self, home: Path, limit: float) -> None:
-        (home / "licence").write_text(str(limit))
 
-    def calls(self, home: Path) -> int:
-        return len((home / "calls").read_text().splitlines())
+def licensed(home, truth, failures):
+    observation = {"synthetic": {"E": truth, "tilt": 0.02, "load": 1e-5}}
+    content = {**SMALL, "model": {"python": {"function": "licensed:simulate"}}, "observation": observation}
+    return str(write_study(home / "study", **content, failures=failures))
 
-    def study(self, home: Path, **changes: Any) -> Path:
-        return write_study(
-            home / "study", **{**SMALL, "model": {"python": {"function": "licensed:simulate"}}, **changes}
-        )
 
-    def test_they_are_made_once_more_and_the_results_anew(self, home: Path, capsys: Shown) -> None:
-        """At first even the synthetic observation fails, then nearly all beams, and at last none."""
-        truth = {"synthetic": {"E": 305, "tilt": 0.02, "load": 1e-5}}
-        folder = self.study(home, observation=truth, failures={"stop": "never"})
-        self.licence(home, 250.0)
-        for _ in range(2):
-            line = refused(capsys, "run", str(folder), "--quiet")
-            assert "synthetic observation could not be made: got licence at E = 305" in line
-            assert f"strandline retry {folder} --kind licence" in line
-        assert self.calls(home) == 1
-        self.licence(home, 310.0)
-        assert "too few successful" in refused(capsys, "retry", str(folder), "--kind", "licence", "--quiet")
-        with Ledger.open(folder / "ledger.sqlite", model=None, read_only=True) as ledger:
-            made, missing = ledger.counts().total, ledger.counts().failed
-        assert (self.calls(home), made) == (34, 33)
-        assert "timeout" in refused(capsys, "retry", str(folder), "--kind", "timeout")
-        self.licence(home, 1000.0)
-        main(["retry", str(folder), "--kind", "licence", "--quiet"])
-        assert capsys.readouterr().err == ""
-        runs = json.loads((folder / "summary.json").read_text())["runs"]
-        assert (runs["ok"], runs["failed"], runs["new"]) == (32, 0, missing)
-        assert self.calls(home) == 34 + missing
+def calls(home):
+    return len((home / "calls").read_text().splitlines())
 
-    @pytest.mark.parametrize(
-        ("failures", "made", "told"),
-        [
-            ({}, 21, ["stopped because 20 of 20 runs failed (20 × licence)", "the server is down"]),
-            ({"kinds": {"licence": "abort"}}, 2, ["a run ended with licence", "E = "]),
-        ],
-    )
-    def test_a_study_ends_early(
-        self, failures: dict[str, Any], made: int, told: list[str], home: Path, capsys: Shown
-    ) -> None:
-        """If all of its runs fail, with the end of a log; or at the first failure, if it says so."""
-        truth = {"synthetic": {"E": 100, "tilt": 0.02, "load": 1e-5}}
-        folder = self.study(home, observation=truth, failures=failures)
-        self.licence(home, 200.0)
-        assert ends("run", str(folder), "--quiet") == 1
-        said = capsys.readouterr().err
-        assert [words for words in told if words not in said] == []
-        assert "Traceback" not in said
-        assert self.calls(home) == made
-        assert sorted(path.name for path in folder.iterdir()) == ["ledger.lock", "ledger.sqlite", "study.yaml"]
+
+def test_runs_that_failed_are_made_once_more_and_the_results_anew(home, capsys):
+    """At first even the synthetic observation fails, then nearly all beams, and at last none."""
+    folder = licensed(home, 305, {"stop": "never"})
+    (home / "licence").write_text("250")
+    for _ in range(2):
+        line = refused(capsys, "run", folder, "--quiet")
+        assert "synthetic observation could not be made: got licence at E = 305" in line
+        assert f"strandline retry {folder} --kind licence" in line
+    assert calls(home) == 1
+    (home / "licence").write_text("310")
+    assert "too few successful" in refused(capsys, "retry", folder, "--kind", "licence", "--quiet")
+    with Ledger.open(Path(folder) / "ledger.sqlite", model=None, read_only=True) as ledger:
+        made, missing = ledger.counts().total, ledger.counts().failed
+    assert (calls(home), made) == (34, 33)
+    assert "timeout" in refused(capsys, "retry", folder, "--kind", "timeout")
+    (home / "licence").write_text("1000")
+    printed(capsys, "retry", folder, "--kind", "licence", "--quiet")
+    runs = json.loads((Path(folder) / "summary.json").read_text())["runs"]
+    assert (runs["ok"], runs["failed"], runs["new"]) == (32, 0, missing)
+    assert calls(home) == 34 + missing
+
+
+@pytest.mark.parametrize(
+    ("failures", "made", "told"),
+    [
+        ({}, 21, ["stopped because 20 of 20 runs failed (20 × licence)", "the server is down"]),
+        ({"kinds": {"licence": "abort"}}, 2, ["a run ended with licence", "E = "]),
+    ],
+)
+def test_a_study_ends_early(failures, made, told, home, capsys):
+    """If all of its runs fail, with the end of a log; or at the first failure, if it says so."""
+    folder = licensed(home, 100, failures)
+    (home / "licence").write_text("200")
+    assert ends("run", folder, "--quiet") == 1
+    said = capsys.readouterr().err
+    assert [words for words in told if words not in said] == []
+    assert "Traceback" not in said
+    assert calls(home) == made
+    assert sorted(path.name for path in Path(folder).iterdir()) == ["ledger.lock", "ledger.sqlite", "study.yaml"]
+
+
+def test_a_study_that_has_not_changed_is_shown_and_not_run(beam, capsys):
+    before = contents(beam.folder)
+    shown = printed(capsys, "run", str(beam.folder))
+    summary = json.loads((beam.folder / "summary.json").read_text())
+    assert "beam: 64 forward runs ok, 0 failed (0 new, 64 reused)" in shown
+    for name, item in summary["inputs"].items():
+        row = next(line for line in shown.splitlines() if line.split()[:1] == [name])
+        for figure in ("mean", "sd", "median", "q05", "q95", "map"):
+            assert f"{item[figure]:.4g}" in row
+    assert f"log-evidence {summary['log_evidence']:.3f}; effective samples {summary['sampler']['ess']:.0f}" in shown
+    assert f"report: {beam.folder}/report.html" in shown
+    assert f"Nothing has changed since. To write the results again: strandline report {beam.folder}" in shown
+    found = json.loads(printed(capsys, "run", str(beam.folder), "--json"))
+    assert (found["inputs"], found["runs"]["new"]) == (summary["inputs"], 0)
+    assert "Nothing has changed" not in printed(capsys, "run", str(beam.folder), "--quiet")
+    assert contents(beam.folder) == before
+
+
+def test_both_ways_to_the_status_print_the_same(beam, capsys, monkeypatch):
+    loaded = Mock(side_effect=load_study)
+    monkeypatch.setattr("strandline.studies.study.load_study", loaded)
+    folder = str(beam.folder)
+    quick = [printed(capsys, "status", folder, *options) for options in ([], ["--json"])]
+    assert not loaded.called
+    monkeypatch.setattr("strandline.studies.progress.recorded_plan", lambda folder: None)
+    assert [printed(capsys, "status", folder, *options) for options in ([], ["--json"])] == quick
+    assert loaded.call_args_list == [call(beam.folder)] * 2
+    assert "beam: 64 of 64 runs of the design done\n  ok 64, failed 0, under way 0, to do 0\n" in quick[0]
+    assert "results: written" in quick[0]
+    found = json.loads(quick[1])
+    counts = {"planned": 64, "done": 64, "ok": 64, "failed": 0, "open": 0, "lost": 0, "to_do": 0, "failures": {}}
+    assert counts.items() <= found.items()
+    assert (found["results"], found["seconds_left"], found["driver"]["at_work"]) == ("current", None, False)
+    assert found["runs_per_minute"] > 0
+
+
+def test_report_writes_the_results_again(beam, copy_of, capsys):
+    folder = copy_of(beam)
+    before = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").unlink()
+    text = (folder / "study.yaml").read_text()
+    (folder / "study.yaml").write_text(text.replace('"draft": true', '"draft": true, "report": "none"'))
+    assert "(0 new, 64 reused)" in printed(capsys, "report", str(folder), "--quiet")
+    assert json.loads((folder / "summary.json").read_text())["inputs"] == before["inputs"]
+    assert not (folder / "report.html").exists()
+
+
+def test_run_with_other_values_runs_a_copy_that_takes_over_all_runs(beam, copy_of, capsys, monkeypatch):
+    folder = copy_of(beam)
+    before = contents(folder)
+    monkeypatch.chdir(folder.parent)
+    words = ["run", "study", "--set", "noise.sd=0.006", "--set", "seed=3", "--set", "report=none", "--json"]
+    main(words)
+    shown = capsys.readouterr()
+    second = json.loads(shown.out)
+    copy = Path("study-noise.sd-0.006-report-none-seed-3")
+    assert f"noise.sd=0.006, seed=3, report=none: the study in {copy}\n" in shown.err
+    assert (second["study"], second["runs"]["new"], second["runs"]["reused"]) == (copy.name, 0, 64)
+    assert second["inputs"]["E"]["sd"] > 1.3 * beam.outcome.summary["inputs"]["E"]["sd"]
+    main(words)  # the same again
+    assert json.loads(capsys.readouterr().out)["runs"] == second["runs"]
+    assert contents(folder) == before
+    assert sorted(path.name for path in Path().iterdir()) == ["study", copy.name]

@@ -1,7 +1,5 @@
 """The command line in this process: what it prints, how it refuses, what it leaves in a folder."""
 
-from pathlib import Path
-
 import pytest
 
 from strandline.cli import main
@@ -14,7 +12,7 @@ HIDDEN = ("-wal", "-shm", ".lock")
 """Ends of the names of files that a reader of a ledger may leave."""
 
 
-def printed(capsys: Shown, *arguments: str) -> str:
+def printed(capsys, *arguments):
     """Return what a command prints; it says nothing else."""
     main(list(arguments))
     shown = capsys.readouterr()
@@ -22,14 +20,14 @@ def printed(capsys: Shown, *arguments: str) -> str:
     return shown.out
 
 
-def ends(*arguments: str) -> int:
+def ends(*arguments):
     """Return the code with which a command ends early."""
     with pytest.raises(SystemExit) as ended:
         main(list(arguments))
     return int(str(ended.value.code))
 
 
-def refused(capsys: Shown, *arguments: str) -> str:
+def refused(capsys, *arguments):
     """Return the one line with which a command refuses; it prints nothing else and ends with code 2."""
     code = ends(*arguments)
     shown = capsys.readouterr()
@@ -37,14 +35,14 @@ def refused(capsys: Shown, *arguments: str) -> str:
     return one_line(shown.err)
 
 
-def one_line(text: str) -> str:
+def one_line(text):
     (line,) = text.splitlines()
     assert line.startswith("strandline: ")
     assert "Traceback" not in line
     return line
 
 
-def contents(folder: Path) -> dict[str, bytes | None]:
+def contents(folder):
     """Return what lies in a folder: names and bytes."""
     paths = [path for path in folder.rglob("*") if not path.name.endswith(HIDDEN)]
     return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in paths}

@@ -1,44 +1,35 @@
-"""Progress as plain lines, and none when quiet."""
+"""What is told while a study runs: progress as plain lines, none when quiet, details, and `strandline status`."""
 
 import re
-from pathlib import Path
-
-from tests.unit.cli.command_line import Shown
 
 from strandline.calibration import progress_text
 from strandline.cli.details import detailed, set_aside_lines
 from strandline.cli.progress import SECONDS_BETWEEN_LINES, observing
+from strandline.cli.status import lines_of
 from strandline.design.active import BatchReport
 from strandline.runs import InProcess, RunRecord
 from strandline.runs import Progress as Runs
+from strandline.runs.overview import Driver
 from strandline.smc import StepInfo
 from strandline.studies import load_study
+from strandline.studies.progress import Failures, RunReported, StudyProgress
 from strandline.testing.studies import write_study
 
 RECORD = RunRecord("key", {"E": 1.0}, "ok")
 FIRST, LAST = StepInfo(0.5, 1000.0, 0.3, False, 0.0, 1.0), StepInfo(1.0, 1234.5, 0.25, False, 0.0, 1.0)
 
 
-class Clock:
-    """A clock that others set."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
+def state(finished, *, elapsed=1.0):
+    return Runs(total=100, finished=finished, ok=finished - 1, failed=1, reused=0, elapsed=elapsed)
 
 
-def state(finished: int, *, reused: int = 0, elapsed: float = 1.0) -> Runs:
-    return Runs(total=100, finished=finished, ok=finished - 1, failed=1, reused=reused, elapsed=elapsed)
-
-
-def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys: Shown) -> None:
-    clock = Clock()
-    with observing(clock=clock) as observer:
+def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys):
+    now = [0.0]
+    with observing(clock=lambda: now[0]) as observer:
         observer.stage("forward")
-        clock.now += SECONDS_BETWEEN_LINES - 1
+        now[0] += SECONDS_BETWEEN_LINES - 1
         observer.run(RECORD, state(1))
-        clock.now += 1
+        now[0] += 1
         observer.run(RECORD, state(50, elapsed=70.0))
         observer.run(RECORD, state(51))
         observer.run(RECORD, state(100))
@@ -47,9 +38,15 @@ def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys: Shown) -> No
         observer.step(LAST)
         observer.stage("replicates")
         observer.part(state(10))
-        clock.now += SECONDS_BETWEEN_LINES + 1
+        now[0] += SECONDS_BETWEEN_LINES + 1
         observer.part(state(50, elapsed=70.0))
         observer.part(state(100))
+        for wait in (0.0, SECONDS_BETWEEN_LINES + 1):  # a choice that takes long says how far it is
+            observer.stage("choice")
+            now[0] += wait
+            observer.step(FIRST)
+            observer.step(LAST)
+        observer.batch(BatchReport(3, ("E 396 ± 31",), 0.05, "check"))
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err.splitlines() == [
@@ -61,19 +58,6 @@ def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys: Shown) -> No
         "replicates …",
         "  50 of 100, 1 min 10 s left",
         "  100 of 100",
-    ]
-
-
-def test_a_choice_that_takes_long_says_how_far_it_is(capsys: Shown) -> None:
-    clock = Clock()
-    with observing(clock=clock) as observer:
-        for wait in (0.0, SECONDS_BETWEEN_LINES + 1):
-            observer.stage("choice")
-            clock.now += wait
-            observer.step(FIRST)
-            observer.step(LAST)
-        observer.batch(BatchReport(3, ("E 396 ± 31",), 0.05, "check"))
-    assert capsys.readouterr().err.splitlines() == [
         "next batch …",
         "next batch …",
         "  tempering exponent 0.5000, ESS 1000, accepted 30%",
@@ -81,7 +65,7 @@ def test_a_choice_that_takes_long_says_how_far_it_is(capsys: Shown) -> None:
     ]
 
 
-def test_a_log_has_the_time_of_each_line_also_when_quiet(tmp_path: Path, capsys: Shown) -> None:
+def test_a_log_has_the_time_of_each_line_also_when_quiet(tmp_path, capsys):
     log = tmp_path / "run.log"
     log.write_text("before\n")
     with observing(quiet=True, log=log) as observer:
@@ -91,17 +75,16 @@ def test_a_log_has_the_time_of_each_line_also_when_quiet(tmp_path: Path, capsys:
     assert capsys.readouterr() == ("", "")
     first, *lines = log.read_text("utf-8").splitlines()
     assert first == "before"
-    found = [re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d (.*)", line) for line in lines]
-    told = [one[1] for one in found if one is not None]
+    told = [re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d (.*)", line)[1] for line in lines]
     assert told == ["forward runs …", "  100/100 99 ok, 1 failed", "look [here]"]
 
 
-def test_durations() -> None:
+def test_durations():
     told = {0.4: "0 s", 59.4: "59 s", 60.0: "1 min 00 s", 3599.9: "1 h 00 min", 7265.0: "2 h 01 min"}
     assert {seconds: progress_text._duration(seconds) for seconds in told} == told
 
 
-def test_details_of_runs_name_folders_origins_and_reasons(tmp_path: Path) -> None:
+def test_details_of_runs_name_folders_origins_and_reasons(tmp_path):
     study, lines = load_study(write_study(tmp_path)), list[str]()
     for attempt in (1, 2, 10):
         (tmp_path / "runs" / f"{'a' * 12}-{attempt}").mkdir(parents=True)
@@ -122,7 +105,46 @@ def test_details_of_runs_name_folders_origins_and_reasons(tmp_path: Path) -> Non
         "  run cccccccccccc failed (bent) in 0 s at ; no folder is kept",
         "  step to tempering exponent 1.0000: ESS 1234, accepted 25%",
     ]
-    one = {"key": "c" * 64, "kind": "flipped", "why": "the points run the other way"}
-    assert set_aside_lines({"set_aside": [one]}) == [
-        "  run cccccccccccc set aside (flipped): the points run the other way"
-    ]
+    one = {"key": "c" * 64, "kind": "flipped", "why": "the other way"}
+    assert set_aside_lines({"set_aside": [one]}) == ["  run cccccccccccc set aside (flipped): the other way"]
+
+
+class TestStatus:
+    AT_WORK, GONE, UNSEEN = (Driver(3, 4711, "desk", 1e9, at_work) for at_work in (True, False, None))
+
+    def test_a_study_under_way(self):
+        run = RunReported("k" * 64, {"E": 397.5, "tilt": 0.015}, 9.0, "no convergence", ("step 7", 300 * "c"))
+        counts = {"ok": 30, "failed": 2, "open": 4, "failures": {"stalled": Failures(2, run)}, "slowest": run}
+        pace = {"rate": 4.8, "seconds_left": 600.0, "median_seconds": 2.0, "driver": self.AT_WORK}
+        assert list(lines_of(StudyProgress("bent", 80, **counts, **pace))) == [
+            "bent: 32 of 80 runs of the design done",
+            "  ok 30, failed 2, under way 4, to do 44",
+            "  driver at work, process 4711 on desk: 4.8 runs a minute, about 10 min left",
+            "  2 × stalled; e.g. E = 397.5, tilt = 0.015: no convergence",
+            "    | step 7",
+            "    | " + 159 * "c" + "…",
+            "  median 2.00 s a run, slowest 9.00 s at E = 397.5, tilt = 0.015",
+            "  results: not yet",
+        ]
+        assert len(list(lines_of(StudyProgress("bent", 80)))) == 3
+
+    def test_a_line_for_each_fact(self):
+        at_work, work = {"driver": self.AT_WORK}, "  driver at work, process 4711 on desk"
+        unseen = "  driver process 4711 on desk; strandline cannot see from here whether it is running"
+        for options, line in (
+            ({"lost": 3}, "  ok 0, failed 0, under way 0, to do 80, 3 of them lost with their driver"),
+            ({"driver": self.GONE, "rate": 240.4}, "  no driver at work; the last made 240 runs a minute"),
+            ({"driver": self.GONE}, "  no driver at work"),
+            (at_work, work),
+            ({"driver": self.UNSEEN, "open": 1}, "  ok 0, failed 0, under way (or lost) 1, to do 79"),
+            ({"driver": self.UNSEEN}, unseen),
+            (at_work | {"rate": 60.0, "seconds_left": 80.0}, f"{work}: 60 runs a minute, about 80 s left"),
+            (at_work | {"rate": 10.0, "seconds_left": 90.0}, f"{work}: 10 runs a minute, about 2 min left"),
+            (at_work | {"rate": 0.5, "seconds_left": 9600.0}, f"{work}: 0.5 runs a minute, about 2.7 h left"),
+            (at_work | {"rate": 6, "seconds_left": 8, "active": True}, f"{work}: 6 runs a minute, at most 8 s left"),
+            ({"active": True}, "bent: 0 of at most 80 runs of the design done"),
+            ({"last_batch": "batch 3: E 396 ± 31; next: check"}, "  batch 3: E 396 ± 31; next: check"),
+            ({"results": "outdated"}, "  results: of an earlier study.yaml"),
+            ({"results": "current"}, "  results: written"),
+        ):
+            assert line in list(lines_of(StudyProgress("bent", 80, **options))), options

@@ -2,41 +2,61 @@
 
 import csv
 import json
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from tests.unit.cli.command_line import Shown, printed, refused
-from tests.unit.cli.ledgers import RECORDS, keep, some_runs
+from tests.unit.cli.command_line import printed, refused
 
 from strandline.interface import Interface
-from strandline.runs import Ledger, RunRecord
+from strandline.runs import Ledger, RunRecord, RunRequest
 from strandline.runs.overview import STATES
 from strandline.runs.record import with_log
 from strandline.testing.models import Cantilever, TwoLoads
 
-DATA = Path(__file__).parents[2] / "data"
+LINE, QUOTED = Interface.polyline(np.arange(8.0).reshape(4, 2)), 'no "end",\nlong'
+RECORDS = [
+    RunRecord("aa1", {"E": 400.0, "nu": 1 / 3}, "ok", {"": LINE}, {"tip": 0.125}, 1.25),
+    RunRecord("aa2", {"E": 300.0, "nu": 0.25}, "failed", {}, {"load": 0.5}, 2.5, "stalled", QUOTED, "a\nlog"),
+    RunRecord("ab3", {"E": 301.0, "nu": 0.25}, "failed", {}, {}, 3.5, "limit_point", "bends"),
+    RunRecord("ac4", {"E": 302.0, "nu": 0.25}, "timeout", seconds=60.0, failure_kind="timeout"),
+    RunRecord("ad5", {"E": 303.0, "nu": 0.25}, "killed", failure_kind="worker_died"),
+    RunRecord("ae6", {"E": 304.0, "nu": 0.25}, "invalid", failure_kind="non_finite"),
+]
+
+
+def keep(folder, records, *open_runs):
+    folder.mkdir(exist_ok=True)
+    with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
+        for record in records:
+            ledger.started(RunRequest(record.key, record.inputs))
+            ledger.finished(record)
+        for request in open_runs:
+            ledger.started(request)
+    return folder
+
+
+def some_runs(folder):
+    """Write a ledger with all of `RECORDS`, the second open again, and one more under way."""
+    return keep(folder, RECORDS, RunRequest("af7", {"E": 305.0, "nu": 0.25}), RunRequest("aa2", RECORDS[1].inputs))
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return some_runs(tmp_path / "study")
 
 
-def listed(capsys: Shown, *arguments: str) -> list[list[str]]:
-    """Return the rows of the list, and last its number of runs."""
+def listed(capsys, *arguments):
     heading, *lines = printed(capsys, "runs", *arguments).splitlines()
     assert heading.split()[:4] == ["key", "state", "kind", "seconds"]
     return [line.split() for line in lines]
 
 
-def keys(capsys: Shown, *arguments: str) -> list[str]:
+def keys(capsys, *arguments):
     return [row[0] for row in listed(capsys, *arguments)[:-1]]
 
 
-def test_the_list_is_in_the_order_of_the_last_start(folder: Path, capsys: Shown) -> None:
+def test_all_runs_or_some_are_listed_in_the_order_of_their_last_start(folder, capsys):
     assert printed(capsys, "runs", str(folder)).splitlines() == [
         "key  state    kind         seconds    E        nu",
         "aa1  ok       -              1.250  400  0.333333",
@@ -48,9 +68,6 @@ def test_the_list_is_in_the_order_of_the_last_start(folder: Path, capsys: Shown)
         "aa2  open     -                  -  300      0.25",
         "7 of 7 runs",
     ]
-
-
-def test_some_runs_are_listed(folder: Path, capsys: Shown) -> None:
     expected = {"open": ["af7", "aa2"], "failed": ["ab3"]}
     expected |= {record.state: [record.key] for record in RECORDS if record.state != "failed"}
     for state in STATES:
@@ -67,30 +84,19 @@ def test_some_runs_are_listed(folder: Path, capsys: Shown) -> None:
     assert 0 < one["started_at"] <= one["finished_at"]
 
 
-def test_one_run_in_full(folder: Path, capsys: Shown) -> None:
+def test_one_run_in_full_with_how_it_ended_before(folder, capsys):
     shown = printed(capsys, "runs", str(folder), "--show", "aa1").splitlines()
     assert shown.pop(2).startswith("started: ")
     assert shown == ["key: aa1", "state: ok", "E = 400.0", "nu = 0.3333333333333333", "seconds: 1.25", "tip: 0.125"]
-
-
-def test_a_run_that_is_open_again_shows_how_it_ended_before(folder: Path, capsys: Shown) -> None:
     shown = printed(capsys, "runs", str(folder), "--show", "aa2").splitlines()
     assert shown[1] == "state: open"
     assert shown[2].endswith("(start 2 of this run)")
-    log = ["log:", "  a", "  log"]
-    assert shown[5:] == [
-        "before: failed, stalled",
-        "seconds: 2.5",
-        "load: 0.5",
-        "message:",
-        '  no "end",',
-        "  long",
-        *log,
-    ]
+    message, log = ["message:", '  no "end",', "  long"], ["log:", "  a", "  log"]
+    assert shown[5:] == ["before: failed, stalled", "seconds: 2.5", "load: 0.5", *message, *log]
     assert "before" not in printed(capsys, "runs", str(folder), "--show", "af7")
 
 
-def test_a_log_is_shown_once(tmp_path: Path, capsys: Shown) -> None:
+def test_a_log_is_shown_once(tmp_path, capsys):
     lines = "".join(f"{number}\n" for number in range(1, 13))
     records = [with_log(RECORDS[3], lines), with_log(with_log(RECORDS[2], "of the command\n"), "of the worker\n")]
     folder = str(keep(tmp_path / "study", records))
@@ -101,7 +107,7 @@ def test_a_log_is_shown_once(tmp_path: Path, capsys: Shown) -> None:
     assert shown[-5:] == ["  bends", "  last lines of its log:", "  of the command", "log:", "  of the worker"]
 
 
-def test_a_csv_holds_all_of_it(folder: Path, tmp_path: Path, capsys: Shown) -> None:
+def test_a_csv_holds_all_of_it(folder, tmp_path, capsys):
     path = tmp_path / "runs.csv"
     assert printed(capsys, "runs", str(folder), "--export", str(path)) == f"wrote {path}: 7 runs\n"
     with path.open(encoding="utf-8", newline="") as stream:
@@ -123,12 +129,11 @@ def test_a_csv_holds_all_of_it(folder: Path, tmp_path: Path, capsys: Shown) -> N
     ]
 
 
-def test_a_netcdf_holds_the_interfaces_too(tmp_path: Path, capsys: Shown) -> None:
+def test_a_netcdf_holds_the_interfaces_too(tmp_path, capsys):
     model, records = TwoLoads(Cantilever(nodes=5)), []
-    for number, value in enumerate([300.0, 400.0]):
-        inputs = {"E": value, "load": 1e-5}
-        run = model(inputs, tmp_path)
-        records.append(RunRecord(f"k{number}", inputs, "ok", run.interfaces, run.diagnostics, 0.5))
+    for key, value in (("k0", 300.0), ("k1", 400.0)):
+        run = model({"E": value, "load": 1e-5}, tmp_path)
+        records.append(RunRecord(key, {"E": value, "load": 1e-5}, "ok", run.interfaces, run.diagnostics, 0.5))
     bad = RunRecord("bad", {"E": -1.0, "load": 1e-5}, "failed", failure_kind="nonpositive_stiffness", message="E\nx")
     folder, path = keep(tmp_path / "study", [records[0], bad, records[1]]), tmp_path / "runs.nc"
     assert printed(capsys, "runs", str(folder), "--export", str(path)) == f"wrote {path}: 3 runs\n"
@@ -147,7 +152,7 @@ def test_a_netcdf_holds_the_interfaces_too(tmp_path: Path, capsys: Shown) -> Non
         assert np.isnan(found["interface_heavy"].sel(run="bad")).all()
 
 
-def test_a_netcdf_without_what_it_cannot_hold(tmp_path: Path, capsys: Shown) -> None:
+def test_a_netcdf_without_what_it_cannot_hold(tmp_path, capsys):
     longer, path = Interface.polyline(np.arange(10.0).reshape(5, 2)), tmp_path / "runs.nc"
     folder = keep(tmp_path / "study", [RECORDS[0], RunRecord("b", {"E": 1.0, "nu": 0.0}, "ok", {"": longer})])
     shown = printed(capsys, "runs", str(folder), "--export", str(path))
@@ -155,6 +160,8 @@ def test_a_netcdf_without_what_it_cannot_hold(tmp_path: Path, capsys: Shown) -> 
     always = {"state", "kind", "message", "seconds", "inputs"}
     with xr.open_dataset(path, engine="h5netcdf") as found:
         assert set(found.data_vars) == {*always, "diagnostics"}
+    told = refused(capsys, "runs", str(folder), "--kind", "timeout")
+    assert "got timeout; expected a failed run; there is none." in told
     printed(capsys, "runs", str(folder), "--export", str(path), "--limit", "1")
     with xr.open_dataset(path, engine="h5netcdf") as found:
         np.testing.assert_array_equal(found["interface"].values[0], longer.points)
@@ -163,17 +170,7 @@ def test_a_netcdf_without_what_it_cannot_hold(tmp_path: Path, capsys: Shown) -> 
         assert set(found.data_vars) == always
 
 
-@pytest.mark.parametrize("name", ["ledger-v1.sqlite", "ledger-v2.sqlite"])
-def test_earlier_ledgers_are_listed(tmp_path: Path, name: str, capsys: Shown) -> None:
-    shutil.copy(DATA / name, tmp_path / "ledger.sqlite")
-    *rows, _ = listed(capsys, str(tmp_path))
-    with Ledger.open(tmp_path / "ledger.sqlite", model=None, read_only=True) as ledger:
-        assert len(rows) == ledger.counts().total
-        assert sum(row[1] == "ok" for row in rows) == ledger.counts().ok
-    printed(capsys, "runs", str(tmp_path), "--export", str(tmp_path / "runs.nc"))
-
-
-def test_a_run_is_excluded_and_included_again(folder: Path, capsys: Shown) -> None:
+def test_a_run_is_excluded_and_included_again(folder, capsys):
     said = printed(capsys, "runs", str(folder), "--exclude", "aa1", "--why", "the mesh folded")
     assert said.startswith("run aa1 is excluded: it is not used and not made again")
     (row,) = listed(capsys, str(folder), "--state", "excluded")[:-1]
@@ -181,9 +178,11 @@ def test_a_run_is_excluded_and_included_again(folder: Path, capsys: Shown) -> No
     assert printed(capsys, "runs", str(folder), "--show", "aa1").splitlines()[-1].endswith(", the mesh folded")
     assert "included again" in printed(capsys, "runs", str(folder), "--include", "aa1")
     assert keys(capsys, str(folder), "--state", "ok") == ["aa1"]
+    assert "not excluded" in refused(capsys, "runs", str(folder), "--include", "aa1")
+    assert "no outcome yet" in refused(capsys, "runs", str(folder), "--exclude", "af7", "--why", "x")
 
 
-def test_runs_that_the_analysis_set_aside_are_invalid(folder: Path, capsys: Shown) -> None:
+def test_runs_that_the_analysis_set_aside_are_invalid(folder, capsys):
     one = {"key": "aa1", "inputs": {}, "kind": "not_comparable", "measure": "tracked_points", "why": "5 points"}
     other = {**one, "measure": "currents", "kind": "flipped"}
     failed = {**one, "key": "ab3", "kind": "flipped"}
@@ -194,10 +193,3 @@ def test_runs_that_the_analysis_set_aside_are_invalid(folder: Path, capsys: Show
     assert keys(capsys, str(folder), "--state", "failed") == ["ab3"]
     shown = printed(capsys, "runs", str(folder), "--show", "aa1")
     assert "set aside by the last analysis: not_comparable, 5 points" in shown
-
-
-def test_what_the_runs_at_hand_do_not_allow(tmp_path: Path, capsys: Shown) -> None:
-    folder = str(keep(tmp_path / "study", RECORDS[:1]))
-    assert "got timeout; expected a failed run; there is none." in refused(capsys, "runs", folder, "--kind", "timeout")
-    assert "no outcome yet" in refused(capsys, "runs", str(some_runs(tmp_path / "b")), "--exclude", "af7", "--why", "x")
-    assert "not excluded" in refused(capsys, "runs", folder, "--include", "aa1")
