@@ -1,4 +1,4 @@
-"""The tutorials are followed to the letter, and what they show is what is printed.
+"""The tutorials are followed to the letter, and what they show is what is printed; the notebooks are run.
 
 A page is read from top to bottom. A ``yaml`` block is the ``study.yaml`` of the folder that its ``name`` says, "Change
 `A` to `B` in `study.yaml`" edits the last one, ``console`` blocks hold commands and what they print, ``python`` blocks
@@ -7,15 +7,16 @@ are run, and a ``text`` block after one is its output. ``…`` stands for output
 
 import importlib
 import itertools
+import json
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
@@ -32,32 +33,34 @@ ROOT = Path(__file__).parents[3]
 TUTORIALS = ROOT / "docs" / "tutorials"
 PAGES = sorted(path.name for path in TUTORIALS.glob("*.md"))
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
-SETTING = re.compile(r"([A-Z_]+)=(.*)")
 NUMBER = r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 STEP = re.compile(
     r"^```(?P<language>yaml|console|python|text)\n(?P<block>.*?)^```$"
-    r"|^Change `(?P<old>[^`]+)`\s+to\s+`(?P<new>[^`]+)`\s+in\s+`study.yaml`"
-    r"|(?<=\. )Change `(?P<old2>[^`]+)`\s+to\s+`(?P<new2>[^`]+)`\s+in\s+`study.yaml`",
+    r"|(?:^|(?<=\. ))Change `(?P<old>[^`]+)`\s+to\s+`(?P<new>[^`]+)`\s+in\s+`study.yaml`",
     re.DOTALL | re.MULTILINE,
 )
 
 
-# What a page asks for
-
-
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """One thing to do: a study to write, an edit of it, a command, or a program; and what it is said to print."""
 
     kind: str
     text: str
     shown: str = ""
 
+    def words(self) -> tuple[dict[str, str], list[str]]:
+        """Return the variables that are set before a command, ``NAME=value``, and its arguments."""
+        words = shlex.split(self.text)
+        before = list(itertools.takewhile(re.compile(r"[A-Z_]+=.*").fullmatch, words))
+        name, *arguments = words[len(before) :]
+        assert name == "strandline", self.text
+        return dict(one.split("=", 1) for one in before), arguments
+
 
 def steps_of(page: str) -> Iterator[Step]:
     """Yield what a reader is told to do, in order."""
     program = ""
-    for match in STEP.finditer(page):
+    for match in STEP.finditer((TUTORIALS / page).read_text("utf-8")):
         language, block = match["language"], match["block"]
         if language == "console":
             for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
@@ -70,7 +73,7 @@ def steps_of(page: str) -> Iterator[Step]:
         elif language == "yaml":
             yield Step("study", block)
         else:
-            yield Step("edit", f"{match['old'] or match['old2']}\n{match['new'] or match['new2']}")
+            yield Step("edit", match["old"], match["new"])
 
 
 def with_examples(folder: Path) -> Path:
@@ -83,41 +86,21 @@ def with_examples(folder: Path) -> Path:
     return folder
 
 
-def write(folder: Path, step: Step) -> Path:
-    """Write the study.yaml of a ``study`` step and return its folder."""
-    study = folder / str(yaml.safe_load(step.text)["name"])
-    study.mkdir(exist_ok=True)
-    (study / "study.yaml").write_text(step.text, encoding="utf-8")
+def changed(study: Path, step: Step, root: Path) -> Path:
+    """Write the study of a step or edit the last one; return its folder."""
+    if step.kind == "study":
+        study, text = root / str(yaml.safe_load(step.text)["name"]), step.text
+        study.mkdir(exist_ok=True)
+    else:
+        text = (study / "study.yaml").read_text("utf-8")
+        assert text.count(step.text) == 1, step.text
+        text = text.replace(step.text, step.shown)
+    (study / "study.yaml").write_text(text, encoding="utf-8")
     return study
 
 
-def edit(study: Path, step: Step) -> None:
-    old, new = step.text.split("\n")
-    text = (study / "study.yaml").read_text("utf-8")
-    assert text.count(old) == 1, old
-    (study / "study.yaml").write_text(text.replace(old, new), encoding="utf-8")
-
-
-def arguments_of(step: Step) -> list[str]:
-    words = shlex.split(step.text)
-    name, *arguments = words[len(settings_of(step)) :]
-    assert name == "strandline", step.text
-    return arguments
-
-
-def settings_of(step: Step) -> dict[str, str]:
-    """Return the variables that are set before a command, ``NAME=value``."""
-    before = itertools.takewhile(bool, map(SETTING.fullmatch, shlex.split(step.text)))
-    return {match[1]: match[2] for match in before if match}
-
-
-# What it shows against what is printed
-
-Tolerances = Callable[[Sequence[float]], Sequence[float]]
-
-
 ROW = rf"^ +[A-Za-z]\w*( +[A-Za-z]\S*)?( +{NUMBER}){{2}}"
-RULES: tuple[tuple[str, Tolerances], ...] = (
+RULES = (
     # mean, true mean, sd, true sd, shift, its error, ratio of the sd
     (rf"{ROW}.*±", lambda n: (*[0.3 * n[2]] * 4, 0.3, 0.1, 0.2)),
     # mean, sd, median, 5 %, 95 %, MAP, which is a single particle
@@ -148,15 +131,10 @@ def compare(shown: str, printed: str) -> int:
         words = " ".join(piece.split())
         if not words:
             continue
-        pattern = "".join(
-            f"({NUMBER})" if index % 2 else re.escape(text) for index, text in enumerate(re.split(f"({NUMBER})", words))
-        )
-        match = re.search(pattern, rest)
+        match = re.search(f"({NUMBER})".join(map(re.escape, re.split(NUMBER, words))), rest)
         assert match, f"not printed: {words}\nin: {rest}"
         for (figure, tolerance, line), found in zip(figures(piece), match.groups(), strict=True):
-            assert abs(float(found) - figure) <= tolerance, (
-                f"{found} was printed, {figure:g} ± {tolerance:g} in: {line}"
-            )
+            assert abs(float(found) - figure) <= tolerance, f"{found} printed, {figure:g} ± {tolerance:g} in: {line}"
             compared += 1
         rest = rest[match.end() :]
     return compared
@@ -175,11 +153,9 @@ def figures(piece: str) -> Iterator[tuple[float, float, str]]:
             yield value, max([tolerance, last_place, *special]), line
 
 
-# Without a forward run
-
-
 @pytest.mark.smoke
 def test_the_studies_and_commands_of_each_page_are_valid(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a forward run."""
     for page in PAGES:
         monkeypatch.chdir(with_examples(tmp_path / page))
         require_valid(page)
@@ -189,14 +165,11 @@ def test_the_studies_and_commands_of_each_page_are_valid(tmp_path: Path, monkeyp
 
 
 def require_valid(page: str) -> None:
-    steps, study = list(steps_of((TUTORIALS / page).read_text("utf-8"))), Path()
+    steps, study = list(steps_of(page)), Path()
     assert {step.kind for step in steps} >= {"command"}
     for step in steps:
-        if step.kind == "study":
-            study = write(Path(), step)
-            load_study(study)
-        elif step.kind == "edit":
-            edit(study, step)
+        if step.kind in {"study", "edit"}:
+            study = changed(study, step, Path())
             load_study(study)
         elif step.kind == "command":
             arguments = parsed(step)
@@ -213,7 +186,6 @@ def stand_in(study: Path, file: Path) -> None:
     """Write the undeformed outline in place of the interfaces that `strandline forward --csv` would write."""
     model = load_study(study).model
     outline = undeformed_interface(model)
-    assert outline is not None
     for name in declared_conditions(model):
         path = file.with_stem(f"{file.stem}-{name}") if name else file
         np.savetxt(path, outline.points, delimiter=",")
@@ -225,7 +197,7 @@ def parsed(step: Step) -> Path:
     Raises:
         click.UsageError: an unknown option or a missing argument.
     """
-    name, *arguments = arguments_of(step)
+    name, *arguments = step.words()[1]
     assert name in COMMANDS, step.text
     command = importlib.import_module(f"strandline.cli.{name}").command
     while isinstance(command, click.Group):
@@ -255,66 +227,90 @@ log-evidence -7.389; effective samples 1208
 warning: The surrogate's leave-one-out error near the mode is 4.4 in log-likelihood (over 10 runs; above 0.5 the rest.
 E1 alone 0.26, run for 7.9 s
 """
-
-
-WRONG = [
-    ("399.9", "406.9"),  # a mean, by 0.4 sd
-    ("22.97", "28.97"),
-    ("0.162", "0.262"),
-    ("0.2755", "0.3755"),
-    ("-7.389", "7.389"),
-    ("1208", "908"),
-    ("4.4 in", "5.4 in"),
-    ("over 10", "over 12"),
-    ("0.26", "0.29"),
-    ("E1", "E2"),
-    ("leave-one-out", "leave-two-out"),
-]
+WRONG = {
+    "399.9": "406.9", "22.97": "28.97", "0.162": "0.262", "0.2755": "0.3755", "-7.389": "7.389", "1208": "908",
+    "4.4 in": "5.4 in", "over 10": "over 12", "0.26": "0.29", "E1": "E2", "leave-one-out": "leave-two-out",
+}  # fmt: skip
 
 
 def test_a_wrong_figure_or_word_is_noticed_and_the_noise_of_machines_is_not() -> None:
     assert compare(SHOWN, PRINTED) == 2 + 3 + 6 + 2 + 2 + 2
-    for found, planted in WRONG:
+    for found, planted in WRONG.items():
         with pytest.raises(AssertionError):
             compare(SHOWN, PRINTED.replace(found, planted))
-
-
-# With them
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_is_followed_and_shows_what_is_printed(page: str, tmp_path: Path) -> None:
-    text, compared, study = (TUTORIALS / page).read_text("utf-8"), 0, with_examples(tmp_path)
-    for step in steps_of(text):
-        if step.kind == "study":
-            study = write(tmp_path, step)
-        elif step.kind == "edit":
-            edit(study, step)
+    compared, study = 0, with_examples(tmp_path)
+    for step in steps_of(page):
+        if step.kind in {"study", "edit"}:
+            study = changed(study, step, tmp_path)
         elif step.kind == "command":
-            arguments = arguments_of(step)
-            compared += compare(
-                step.shown,
-                printed([*COMMAND, *arguments], tmp_path, fails="failed after" in step.shown, **settings_of(step)),
-            )
+            settings, arguments = step.words()
+            fails = "failed after" in step.shown
+            compared += compare(step.shown, printed([*COMMAND, *arguments], tmp_path, fails=fails, **settings))
             study = tmp_path / arguments[1] if arguments[0] == "init" else study
         else:
             compared += compare(step.shown, printed([sys.executable, "-c", step.text], tmp_path))
     assert compared >= 20
-    for name in re.findall(r"`([\w-]+/[\w/-]+\.(?:png|html|json|nc))`", text):
+    for name in re.findall(r"`([\w-]+/[\w/-]+\.(?:png|html|json|nc))`", (TUTORIALS / page).read_text("utf-8")):
         assert (tmp_path / name).is_file(), name
 
 
 def printed(command: Sequence[str], folder: Path, *, fails: bool = False, **settings: str) -> str:
     """Return what `command` writes, and see that it ends as the page says."""
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg", **settings},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=1200,
-    )
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg", **settings}
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    done = subprocess.run(command, cwd=folder, env=env, timeout=1200, **both)
     assert done.returncode == int(fails), done.stdout
     return done.stdout
+
+
+NOTEBOOKS = ROOT / "docs" / "notebooks"
+FOUND = {"own-simulator": {"E": 400.0}, "picture-to-posterior": {"gamma": 72.4, "b": 1.3}, "what-next": {"E": 400.0}}
+"""True values of inputs, by notebook."""
+SLOW = [pytest.param(name, marks=pytest.mark.long) for name in ("picture-to-posterior", "what-next")]
+
+
+def shown(name: str, folder: Path) -> list[dict[str, Any]]:
+    """Run a notebook and return what its cells show, by type."""
+    import nbformat
+    from nbclient import NotebookClient
+
+    notebook = nbformat.read(NOTEBOOKS / f"{name}.ipynb", as_version=4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("OMP_NUM_THREADS", "1")
+        patch.delenv("MPLBACKEND", raising=False)
+        NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    return [output["data"] for output in outputs if "data" in output]
+
+
+def moments(line: str, name: str) -> tuple[float, float]:
+    """Return mean and standard deviation of an input in what a calibration shows."""
+    found = re.search(rf"\b{name} = ([-\d.]+) ± ([\d.]+)", line.replace("\u00a0", " "))
+    assert found, line
+    return float(found[1]), float(found[2])
+
+
+@pytest.mark.smoke
+def test_every_notebook_is_known_and_kept_without_outputs() -> None:
+    cells = {path.stem: json.loads(path.read_text("utf-8"))["cells"] for path in NOTEBOOKS.glob("*.ipynb")}
+    assert set(cells) == set(FOUND)
+    for one in itertools.chain(*cells.values()):
+        assert (one.get("outputs", []), one.get("execution_count")) == ([], None)
+    assert moments("<Calibration E = 412 ± 3 Pa, q = 0.25 ± 0.01 Pa; 32 of 32 runs ok>", "E") == (412.0, 3.0)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("name", ["own-simulator", *SLOW])
+def test_a_notebook_finds_the_truth_and_shows_figures(name: str, tmp_path: Path) -> None:
+    seen = shown(name, tmp_path)
+    (line,) = (one["text/plain"] for one in seen if re.match("<(Calibration|Outcome)", one["text/plain"]))
+    for inputs, truth in FOUND[name].items():
+        mean, sd = moments(line, inputs)
+        assert abs(mean - truth) < 2.5 * sd
+        assert np.isfinite(sd)
+    assert {"image/png", "text/html"} <= {kind for one in seen for kind in one}

@@ -5,19 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.study.conftest import NOISY, SAMPLER, finish
+from tests.study.conftest import FIELD, finish
 
-SMALL: dict[str, Any] = {
-    **NOISY,
-    "design": {"sobol": {"runs": 32}},
-    "sampler": {**SAMPLER, "cut": {"values": 2}},
-    "inputs": {
-        "E": {"prior": {"uniform": [300, 560]}, "unit": "Pa"},
-        "tilt": {"prior": {"uniform": [0.0, 0.04]}, "nuisance": True},
-    },
-    "draft": True,
-    "report": "none",
-}
+SMALL: dict[str, Any] = {**FIELD, "draft": True, "report": "none"}
 
 
 @pytest.fixture(scope="session")
