@@ -8,15 +8,17 @@ from sklearn.neighbors import KernelDensity as ReferenceDensity
 from strandline.errors import InvalidInput, NumericsError
 from strandline.posterior import KernelDensity
 
+UNIT = [(0.0, 1.0)]
 
-def cloud(number: int = 300, dim: int = 2) -> tuple[np.ndarray, np.ndarray]:
+
+def cloud(number=300, dim=2):
     rng = np.random.default_rng(0)
     draws = rng.normal(size=(number, dim)) @ np.array([[100.0, 0.3], [0.0, 0.4]])[:dim, :dim]
     weights = rng.exponential(size=number)
     return draws, weights / weights.sum()
 
 
-def equal(draws: np.ndarray, **options) -> KernelDensity:
+def equal(draws, **options):
     return KernelDensity.fit(draws, np.full(len(draws), 1 / len(draws)), **options)
 
 
@@ -35,12 +37,12 @@ def test_the_density_is_that_of_scipy_and_by_columns_that_of_scikit_learn():
     np.testing.assert_allclose(columns.density(points), np.exp(other.score_samples(points / sd)) / sd.prod(), rtol=1e-6)
 
 
-def test_the_bandwidth_is_the_optimum_of_leaving_one_out_by_brute_force():
+def test_the_bandwidth_is_the_optimum_of_leaving_one_out_by_brute_force_and_near_the_normal_rule():
     draws, weights = cloud(40, dim=1)
     draws = draws / 100.0
     sd = np.sqrt(weights @ (draws[:, 0] - weights @ draws[:, 0]) ** 2)
 
-    def score(h: float) -> float:
+    def score(h):
         total = 0.0
         for i in range(40):
             rest = np.delete(np.arange(40), i)
@@ -50,15 +52,10 @@ def test_the_bandwidth_is_the_optimum_of_leaving_one_out_by_brute_force():
 
     found = KernelDensity.fit(draws, weights).bandwidth
     assert np.argmax([score(found * factor) for factor in (0.85, 0.93, 1.0, 1.07, 1.15)]) == 2
-
-
-def test_the_bandwidth_is_near_the_normal_rule_and_near_that_of_thinned_draws():
-    draws = np.random.default_rng(5).normal(size=(900, 2))
-    found = equal(draws).bandwidth
+    found = equal(np.random.default_rng(5).normal(size=(900, 2))).bandwidth
     assert found == pytest.approx(900 ** (-1 / 6), rel=0.3)
-    draws, weights = cloud(900)
-    whole = KernelDensity.fit(draws, weights).bandwidth
-    assert KernelDensity.fit(draws, weights, loo_points=225).bandwidth == pytest.approx(whole, rel=0.25)
+    whole, thinned = (KernelDensity.fit(*cloud(900), **options).bandwidth for options in ({}, {"loo_points": 225}))
+    assert thinned == pytest.approx(whole, rel=0.25)
 
 
 def test_copies_do_not_change_the_density_and_resampled_draws_keep_the_bandwidth():
@@ -77,42 +74,18 @@ def test_copies_do_not_change_the_density_and_resampled_draws_keep_the_bandwidth
     assert len(without.centres) == 199
 
 
-def test_kernels_are_mirrored_at_the_bounds():
-    """In one dimension up to the edge; in two, the mass of correlated kernels stays in the box."""
-    draws = np.random.default_rng(0).uniform(-0.8, 0.5, (1000, 1))
-    edge, middle = np.array([[-0.8], [0.5]]), (np.arange(100) + 0.5) / 100
-    mirrored = equal(draws, bounds=[(-0.8, 0.5)])
-    np.testing.assert_allclose(mirrored.density(edge), 1 / 1.3, rtol=0.15)
-    planted = equal(draws, bandwidth=mirrored.bandwidth)
-    assert (planted.density(edge) < 0.6 / 1.3).all(), "a leaking estimate must be caught"
-    np.testing.assert_array_equal(mirrored.density(np.array([[-0.81], [0.51]])), 0.0)
-    rng = np.random.default_rng(4)
-    x = rng.uniform(0.0, 1.0, 60)
-    draws = np.stack([x, np.clip(x + 0.1 * rng.normal(size=60), 0, 1)], axis=1)
-    density = equal(draws, bounds=[(0.0, 1.0), (0.0, 1.0)])
-    grid = np.stack(np.meshgrid(middle, middle), axis=-1).reshape(-1, 2)
-    assert density.density(grid).mean() == pytest.approx(1.0, abs=2e-3)
-    assert equal(draws, bandwidth=density.bandwidth).density(grid).mean() < 0.95
-
-
-def test_percentile_levels_enclose_their_mass():
+def test_percentile_levels_enclose_their_mass_and_samples_follow_the_density():
     """For a normal density the level of mass p is the density at the chi-square radius."""
     draws = np.random.default_rng(6).normal(size=(2000, 2))
     density, percentiles = equal(draws, bandwidth=0.3), [0.1, 0.5, 0.9]
     levels = density.percentile_levels(percentiles)
-    assert levels[0] > levels[1] > levels[2]
     expected = np.exp(-0.5 * chi2.ppf(percentiles, 2)) / (2 * np.pi * (1 + density.bandwidth**2))
     np.testing.assert_allclose(levels, expected, rtol=0.1)
     inside = density.density(draws[:1000])
     np.testing.assert_allclose([(inside > level).mean() for level in levels], percentiles, atol=0.05)
-
-
-def test_samples_follow_the_density_and_respect_bounds():
-    draws = np.random.default_rng(8).uniform(0.0, 1.0, (500, 1)) ** 2
-    density = equal(draws, bounds=[(0.0, 1.0)])
-    sample = density.sample(2048)[:, 0]
+    density = equal(np.random.default_rng(8).uniform(0.0, 1.0, (500, 1)) ** 2, bounds=UNIT)
+    sample, grid = density.sample(2048)[:, 0], np.linspace(0, 1, 400)
     assert 0 <= sample.min() <= sample.max() <= 1
-    grid = np.linspace(0, 1, 400)
     cumulative = np.cumsum(density.density(grid[:, None])) / 399
     np.testing.assert_allclose((sample < 0.25).mean(), np.interp(0.25, grid, cumulative), atol=0.02)
     np.testing.assert_array_equal(sample, density.sample(2048)[:, 0])
@@ -133,30 +106,42 @@ BOUNDED = {
 """Densities on [0, 1] and the largest error that is allowed, as a share of their maximum."""
 
 
-def of(name: str) -> np.ndarray:
-    return np.clip(BOUNDED[name][0].rvs(5000, random_state=np.random.default_rng(3)), 0.0, 1.0)[:, None]
+def estimate(draws):
+    return equal(np.clip(draws, 0.0, 1.0)[:, None], bounds=UNIT, loo_points=500)
 
 
-def test_the_largest_error_of_a_density_with_bounds():
-    grid = np.linspace(0.0, 1.0, 101)
+def test_the_largest_error_of_a_density_with_bounds_and_mirrored_kernels_alone_miss_the_slope(monkeypatch):
+    """A density that falls to zero at its bound is not overshot either: mirrored kernels give 0.16 of the maximum."""
+    grid, zero = np.linspace(0.0, 1.0, 101), np.zeros((1, 1))
+    drawn = {name: one.rvs(5000, random_state=np.random.default_rng(3)) for name, (one, _) in BOUNDED.items()}
     for name, (exact, allowed) in BOUNDED.items():
-        found = equal(of(name), bounds=[(0.0, 1.0)], loo_points=500).density(grid[:, None])
-        truth = exact.pdf(grid)
+        found, truth = estimate(drawn[name]).density(grid[:, None]), exact.pdf(grid)
         assert np.abs(found - truth).max() / truth.max() < allowed, name
         assert np.trapezoid(found, grid) == pytest.approx(1.0, abs=1e-3)
-
-
-def test_mirrored_kernels_alone_miss_the_slope_at_a_bound(monkeypatch: pytest.MonkeyPatch):
-    """A density that falls to zero at its bound is not overshot either: mirrored kernels give 0.16 of the maximum."""
-    exact, allowed = BOUNDED["normal, mode outside"]
-    falling = np.random.default_rng(0).beta(2.0, 3.0, 5000)[:, None]
-    assert equal(falling, bounds=[(0.0, 1.0)], loo_points=500).density(np.zeros((1, 1)))[0] < 0.1 * 1.7778
+    falling = np.random.default_rng(0).beta(2.0, 3.0, 5000)
+    assert estimate(falling).density(zero)[0] < 0.1 * 1.7778
     monkeypatch.setattr("strandline.posterior.kde.slope_correction", lambda points, *rest: np.zeros(len(points)))
-    found = equal(of("normal, mode outside"), bounds=[(0.0, 1.0)], loo_points=500).density(np.zeros((1, 1)))
+    exact, allowed = BOUNDED["normal, mode outside"]
+    found = estimate(drawn["normal, mode outside"]).density(zero)
     assert abs(found[0] - exact.pdf(0.0)) / exact.pdf(0.0) > allowed
 
 
-def test_no_slope_is_taken_away_far_from_the_bounds():
+def test_kernels_are_mirrored_at_the_bounds_and_nothing_changes_far_from_them():
+    """In one dimension up to the edge; in two, the mass of correlated kernels stays in the box."""
+    draws = np.random.default_rng(0).uniform(-0.8, 0.5, (1000, 1))
+    edge, middle = np.array([[-0.8], [0.5]]), (np.arange(100) + 0.5) / 100
+    mirrored = equal(draws, bounds=[(-0.8, 0.5)])
+    np.testing.assert_allclose(mirrored.density(edge), 1 / 1.3, rtol=0.15)
+    planted = equal(draws, bandwidth=mirrored.bandwidth)
+    assert (planted.density(edge) < 0.6 / 1.3).all(), "a leaking estimate must be caught"
+    np.testing.assert_array_equal(mirrored.density(np.array([[-0.81], [0.51]])), 0.0)
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0.0, 1.0, 60)
+    draws = np.stack([x, np.clip(x + 0.1 * rng.normal(size=60), 0, 1)], axis=1)
+    density = equal(draws, bounds=2 * UNIT)
+    grid = np.stack(np.meshgrid(middle, middle), axis=-1).reshape(-1, 2)
+    assert density.density(grid).mean() == pytest.approx(1.0, abs=2e-3)
+    assert equal(draws, bandwidth=density.bandwidth).density(grid).mean() < 0.95
     draws, weights = cloud(400, dim=1)
     free = KernelDensity.fit(draws, weights, bandwidth=0.3)
     boxed = KernelDensity.fit(draws, weights, bandwidth=0.3, bounds=[(-3000.0, 3000.0)])

@@ -1,4 +1,6 @@
-"""Several posteriors side by side are, one by one, what the sampler of one posterior gives."""
+"""Several posteriors side by side are what the sampler of one gives, and NumPy's functions what compiled ones give."""
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -22,9 +24,8 @@ def log_prior(x):
     return -0.5 * (x**2).sum(axis=-1) - np.log(2 * np.pi)
 
 
-def run(key=0, **options):
-    arguments = {"log_likelihood": log_likelihood, "initial": INITIAL, "given": GIVEN, **options}
-    return sample_each(jax.random.key(key), log_prior=log_prior, settings=QUICK, **arguments)
+def run(key=0, log_likelihood=log_likelihood, initial=INITIAL, given=GIVEN, settings=QUICK):
+    return sample_each(jax.random.key(key), log_likelihood, log_prior, initial, given, settings=settings)
 
 
 @pytest.fixture(scope="module")
@@ -32,21 +33,21 @@ def together():
     return run()
 
 
+def assert_same(found, other, evidence=1e-9):
+    np.testing.assert_allclose(found.positions, other.positions, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.log_weights, other.log_weights, rtol=1e-9)
+    np.testing.assert_allclose(found.log_likelihood, other.log_likelihood, rtol=1e-7, atol=1e-9)
+    assert found.log_evidence == pytest.approx(other.log_evidence, rel=evidence)
+    assert found.likelihood_evaluations == other.likelihood_evaluations
+    assert len(found.steps) == len(other.steps)
+
+
 @pytest.mark.long
 def test_each_case_is_what_the_sampler_gives_with_its_value_fixed(together):
     for case, found in enumerate(together):
-        alone = sample(
-            jax.random.fold_in(jax.random.key(0), case),
-            lambda x, theta=GIVEN[case]: log_likelihood(x, theta),
-            log_prior,
-            INITIAL[case],
-            settings=QUICK,
-        )
-        np.testing.assert_allclose(found.positions, alone.positions, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(found.log_weights, alone.log_weights, rtol=1e-9)
+        key, alone = jax.random.fold_in(jax.random.key(0), case), lambda x, at=GIVEN[case]: log_likelihood(x, at)
+        assert_same(found, sample(key, alone, log_prior, INITIAL[case], settings=QUICK), evidence=1e-12)
         np.testing.assert_allclose(found.log_likelihood, log_likelihood(found.positions, GIVEN[case]), rtol=1e-9)
-        assert found.log_evidence == pytest.approx(alone.log_evidence, rel=1e-12)
-        assert found.likelihood_evaluations == alone.likelihood_evaluations
     assert len({len(found.steps) for found in together}) > 1, "all end at once: nobody stands still"
 
 
@@ -61,14 +62,11 @@ def test_evidence_and_moments_are_exact(together):
         assert weights @ found.positions[:, 1] == pytest.approx(-centre / 2, abs=0.16)
 
 
-def test_the_same_key_gives_the_same_bits_and_another_one_others(together):
+def test_the_same_key_gives_the_same_bits_and_neither_keys_nor_cases_share_their_random_numbers(together):
     for a, b, c in zip(together, run(), run(key=1), strict=True):
         np.testing.assert_array_equal(a.positions, b.positions)
         assert a.log_evidence == b.log_evidence
         assert not np.array_equal(a.positions, c.positions)
-
-
-def test_cases_do_not_share_their_random_numbers():
     same = run(initial=np.stack([INITIAL[0]] * 3), given=np.stack([GIVEN[0]] * 3))
     assert not np.array_equal(same[0].positions, same[1].positions)
 
@@ -89,13 +87,88 @@ def test_failures_name_the_value():
     def undefined(x, given):
         return jnp.where(given[0] > 1.0, jnp.nan, jnp.where(given[0] == 0.0, -jnp.inf, log_likelihood(x, given)))
 
-    with pytest.raises(NumericsError, match=r"given \[2\.0, 1\.0\]: the log-likelihood is nan"):
-        run(log_likelihood=undefined, given=GIVEN[[0, 2, 2]])
-    with pytest.raises(NumericsError, match=r"given \[0\.0, 0\.1\]: all 1000 initial particles"):
-        run(log_likelihood=undefined, given=GIVEN[[0, 1, 1]])
-    for given in (GIVEN[:2], GIVEN[:0]):
-        with pytest.raises(InvalidInput, match="3 sets for"):
-            run(given=given)
-    few = SMCSettings(rejuvenation_steps=4, zeta=0.5, maximum_steps=1)
-    with pytest.raises(NumericsError, match="1 tempering steps reached only"):
-        sample_each(jax.random.key(0), log_likelihood, log_prior, INITIAL, GIVEN, settings=few)
+    for options, error, words in (
+        (
+            {"log_likelihood": undefined, "given": GIVEN[[0, 2, 2]]},
+            NumericsError,
+            r"given \[2\.0, 1\.0\]: the log",
+        ),
+        (
+            {"log_likelihood": undefined, "given": GIVEN[[0, 1, 1]]},
+            NumericsError,
+            r"given \[0\.0, 0\.1\]: all 1000",
+        ),
+        ({"given": GIVEN[:2]}, InvalidInput, "3 sets for"),
+        ({"given": GIVEN[:0]}, InvalidInput, "3 sets for"),
+        ({"settings": replace(QUICK, maximum_steps=1)}, NumericsError, "1 tempering steps reached only"),
+    ):
+        with pytest.raises(error, match=words):
+            run(**options)
+
+
+MEAN, NUMBER = np.array([0.3, 0.4]), 400
+UNIT = np.random.default_rng(1).random((NUMBER, 2))
+
+
+def on_host(function):
+    """Return the function as one that is called with NumPy arrays."""
+
+    def called(*arguments):
+        assert all(type(one) is np.ndarray for one in arguments)
+        return function(*arguments)
+
+    called.on_host = True
+    return called
+
+
+def in_unit(x):
+    return jnp.where(jnp.all((x >= 0) & (x <= 1), axis=-1), 0.0, -jnp.inf)
+
+
+def bell(x, theta=MEAN):
+    return -0.5 * (((x - theta) / 0.1) ** 2).sum(axis=-1)
+
+
+def hosted(function, key=1):
+    return sample(jax.random.key(key), on_host(function), in_unit, UNIT, settings=QUICK)
+
+
+def test_the_same_particles_as_compiled():
+    """Planted: the function is shifted."""
+    here, there = hosted(bell, key=3), sample(jax.random.key(3), bell, in_unit, UNIT, settings=QUICK)
+    assert_same(here, there)
+    assert len(here.steps) > 1
+    shifted = hosted(lambda x: bell(x - 0.05), key=3)
+    assert np.abs(np.exp(shifted.log_weights) @ shifted.positions - MEAN).min() > 0.03
+
+
+def test_nothing_is_asked_where_the_prior_is_zero_and_undefined_values_are_refused():
+    asked = []
+
+    def function(x):
+        asked.append(x)
+        return -20.0 * np.sum(x, axis=1)
+
+    found, everything = hosted(function), np.concatenate(asked)
+    assert 0.0 <= everything.min() < everything.max() <= 1.0
+    assert len(everything) < found.likelihood_evaluations
+    calls = []
+
+    def later(x):
+        calls.append(len(x))
+        return bell(x) if len(calls) < 3 else np.full(len(x), np.inf)
+
+    undefined = lambda x: np.full(len(x), np.nan)  # noqa: E731
+    for function, words in ((undefined, "the log-likelihood is nan at"), (later, r"NaN or \+inf")):
+        with pytest.raises(NumericsError, match=words):
+            hosted(function)
+
+
+def test_each_case_on_the_host_has_its_own_posterior():
+    """Far inside the unit square the posterior is normal, and the evidence 2πσ²."""
+    given, few = np.array([[0.3, 0.4], [0.7, 0.5], [0.5, 0.6]]), SMCSettings(rejuvenation_steps=8, zeta=0.5)
+    starts = np.stack([UNIT, UNIT, np.random.default_rng(2).random((NUMBER, 2))])
+    found = sample_each(jax.random.key(5), on_host(bell), in_unit, starts, given, settings=few)
+    for one, mean in zip(found, given, strict=True):
+        np.testing.assert_allclose(np.exp(one.log_weights) @ one.positions, mean, atol=0.025)
+        assert one.log_evidence == pytest.approx(np.log(2 * np.pi * 0.1**2), abs=0.35)
