@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
-from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate
-from strandline.calibration.learning import Learning, Lesson
+from strandline.calibration import Observer, Problem, Settings, calibrate
+from strandline.calibration.learning import Learning
 from strandline.calibration.problem import Stopwatch
 from strandline.design.active import Active
-from strandline.discrepancy import Discrepancy, TrackedPoints
+from strandline.discrepancy import TrackedPoints
 from strandline.interface import Observation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
@@ -29,27 +28,21 @@ SETTINGS = Settings(runs=32, particles=1000, smc=SMC, draft=True)
 ACTIVE = Settings(runs=8, particles=1000, smc=SMC, surrogate="field", active=Active(80, batch=4), draft=True)
 
 
-def problem(
-    *,
-    space: ParameterSpace = TWO,
-    model: Any = beam,
-    noise: float = NOISE,
-    measure: Discrepancy | None = None,
-    **more: Discrepancy,
-) -> Problem:
+def problem(*, space=TWO, model=beam, noise=NOISE, measure=None, **more):
     observation = Observation(beam(TRUTH, Path()).interface, noise**2)
     fixed = {name: value for name, value in TRUTH.items() if name not in space.names}
     return Problem(model, space, fixed, (observation,), {"tracked": measure or TrackedPoints(), **more})
 
 
-def answer(path: Path, asked: Problem, settings: Settings = ACTIVE, **options: Any) -> Calibration:
+def answer(folder, asked, settings=ACTIVE, **options):
     options.setdefault("executor", InProcess())
-    with Ledger.open(path, model=asked.model) as ledger:
+    with Ledger.open(folder / "ledger.sqlite", model=asked.model) as ledger:
         return calibrate(asked, settings, ledger=ledger, **options)
 
 
-def learnt(folder: Path, asked: Problem, settings: Settings) -> Lesson:
+def learnt(folder, asked, settings):
     """Return what all runs teach, without a posterior."""
+    folder.mkdir(exist_ok=True)
     with Ledger.open(folder / "ledger.sqlite", model=asked.model) as ledger:
         return Learning(asked, settings, ledger, InProcess(), Observer(), Stopwatch()).lesson(None)
 
@@ -62,14 +55,18 @@ class Exact:
     sd: np.ndarray
     log_evidence: float
 
-    def off(self, found: Calibration) -> tuple[float, float, float]:
+    def off(self, found):
         """Return the largest errors of a mean, in sd, of an sd, relative, and of the log-evidence."""
         posterior = found.posterior
         shift, width = np.abs(posterior.mean - self.mean) / self.sd, np.abs(posterior.sd / self.sd - 1)
         return float(shift.max()), float(width.max()), abs(posterior.log_evidence - self.log_evidence)
 
+    def assert_off(self, found, mean, sd, log_evidence=np.inf):
+        """Compare with a posterior, of which these are the largest errors that are allowed."""
+        assert (np.array(self.off(found)) < (mean, sd, log_evidence)).all(), self.off(found)
 
-def summed(points: np.ndarray, log_likelihood: np.ndarray) -> Exact:
+
+def summed(points, log_likelihood):
     """Return the posterior by a sum over points that are even in the prior."""
     weights = np.exp(log_likelihood - logsumexp(log_likelihood))
     mean = weights @ points
@@ -77,7 +74,7 @@ def summed(points: np.ndarray, log_likelihood: np.ndarray) -> Exact:
     return Exact(mean, sd, float(logsumexp(log_likelihood) - np.log(len(points))))
 
 
-def exact(space: ParameterSpace = TWO, noise: float = NOISE) -> Exact:
+def exact(space=TWO, noise=NOISE):
     """Return the posterior by tracked points of the beam that `problem` observes."""
     E = np.linspace(space.low[0], space.high[0], 241)
     tilt = np.linspace(space.low[1], space.high[1], 161) if space.dim == 2 else np.array([TRUTH["tilt"]])

@@ -1,47 +1,40 @@
 """Arches of two inputs that many tests share, a surrogate of them from a few exact runs, and exact posteriors."""
 
-from collections.abc import Mapping
-
 import numpy as np
-from jaxtyping import Float
 from scipy.special import logsumexp
 
 from strandline.design import sobol
-from strandline.design.active import Knowledge, learn
-from strandline.discrepancy import Discrepancy, TrackedPoints
-from strandline.interface import Interface, Observation, PointErrors
+from strandline.design.active import learn
+from strandline.discrepancy import TrackedPoints
+from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import RunRecord
 
 SPACE = ParameterSpace((Parameter("height", Uniform(0.2, 0.4), "mm"), Parameter("lean", Uniform(-0.1, 0.2))))
-TRUTH = np.array([0.3, 0.05])
-SD = 0.01
-RUNS = 24
+TRUTH, SD = np.array([0.3, 0.05]), 0.01
 T = np.linspace(0.0, 1.0, 41)
 TRACKED = TrackedPoints()
 
 
-def arches(x: Float[np.ndarray, "point dim"], factor: float = 1.0) -> Float[np.ndarray, "point node xy"]:
+def arches(x, factor=1.0):
     """Return the nodes of arches of some height that lean to one side; `factor` scales what the inputs do."""
     height, lean = 0.3 + factor * (x[:, :1] - 0.3), factor * x[:, 1:]
     y = 4 * height * T * (1 - T) + 0.5 * height**2 * np.sin(2 * np.pi * T)
     return np.stack([T + lean * (1 + height) * np.sin(np.pi * T), y], axis=2)
 
 
-def arch(x: np.ndarray, factor: float = 1.0) -> Interface:
+def arch(x, factor=1.0):
     return Interface.polyline(arches(x[None], factor)[0])
 
 
-def seen(errors: PointErrors, factor: float = 1.0) -> Interface:
+def seen(errors, factor=1.0):
     """Return an arch as it might be observed."""
     return errors.draw(arch(TRUTH, factor), np.random.default_rng(5))
 
 
-def knowledge(
-    measure: Discrepancy, observations: Mapping[str, Observation], *, runs: int = RUNS, scramble: int = 3
-) -> Knowledge:
+def knowledge(measure, observations, *, runs=24, scramble=3):
     """Return what is learnt of the arches of some conditions, each with its number as the factor: "1", "1.5"."""
     x = SPACE.to_physical(sobol(runs, 2, scramble=scramble))
     records = [
@@ -51,9 +44,7 @@ def knowledge(
     return learn(x, records, SPACE, tuple(observations.values()), measure)
 
 
-def true_log_likelihood(
-    x: Float[np.ndarray, "point dim"], observations: tuple[Observation, ...], measure: Discrepancy = TRACKED
-) -> Float[np.ndarray, " point"]:
+def true_log_likelihood(x, observations, measure=TRACKED):
     """Return log L by the true model: of tracked points at once, of another measure point by point."""
     if measure is TRACKED:
         off = [arches(x, float(o.condition or 1.0)) - o.interface.points for o in observations]
@@ -65,9 +56,7 @@ def true_log_likelihood(
 class Exact:
     """Evidence and moments by Gauss-Legendre quadrature of the true model in the box."""
 
-    def __init__(
-        self, space: ParameterSpace, observations: tuple[Observation, ...], measure: Discrepancy = TRACKED
-    ) -> None:
+    def __init__(self, space, observations, measure=TRACKED):
         nodes, weights = np.polynomial.legendre.leggauss(160 if measure is TRACKED else 24)
         grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
         x = space.low + 0.5 * (grid + 1) * (space.high - space.low)

@@ -1,71 +1,210 @@
-"""Second derivatives by differences, on quadratics; where quadrature ends; what no problem can be made of."""
+"""What is sampled: the expected likelihood where a surrogate is unsure, its derivatives; whether two halves agree."""
 
 import re
-from typing import Any
+from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
+from scipy.special import logsumexp, softmax
+from tests.unit.calibration.arches import SPACE, knowledge
+from tests.unit.likelihood.near_arches import LOCAL, around, by, likelihood, widened
 
 from strandline.calibration import Problem
-from strandline.calibration.targets import central_hessian, quadrature
-from strandline.discrepancy import TrackedPoints
+from strandline.calibration.method import _sample
+from strandline.calibration.problem import Observer, Settings
+from strandline.calibration.sampler_check import LEVEL, compare_halves
+from strandline.calibration.targets import FieldTarget, central_hessian, quadrature
+from strandline.design.active.sampling import posterior_state
+from strandline.discrepancy import Currents, NormalOffset, TrackedPoints
 from strandline.errors import InvalidInput
 from strandline.parameters import Parameter, ParameterSpace
+from strandline.posterior import Posterior
+from strandline.posterior.weighted import Weighted
 from strandline.priors import Uniform
+from strandline.smc import SMCResult, SMCSettings, StepInfo, halves, in_halves
+from strandline.smc.halves import joined
+
+
+def on_grid(log_likelihood):
+    """Return mean and sd of the posterior by direct sums, on finer and finer grids."""
+    low, high = SPACE.low, SPACE.high
+    for _ in range(3):
+        ends = [np.linspace(*pair, 24) for pair in zip(low, high, strict=True)]
+        x = np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 2)
+        found = Weighted(x, softmax(log_likelihood(x)))
+        reach = 5 * found.sd + (high - low) / 24
+        low, high = np.maximum(found.mean - reach, SPACE.low), np.minimum(found.mean + reach, SPACE.high)
+    return found.mean, found.sd
+
+
+@pytest.mark.parametrize("nearby", [True, False])
+def test_the_expected_posterior_is_sampled(nearby):
+    """The surrogate is less certain than the noise. An active design weights particles of the plug-in likelihood."""
+    found = likelihood(LOCAL) if nearby else by(Currents(0.03, quadrature="centre"), 0.004)
+    known = replace(knowledge(NormalOffset(), {"": found.observations[0]}), likelihood=widened(found, 3e7))
+    target, x = FieldTarget(known, SPACE), around(LOCAL, 40)
+    expected, plug_in = known.expected(x), known.plug_in(x)
+    assert np.sqrt(np.mean((plug_in - expected) ** 2)) > 10 * np.sqrt(np.mean((target.values(x) - expected) ** 2))
+    np.testing.assert_array_equal(target.compiled(x), target.values(x))
+
+    settings = Settings(particles=600, smc=SMCSettings(rejuvenation_steps=6, zeta=0.5))
+    sampling = _sample(target, SPACE, settings, Observer())
+    posterior = target.posterior(sampling)
+    (mean, sd), (_, plain) = on_grid(known.expected), on_grid(known.plug_in)
+    assert np.abs((posterior.mean - mean) / sd).max() < 0.15
+    assert np.abs(np.log(posterior.sd / sd)).max() < 0.12
+    assert np.abs(np.log(plain / sd)).max() > 0.2
+    log_weights, ratios = sampling.log_weights, posterior.log_likelihood - sampling.log_likelihood
+    assert np.exp(2 * logsumexp(log_weights + ratios) - logsumexp(log_weights + 2 * ratios)) > 0.95
+    effect = target.checks(sampling, posterior, None, seed=1).field.effect
+    assert effect.effective < 0.9
+    np.testing.assert_allclose(np.log(effect.sd_ratio), np.log(sd / plain), atol=0.15)
+
+    state = posterior_state(known, SPACE, (3,))
+    assert np.abs((state.mean - mean) / sd).max() < 0.2
+    assert np.abs(np.log(state.sd / sd)).max() < 0.15
+    weighted = Weighted(state.positions, np.exp(state.log_weights_plug_in))
+    assert np.abs(np.log(weighted.sd / sd)).max() > 0.2
+
 
 LOW, HIGH = np.array([-1.0, 0.0, 100.0]), np.array([1.0, 2.0, 800.0])
 A = np.array([[3.0, 0.5, 0.01], [0.5, 2.0, -0.02], [0.01, -0.02, 0.001]])
 
 
-def quadratic(x: np.ndarray) -> np.ndarray:
-    assert ((x >= LOW) & (x <= HIGH)).all()
-    return 1.0 + x @ np.array([1.0, -2.0, 0.3]) - 0.5 * np.einsum("pi,ij,pj->p", x, A, x)
-
-
-def test_the_hessian_of_a_quadratic_is_exact_at_the_edge_too() -> None:
+def test_the_hessian_of_a_quadratic_is_exact_at_the_edge_too_and_its_error_of_second_order():
     """Points outside the box are not asked for, whatever the step."""
+
+    def quadratic(x):
+        assert ((x >= LOW) & (x <= HIGH)).all()
+        return 1.0 + x @ np.array([1.0, -2.0, 0.3]) - 0.5 * np.einsum("pi,ij,pj->p", x, A, x)
+
     for x in ([0.1, 0.7, 300.0], [-1.0, 2.0, 100.0], [1.0, 1e-9, 799.9]):
         for step in (0.01, 0.1, 10.0):
             found = central_hessian(quadratic, np.array(x), step * np.array([1.0, 1.0, 100.0]), LOW, HIGH)
             np.testing.assert_allclose(found, -A, rtol=1e-5, atol=1e-6)
 
+    def wavy(x):
+        return np.sin(2 * x[:, 0] + x[:, 1]) + 1e-6 * x[:, 2] ** 2
 
-def test_the_error_goes_with_the_square_of_the_step() -> None:
     x, step = np.array([0.1, 0.7, 300.0]), np.array([0.1, 0.1, 20.0])
-
-    def wavy(points: np.ndarray) -> np.ndarray:
-        return np.sin(2 * points[:, 0] + points[:, 1]) + 1e-6 * points[:, 2] ** 2
-
-    s = np.sin(0.9)
-    exact = np.array([[-4 * s, -2 * s, 0], [-2 * s, -s, 0], [0, 0, 2e-6]])
+    exact = np.diag([0, 0, 2e-6]) - np.sin(0.9) * np.array([[4, 2, 0], [2, 1, 0], [0, 0, 0]])
     errors = [np.abs(central_hessian(wavy, x, step / k, LOW, HIGH) - exact).max() for k in (1, 2)]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
-def test_above_three_inputs_there_is_no_quadrature() -> None:
-    def never(x: Any) -> Any:
-        raise AssertionError("evaluated")
-
-    space = ParameterSpace(tuple(Parameter(name, Uniform(0.0, 1.0)) for name in "abcd"))
-    assert quadrature(space, never) is None
-
-
-def test_a_problem_of_other_things_is_refused_in_one_line() -> None:
-    """Made without its constructor, whose types are checked at run time while tests run."""
-    usual = {"model": print, "space": ParameterSpace((Parameter("E", Uniform(0.0, 1.0)),)), "fixed": {}}
-    rows: list[tuple[str, Any, str]] = [
+def test_four_inputs_have_no_quadrature_and_a_problem_of_other_things_is_refused_in_one_line():
+    """The problem is made without its constructor, whose types are checked at run time while tests run."""
+    assert quadrature(FOUR, lambda x: pytest.fail("evaluated")) is None
+    usual = {"model": print, "space": SPACE, "fixed": {}, "observations": (), "discrepancies": {}}
+    for name, value, said in (
         ("space", ("E",), "inputs of the problem: got tuple.*a ParameterSpace"),
-        ("observations", None, "observations of the problem: got NoneType.*a tuple of Observations"),
-        ("observations", ({"points": []},), "observations of the problem: got tuple"),
+        ("observations", ({"points": []},), "observations of the problem: got tuple.*a tuple of Observations"),
         ("discrepancies", TrackedPoints(), "measures of the problem: got TrackedPoints.*by name"),
         ("fixed", [1.0], "known inputs of the problem: got list"),
         ("model", "beam", "model of the problem: got str"),
-    ]
-    for name, value, said in rows:
+    ):
         problem = object.__new__(Problem)
-        for field, content in {**usual, "observations": (), "discrepancies": {}, name: value}.items():
+        for field, content in {**usual, name: value}.items():
             object.__setattr__(problem, field, content)
         with pytest.raises(InvalidInput) as caught:
             problem.__post_init__()
         (line,) = str(caught.value).splitlines()
         assert re.search(said, line)
+
+
+FOUR = ParameterSpace(tuple(Parameter(f"x{i}", Uniform(-10.0, 10.0)) for i in range(4)))
+
+
+def normal(seed, *, mean=0.0, sd=1.0, log_evidence=-3.0):
+    """Return a thousand equal particles of a normal distribution in four inputs, which has log L = -½|x|²."""
+    x = np.random.default_rng(seed).standard_normal((1000, 4))
+    x[:, 0] = mean + sd * x[:, 0]
+    equal, log_prior = np.full(1000, -np.log(1000)), np.full(1000, -4 * np.log(20))
+    steps = (StepInfo(1.0, 900.0, 0.3, True, -3.0, 1.0),)
+    return SMCResult(x, equal, -0.5 * (x**2).sum(axis=1), log_prior, log_evidence, 1000.0, steps, 16_000)
+
+
+def compared(found, weighted=None):
+    by = weighted or found
+    posterior = Posterior(FOUR, by.positions, by.log_weights, by.log_likelihood, by.log_prior, by.log_evidence)
+    return compare_halves(found, posterior)
+
+
+def test_the_halves_have_their_own_particles_and_keys_and_repeat_to_the_bit():
+    calls, initial = [], np.arange(28.0).reshape(7, 4)
+
+    def run(key, initial):
+        calls.append((jax.random.key_data(key).tolist(), initial))
+        return normal(len(calls) % 2)
+
+    for _ in range(2):
+        found = in_halves(run, jax.random.key(3), initial)
+    (first, a), (second, b), (again, _), _ = calls
+    assert again == first != second
+    np.testing.assert_array_equal(np.concatenate([a, b]), initial)
+    assert (len(a), len(b)) == (4, 3)
+    one, other = found.halves
+    np.testing.assert_array_equal(found.positions, np.concatenate([one.positions, other.positions]))
+    alone = in_halves(run, jax.random.key(3), initial[: halves.FEWEST - 1])
+    assert alone.halves is None
+    assert compared(alone) is None
+
+
+def test_figures_of_halves_that_differ():
+    check = compared(joined(normal(1), normal(2, mean=1.0, sd=2.0, log_evidence=-2.0)))
+    x, y = normal(1).positions, normal(2, mean=1.0, sd=2.0).positions
+    assert check.effective == pytest.approx((1000, 1000))
+    np.testing.assert_allclose(np.exp(check.log_sd_ratio), x.std(axis=0) / y.std(axis=0))
+    weights = np.repeat([1.0, np.e], 1000) / (1000 * (1 + np.e))
+    pooled = np.concatenate([x, y])
+    sd = np.sqrt(weights @ (pooled - weights @ pooled) ** 2)
+    np.testing.assert_allclose(check.mean_difference, (x.mean(axis=0) - y.mean(axis=0)) / sd)
+    assert check.log_evidence == pytest.approx((-3.0, -2.0))
+    split = check.splits[0]
+    assert split.shares == pytest.approx(((x[:, 0] <= split.at).mean(), (y[:, 0] <= split.at).mean()))
+    grid = np.linspace(-8, 8, 2001)[:, None]
+    apart = (x[:, 0] <= grid).mean(axis=1) - (y[:, 0] <= grid).mean(axis=1)
+    assert split.difference == pytest.approx(np.abs(apart).max(), abs=0.005)
+    words = ("means by up to", "(x0)", "by a factor of up to 2.0", "of the mass has", "log-evidences by 1.00")
+    assert [one for one in words if one not in " ".join(check.differences)] == []
+    assert check.p < 1e-6
+
+
+def test_each_difference_is_found_and_what_a_thousand_related_particles_explain_is_none():
+    """Planted: most of one half lies in two clumps, with the same mean and nearly the same width."""
+    assert compared(joined(normal(1), normal(2))).agree
+    clumps = normal(2).positions.copy()
+    clumps[:400, 1], clumps[400:800, 1] = -0.95, 0.95
+    for other, words in (
+        (normal(2, mean=0.5), "means by up to 0."),
+        (normal(2, sd=1.3), "a factor of up to 1.3"),
+        (normal(2, log_evidence=-2.5), "log-evidences by 0.50"),
+        (replace(normal(2), positions=clumps), "of the mass has x1 up to"),
+    ):
+        check = compared(joined(normal(1), other))
+        assert not check.agree
+        assert check.p < LEVEL
+        assert words in check.verdict
+        assert "funnel, a narrow mode" in check.verdict
+    check = compared(joined(normal(1), normal(2, mean=0.2, sd=1.15)))
+    assert np.abs(check.mean_difference).max() > 0.1
+    assert check.agree
+    assert check.p > LEVEL
+    equal = (replace(normal(seed), log_likelihood=np.zeros(1000)) for seed in (1, 2))  # equal values are one place
+    assert compared(joined(*equal)).splits[-1].difference == pytest.approx(0.0, abs=1e-9)
+
+
+def test_weights_of_another_likelihood_count():
+    """The posterior's weights may follow from an expected likelihood; each half is weighted by it alone."""
+    found = joined(normal(1), normal(2))
+    tilt = 0.5 * found.positions[:, 0]
+    more = float(np.logaddexp.reduce(found.log_weights + tilt))
+    log_weights, log_evidence = found.log_weights + tilt - more, found.log_evidence + more
+    changed = {"log_weights": log_weights, "log_likelihood": found.log_likelihood + tilt, "log_evidence": log_evidence}
+    moved = replace(found, **changed)
+    check, first = compared(found, moved), np.exp(tilt[:1000])
+    assert check.log_evidence[0] == pytest.approx(-3.0 + np.log(first.mean()))
+    assert check.effective[0] == pytest.approx(first.sum() ** 2 / (first**2).sum())
+    assert np.logaddexp(*check.log_evidence) - np.log(2) == pytest.approx(moved.log_evidence)
+    assert check.agree
