@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 
 import pytest
 from tests.doors.runs.processes import Unloadable, hanging_driver, pids, processes_of_group, wait_until
@@ -166,11 +165,3 @@ def test_folders_are_removed_and_the_driver_stays_where_it_is(tmp_path, monkeypa
         assert all(record.ok for record in executor(model, requests_for(model)))
     assert not list(tmp_path.iterdir())
     assert (os.getcwd(), dict(os.environ)) == before  # noqa: PTH109
-
-
-def test_the_time_for_a_run_is_small():
-    records = LocalProcesses(1)(Cantilever(), requests_for(Cantilever(), [300.0 + 0.1 * k for k in range(100)]))
-    next(records)
-    begin = time.perf_counter()
-    assert sum(record.ok for record in records) == 99
-    assert (time.perf_counter() - begin) / 99 < 0.02, "the aim is 0.005 s; a busy machine gets some grace"

@@ -145,20 +145,6 @@ def test_an_interruption_keeps_what_is_finished_and_costs_no_attempt(path, tmp_p
     assert max(fakes.calls(tmp_path).values()) == 1
 
 
-class Forgetful(Ledger):
-    """A planted bug: a ledger that does not find what it holds."""
-
-    def latest(self, keys):
-        return {}
-
-
-def test_the_count_of_repeated_runs_sees_a_forgetful_ledger(path):
-    for _ in range(2):
-        with Forgetful.open(path, model=BEAM) as ledger:
-            run_campaign(BEAM, design(300, 400), ledger=ledger, executor=InProcess())
-    assert fakes.repeated(path) == 2
-
-
 def answering(answer):
     """Return an executor that answers each request with what `answer` makes of its record."""
 
