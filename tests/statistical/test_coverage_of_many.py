@@ -10,13 +10,13 @@ from tests.unit.calibration.test_coverage import from_prior, least_p, repeated
 from tests.unit.likelihood import test_inferred_noise as inferred
 
 from strandline.discrepancy import NormalOffset
-from strandline.interface import GaussianNoise, Noise, PointErrors
+from strandline.interface import GaussianNoise, PointErrors
 
 pytestmark = pytest.mark.long
 ALL = PointErrors(SD, 0.05, shift=0.02, offset=0.03)
 
 
-def test_many_replicates_are_inside_the_bands() -> None:
+def test_many_replicates_are_inside_the_bands():
     source = from_prior(PointErrors(SD, 0.05, shift=0.02, offset=0.01), NormalOffset())
     found = repeated(source, number=300)
     assert least_p(found) > 1e-3
@@ -29,22 +29,19 @@ def test_many_replicates_are_inside_the_bands() -> None:
 @pytest.mark.parametrize(
     ("noise", "analysed", "number", "word"),
     [
-        (ALL, PointErrors(SD**2), 25, "narrow"),
-        (PointErrors(SD), GaussianNoise(0.5 * SD**2), 400, "narrow"),
-        (ALL, replace(ALL, offset=0.0), 300, "leave the 95 % band"),
+        pytest.param(ALL, PointErrors(SD**2), 25, "narrow", id="σ² given for σ"),
+        pytest.param(PointErrors(SD), GaussianNoise(0.5 * SD**2), 400, "narrow", id="½ forgotten"),
+        pytest.param(ALL, replace(ALL, offset=0.0), 300, "leave the 95 % band", id="offset dropped"),
     ],
-    ids=["σ² given for σ", "½ forgotten", "offset dropped"],
 )
-def test_mistakes_show_in_many_replicates(
-    noise: PointErrors, analysed: Noise | PointErrors, number: int, word: str
-) -> None:
+def test_mistakes_show_in_many_replicates(noise, analysed, number, word):
     """Planted: posteriors a hundred times too narrow, √2 times, and without one of the errors."""
     found = repeated(from_prior(noise, NormalOffset()), analysed, number)
     assert not found.calibrated
     assert word in found.verdict
 
 
-def test_coverage_with_unknown_noise() -> None:
+def test_coverage_with_unknown_noise():
     """Planted: correlated points taken as independent, with an sd that is known."""
     scores, planted = [], []
     for seed in range(100):
@@ -57,5 +54,5 @@ def test_coverage_with_unknown_noise() -> None:
 
 
 @pytest.mark.parametrize("errors", [misfit.LOCAL, misfit.ALL], ids=["local", "all"])
-def test_a_right_model_is_flagged_in_one_case_of_twenty_at_most(errors: PointErrors) -> None:
+def test_a_right_model_is_flagged_in_one_case_of_twenty_at_most(errors):
     assert misfit.flagged(errors, 200, misfit.FULL) <= 10

@@ -1,58 +1,45 @@
 """Replicates of the sampler against exact evidence and moments, and planted bugs that must fail the same test."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from strandline.smc import STUDY, SMCResult, SMCSettings, sample, steps
-from strandline.testing import densities
-from strandline.testing.densities import KnownPosterior
+from strandline.smc import STUDY, SMCSettings, sample, steps
+from strandline.testing.densities import banana, truncated_gaussian
 
-TARGET = densities.banana(centre=0.5, sd=1.0, bend=0.4, width=0.3)
-CORNER = densities.truncated_gaussian(
-    np.array([0.0, 1.0]), np.array([1.0, 0.1]), np.array([0.2, 0.95]), np.array([5.0, 3.0])
-)
+TARGET = banana(centre=0.5, sd=1.0, bend=0.4, width=0.3)
+CORNER = truncated_gaussian(*np.array([[0.0, 1.0], [1.0, 0.1], [0.2, 0.95], [5.0, 3.0]]))
 HASTY = SMCSettings(rejuvenation_steps=2, zeta=0.9, resample_below=0.3)
 """Few moves: particles stay correlated with their weights, so that a summary that forgets the weights is wrong."""
 STEADY = SMCSettings(rejuvenation_steps=8, zeta=0.8)
 LIMIT = 4.5
 
 
-def replicates(
-    target: KnownPosterior, settings: SMCSettings, number: int = 16, *, particles: int = 2000
-) -> list[SMCResult]:
+def replicates(target, settings, number=16, *, particles=2000):
     """Return runs of the sampler; the likelihood is a new function, so that it is compiled anew."""
-    rng = np.random.default_rng(11)
-
-    def log_likelihood(x: Any) -> Any:
-        return target.log_likelihood(x)
-
+    rng, log_likelihood = np.random.default_rng(11), lambda x: target.log_likelihood(x)
+    starts = [target.draw_prior(rng, particles) for _ in range(number)]
     return [
-        sample(
-            jax.random.key(seed), log_likelihood, target.log_prior, target.draw_prior(rng, particles), settings=settings
-        )
-        for seed in range(number)
+        sample(jax.random.key(seed), log_likelihood, target.log_prior, start, settings=settings)
+        for seed, start in enumerate(starts)
     ]
 
 
-def weighted(result: SMCResult, weights: np.ndarray | None = None) -> np.ndarray:
+def weighted(result, weights=None):
     """Return (log Z, means, second moments about the origin)."""
     w = np.exp(result.log_weights) if weights is None else weights
     return np.concatenate([[result.log_evidence], w @ result.positions, w @ result.positions**2])
 
 
-def worst_z(values: Sequence[np.ndarray], target: KnownPosterior = TARGET) -> float:
+def worst_z(values, target=TARGET):
     """Return the largest |z| of the replicates' means."""
     exact = np.concatenate([[target.log_evidence], target.mean, np.diagonal(target.covariance) + target.mean**2])
     found = np.asarray(values)
     return float(np.abs((found.mean(axis=0) - exact) / (found.std(axis=0, ddof=1) / np.sqrt(len(found)))).max())
 
 
-def test_evidence_and_weighted_moments_are_right() -> None:
+def test_evidence_and_weighted_moments_are_right_also_of_a_density_cut_by_its_prior():
     """Planted: weights, the first increment of the evidence, or those of steps that resample are forgotten."""
     found = replicates(TARGET, HASTY, 24)
     assert worst_z([weighted(r) for r in found]) < LIMIT
@@ -62,24 +49,18 @@ def test_evidence_and_weighted_moments_are_right() -> None:
     for forgotten in (lambda r: r.steps[:1], lambda r: [s for s in r.steps if s.resampled]):
         lost = [np.append(sum(s.log_evidence_increment for s in forgotten(r)), np.zeros(4)) for r in found]
         assert worst_z([weighted(r) - part for r, part in zip(found, lost, strict=True)]) > 2 * LIMIT
-
-
-def test_a_density_cut_by_its_prior_is_right() -> None:
     assert worst_z([weighted(r) for r in replicates(CORNER, STEADY)], CORNER) < LIMIT
 
 
-Change = Callable[..., Any]
-
-
-def tempering_left_out(metropolis: Change) -> Change:
+def tempering_left_out(metropolis):
     return lambda *args, **kw: metropolis(*args, **kw | {"temperature": jnp.ones_like(kw["temperature"])})
 
 
-def prior_left_out(metropolis: Change) -> Change:
+def prior_left_out(metropolis):
     return lambda *args, target, **kw: metropolis(*args, target=(target[0], lambda x: 0 * x[:, 0]), **kw)
 
 
-def weights_reset_without_resampling(systematic: Change) -> Change:
+def weights_reset_without_resampling(systematic):
     return lambda key, w: 0 * systematic(key, w) + jnp.arange(len(w))
 
 
@@ -90,25 +71,14 @@ def weights_reset_without_resampling(systematic: Change) -> Change:
         ("metropolis", prior_left_out, CORNER, STEADY),
         ("systematic", weights_reset_without_resampling, TARGET, HASTY),
     ],
-    ids=["tempering left out of the acceptance", "prior left out", "weights reset"],
 )
-def test_a_planted_bug_shows(
-    function: str, change: Change, target: KnownPosterior, settings: SMCSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_planted_bug_shows(function, change, target, settings, monkeypatch):
     monkeypatch.setattr(steps, function, change(getattr(steps, function)))
     assert worst_z([weighted(r) for r in replicates(target, settings)], target) > 2 * LIMIT
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("target", [TARGET, CORNER], ids=["banana", "corner"])
-@pytest.mark.parametrize("zeta", [0.5, 0.97])
-def test_other_settings_are_right_too(target: KnownPosterior, zeta: float) -> None:
-    settings = SMCSettings(rejuvenation_steps=8, zeta=zeta)
-    assert worst_z([weighted(r) for r in replicates(target, settings, 24)], target) < LIMIT
-
-
-@pytest.mark.long
-def test_the_studys_settings_are_right_over_many_replicates() -> None:
+def test_the_studys_settings_are_right_over_many_replicates():
     found = replicates(TARGET, STUDY, 40, particles=5000)
     assert not any(step.resampled for r in found for step in r.steps)
     assert worst_z([weighted(r) for r in found]) < LIMIT

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from typing import Any
 
 import pytest
 
@@ -19,33 +18,26 @@ from strandline.testing.densities import gaussian
 
 target = gaussian(np.array([1.0, -2.0]), np.array([[1.0, 0.6], [0.6, 2.0]]))
 initial = target.draw_prior(np.random.default_rng(0), int(sys.argv[2]))
-found = [
-    sample(jax.random.key(1), target.log_likelihood, target.log_prior, initial, settings=SMCSettings()) for _ in "ab"
-]
-weights = np.exp(found[0].log_weights)
+given = jax.random.key(1), target.log_likelihood, target.log_prior, initial
+found = [sample(*given, settings=SMCSettings()) for _ in "ab"]
 print(json.dumps({
     "devices": len(spread(jax.numpy.asarray(initial)).sharding.device_set),
-    "mean": (weights @ found[0].positions).tolist(),
+    "mean": (np.exp(found[0].log_weights) @ found[0].positions).tolist(),
     "log_evidence": found[0].log_evidence - target.log_evidence,
     "bits": [hashlib.sha256(r.positions.tobytes() + r.log_weights.tobytes()).hexdigest() for r in found],
 }))
 """
 
 
-def sampled(devices: int, particles: int) -> dict[str, Any]:
+def sampled(devices, particles):
     command = [sys.executable, "-c", PROGRAM, str(devices), str(particles)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
-def test_particles_that_two_devices_cannot_share_alike_stay_on_one() -> None:
-    assert sampled(2, 401)["devices"] == 1
-
-
-def test_two_devices_find_what_one_finds_and_repeat_it_to_the_bit() -> None:
+def test_two_devices_find_what_one_finds_and_repeat_it_to_the_bit():
+    """Particles that two devices cannot share alike stay on one."""
     one, two = sampled(1, 2000), sampled(2, 2000)
-    assert (one["devices"], two["devices"]) == (1, 2)
+    assert (one["devices"], two["devices"], sampled(2, 401)["devices"]) == (1, 2, 1)
     assert two["bits"][0] == two["bits"][1]
     for found in (one, two):
         assert found["mean"] == pytest.approx([1.0, -2.0], abs=0.12)
