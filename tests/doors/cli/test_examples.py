@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.unit.cli.command_line import Shown, printed
+from tests.unit.cli.command_line import printed
 
 import strandline
 from strandline.studies.examples import EXAMPLES, write_example
@@ -20,31 +20,34 @@ TRUTH = {
     "creep": {"E": 300.0, "nu": 0.35, "ratio": 1.2, "tau": 4.0},
     "pendant-drop": {"gamma": 72.4},
     "oct": {"E": 400.0, "nu": 0.3},
+    "calculix": {"mu": 22.0, "stiffening": 0.25, "p": 2.04},
 }
-SLOW = {"biofilm", "oct"}
-"""Examples that solve for the flow as `creep` does."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in EXAMPLES]
-)
-def test_an_example_is_sound(name: str, tmp_path: Path, capsys: Shown) -> None:
+def written(name, tmp_path):
     if name == "calculix" and not shutil.which("ccx"):
         pytest.skip("needs ccx")
     write_example(name, tmp_path / "study")
+
+
+def long_unless(quick, names):
+    return [name if quick(name) else pytest.param(name, marks=pytest.mark.long) for name in names]
+
+
+@pytest.mark.parametrize("name", long_unless(lambda name: name not in {"biofilm", "oct"}, EXAMPLES))
+def test_an_example_is_sound(name, tmp_path, capsys):
+    """The two that are left out solve for the flow as `creep` does."""
+    written(name, tmp_path)
     assert "study: study.yaml is sound" in printed(capsys, "check", str(tmp_path / "study"))
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "python" else pytest.param(name, marks=pytest.mark.long) for name in TRUTH]
-)
-def test_an_example_finds_the_truth(name: str, tmp_path: Path) -> None:
-    write_example(name, tmp_path / "study")
-    draft = ["--set", "draft=true", "--set", "report=none"]
-    words = [sys.executable, "-m", "strandline", "run", "study", "--quiet", "--json", *draft]
+@pytest.mark.parametrize("name", long_unless(lambda name: name == "python", TRUTH))
+def test_an_example_finds_the_truth(name, tmp_path):
+    written(name, tmp_path)
+    words = ["-m", "strandline", "run", "study", "--quiet", "--json", "--set", "draft=true", "--set", "report=none"]
     path = os.pathsep.join(map(str, [Path(strandline.__file__).parents[1], *sys.path]))
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=900)
+    options = {"cwd": tmp_path, "env": {**os.environ, "PYTHONPATH": path}, "timeout": 900}
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, **options)
     assert done.returncode == 0, done.stderr
     inputs = json.loads(done.stdout)["inputs"]
     for one, true in TRUTH[name].items():

@@ -1,4 +1,4 @@
-"""Commands as processes: Ctrl-C, another driver, folders that cannot be written to, a terminal, what is imported."""
+"""Commands as processes: Ctrl-C, folders that cannot be written to, a terminal, what is imported."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ import sys
 import httpx
 import pytest
 from tests.doors.models.waiting import until
-from tests.unit.cli.command_line import ALL_SET, contents, one_line, printed, refused
+from tests.unit.cli.command_line import ALL_SET, contents, one_line, printed
 
 from strandline import __version__
 from strandline.cli import main
@@ -73,30 +73,6 @@ def test_a_run_that_was_interrupted_goes_on(tmp_path, capsys, monkeypatch):
     assert "  32/32 32 ok, 0 failed" in shown.err
 
 
-HOLD = """
-import sys
-from strandline.runs import Ledger
-with Ledger.open(sys.argv[1], model="test:beam-1"):
-    print("open", flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.mark.smoke
-def test_a_second_driver_is_refused_and_may_look(tmp_path, capsys):
-    folder = write_study(tmp_path / "study")
-    holding = [sys.executable, "-c", HOLD, str(folder / "ledger.sqlite")]
-    with subprocess.Popen(holding, stdin=subprocess.PIPE, **PIPES) as other:
-        assert other.stdout.readline() == "open\n"
-        before = contents(folder)
-        line = refused(capsys, "run", str(folder), "--quiet")
-        for words in ("ledger.sqlite is locked", f"process {other.pid} on ", "Wait for the other run to end"):
-            assert words in line
-        assert contents(folder) == before
-        assert "0 of 64 runs" in printed(capsys, "status", str(folder))
-        other.communicate(timeout=10)
-
-
 def denied(*arguments):
     """Return the line with which a process refuses that permissions bind, the superuser's too."""
     command = [*STRANDLINE, *arguments]
@@ -148,7 +124,6 @@ with observing() as observer:
 
 @pytest.mark.smoke
 def test_bars_fit_a_terminal_of_80_columns():
-    """In a real pseudo-terminal."""
     ours, theirs = pty.openpty()
     environment = {**os.environ, "COLUMNS": "80", "TERM": "xterm"}
     environment.pop("NO_COLOR", None)
@@ -190,8 +165,6 @@ def test_view_prints_its_address_and_ends_with_ctrl_c(tmp_path):
         assert process.stderr.read() == "stopped\n"
     assert sorted(path.name for path in folder.iterdir()) == ["study.yaml"]
 
-
-# --- what is imported
 
 HEAVY = {"numpy", "scipy", "jax", "matplotlib", "ngsolve", "netgen", "pydantic", "yaml", "rich", "xarray", "jinja2"}
 PROBE = """

@@ -208,7 +208,6 @@ printf 'x,y\\n0,0\\n1,1\\n' > out.csv
 
 
 def shell(folder, script, **options):
-    """Return a simulator that is a script."""
     (folder / "run.sh").write_text(script)
     return CommandModel(command=["/bin/sh", "run.sh"], files=["run.sh"], result=RESULT, folder=folder, **options)
 
@@ -230,16 +229,6 @@ def test_none_of_eight_children_killed_by_signal_9_becomes_a_final_failure(tmp_p
         assert ledger.counts() == Counts(ok=8)
     assert all(record.ok for record in records)
     assert Counter(ends) == {("killed", "simulator_killed"): 4, ("killed", "supervisor_died"): 4, ("ok", None): 8}
-
-
-def test_a_run_that_is_killed_each_time_is_given_up_and_never_copied(tmp_path):
-    model = shell(tmp_path, "kill -9 $$")
-    with Ledger.open(tmp_path / "ledger.sqlite", model=model) as ledger:
-        (record,) = run_campaign(model, [{}], ledger=ledger, executor=InProcess(), maximum_attempts=2)
-        assert (record.state, record.failure_kind) == ("killed", "simulator_killed")
-        assert ledger.attempts(record.key) == 2
-    with Ledger.open(tmp_path / "other.sqlite", model=model) as other:
-        assert other.copy_from(tmp_path / "ledger.sqlite", [record.key]) == 0
 
 
 OUTCOMES = [

@@ -31,7 +31,6 @@ def outline(blocks):
 
 
 def slopes(blocks):
-    """Return d(coordinates)/d(E, load)."""
     found = TwoLoads(BEAM, sensitivities=True)(dict(zip(("E", "load"), blocks[0], strict=True)), Path())
     return np.stack([found.sensitivities["light"][name].ravel() for name in ("E", "load")], axis=1)
 
@@ -130,9 +129,6 @@ def test_the_description_is_asked_once_and_the_config_sent():
         assert run(model(url, config={"mesh": 1})).failure_kind == "model_error"
     asked = ["/Info", "/ModelInfo", "/InputSizes", "/OutputSizes", "/Evaluate", "/Evaluate"]
     assert paths[: len(asked)] == asked
-
-
-# --- servers that misbehave
 
 
 def sends(status, text, *headers):

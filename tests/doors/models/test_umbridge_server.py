@@ -143,9 +143,6 @@ def test_a_token_is_sent_by_our_client_and_by_the_reference(monkeypatch):
         assert client.evaluate(AT, [3])[0].tolist() == [x * x, x * y, y]
 
 
-# --- many connections
-
-
 def test_requests_at_once_are_all_answered():
     together = threading.Barrier(8, timeout=30)
 

@@ -4,7 +4,6 @@ import time
 
 
 def until(happened, patience=60.0):
-    """Wait until something has happened."""
     deadline = time.monotonic() + patience
     while not happened():
         assert time.monotonic() < deadline

@@ -35,8 +35,6 @@ class Plain:
 
 @dataclass(frozen=True)
 class Sensitive(Plain):
-    """A model that offers sensitivities, without a fingerprint of its own."""
-
     size: float = 1.0
     sensitivities: bool = False
 
@@ -149,10 +147,8 @@ def test_the_undeformed_interface_is_given_lacking_or_refused():
             undeformed_interface(model)
 
 
-# --- a cheaper model beside it
-
-
 def test_a_mark_chooses_the_cheaper_model_and_its_address_and_all_else_is_the_models():
+    """A first design runs both models at some inputs."""
     both, plain, marked = WithCheaper(Rod(9), Rod(3), 0.2), {"slope": 1.0}, by_cheaper({"slope": 1.0})
     assert [len(both(inputs, Path()).interface.points) for inputs in (plain, marked)] == [9, 3]
     assert fingerprint(both) == fingerprint(Rod(9))
@@ -163,12 +159,9 @@ def test_a_mark_chooses_the_cheaper_model_and_its_address_and_all_else_is_the_mo
     assert declared_conditions(travelled) == ("",)
     with pytest.raises(AttributeError, match="on_finer_mesh"):
         travelled.on_finer_mesh({})
-
-
-def test_a_first_design_runs_both_models_at_some_inputs():
     inputs = [{"slope": float(k)} for k in range(5)]
     assert first_runs(Rod(), inputs) == inputs
-    found = first_runs(WithCheaper(Rod(9), Rod(3), 0.2), inputs)
+    found = first_runs(both, inputs)
     assert [CHEAPER in one for one in found] == [True] * 5 + [False] * FIRST_PAIRS
     assert found[5:] == inputs[:FIRST_PAIRS]
 

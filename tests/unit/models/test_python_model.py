@@ -4,6 +4,7 @@ import importlib
 import pickle
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -45,7 +46,6 @@ NUMBER = 3
 
 @pytest.fixture
 def adapter(tmp_path, monkeypatch):
-    """Write modules of results, one that is broken, and one that needs another."""
     modules = {"my_adapter": RESULTS, "broken_adapter": "def f(:\n", "needy_adapter": "import no_such_dependency\n"}
     monkeypatch.syspath_prepend(written(tmp_path, modules))
 
@@ -126,7 +126,9 @@ def two(tmp_path):
     return study(tmp_path / "one", 2.0, 1.0), study(tmp_path / "other", 3.0, 5.0)
 
 
-def test_folders_with_modules_of_the_same_names_do_not_mix(two):
+def test_folders_with_modules_of_the_same_names_do_not_mix(two, monkeypatch):
+    elsewhere = ModuleType("beside_slope")
+    monkeypatch.setitem(sys.modules, "beside_slope", elsewhere)
     before, modules = list(sys.path), set(sys.modules)
     models = one, other = [load_study(folder).model for folder in two]
     assert [end(model) for model in models] == [[1.0, 2.0], [5.0, 3.0]]
@@ -137,6 +139,7 @@ def test_folders_with_modules_of_the_same_names_do_not_mix(two):
     assert fingerprint(one) != fingerprint(other)
     assert one != other
     assert sys.path == before
+    assert sys.modules["beside_slope"] is elsewhere
     assert not {name for name in set(sys.modules) - modules if "besid" in name and "strandline" not in name}
     with pytest.raises(InvalidInput, match="beside_beam"):
         PythonModel(BEND)

@@ -14,7 +14,6 @@ OPTIONS = {
 
 
 def filled(folder):
-    """Write template and simulator."""
     folder.mkdir(exist_ok=True)
     (folder / "in.j2").write_text("{{ a }}")
     (folder / "run.sh").write_text(ECHO)

@@ -35,7 +35,6 @@ BARE = ServedModel("bare", (2,), (3,), whole)
 
 @contextmanager
 def running(server):
-    """Run a server in a thread; yield its address."""
     thread = threading.Thread(target=server.serve_forever, args=(0.02,))
     thread.start()
     try:
@@ -47,5 +46,4 @@ def running(server):
 
 
 def served(*models, **options):
-    """Serve models at a free port; yield the address."""
     return running(UMBridgeServer(models, port=0, **options))
