@@ -1,6 +1,5 @@
 """The accuracy of the biofilm model's meshes, and its bits in another process."""
 
-import dataclasses
 import subprocess
 import sys
 
@@ -8,12 +7,7 @@ import numpy as np
 import pytest
 from tests.unit.models.biofilm.cells import INPUTS, largest, moved
 
-from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Outline
-
-LAYER = Outline(((0.0, 0.3), (0.8, 0.35), (1.5, 0.6), (2.2, 0.35), (3.0, 0.3)))
-SOFT = {"E": 150.0, "nu": 0.3, "V_in": 60.0}
 
 
 def test_coarse_mesh_is_as_accurate_as_it_is_said_to_be():
@@ -32,19 +26,6 @@ def test_default_mesh_is_converged_against_the_fine_one():
     error = largest(default - fine)
     assert error < 5e-5  # 0.05 µm, 0.1 % of the largest displacement
     assert largest(coarse - fine) > 3 * error
-
-
-def test_the_error_of_coarse_on_another_flow_cell_is_small_and_known():
-    """A layer with a gap of 0.4 mm: with elements of fixed size 2.5 µm off, and without a word."""
-    rates = (("slow", 20.0), ("fast", 60.0))
-    layer = {"material": "neo_hookean", "channel": Channel(length=3.0), "outline": LAYER}
-    model = Biofilm(mesh="coarse", inflow_rates=rates, **layer)
-    coarse, finer = model(SOFT).interfaces, model.on_finer_mesh(SOFT)
-    true = dataclasses.replace(model, mesh="default")(SOFT).interfaces
-    assert coarse.keys() == finer.keys() == true.keys()
-    for name in coarse:
-        np.testing.assert_array_equal(finer[name].points, true[name].points)
-        assert 0 < largest(coarse[name].points - true[name].points) < 0.5e-3
 
 
 def test_same_inputs_same_bits_in_another_process():

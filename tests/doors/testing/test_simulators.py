@@ -19,13 +19,11 @@ ECHO = "import sys; e, f = map(float, sys.argv[1:]); print('0,0', f'1,{f * 1e5 /
 
 
 def cantilever(inputs, workdir):
-    """Return the outline of a bent beam."""
     return Cantilever()(inputs, workdir).interface
 
 
 @pytest.fixture(params=MODELS)
 def simulator(request, tmp_path):
-    """A model of each kind, and inputs of a run."""
     if request.param == "biofilm":
         yield Biofilm(mesh="coarse"), {"E": 400.0, "nu": 0.3, "V_in": 100.0}
     elif request.param == "python":

@@ -1,16 +1,13 @@
 """Runs that start from anchors: the states of cold runs, bits that repeat, and where anchors do not help."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import qmc
-from tests.unit.models.biofilm.cells import failure, rough
+from tests.unit.models.biofilm.cells import INPUTS, failure, rough
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import model as module
@@ -19,7 +16,6 @@ from strandline.models.biofilm.anchors.anchored_cell import LARGEST_STRAIN, Anch
 from strandline.models.biofilm.anchors.box import Box
 from strandline.models.biofilm.anchors.factors import Rescaled, RowsAndColumns
 from strandline.models.biofilm.anchors.states import States
-from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.steady import DIRECT_STRAIN
 from strandline.models.fidelities import WithCheaper
 from strandline.models.offers import prepare_runs
@@ -27,14 +23,12 @@ from strandline.models.protocol import fingerprint
 from strandline.runs import InProcess, Ledger, run_campaign
 
 RANGES = {"E": [100, 800], "nu": [-0.8, 0.5], "V_in": 100}
-USUAL = {"E": 400.0, "nu": 0.3, "V_in": 100.0}
 TOLERANCE = 1e-7
 """mm"""
 
 
 @pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cache of anchors for this module alone."""
+def cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         home = tmp_path_factory.mktemp("cache")
         patch.setenv("XDG_CACHE_HOME", str(home))
@@ -44,17 +38,17 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def cold() -> Biofilm:
+def cold():
     return rough()
 
 
 @pytest.fixture(scope="module")
-def anchored(cache: Path) -> Biofilm:
+def anchored(cache):
     return rough(anchors=RANGES)
 
 
 @pytest.fixture
-def along_one_input(cache: Path) -> Biofilm:
+def along_one_input(cache):
     """A model whose anchors are solved quickly, and are not solved yet."""
     for file in cache.glob("*.npz"):
         file.unlink()
@@ -65,7 +59,7 @@ def along_one_input(cache: Path) -> Biofilm:
 POINTS = [{"E": E, "nu": 0.3, "V_in": 100.0} for E in (420.0, 660.0, 690.0)]
 
 
-def outcome(model: Biofilm, inputs: Mapping[str, float]) -> Any:
+def outcome(model, inputs):
     """Return the points of a run's interfaces and its figures, or how it failed."""
     try:
         result = model(inputs)
@@ -74,17 +68,14 @@ def outcome(model: Biofilm, inputs: Mapping[str, float]) -> Any:
     return {name: one.points.tobytes() for name, one in result.interfaces.items()}, dict(result.diagnostics)
 
 
-def in_box(number: int) -> list[dict[str, float]]:
+def in_box(number):
     points = qmc.scale(qmc.Sobol(2, scramble=False).random_base2(5)[:number], [100, -0.8], [800, 0.5])
     return [{"E": float(E), "nu": float(nu), "V_in": 100.0} for E, nu in points]
 
 
-# --- against cold runs
-
-
-def test_they_end_like_cold_runs_and_most_need_no_jacobian(anchored: Biofilm, cold: Biofilm) -> None:
+def test_they_end_like_cold_runs_and_most_need_no_jacobian(anchored, cold):
     kept, started = 0, 0
-    outside = [{"E": 900.0, "nu": 0.3, "V_in": 100.0}, {"E": 400.0, "nu": 0.3, "V_in": 99.0}]
+    outside = [INPUTS | {"E": 900.0}, INPUTS | {"V_in": 99.0}]
     for inputs in [*in_box(8), *outside]:
         ours, theirs = outcome(anchored, inputs), outcome(cold, inputs)
         assert len(ours) == len(theirs)
@@ -106,32 +97,24 @@ def test_they_end_like_cold_runs_and_most_need_no_jacobian(anchored: Biofilm, co
             assert figures == theirs[1] | {"anchored": 0.0}
     assert started > 4
     assert kept >= started - 2
-    assert not cold.is_prepared(USUAL)
+    assert not cold.is_prepared(INPUTS)
+
+
+SOLIDS = {"E1": 400.0, "E2": 320.0, "E3": 480.0, "nu1": 0.3, "nu2": 0.3, "nu3": 0.3, "V_in": 100.0}
+DRIVEN = {"E": 500.0, "nu": 0.2, "exponent": 3.0, "p_drop": 1.1, "viscosity": 1.2e-3}
+FUNG = {"material": "fung", "inflow": "pressure", "fluid": {"viscosity": "unknown"}}
 
 
 @pytest.mark.parametrize(
-    ("options", "box", "inputs"),
+    ("options", "inputs", "ranges"),
     [
-        (
-            {"material": "fung", "inflow": "pressure", "fluid": {"viscosity": "unknown"}},
-            {"E": 500, "nu": 0.2, "exponent": 3, "p_drop": [0.5, 1.5], "viscosity": 1.2e-3},
-            {"E": 500.0, "nu": 0.2, "exponent": 3.0, "p_drop": 1.1, "viscosity": 1.2e-3},
-        ),
-        (
-            {"inflow_rates": {"rest": 0.0, "slow": 40.0, "fast": 80.0}},
-            {"E": [300, 800], "nu": 0.2},
-            {"E": 500.0, "nu": 0.2},
-        ),
-        (
-            {"partition": "three_parts"},
-            {"E1": [300, 500], "E2": 320, "E3": 480, "nu1": 0.3, "nu2": 0.3, "nu3": 0.3, "V_in": 100},
-            {"E1": 400.0, "E2": 320.0, "E3": 480.0, "nu1": 0.3, "nu2": 0.3, "nu3": 0.3, "V_in": 100.0},
-        ),
+        (FUNG, DRIVEN, {"p_drop": [0.5, 1.5]}),
+        ({"inflow_rates": {"rest": 0.0, "slow": 40.0, "fast": 80.0}}, {"E": 500.0, "nu": 0.2}, {"E": [300, 800]}),
+        ({"partition": "three_parts"}, SOLIDS, {"E1": [300, 500]}),
     ],
-    ids=["law, pressure and viscosity", "two inflow rates", "three parts"],
 )
-def test_other_cells(options: dict[str, Any], box: dict[str, Any], inputs: dict[str, float]) -> None:
-    ours, theirs = (rough(**options, **more)(inputs) for more in ({"anchors": box}, {}))
+def test_other_cells(options, inputs, ranges):
+    ours, theirs = (rough(**options, **more)(inputs) for more in ({"anchors": inputs | ranges}, {}))
     assert ours.interfaces.keys() == theirs.interfaces.keys()
     for name, one in ours.interfaces.items():
         assert np.abs(one.points - theirs.interfaces[name].points).max() < TOLERANCE
@@ -141,18 +124,16 @@ def test_other_cells(options: dict[str, Any], box: dict[str, Any], inputs: dict[
         assert figures[f"newton_jacobians{name}"] == (name == "_rest")
 
 
-def test_sensitivities_and_the_flow_field_are_those_of_cold_runs(anchored: Biofilm, cold: Biofilm) -> None:
-    ours, theirs = (replace(model, sensitivities=True)(USUAL) for model in (anchored, cold))
+def test_sensitivities_and_the_flow_field_are_those_of_cold_runs(anchored, cold):
+    ours, theirs = (replace(model, sensitivities=True)(INPUTS) for model in (anchored, cold))
     assert ours.diagnostics["newton_jacobians"] == 0
     for name, exact in theirs.sensitivities[""].items():
         assert np.abs(ours.sensitivities[""][name] - exact).max() < 1e-6 * np.abs(exact).max()
-    speeds = [model.fields(USUAL).velocity for model in (anchored, cold)]
+    speeds = [model.fields(INPUTS).velocity for model in (anchored, cold)]
     np.testing.assert_allclose(*speeds, atol=1e-6 * np.abs(speeds[1]).max())
 
 
-def test_where_newton_does_not_converge_from_the_prediction_the_run_is_cold(
-    anchored: Biofilm, cold: Biofilm, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_newton_does_not_converge_from_the_prediction_the_run_is_cold(anchored, cold, monkeypatch):
     inputs = {"E": 420.0, "nu": 0.25, "V_in": 100.0}
     far = States.guess
     monkeypatch.setattr(States, "guess", lambda self, at: 40.0 * far(self, at))
@@ -162,18 +143,9 @@ def test_where_newton_does_not_converge_from_the_prediction_the_run_is_cold(
     assert found[1]["predicted_strain"] < LARGEST_STRAIN
 
 
-# --- states, factors and boxes
-
-
-@pytest.fixture(scope="module")
-def whole(anchored: Biofilm) -> AnchoredCell:
-    _, found = anchored._cell()
-    assert found is not None
-    return found
-
-
-def test_anchors_are_met_and_between_them_the_strain_is_predicted(whole: AnchoredCell) -> None:
+def test_anchors_are_met_between_them_the_strain_is_predicted_and_few_factors_are_kept(anchored):
     """The branch of a run is decided by it: see `LARGEST_STRAIN`. Where it bends far nothing is solved."""
+    _, whole = anchored._cell()
     states = whole.states
     for at, exact in zip(states.anchors[:3], states.unknowns, strict=False):
         np.testing.assert_allclose(states.guess(at), exact, atol=1e-8 * np.abs(exact).max())
@@ -183,16 +155,13 @@ def test_anchors_are_met_and_between_them_the_strain_is_predicted(whole: Anchore
         exact, found = whole._first_order_strain(inputs), states.strain(whole.box.coordinates(inputs))
         if 0.1 < exact < 0.25:
             assert abs(found / exact - 1.0) < 0.1
-
-
-def test_few_factors_are_kept_and_they_are_spread(whole: AnchoredCell) -> None:
     assert len(set(whole._kept)) == anchored_cell.MOST_FACTORS
     kept = whole.states.anchors[whole._kept]
     assert min(np.delete(whole.box.distances(kept, one), k).min() for k, one in enumerate(kept)) > 0.1
 
 
 @pytest.mark.parametrize(("soft", "stiff"), [(300.0, 600.0), (600.0, 300.0)])
-def test_rescaled_it_corrects_the_displacement_of_another_stiffness(cold: Biofilm, soft: float, stiff: float) -> None:
+def test_rescaled_it_corrects_the_displacement_of_another_stiffness(cold, soft, stiff):
     """Without the rescaling, or with its inverse, the correction is far off."""
     cell, _ = cold._cell()
     found = cell.solve([stiff], [0.3], 100.0).unknowns
@@ -203,16 +172,13 @@ def test_rescaled_it_corrects_the_displacement_of_another_stiffness(cold: Biofil
     exact = cell.factorise(found, load, own_analysis=True).solve(cell.residual(beside, load))
     displacement, powers = cell.system.block(2), RowsAndColumns.of(cell.system)
 
-    def error(ratio: float) -> float:
+    for ratio, low, high in ((stiff / soft, 0.0, 0.05), (1.0, 0.3, np.inf), (soft / stiff, 0.5, np.inf)):
         found = Rescaled(anchor, powers, ratio).solve(cell.residual(beside, load))
-        return float(np.linalg.norm((found - exact)[displacement]) / np.linalg.norm(exact[displacement]))
-
-    assert error(stiff / soft) < 0.05
-    assert error(1.0) > 0.3
-    assert error(soft / stiff) > 0.5
+        error = np.linalg.norm((found - exact)[displacement]) / np.linalg.norm(exact[displacement])
+        assert low < error < high
 
 
-def test_without_steady_states_all_runs_are_cold(cold: Biofilm) -> None:
+def test_without_steady_states_all_runs_are_cold(cold):
     box = Box((("E", 20.0, 30.0), ("nu", 0.3, 0.3), ("V_in", 100.0, 100.0)))
     cell, _ = cold._cell()
     found = AnchoredCell(cell, box, cold._setting)
@@ -221,7 +187,7 @@ def test_without_steady_states_all_runs_are_cold(cold: Biofilm) -> None:
     failure(found.solve, {"E": 25.0, "nu": 0.3, "V_in": 100.0}, 3)
 
 
-def test_coordinates_and_inputs_of_a_box_are_inverse() -> None:
+def test_coordinates_and_inputs_of_a_box_are_inverse():
     """The middle of a wide range is the geometric mean."""
     box = Box((("E", 100.0, 800.0), ("nu", -0.8, 0.5), ("V_in", 100.0, 100.0), ("viscosity", 9e-4, 11e-4)))
     assert [axis.name for axis in box.axes] == ["E", "nu", "viscosity"]
@@ -235,10 +201,9 @@ def test_coordinates_and_inputs_of_a_box_are_inverse() -> None:
     assert Box((("V_in", 90.0, 110.0),)).inputs((0.5,)) == {"V_in": pytest.approx(100.0)}
 
 
-# --- bits and the cache
-
-
-def test_a_result_depends_on_its_inputs_alone(along_one_input: Biofilm, cache: Path) -> None:
+def test_a_result_depends_on_its_inputs_alone_and_a_cache_may_be_broken_or_not_written(
+    along_one_input, cache, tmp_path, monkeypatch
+):
     first = [outcome(along_one_input, inputs) for inputs in POINTS]
     (file,) = cache.glob("*.npz")
     module._anchored_cell.cache_clear()  # from disk now, and in another order
@@ -247,28 +212,21 @@ def test_a_result_depends_on_its_inputs_alone(along_one_input: Biofilm, cache: P
     module._anchored_cell.cache_clear()  # solved again
     assert outcome(along_one_input, POINTS[1]) == first[1]
     assert file.stat().st_size > 99
-
-
-def test_a_cache_that_cannot_be_written_is_done_without(
-    along_one_input: Biofilm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert outcome(along_one_input, POINTS[1])[1]["anchored"] == 1.0
+    module._anchored_cell.cache_clear()
+    assert outcome(along_one_input, POINTS[1]) == first[1]
 
 
-def test_the_campaign_solves_them_before_its_first_run(
-    along_one_input: Biofilm, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pair, told = WithCheaper(rough(material="neo_hookean"), along_one_input, 0.3), list[str]()
+def test_the_campaign_solves_them_before_its_first_run(along_one_input, cache, tmp_path, monkeypatch):
+    pair, told = WithCheaper(rough(material="neo_hookean"), along_one_input, 0.3), []
     prepare_runs(pair, told.append)
     assert told == ["anchors"]
     assert not pair.is_prepared(POINTS[0])
     assert len(list(cache.glob("*.npz"))) == 1
     monkeypatch.setattr(States, "solve", None)  # a second time would fail
     module._anchored_cell.cache_clear()
-    identity = fingerprint(along_one_input)
-    with Ledger.open(tmp_path / "ledger.sqlite", model=identity, description="a test") as ledger:
+    with Ledger.open(tmp_path / "ledger.sqlite", model=fingerprint(along_one_input), description="a test") as ledger:
         records = run_campaign(along_one_input, POINTS, ledger=ledger, executor=InProcess())
     assert [record.state for record in records] == ["ok"] * len(POINTS)
 
@@ -280,9 +238,7 @@ STATES = States(np.eye(3), np.arange(1.0, 4.0), np.array([True, True, False]), n
 
 @settings(max_examples=25)
 @given(whole=st.floats(0.0, 1.0, exclude_max=True), rest=st.binary(max_size=40))
-def test_a_file_that_is_cut_or_goes_on_as_something_else_is_not_read(
-    tmp_path_factory: pytest.TempPathFactory, whole: float, rest: bytes
-) -> None:
+def test_a_file_that_is_cut_or_goes_on_as_something_else_is_not_read(tmp_path_factory, whole, rest):
     path = tmp_path_factory.mktemp("anchors") / "whole.npz"
     on_disk.save(STATES, path)
     content = path.read_bytes()
@@ -290,12 +246,10 @@ def test_a_file_that_is_cut_or_goes_on_as_something_else_is_not_read(
     assert on_disk.load(path) is None
 
 
-def test_a_file_with_other_arrays_or_of_another_box_is_not_read(tmp_path: Path) -> None:
+def test_a_file_with_other_arrays_or_of_another_box_is_not_read(tmp_path):
     path = tmp_path / "whole.npz"
     on_disk.save(STATES, path)
-    found = on_disk.load(path)
-    assert found is not None
-    np.testing.assert_array_equal(found.unknowns, STATES.unknowns)
+    np.testing.assert_array_equal(on_disk.load(path).unknowns, STATES.unknowns)
     with np.load(path) as arrays:
         held = dict(arrays)
     held["unknowns"][0, 0] = np.nextafter(1.0, 2.0)

@@ -1,7 +1,7 @@
-"""Load paths, limit points and quasi-Newton steps: a bar with a closed-form limit load, SciPy, and the flow cell."""
+"""Newton's method, load paths and limit points: closed forms, SciPy, Broyden's update, bounds on J, the flow cell."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import ngsolve as ng
 import numpy as np
@@ -12,8 +12,8 @@ from tests.unit.models.biofilm.cells import coarse_cell, failure, largest
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import cell as cell_module
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.continuation import ARRIVAL, ContinuationSettings, Traced, trace
+from strandline.models.biofilm.continuation import ARRIVAL, ContinuationSettings, trace
+from strandline.models.biofilm.distortion import jacobian_bound, quadratic_nodes
 from strandline.models.biofilm.steady import Steady, steady_state
 from strandline.models.biofilm.strain import Strain
 
@@ -23,12 +23,11 @@ SPRING = 2.0
 SOFT = {"young": [144.0], "poisson": [0.42]}
 
 
-@dataclass(frozen=True)
-class Dense:
-    matrix: np.ndarray
+def dense(matrix):
+    return SimpleNamespace(matrix=matrix, solve=lambda right: np.linalg.solve(matrix, right))
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        return np.linalg.solve(self.matrix, right)
+
+# --- a bar with a limit load
 
 
 @dataclass
@@ -46,7 +45,7 @@ class Bar:
     def factorise(self, x, load):
         self.factorised += 1
         slope = 1 - 3 * x[0] + 1.5 * x[0] ** 2
-        return Dense(np.array([[slope + SPRING, -SPRING], [-SPRING, SPRING]]))
+        return dense(np.array([[slope + SPRING, -SPRING], [-SPRING, SPRING]]))
 
     def by_load(self):
         return np.array([0.0, -1.0])
@@ -54,13 +53,13 @@ class Bar:
     def critical_strain(self, x, tangent):
         return Strain(np.array([1.0, 0.0]), (0.5, 0.25))
 
-    def check(self, x) -> Mapping[str, float]:
+    def check(self, x):
         if x[0] > self.inverted_beyond:
             raise ForwardModelError("inverted_elements", "pressed too far", {"min_J_solid": -1.0})
         return {"min_J_solid": float(1 - x[0])}
 
 
-def follow(bar: Bar, load: float, *, first_share: float = 0.7, budget: int = 0) -> Traced:
+def follow(bar, load, *, first_share=0.7, budget=0):
     linear = np.array([load, load + load / SPRING])
     settings = ContinuationSettings(maximum_jacobians=budget)
     return trace(bar, linear=linear, load=load, first_load=first_share * load, settings=settings)
@@ -76,15 +75,15 @@ def test_limit_load_of_the_bar():
     for share, tolerance in ((1.001, 1e-3), (1.5, 1e-3), (2.0, 1e-3), (5.0, 2e-2)):
         bar = Bar()
         found = failure(follow, bar, share * LIMIT)
-        w = found.evidence["critical_strain"]
+        evidence, w = found.evidence, found.evidence["critical_strain"]
         assert found.kind == "limit_point"
-        np.testing.assert_allclose(found.evidence["limit_load"], LIMIT, rtol=tolerance)
-        assert found.evidence["load_slope"] < 0
+        np.testing.assert_allclose(evidence["limit_load"], LIMIT, rtol=tolerance)
+        assert evidence["load_slope"] < 0
         assert w > 1 - 3**-0.5
-        np.testing.assert_allclose(found.evidence["load_slope"], 0.5 * (2 - 6 * w + 3 * w**2), atol=2e-3)
-        assert 0.9 * LIMIT < found.evidence["load_reached"] <= found.evidence["limit_load"]
-        assert found.evidence["jacobians"] == bar.factorised
-        assert (found.evidence["critical_x"], found.evidence["critical_y"]) == (0.5, 0.25)
+        np.testing.assert_allclose(evidence["load_slope"], 0.5 * (2 - 6 * w + 3 * w**2), atol=2e-3)
+        assert 0.9 * LIMIT < evidence["load_reached"] <= evidence["limit_load"]
+        assert evidence["jacobians"] == bar.factorised
+        assert (evidence["critical_x"], evidence["critical_y"]) == (0.5, 0.25)
 
 
 @pytest.mark.parametrize("first_share", [0.3, 0.7, 0.8])
@@ -129,6 +128,25 @@ def test_inverted_elements_are_passed_on_with_the_load_reached():
             assert compression(reached) <= where + 1e-3
 
 
+# --- Newton's method
+
+
+def scalar(residual, slope):
+    """Return a system of one unknown."""
+    return SimpleNamespace(residual=residual, factorise=lambda x: dense(np.diag(slope(x))))
+
+
+def test_newton_is_damped_where_plain_newton_diverges_and_says_why_it_stops():
+    """r(x) = arctan(10 x): plain Newton diverges from x = 1; and 1 + x² has no root."""
+    steep = scalar(lambda x: np.arctan(10 * x), lambda x: 10 / (1 + (10 * x) ** 2))
+    settings, one = {"weights": np.ones(1), "settings": newton.NewtonSettings()}, np.ones(1)
+    np.testing.assert_allclose(newton.solve(steep, one, **settings).x, 0.0, atol=1e-9)
+    rootless = scalar(lambda x: 1.0 + x**2, lambda x: 2 * x + 1e-6)
+    assert failure(newton.solve, rootless, 2 * one, **settings).kind in {"newton_stalled", "newton_maxit"}
+    settings["settings"] = newton.NewtonSettings(maximum_jacobians=1)
+    assert failure(newton.solve, steep, one, **settings).kind == "newton_maxit"
+
+
 @dataclass
 class Coupled:
     """A chain of cubic springs that is pulled: smooth, unsymmetric, ten unknowns."""
@@ -143,17 +161,17 @@ class Coupled:
         self.factorised += 1
         h = 1e-6
         columns = [(self.residual(x + h * e) - self.residual(x - h * e)) / (2 * h) for e in np.eye(len(x))]
-        return Dense(np.array(columns).T)
+        return dense(np.array(columns).T)
 
 
-def solved(system: Coupled, *, contraction: float) -> newton.NewtonSolution:
+def solved(system, contraction):
     settings = newton.NewtonSettings(tolerance=1e-11, contraction=contraction)
     return newton.solve(system, np.zeros(10), weights=np.ones(10), settings=settings)
 
 
 def test_quasi_newton_steps_reach_the_root_of_scipy_with_fewer_jacobians():
     quasi, plain = Coupled(), Coupled()
-    found, pure = solved(quasi, contraction=0.5), solved(plain, contraction=0.0)
+    found, pure = solved(quasi, 0.5), solved(plain, 0.0)
     expected = root(quasi.residual, np.zeros(10), tol=1e-13)
     assert expected.success
     for one in (found, pure):
@@ -161,27 +179,24 @@ def test_quasi_newton_steps_reach_the_root_of_scipy_with_fewer_jacobians():
     assert quasi.factorised == found.jacobians < pure.jacobians == plain.factorised
     np.testing.assert_allclose(newton.length(np.array([3.0, 8.0]), np.array([1.0, 0.5])), np.sqrt(25 / 2))
     refused = ForwardModelError("continuation_stalled", "no more", {"jacobians": 17.0})
-    quasi.factorise = lambda x: (_ for _ in ()).throw(refused)  # type: ignore[method-assign]
-    assert failure(solved, quasi, contraction=0.5).evidence["jacobians"] == 17.0
+    quasi.factorise = lambda x: (_ for _ in ()).throw(refused)
+    assert failure(solved, quasi, 0.5).evidence["jacobians"] == 17.0
 
 
 def test_quasi_newton_steps_are_those_of_broydens_good_update():
     """Against the update of the matrix itself; they leave the steps with an unchanged Jacobian far behind."""
     system = Coupled()
     start = np.full(10, 0.5)
-    B = system.factorise(start).matrix
-    visited = [start]
+    B, visited, seen = system.factorise(start).matrix, [start], []
     while np.linalg.norm(system.residual(visited[-1])) > 1e-13 and len(visited) < 40:
         s = -np.linalg.solve(B, system.residual(visited[-1]))
         visited.append(visited[-1] + s)
         B = B + np.outer(system.residual(visited[-1]), s) / (s @ s)
-    seen: list[np.ndarray] = []
-    watched = Coupled()
-    watched.residual = lambda x: (seen.append(x), system.residual(x))[1]  # type: ignore[method-assign]
-    watched.factorise = lambda x: system.factorise(x)  # type: ignore[method-assign]
+    watched = SimpleNamespace(
+        residual=lambda x: (seen.append(x), system.residual(x))[1], factorise=lambda x: system.factorise(x)
+    )
     settings = newton.NewtonSettings(tolerance=1e-12, contraction=0.9)
-    found = newton.solve(watched, start, weights=np.ones(10), settings=settings)
-    assert found.jacobians == 1
+    assert newton.solve(watched, start, weights=np.ones(10), settings=settings).jacobians == 1
     assert len(seen) > 6
     for ours, theirs in zip(seen[:8], visited[:8], strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-9)
@@ -191,41 +206,59 @@ def test_quasi_newton_steps_are_those_of_broydens_good_update():
     assert np.linalg.norm(seen[7] - visited[-1]) < 1e-2 * np.linalg.norm(x - visited[-1])
 
 
+# --- the bound on J, and strains
+
+
+def test_jacobian_bound_is_a_bound_and_finds_an_inversion_between_the_corners():
+    mesh = ng.Mesh(ng.unit_square.GenerateMesh(maxh=0.5))
+    nodes, count = quadratic_nodes(mesh)
+    assert count == mesh.nv + mesh.nedge == len(np.unique(nodes))  # neighbours share them
+    space = ng.VectorH1(mesh, order=2)
+    field, solid, rng = ng.GridFunction(space), np.arange(mesh.ne) == 0, np.random.default_rng(0)
+    points = rng.dirichlet([1, 1, 1], 500)[:, :2]
+    rule = ng.IntegrationRule(points=[tuple(p) for p in points], weights=[0.0] * len(points))
+    for scale in (0.02, 0.1, 0.3):
+        field.vec.FV().NumPy()[:] = rng.normal(0, scale, space.ndof)
+        J = ng.Det(ng.Id(2) + ng.Grad(field))
+        sampled = np.asarray(J(mesh.MapToAllElements(rule, ng.VOL))).reshape(mesh.ne, -1)
+        fluid_bound, solid_bound = jacobian_bound(mesh, field, solid)
+        assert fluid_bound <= sampled[1:].min() + 1e-12
+        assert solid_bound <= sampled[:1].min() + 1e-12
+    field.Set(ng.CF((0.1 * ng.x, 0)))
+    np.testing.assert_allclose(jacobian_bound(mesh, field, solid), (1.1, 1.1))
+
+
 @pytest.fixture(scope="module")
-def cell() -> FlowCell:
+def cell():
     return coarse_cell()
 
 
-def displaced(cell: FlowCell, field_of_d: object) -> np.ndarray:
+def displaced(cell, displacement):
     """Return the unknowns of a state with a given displacement of the solid; zero is left where it is prescribed."""
     cell.system.values[:] = 0.0
-    cell.system.state.components[2].Set(field_of_d, definedon=cell.mesh.Materials("|".join(cell.system.solids)))
+    cell.system.state.components[2].Set(displacement, definedon=cell.mesh.Materials("|".join(cell.system.solids)))
     x = np.array(cell.system.values[cell.system.free])
     cell.system.values[:] = 0.0
     return x
 
 
-def test_gradients_of_a_uniform_displacement(cell):
-    """Away from the base, where d is kept at zero."""
-    G = np.array([[-0.2, 0.05], [0.03, -0.1]])
-    x = displaced(cell, ng.CF((G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)))
+def test_strains_have_their_closed_forms(cell):
+    """Uniform away from the base, where d is kept at zero.
+
+    And d_x = -a y², which vanishes with its gradient on the base: strain (0, -a y; -a y, 0), compression a y.
+    """
     elements = [e for e in cell.mesh.Elements(ng.VOL) if e.mat in cell.system.solids]
     heights = np.array([[cell.mesh.vertices[v.nr].point[1] for v in e.vertices] for e in elements])
+    G, a = np.array([[-0.2, 0.05], [0.03, -0.1]]), 0.1
+    x = displaced(cell, ng.CF((G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)))
     found = cell._strains._gradients(x)[heights.min(axis=1) > 1e-9]
     np.testing.assert_allclose(found, np.broadcast_to(G, found.shape), atol=1e-9)
-
-
-def test_largest_compression_has_its_closed_form(cell):
-    """A d that vanishes with its gradient on the base: d_x = -a y², strain (0, -a y; -a y, 0), compression a y."""
-    a = 0.1
     x = displaced(cell, ng.CF((-a * ng.y**2, 0.0)))
-    elements = [e for e in cell.mesh.Elements(ng.VOL) if e.mat in cell.system.solids]
-    centroids = [np.mean([cell.mesh.vertices[v.nr].point[1] for v in e.vertices]) for e in elements]
-    np.testing.assert_allclose(cell.largest_compression(x), a * max(centroids), atol=1e-9)
-    np.testing.assert_allclose(cell.largest_compression(-x), a * max(centroids), atol=1e-9)
+    for way in (x, -x):
+        np.testing.assert_allclose(cell.largest_compression(way), a * heights.mean(axis=1).max(), atol=1e-9)
 
 
-def squeezed(cell: FlowCell, centre: tuple[float, float], amount: float) -> np.ndarray:
+def squeezed(cell, centre, amount):
     """Return unknowns that squeeze the solid around a place, by ∇d = -amount·I there."""
     x, y = ng.x - centre[0], ng.y - centre[1]
     bump = -amount * ng.exp(-(x * x + y * y) / (2 * 0.08**2))
@@ -235,7 +268,7 @@ def squeezed(cell: FlowCell, centre: tuple[float, float], amount: float) -> np.n
 def test_critical_strain_is_that_of_the_element_that_grows_fastest(cell):
     """Not of the most compressed one, which lies elsewhere; its rate is that of the smallest stretch's fall."""
 
-    def stretches(x: np.ndarray) -> np.ndarray:
+    def stretches(x):
         F = np.eye(2) + cell._strains._gradients(x)
         return np.sqrt(np.linalg.eigvalsh(F.transpose(0, 2, 1) @ F)[:, 0])
 
@@ -251,11 +284,7 @@ def test_critical_strain_is_that_of_the_element_that_grows_fastest(cell):
         assert most.place != strain.place
 
 
-def counted(cell: FlowCell, monkeypatch) -> list[int]:
-    calls: list[int] = []
-    whole = cell.factorise
-    monkeypatch.setattr(cell, "factorise", lambda x, load: (calls.append(1), whole(x, load))[1])
-    return calls
+# --- the flow cell near its limit point
 
 
 @pytest.fixture(scope="module")
@@ -290,7 +319,8 @@ def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):
 
 
 def test_jacobians_are_counted_and_a_budget_bounds_failures_alone(cell, monkeypatch, fold):
-    calls = counted(cell, monkeypatch)
+    calls, whole = [], cell.factorise
+    monkeypatch.setattr(cell, "factorise", lambda x, load: (calls.append(1), whole(x, load))[1])
     for rate in (75.0, 150.0):
         calls.clear()
         found = failure(cell.solve, **SOFT, rate=rate, budget=5)
@@ -307,19 +337,16 @@ def test_jacobians_are_counted_and_a_budget_bounds_failures_alone(cell, monkeypa
         np.testing.assert_array_equal(free.unknowns, bounded.unknowns)
 
 
-def test_state_that_does_not_balance_is_refused(cell, monkeypatch):
+def test_what_does_not_balance_or_is_not_finite_is_a_typed_failure(cell, monkeypatch):
     def perturbed(bending, load, *, budget=0):
         found = steady_state(bending, load, budget=budget)
         return Steady(found.x * (1 + 1e-4), found.jacobians)
 
+    assert failure(cell.residual, np.full(len(cell.system.free), np.nan), 1.0).kind == "nonfinite_residual"
     monkeypatch.setattr(cell_module, "steady_state", perturbed)
     found = failure(cell.solve, [400.0], [0.3], 100.0)
     assert found.kind == "unbalanced"
     assert found.evidence["residual"] > 1e-6 * found.evidence["reaction"]
-
-
-def test_nonfinite_residual_is_a_typed_failure(cell):
-    assert failure(cell.residual, np.full(len(cell.system.free), np.nan), 1.0).kind == "nonfinite_residual"
 
 
 def test_inverted_elements_are_found_in_solid_and_fluid(cell):

@@ -1,40 +1,32 @@
-"""The biofilm model with an inflow that changes with time: quasi-static and transient runs."""
-
-from typing import Any
+"""Runs of the biofilm model through time: quasi-static, transient, and of a solid that creeps."""
 
 import numpy as np
 import pytest
 from tests.unit.models.biofilm.cells import INPUTS, failure, largest, rough
+from verification.validation.creep import creep_error, oscillation_errors, relaxation_error
 
 from strandline.models.biofilm import transient_cell
 from strandline.models.biofilm.course import Course
 from strandline.models.biofilm.creep.pieces import Piece, pieces
+from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.protocol import with_sensitivities
 
-RISE: dict[str, Any] = {
-    "inflow": [[0, 0.2], [0.1, 0.8], [0.3, 0.8]],
-    "times": {"half": 0.05, "risen": 0.1, "late": 0.3},
-}
+RISE = {"inflow": [[0, 0.2], [0.1, 0.8], [0.3, 0.8]], "times": {"half": 0.05, "risen": 0.1, "late": 0.3}}
 START = {"inflow": [[0, 0.2], [0.1, 0.8]], "times": {"half": 0.01}, "motion": "transient"}
 
 
-def model(**options: Any) -> Biofilm:
+def model(**options):
     return rough(course={**RISE, **options})
 
 
-def shift(result: Any, name: str) -> np.ndarray:
+def shift(result, name):
     return result.interfaces[name].points - rough().undeformed().points
 
 
 @pytest.fixture(scope="module")
-def quasi() -> Any:
+def quasi():
     return model()(INPUTS)
-
-
-@pytest.fixture(scope="module")
-def transient() -> Any:
-    return model(motion="transient", tolerance=8e-3)(INPUTS)
 
 
 def test_quasi_static_is_the_steady_state_of_each_moment_to_the_bit(quasi):
@@ -48,9 +40,9 @@ def test_quasi_static_is_the_steady_state_of_each_moment_to_the_bit(quasi):
     np.testing.assert_array_equal(found["V_in"], 0.5 * steady["V_in"])
 
 
-def test_transient_run_lags_while_the_flow_rises_and_reaches_the_steady_state(transient, quasi):
+def test_transient_run_lags_while_the_flow_rises_and_reaches_the_steady_state(quasi):
     """What is left after 0.2 s, twenty times what the solid's motion takes, is the fluid's slow creep to its state."""
-    late = shift(quasi, "late")
+    transient, late = model(motion="transient", tolerance=8e-3)(INPUTS), shift(quasi, "late")
     assert largest(shift(transient, "late") - late) < 0.03 * largest(late)
     assert largest(shift(transient, "half") - shift(quasi, "half")) > 0.05 * largest(shift(quasi, "half"))
     figures = transient.diagnostics
@@ -97,30 +89,99 @@ def test_pressure_drop_follows_the_course_and_a_run_without_a_state_tells_when_i
     assert 0 <= found.evidence["time"] < 0.02
 
 
-def test_finer_mesh_has_the_same_times():
-    early = model(times=[0.05])
-    error = early.on_finer_mesh(INPUTS)["t1"].points - early(INPUTS).interfaces["t1"].points
-    assert 0 < largest(error) < 1e-3
-
-
-def test_a_course_is_divided_where_something_happens():
+def test_a_course_is_divided_where_something_happens_and_the_share_at_a_jump_is_that_after_it():
     inflow = ((0.0, 0.0), (2.0, 1.0), (5.0, 1.0), (5.0, 0.0), (8.0, 0.0))
-    divided = {
-        (("a", 1.0), ("b", 5.0), ("c", 7.0)): [
-            Piece(0.0, 1.0, 0.0, 0.5),
-            Piece(1.0, 2.0, 0.5, 1.0),
-            Piece(2.0, 5.0, 1.0, 1.0),
-            Piece(5.0, 5.0, 1.0, 0.0),
-            Piece(5.0, 7.0, 0.0, 0.0),
-        ],
-        (("a", 1.0),): [Piece(0.0, 1.0, 0.0, 0.5)],
-    }
-    for times, expected in divided.items():
-        assert list(pieces(Course(inflow, times))) == expected
-    assert list(pieces(Course(inflow, (("b", 5.0),))))[-1] == Piece(5.0, 5.0, 1.0, 0.0)
-
-
-def test_the_share_at_a_jump_is_that_after_it():
+    first, jump = Piece(0.0, 1.0, 0.0, 0.5), Piece(5.0, 5.0, 1.0, 0.0)
+    whole = [first, Piece(1.0, 2.0, 0.5, 1.0), Piece(2.0, 5.0, 1.0, 1.0), jump, Piece(5.0, 7.0, 0.0, 0.0)]
+    assert list(pieces(Course(inflow, (("a", 1.0), ("b", 5.0), ("c", 7.0))))) == whole
+    assert list(pieces(Course(inflow, (("a", 1.0),)))) == [first]
+    assert list(pieces(Course(inflow, (("b", 5.0),))))[-1] == jump
     course = Course(((0.0, 0.0), (0.0, 1.0), (2.0, 0.5), (2.0, 0.0)), (("a", 1.0),))
     assert [course.share(time) for time in (0.0, 1.0, 2.0)] == [1.0, 0.75, 0.0]
     assert [course.share(time, before=True) for time in (0.0, 1.0, 2.0)] == [0.0, 0.75, 0.5]
+
+
+# --- a solid that creeps
+
+ONE = INPUTS | {"ratio": 1.5, "tau": 3.0}
+
+
+def creeping(times=(1, 5), inflow=None, branches=1, tolerance=1e-3, **options):
+    """Return a biofilm on which the whole inflow acts from 0 s on, unless another inflow is given."""
+    named = times if isinstance(times, dict) else {f"{time:g} s": time for time in times}
+    course = {"inflow": inflow or [[0, 0], [0, 1], [max(named.values()), 1]], "times": named, "tolerance": tolerance}
+    return rough(**{"material": "neo_hookean", "course": course, "branches": branches, **options})
+
+
+def interfaces(model, inputs):
+    return [interface.points for interface in model(inputs).interfaces.values()]
+
+
+def steady(young):
+    return rough(material="neo_hookean")(INPUTS | {"E": young}).interface.points
+
+
+def test_an_oscillation_is_of_second_order_and_a_scheme_of_first_order_is_noticed(monkeypatch):
+    errors = oscillation_errors([16, 32])
+    assert errors[1] < 1e-3
+    assert np.log2(errors[0] / errors[1]) > 1.95
+
+    def backward(branch, step):
+        left = 1.0 / (1.0 + step / branch.time)
+        return left, branch.ratio * left
+
+    monkeypatch.setattr(Branch, "over", backward)
+    errors = oscillation_errors([8, 16])
+    assert np.log2(errors[0] / errors[1]) < 1.4
+
+
+def test_relaxation_is_exact_while_strains_change_linearly_and_creep_keeps_to_the_tolerance():
+    assert max(relaxation_error(poisson) for poisson in (-0.2, 0.4999)) < 1e-12
+    error, steps = creep_error(1e-2)
+    assert error <= 1e-2
+    assert steps < 60
+
+
+def test_it_begins_unrelaxed_and_ends_relaxed_or_starts_so():
+    first, last = interfaces(creeping([0, 15], tolerance=1e-2), ONE | {"tau": 0.5})
+    np.testing.assert_allclose(first, steady(1000.0), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(last, steady(400.0), rtol=0, atol=1e-4)
+    for points in interfaces(creeping([0, 3], [[0, 1], [3, 1]]), ONE):
+        np.testing.assert_allclose(points, steady(400.0), rtol=0, atol=1e-8)
+
+
+def test_a_run_depends_on_its_inputs_alone_and_branches_of_one_time_add_up():
+    model = creeping([1, 3])
+    one = interfaces(model, ONE)
+    model(INPUTS | {"E": 150.0, "ratio": 0.3, "tau": 0.4})
+    np.testing.assert_array_equal(interfaces(model, ONE), one)
+    two = {"ratio1": 0.5, "ratio2": 1.0, "tau1": 3.0, "tau2": 3.0}
+    np.testing.assert_allclose(interfaces(creeping([1, 3], branches=2), INPUTS | two), one, rtol=0, atol=1e-9)
+
+
+def test_a_ramp_in_an_instant_is_a_sudden_change():
+    sudden = interfaces(creeping([2, 4], [[0, 0], [0, 1], [2, 1], [2, 0.3], [4, 0.3]]), ONE)
+    ramp = interfaces(creeping([2.0001, 4], [[0, 0], [0, 1], [2, 1], [2.0001, 0.3], [4, 0.3]]), ONE)
+    np.testing.assert_allclose(sudden, ramp, rtol=0, atol=5e-6)
+
+
+def test_a_solid_that_creeps_until_it_folds_says_when():
+    model = creeping([1, 60], material="saint_venant_kirchhoff", tolerance=1e-2)
+    found = failure(model, ONE | {"E": 140.0})
+    assert found.kind in model.failure_kinds
+    assert 1.0 < found.evidence["time"] < 60.0
+    assert f"{found.evidence['time']:.4g} s" in found.message
+
+
+def test_its_fields_are_those_of_the_time():
+    model = creeping([0, 3], [[0, 0], [0, 1], [2, 1], [2, 0], [3, 0]])
+    speeds = [np.abs(model.fields(ONE, name).velocity).max() for name in model.conditions]
+    assert speeds[0] > 100.0
+    assert speeds[1] < 0.1 * speeds[0]
+
+
+def test_its_inputs_and_conditions():
+    model = creeping({"soon": 0.5, "late": 20}, branches=2)
+    assert [one.name for one in model.inputs] == ["E", "nu", "V_in", "ratio1", "tau1", "ratio2", "tau2"]
+    assert [(one.unit, one.range_text()) for one in model.inputs[3:5]] == [("1", "(0, inf)"), ("s", "(0, inf)")]
+    assert model.conditions == ("soon", "late")

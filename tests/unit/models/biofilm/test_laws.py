@@ -1,56 +1,35 @@
-"""Material laws: stresses written out, limits, derivatives, laws of third parties, the results of earlier versions."""
+"""Material laws and the elements that they are in: energies, derivatives, third parties, NGSolve's forms, jets."""
 
-from pathlib import Path
+from functools import partial
 
 import ngsolve as ng
 import numpy as np
 import pytest
-from tests.unit.models.biofilm.cells import (
-    INPUTS,
-    coarse,
-    importable,
-    moved,
-    rough,
-    rough_cell,
-    sensitivity_error,
-)
-from verification.validation.energies import ENERGIES, FURTHER
+from scipy import sparse
+from tests.unit.models.biofilm.cells import INPUTS, coarse, moved, rough, rough_cell, sensitivity_error
+from verification.validation.energies import ENERGIES, FURTHER, volume_piola
 from verification.validation.generality import law_inputs
 
-from strandline.models.biofilm.materials import LAWS
-from strandline.models.biofilm.materials.isotropic import Jet, flaw
+from strandline.models.biofilm import fluid_elements, solid_elements
+from strandline.models.biofilm.assembly import SymbolicPart
+from strandline.models.biofilm.cell import _boundaries
+from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
+from strandline.models.biofilm.materials import LAWS, further_parameters
+from strandline.models.biofilm.materials.isotropic import Jet, exp, flaw, log
+from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.system import CoupledSystem, _add_fluid, _solid_form
 
+NEO_HOOKEAN = {"material": "neo_hookean"}
+OPEN = {"channel": {"inlet": "right", "outlet": "traction_free"}}
 EARLIER = (
     ({}, 400.0, [[0.045971970618460034, 0.014044939224772457], [0.030339027110091177, -0.006895709740690925]]),
     ({}, 270.0, [[0.06928335391643548, 0.018338161773347295], [0.044889174008244215, -0.011514735697337297]]),
-    (
-        {"material": "neo_hookean"},
-        400.0,
-        [[0.04674938375738169, 0.016808254025071634], [0.03172664578316531, -0.006363314447001334]],
-    ),
-    (
-        {"channel": {"inlet": "right", "outlet": "traction_free"}},
-        400.0,
-        [[-0.030506441510156468, -0.005288268547500585], [-0.03985506553083962, 0.006367603196248184]],
-    ),
+    (NEO_HOOKEAN, 400.0, [[0.04674938375738169, 0.016808254025071634], [0.03172664578316531, -0.006363314447001334]]),
+    (OPEN, 400.0, [[-0.030506441510156468, -0.005288268547500585], [-0.03985506553083962, 0.006367603196248184]]),
 )
 """Options, E, and displacements of two nodes by revision 2 of the model before it had other laws, fluids or inflows."""
-OWN = """
-from dataclasses import dataclass
-from typing import ClassVar
-from strandline.models.biofilm.materials import LAWS
-from strandline.models.protocol import ModelInput
-
-@dataclass(frozen=True)
-class Softer:
-    parameters: ClassVar = (ModelInput("modulus", "Pa", 0.0, 1e9, meaning="Young's modulus that is taken away"),)
-
-    def __call__(self, d, solid_pressure, young, poisson, /, modulus):
-        return LAWS["neo_hookean"](d, solid_pressure, young - modulus, poisson)
-
-def plain(d, solid_pressure, young, poisson):
-    return LAWS["neo_hookean"](d, solid_pressure, young, poisson)
-"""
 E, NU = 400.0, 0.3
 LAME, SHEAR = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
 GRADIENT = np.array([[0.1, 0.25], [-0.05, -0.15]])
@@ -70,80 +49,36 @@ def test_sensitivities_by_each_parameter_of_a_law(law, nu):
     assert sensitivity_error(model, inputs) < 1e-6
 
 
-def test_a_law_whose_further_parameters_are_zero_is_neo_hookean():
-    """Coefficients with their derivatives."""
-    measures = (*Jet.variables(3.4, 0.1, 0.7), 2.0)
-    expected = [Jet.of(one) for one in LAWS["neo_hookean"].coefficients(*measures)]
-    for name in ("mooney_rivlin", "yeoh", "fung"):
-        found = [Jet.of(one) for one in LAWS[name].coefficients(*measures, *np.zeros(len(FURTHER[name])))]
-        for ours, theirs in zip(found, expected, strict=True):
-            np.testing.assert_allclose([ours.value, *ours.slopes], [theirs.value, *theirs.slopes], rtol=1e-15)
-
-
-def test_a_law_of_a_third_party(tmp_path: Path, monkeypatch):
-    own = importable(tmp_path, monkeypatch, "our_laws", OWN)
-    found = rough(material=f"{own}:Softer", sensitivities=True)(
-        {"E": 500.0, "nu": 0.3, "modulus": 100.0, "V_in": 100.0}
-    )
+def test_a_law_of_a_third_party(own):
+    found = rough(material=f"{own}:Softer", sensitivities=True)(INPUTS | {"E": 500.0, "modulus": 100.0})
     expected = rough(material="neo_hookean", sensitivities=True)(INPUTS)
     np.testing.assert_allclose(found.interface.points, expected.interface.points, atol=1e-12)
-    slopes = found.sensitivities[""]
-    np.testing.assert_allclose(slopes["modulus"], -expected.sensitivities[""]["E"], atol=1e-12)
+    slopes = [one.sensitivities[""][name] for one, name in ((found, "modulus"), (expected, "E"))]
+    np.testing.assert_allclose(slopes[0], -slopes[1], atol=1e-12)
     same = rough(material=f"{own}:plain")(INPUTS).interface.points
     np.testing.assert_allclose(same, expected.interface.points, atol=1e-12)
 
 
-def test_own_laws_are_right_at_rest_and_have_their_energies():
-    assert list(ENERGIES) == list(FURTHER) == list(LAWS)
-    assert [flaw(law) for law in LAWS.values()] == [None] * len(LAWS)
+def piola(law, F):
+    """Return the derivative of the energy by F, by complex steps, and of that of the volume; and its pressure."""
+    P, J = np.empty((3, 3)), np.linalg.det(F)
+    pressure = LAME * (0.5 * np.trace(F.T @ F - np.eye(3)) if law == "saint_venant_kirchhoff" else np.log(J))
+    for i, j in np.ndindex(3, 3):
+        moved = F.astype(complex)
+        moved[i, j] += 1e-30j
+        C, log = moved.T @ moved, np.log(np.linalg.det(moved))
+        first, second = np.trace(C), 0.5 * (np.trace(C) ** 2 - np.trace(C @ C))
+        P[i, j] = ENERGIES[law](SHEAR, first, second, log, np.exp, *FURTHER[law]).imag / 1e-30
+    return P + volume_piola(law, F, pressure), pressure
 
 
-def saint_venant_kirchhoff(F: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return S and pₛ = λ tr E."""
-    strain = 0.5 * (F.T @ F - np.eye(3))
-    pressure = LAME * np.trace(strain)
-    return 2 * SHEAR * strain + pressure * np.eye(3), pressure
-
-
-def neo_hookean_law(F: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return S and pₛ = λ ln J."""
-    inverse, pressure = np.linalg.inv(F.T @ F), LAME * np.log(np.linalg.det(F))
-    return SHEAR * (np.eye(3) - inverse) + pressure * inverse, pressure
-
-
-def mooney_rivlin(F: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return S = 2 dW/dC and pₛ = λ ln J."""
-    C, inverse, log = F.T @ F, np.linalg.inv(F.T @ F), np.log(np.linalg.det(F))
-    (share,) = FURTHER["mooney_rivlin"]
-    c2 = 0.5 * SHEAR * share
-    c1 = 0.5 * SHEAR - c2
-    first = 2 * (c1 + c2 * np.trace(C)) * np.eye(3) - 2 * c2 * C
-    return first - (2 * (c1 + 2 * c2) + 4 * c2 * log - LAME * log) * inverse, LAME * log
-
-
-def yeoh(F: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return S = μ (1 + 2 c₂/c₁ Q + 3 c₃/c₁ Q²) (I - C⁻¹) + pₛ C⁻¹ and pₛ = λ ln J."""
-    C, inverse, log = F.T @ F, np.linalg.inv(F.T @ F), np.log(np.linalg.det(F))
-    second, third = FURTHER["yeoh"]
-    Q = np.trace(C) - 3 - 2 * log
-    return SHEAR * (1 + 2 * second * Q + 3 * third * Q**2) * (np.eye(3) - inverse) + LAME * log * inverse, LAME * log
-
-
-def fung(F: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return S = μ exp(b Q) (I - C⁻¹) + pₛ C⁻¹ and pₛ = λ ln J."""
-    C, inverse, log = F.T @ F, np.linalg.inv(F.T @ F), np.log(np.linalg.det(F))
-    (exponent,) = FURTHER["fung"]
-    stiffness = SHEAR * np.exp(exponent * (np.trace(C) - 3 - 2 * log))
-    return stiffness * (np.eye(3) - inverse) + LAME * log * inverse, LAME * log
-
-
-@pytest.mark.parametrize("written_out", [saint_venant_kirchhoff, neo_hookean_law, mooney_rivlin, yeoh, fung])
-def test_stress_of_a_homogeneous_deformation(written_out) -> None:
-    """The Cauchy stress against the laws written out in space."""
-    F, law = np.eye(3), written_out.__name__.removesuffix("_law")
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_is_right_at_rest_and_its_cauchy_stress_is_that_of_its_energy(law):
+    assert flaw(LAWS[law]) is None
+    F = np.eye(3)
     F[:2, :2] += GRADIENT
-    S, pressure = written_out(F)
-    expected = F @ S @ F.T / np.linalg.det(F)
+    P, pressure = piola(law, F)
+    expected = P @ F.T / np.linalg.det(F)
     cell = rough_cell(law)
     cell.system.set_material([E / 10], [NU], *([value] for value in FURTHER[law]))
     (a, b), (c, d) = GRADIENT.tolist()
@@ -154,4 +89,102 @@ def test_stress_of_a_homogeneous_deformation(written_out) -> None:
     components = [expected[0, 0], expected[1, 1], expected[0, 1], expected[2, 2]]
     np.testing.assert_allclose(solid, np.tile(components, (len(solid), 1)), rtol=1e-9, atol=1e-9 * E)
     assert not fields.stress[fields.cell_part == 0].any()
-    assert abs(expected[0, 1] - S[0, 1]) > 0.01 * E  # another stress would show
+    assert abs(expected[0, 1] - P[0, 1]) > 0.01 * E  # another stress would show
+
+
+# --- elements and jets
+
+
+@pytest.fixture(scope="module")
+def system():
+    """A system far from rest, in another fluid than water."""
+    cell = rough_cell("neo_hookean")
+    cell.solve([200.0], [0.3], 100.0)
+    cell.system.viscosity.Set(0.037)
+    cell.system.density.Set(1.7)
+    return cell.system
+
+
+def errors(part, reference, system, rows=np.s_[:]):
+    """Return the errors of residual and Jacobian as shares of the largest entries."""
+    for of in (lambda one: one.residual(system.state), lambda one: matrix(one, system)):
+        found, expected = of(part)[rows], of(reference)[rows]
+        yield abs(found - expected).max() / abs(expected).max()
+
+
+def matrix(part, system):
+    entries = part.jacobian(system.state)
+    return sparse.coo_matrix((entries, part.places()), shape=(system.space.ndof,) * 2).tocsr()
+
+
+def test_the_fluid_is_that_of_the_forms_and_a_wrong_term_would_be_noticed(system, monkeypatch):
+    """In the balances of momentum and mass: to rounding where the deformation is affine, for both quadratures."""
+    form, fluid, rows = ng.BilinearForm(system.space), system._parts[-1], np.flatnonzero(~system.is_motion)
+    _add_fluid(form, system)
+    reference, bent = SymbolicPart(form), np.array(system.values)
+    system.values[:] = np.random.default_rng(1).uniform(-1.0, 1.0, len(bent))
+    system.state.components[2].Set(ng.CF((0.3 * ng.x - 0.4 * ng.y, 0.5 * ng.x + 0.2 * ng.y)))
+    assert max(errors(fluid, reference, system, rows)) < 1e-12
+    system.values[:] = bent
+    assert next(errors(fluid, reference, system, rows)) < 2e-6
+    right = fluid_elements._Fields.of
+    for name in ("metric", "pulled", "viscous"):
+
+        def wrong(*given, name=name):
+            fields = right(*given)
+            getattr(fields, name)[0][1][:] *= 1.01
+            return fields
+
+        monkeypatch.setattr(fluid_elements._Fields, "of", wrong)
+        assert list(errors(fluid, reference, system, rows))[1] > 1e-6
+
+
+def layer(name):
+    """Return a system of three materials of a law, far from rest, with a body force."""
+    law = LAWS[name]
+    mesh = mesh_flow_cell(Outline(nodes=8).interface(), MESHES["rough"], partition=Partition.PRESETS["three_parts"])
+    solids = ("solid1", "solid2", "solid3")
+    known = {"viscosity": 1.0, "density": 1.0, "law": law, "solids": solids, "body_force": (0.3, -0.2)}
+    system = CoupledSystem(mesh, _boundaries(Channel()), **known)
+    system.set_material([2.0, 5.0, 3.0], [0.3, -0.4, 0.0], *([0.3, 0.4, 0.5] for _ in further_parameters(law)))
+    system.state.components[2].Set(ng.CF((0.2 * ng.x * ng.y - 0.1 * ng.y, 0.1 * ng.x**2 + 0.1 * ng.y)))
+    system.values[:] += np.random.default_rng(1).uniform(-1e-4, 1e-4, len(system.values))
+    return system
+
+
+TERMS = {"neo_hookean": "_metric", "mooney_rivlin": "_strained", "fung": "_gradients"}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_solid_is_that_of_the_forms_and_a_wrong_term_would_be_noticed(name, monkeypatch):
+    system = layer(name)
+    (solid,) = (part for part in system._parts if isinstance(part, solid_elements.SolidElements))
+    reference = SymbolicPart(_solid_form(system))
+    assert max(errors(solid, reference, system)) < 1e-13
+    if name in TERMS:
+        right = vars(solid_elements._AtPoints)[TERMS[name]].func
+        monkeypatch.setattr(solid_elements._AtPoints, TERMS[name], property(lambda at: scaled(right(at), 1.01)))
+        assert max(errors(solid, reference, system)) > 1e-6
+
+
+def scaled(tensor, factor):
+    """Return nested lists of arrays times a factor."""
+    return [scaled(part, factor) for part in tensor] if isinstance(tensor, list) else factor * tensor
+
+
+def test_a_law_of_another_kind_is_left_to_ngsolve(system):
+    law = partial(LAWS["neo_hookean"])
+    found = CoupledSystem(system.mesh, _boundaries(Channel()), viscosity=1.0, density=1.0, law=law)
+    assert [type(part).__name__ for part in found._parts] == ["SymbolicPart", "FluidElements"]
+
+
+def test_jets_differentiate():
+    at = np.array([1.3, 0.7]), np.array([0.2, -0.1]), np.array([2.0, 3.0])
+
+    def function(x, y, z):
+        return exp(0.3 * x - y) / (2.0 + x * z) - z / x + (1.0 - y) * 3.0 + log(x) * z**1.5
+
+    found = function(*Jet.variables(*at))
+    for slope, step in zip(found.slopes, 1e-6 * np.eye(3), strict=True):
+        more, less = (function(*(Jet(x + h) for x, h in zip(at, way, strict=True))).value for way in (step, -step))
+        np.testing.assert_allclose(slope, (more - less) / 2e-6, rtol=1e-8, atol=1e-8)
