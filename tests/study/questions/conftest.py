@@ -1,22 +1,21 @@
-"""Copies of finished studies for the questions about them, and what the doctor says of an answer."""
+"""Copies of finished studies for the questions about them, what an answer leaves in a folder, and how it is stopped."""
 
 import json
+import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.study.conftest import Finished, Share
 
+from strandline.calibration import Observer
 from strandline.studies import load_study
-from strandline.studies.doctor import examine
 from strandline.testing.studies import TWO_LOADS_STUDY
 
-NoticedByDoctor = Callable[[Path, str, str], None]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="session")
-def two_loads(share: Share) -> Finished:
+def two_loads(share):
     """A beam under two loads, whose pictures share an unknown shift."""
     content = {key: value for key, value in TWO_LOADS_STUDY.items() if key != "name"}
     noise = {"sd": 8, "unit": "um", "unknown": {"shift": 10, "shared": True}}
@@ -24,7 +23,13 @@ def two_loads(share: Share) -> Finished:
     return share("two-loads", **{**content, **parts, "report": "none"})
 
 
-def line_by_line(finished: Finished, folder: Path) -> Path:
+@pytest.fixture
+def folder(answered, tmp_path):
+    """A copy of the answered study of a file of tests, which the test may change."""
+    return Path(shutil.copytree(answered[0], tmp_path / "beam"))
+
+
+def line_by_line(finished, folder):
     """Copy a finished study, whose study.yaml then has a key a line, as a user writes it; its results stay current."""
     shutil.copytree(finished.folder, folder)
     content = json.loads((folder / "study.yaml").read_text("utf-8"))
@@ -35,16 +40,58 @@ def line_by_line(finished: Finished, folder: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def noticed_by_doctor() -> NoticedByDoctor:
-    """Check that the doctor notices an answer of another study, and names the command that makes it anew."""
+def content_of(found, pictures, *words):
+    """Return the content of an answer's file; its page says some words, shows some pictures, and needs no script."""
+    folder, content = found.page.parent, json.loads(found.page.with_suffix(".json").read_text("utf-8"))
+    assert content == json.loads(json.dumps(found.content))
+    if "study_sha256" in content:
+        assert content["study_sha256"] == load_study(folder).text_digest
+    assert len([*(folder / "figures").glob(f"{found.page.stem.replace('-', '_')}*.png")]) == pictures
+    page = found.page.read_text("utf-8")
+    assert [one for one in words if one not in page] == []
+    assert "<script" not in page
+    assert page.count("<img ") == page.count('src="data:image/png') == pictures
+    return content
 
-    def check(folder: Path, file: str, command: str) -> None:
-        assert not [one for one in examine(folder) if file in one.what]
-        text = (folder / file).read_text("utf-8")
-        (folder / file).write_text(json.dumps({**json.loads(text), "study_sha256": "another"}))
-        (found,) = [one for one in examine(folder) if file in one.what]
-        assert command in found.remedy
-        (folder / file).write_text(text)
 
-    return check
+def lines_of(file):
+    return file.read_text("utf-8").splitlines()
+
+
+class Stopped(Exception):
+    """The command is stopped."""
+
+
+def stops_at(number):
+    """Return an observer that stops the command as soon as so many parts are finished."""
+
+    def part(progress):
+        if progress.finished >= number:
+            raise Stopped
+
+    return Observer(part=part)
+
+
+def described_in(page):
+    """Return the keys in the tables of a page in docs/reference."""
+    rows = [line.split("|")[1] for line in lines_of(ROOT / "docs" / "reference" / page) if line.startswith("| `")]
+    return {key for row in rows for key in re.findall(r"`([^`]+)`", row)}
+
+
+def keys_of(tree, named, *, whole=(), place=""):
+    """Return the dotted keys of a result.
+
+    Args:
+        tree: The result.
+        named: Placeholder of the names in a place, which may begin with a placeholder: {"inputs": "NAME"}.
+        whole: Last parts of places whose content is one value.
+        place: Where the tree is.
+    """
+    if place.endswith(whole):
+        return {place}
+    if isinstance(tree, list) and tree and isinstance(tree[0], dict):
+        return {key for one in tree for key in keys_of(one, named, whole=whole, place=f"{place}[]")}
+    if not isinstance(tree, dict):
+        return {place}
+    inner = [(f"{place}.{named.get(place, name)}" if place else name, value) for name, value in tree.items()]
+    return {key for where, value in inner for key in keys_of(value, named, whole=whole, place=where)}

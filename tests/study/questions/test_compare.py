@@ -4,28 +4,25 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.special import logsumexp
 from tests.study.conftest import SAMPLER
-from tests.study.questions.pages import described_in, keys_of
-from tests.unit.cli.command_line import Shown
+from tests.study.questions.conftest import content_of, described_in, keys_of
 
 import strandline as sl
 from strandline.calibration.evidence import Evidence
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.likelihood import InterfaceLikelihood
-from strandline.questions.compare import StudyComparison
 from strandline.questions.compare import study_comparison as module
 from strandline.testing.studies import undeclared_beam, write_study
 
-E = {"prior": {"uniform": [300, 560]}, "unit": "Pa"}
-TILT = {"prior": {"uniform": [0.0, 0.08]}}
+E, SD = {"prior": {"uniform": [300, 560]}, "unit": "Pa"}, 0.003
+TRUTH = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
 SMALL = {
-    "inputs": {"E": E, "tilt": TILT},
+    "inputs": {"E": E, "tilt": {"prior": {"uniform": [0.0, 0.08]}}},
     "sampler": SAMPLER,
     "surrogate": {"field": {}},
     "design": {"sobol": {"runs": 32}},
@@ -35,30 +32,30 @@ SMALL = {
     "draft": True,
     "report": "none",
 }
-TRUTH, SD = {"E": 400.0, "tilt": 0.02, "load": 1e-5}, 0.003
 NEXT = {"load": [0.0, 2e-5, 1.0], "points": [9]}
-STUDIES: dict[str, dict[str, Any]] = {
-    "tilted": {"name": "tilted"},
-    "straight": {"name": "straight", "inputs": {"E": E}, "fixed": {"load": 1e-5, "tilt": 0.015}, "next": NEXT},
-    "erring": {"name": "erring", "noise": {"sd": 3, "unit": "um", "model_error": True}},
+STUDIES = {
+    "tilted": {},
+    "straight": {"inputs": {"E": E}, "fixed": {"load": 1e-5, "tilt": 0.015}, "next": NEXT},
+    "erring": {"noise": {"sd": 3, "unit": "um", "model_error": True}},
 }
 BOTH = ["tilted", "straight"]
 
 
 @pytest.fixture(scope="module")
-def analysed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def analysed(tmp_path_factory):
     """Finished studies of the same beam, side by side."""
     home = tmp_path_factory.mktemp("compare")
     true = undeclared_beam(TRUTH, Path()).interfaces[""]
     seen = sl.PointErrors(SD).draw(true, np.random.default_rng(1))
     np.savetxt(home / "beam.csv", seen.points, delimiter=",")
     for name, changes in STUDIES.items():
-        sl.run_study(sl.load_study(write_study(home / name, **{**SMALL, **changes})), executor=sl.InProcess())
+        study = write_study(home / name, **{**SMALL, "name": name, **changes})
+        sl.run_study(sl.load_study(study), executor=sl.InProcess())
     return home
 
 
 @pytest.fixture
-def home(analysed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def home(analysed, tmp_path, monkeypatch):
     """A copy of the studies, which is the current folder."""
     shutil.copytree(analysed, tmp_path / "home")
     monkeypatch.chdir(tmp_path / "home")
@@ -66,82 +63,69 @@ def home(analysed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 
 @pytest.fixture(scope="module")
-def compared(analysed: Path) -> StudyComparison:
+def compared(analysed):
     """The first two compared, with what would separate them."""
     studies = [sl.load_study(analysed / name) for name in BOTH]
     return sl.compare(studies, to=analysed / "comparison", separate=True, executor=sl.InProcess())
 
 
-def exact(study: sl.Study) -> float:
-    """Return the log-evidence of the true model by quadrature."""
+def exact(study):
+    """Return the log-evidence of the true model by quadrature around its posterior."""
     likelihood = InterfaceLikelihood(study.observations(study.observed), next(iter(study.discrepancies.values())))
-    posterior = sl.load_result(study.folder).posterior
-    low = np.maximum(posterior.mean - 7 * posterior.sd, study.space.low)
-    high = np.minimum(posterior.mean + 7 * posterior.sd, study.space.high)
-    nodes, weights = np.polynomial.legendre.leggauss(30)
-    grid = [a + (b - a) * 0.5 * (nodes + 1) for a, b in zip(low, high, strict=True)]
-    share = np.prod((high - low) / (study.space.high - study.space.low)) * 0.5**study.space.dim
-    x = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, study.space.dim)
-    values = [
-        likelihood(undeclared_beam({**study.fixed, **study.space.as_mapping(row)}, Path()).interfaces) for row in x
-    ]
-    mass = np.prod(np.stack(np.meshgrid(*[weights] * study.space.dim, indexing="ij")), axis=0).ravel()
-    return float(logsumexp(np.array(values) + np.log(mass * share)))
+    posterior, space = sl.load_result(study.folder).posterior, study.space
+    low = np.maximum(posterior.mean - 7 * posterior.sd, space.low)
+    size = np.minimum(posterior.mean + 7 * posterior.sd, space.high) - low
+    nodes, weights = (one / 2 for one in np.polynomial.legendre.leggauss(30))
+    u, mass = (
+        np.stack(np.meshgrid(*[one] * space.dim, indexing="ij"), axis=-1).reshape(-1, space.dim)
+        for one in (nodes + 0.5, weights)
+    )
+    inputs = [{**study.fixed, **space.as_mapping(x)} for x in low + size * u]
+    values = [likelihood(undeclared_beam(one, Path()).interfaces) for one in inputs]
+    return float(logsumexp(values, b=mass.prod(axis=1) * np.prod(size / (space.high - space.low))))
 
 
-def bayes_factor(content: dict[str, Any], of: str, over: str) -> tuple[float, float]:
+def bayes_factor(content, of, over):
     (one,) = [one for one in content["bayes_factors"] if {one["of"], one["over"]} == {of, over}]
     return one["ln"] * (1 if one["of"] == of else -1), one["error"]
 
 
-def test_the_bayes_factor_is_that_of_the_true_models(
-    compared: StudyComparison, home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_bayes_factor_is_that_of_the_true_models(compared, home, monkeypatch):
     """Planted at the end: an evidence does not pay for the width of the prior, as the best likelihood does not."""
     tilted, straight = (exact(sl.load_study(name)) for name in BOTH)
     found, error = bayes_factor(compared.content, *BOTH)
     assert abs(found - (tilted - straight)) < max(3 * error, 0.05)
     assert compared.content["models"]["tilted"]["log_evidence"] == pytest.approx(tilted, abs=0.1)
     assert compared.content["models"]["tilted"]["error"] < 0.1
-    monkeypatch.setattr(
-        module, "log_evidence", lambda k, s, posterior, r: Evidence(float(k.plug_in(posterior.draws).max()), 0.01)
-    )
+    best = lambda k, s, posterior, r: Evidence(float(k.plug_in(posterior.draws).max()), 0.01)  # noqa: E731
+    monkeypatch.setattr(module, "log_evidence", best)
     found, error = bayes_factor(sl.compare(BOTH).content, *BOTH)
     assert abs(found - (tilted - straight)) > max(3 * error, 0.05)
 
 
-def test_what_it_writes(compared: StudyComparison, analysed: Path) -> None:
-    folder = analysed / "comparison"
-    content = json.loads((folder / "compare.json").read_text("utf-8"))
-    assert content == json.loads(json.dumps(compared.content))
-    assert compared.page.resolve() == folder / "compare.html"
+def test_what_it_writes(compared, analysed):
+    words = ("Kass and Raftery", "compare_marginals", "compare_predictive", "32 runs")
+    content = content_of(compared, 2, compared.content["verdict"], *words)
+    assert compared.page.resolve() == analysed / "comparison" / "compare.html"
     assert (compared.shared, list(content["averaged"])) == (("E",), ["E"])
     assert sum(one["probability"] for one in content["models"].values()) == pytest.approx(1.0)
     assert content["models"]["straight"]["fixed"] == {"load": 1e-5, "tilt": 0.015}
     item, shares = content["averaged"]["E"], [one["probability"] for one in content["models"].values()]
     mean = sum(share * one["mean"] for share, one in zip(shares, item["models"].values(), strict=True))
     assert item["mean"] == pytest.approx(mean)
-    assert compared.averaged is not None
     assert item["sd"] == pytest.approx(float(compared.averaged.sd[0]))
-    density = np.array(item["histogram"]["averaged"]) @ np.diff(item["histogram"]["edges"])
-    assert density == pytest.approx(1.0, abs=0.01)
+    assert np.diff(item["histogram"]["edges"]) @ item["histogram"]["averaged"] == pytest.approx(1.0, abs=0.01)
     (predicted,) = content["predictive"]
     assert len(predicted["models"]["tilted"]["observed"]) == 17
     assert max(np.abs(predicted["models"]["tilted"]["q50"])) < 1e-6
     (narrowed,) = [remark for remark in content["remarks"] if "tilt by" in remark]
     assert narrowed.startswith("Not all models have these inputs of tilted, whose priors the data narrow: tilt by ")
-    page = compared.page.read_text("utf-8")
-    for words in (content["verdict"], "Kass and Raftery", "compare_marginals", "compare_predictive", "32 runs"):
-        assert words in page
-    assert "<script" not in page
-    assert page.count("<img ") == page.count('src="data:image/png') == 2
-    assert repr(compared) == f"<StudyComparison of tilted, straight: {content['verdict']}>"
     places = ("models", "averaged", "inputs", "fixed", "versions", "averaged.NAME.models", "predictive[].models")
     named = dict.fromkeys((*places, "averaged.NAME.histogram.models", "models.NAME.fixed"), "NAME")
     assert described_in("compare.md") == keys_of(compared.content, named)
 
 
-def test_an_error_that_the_model_does_not_make_costs_at_most_a_half(home: Path) -> None:
+def test_an_error_that_the_model_does_not_make_costs_at_most_a_half(home):
     """Half of its prior is on a model without error, so that ln B is below ln 2, if constants are the same."""
     content = sl.compare(["tilted", "erring"]).content
     found, error = bayes_factor(content, "tilted", "erring")
@@ -151,15 +135,12 @@ def test_an_error_that_the_model_does_not_make_costs_at_most_a_half(home: Path) 
     assert content["models"]["tilted"]["constant"] != content["models"]["erring"]["constant"]
 
 
-def test_a_misfit_is_marked_and_a_fit_that_was_not_judged_is_told(
-    compared: StudyComparison, home: Path, capsys: Shown
-) -> None:
+def test_a_misfit_is_marked_and_a_fit_that_was_not_judged_is_told(compared, home, capsys):
     """The same seed gives the same bits, and odds change probabilities alone."""
     before = (home / "tilted" / "ledger.sqlite").read_bytes()
     summaries = {name: json.loads((home / name / "summary.json").read_text("utf-8")) for name in BOTH}
-    summaries["tilted"]["misfit"]["flagged"] = True
-    summaries["straight"]["misfit"]["flagged"] = True
     for name, summary in summaries.items():
+        summary["misfit"]["flagged"] = True
         (home / name / "summary.json").write_text(json.dumps(summary))
     even = sl.compare(BOTH).content
     assert "does not explain the observation within the noise" in even["remarks"][0]
@@ -174,8 +155,8 @@ def test_a_misfit_is_marked_and_a_fit_that_was_not_judged_is_told(
     assert (home / "tilted" / "ledger.sqlite").read_bytes() == before
     assert content["models"]["straight"]["prior_probability"] == pytest.approx(2 / 3)
     assert content["bayes_factors"] == json.loads(json.dumps(even["bayes_factors"]))
-    equal, odd = (np.log(np.divide(*(one["models"][name]["probability"] for name in BOTH))) for one in (even, content))
-    assert equal - odd == pytest.approx(np.log(2))
+    odds = [np.divide(*(one["models"][name]["probability"] for name in BOTH)) for one in (even, content)]
+    assert odds[0] / odds[1] == pytest.approx(2)
     for name, one in content["models"].items():
         row = next(line for line in shown.out.splitlines() if line.split()[:1] == [name] and "±" in line)
         assert f"{one['log_evidence']:.2f} ± {one['error']:.2f}" in row
@@ -184,7 +165,7 @@ def test_a_misfit_is_marked_and_a_fit_that_was_not_judged_is_told(
     assert "straight: The fit was not judged." in (home / "here" / "it" / "compare.html").read_text("utf-8")
 
 
-def true_separation(home: Path, load: float, probabilities: list[float]) -> float:
+def true_separation(home, load, probabilities):
     """Return the mutual information of model and observation by nested Monte Carlo with the true model."""
     shown, random = [], np.random.default_rng(3)
     for name in BOTH:
@@ -206,9 +187,7 @@ def true_separation(home: Path, load: float, probabilities: list[float]) -> floa
     return total
 
 
-def test_what_separates_the_models_is_that_of_the_true_ones(
-    compared: StudyComparison, home: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_separates_the_models_is_that_of_the_true_ones(compared, home, monkeypatch):
     """Without a load, the beam shows only its tilt; the models differ in whether they know it.
 
     Planted at the end: the signals of one model are four standard deviations off, as with another reference for each.
@@ -220,16 +199,12 @@ def test_what_separates_the_models_is_that_of_the_true_ones(
         assert one[f"load {load:g}, 9 points"]["nats"] == pytest.approx(nats, abs=0.05)
     assert one["load 1, 9 points"]["nats"] is None
     assert list(one)[-1] == "load 1, 9 points"
-    page = compared.page.read_text("utf-8")
-    assert "Which experiment would tell them apart" in page
-    assert "its run failed: large_deflection" in page
+    content_of(compared, 2, "Which experiment would tell them apart", "its run failed: large_deflection")
     shown = module.shown_by_models
 
-    def shifted(*given: Any, **options: Any) -> Any:
-        return tuple(
-            replace(one, signals=(one.signals[0] + 4.0, *one.signals[1:])) if one.signals else one
-            for one in shown(*given, **options)
-        )
+    def shifted(*given, **options):
+        some = shown(*given, **options)
+        return tuple(replace(one, signals=(one.signals[0] + 4.0, *one.signals[1:])) for one in some if one.signals)
 
     monkeypatch.setattr(module, "shown_by_models", shifted)
     content = sl.compare(BOTH, separate=True, executor=sl.InProcess()).content
@@ -237,12 +212,10 @@ def test_what_separates_the_models_is_that_of_the_true_ones(
     assert abs(planted["nats"] - expected[0.0]) > 0.1
 
 
-def test_what_is_refused_leaves_no_folder(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_refused_leaves_no_folder(home, monkeypatch):
     write_study(home / "unfinished", **{**SMALL, "name": "unfinished"})
-    write_study(home / "synthetic", **{**SMALL, "name": "synthetic", "observation": {"synthetic": TRUTH}})
     for studies, to, words in (
         (["tilted", "unfinished"], "new", "the study has no posterior to compare: got a study that is not finished"),
-        (["tilted", "synthetic"], "new", "the study has no posterior to compare: got a study that is not finished"),
         (BOTH, "straight", "folder of the comparison: got straight, which is a study"),
         (BOTH, "beam.csv", "folder of the comparison: got .*beam.csv, which is a file"),
     ):
@@ -251,7 +224,7 @@ def test_what_is_refused_leaves_no_folder(home: Path, monkeypatch: pytest.Monkey
     with pytest.raises(InvalidInput, match="none of the studies lists candidates"):
         sl.compare(["tilted", "erring"], separate=True)
 
-    def too_few(*_: Any, **__: Any) -> None:
+    def too_few(*_, **__):
         raise TooFewRuns("runs", value=1, expected="more", remedy="Make more.")
 
     monkeypatch.setattr(module, "field_knowledge", too_few)

@@ -3,155 +3,137 @@
 import csv
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from filelock import FileLock
-from tests.study.conftest import Finished
-from tests.study.questions.pages import described_in, keys_of
-from tests.unit.cli.command_line import Shown, ends
+from tests.study.questions.conftest import Stopped, content_of, described_in, keys_of, lines_of, stops_at
+from tests.unit.cli.command_line import ends
 
 import strandline as sl
-from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
-from strandline.population import Refused, SpecimenPosterior
+from strandline.population import Refused
 from strandline.population.certificate import Certified
-from strandline.questions.specimens import StudySpecimens, specimens, watch
-from strandline.runs import Ledger, Progress
+from strandline.questions.specimens import specimens, watch
+from strandline.runs import Ledger
 from strandline.testing.studies import beam as true_beam
 from strandline.text import with_sd
 
-SD = 0.003
 SPECIMENS = {"files": "all/*.csv", "read": {"unit": "mm"}}
 TRUTHS = {f"s{k}.csv": (380.0 + 12 * k, 0.02) for k in range(5)}
 
 
-def bent(E: float, tilt: float) -> Interface:
+def bent(E, tilt):
     return true_beam({"E": E, "tilt": tilt, "load": 1e-5}, Path()).interfaces[""]
 
 
-def write_outline(path: Path, E: float, tilt: float, seed: int = 0) -> None:
-    true = bent(E, tilt)
-    points = true.points + SD * np.random.default_rng(seed).standard_normal(true.points.shape)
-    path.write_text("\n".join(f"{x:.6f},{y:.6f}" for x, y in points))
+def text_of(points):
+    return "\n".join(f"{x:.6f},{y:.6f}" for x, y in points)
 
 
-def changed(folder: Path, **said: Any) -> sl.Study:
+def write_outline(folder, name, E, tilt, seed=0):
+    points = bent(E, tilt).points
+    noisy = points + 0.003 * np.random.default_rng(seed).standard_normal(points.shape)
+    (folder / "all" / name).write_text(text_of(noisy))
+
+
+def remove(folder, *names):
+    for name in names:
+        (folder / "all" / name).unlink()
+
+
+def changed(folder, **said):
     """Return the study with other keys of `specimens`."""
     content = json.loads((folder / "study.yaml").read_text())
     (folder / "study.yaml").write_text(json.dumps({**content, "specimens": {**SPECIMENS, **said}}))
     return sl.load_study(folder)
 
 
+def asked(folder, **options):
+    return specimens(sl.load_study(folder), processes=1, **options)
+
+
 @pytest.fixture(scope="module")
-def bare(field: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bare(field, tmp_path_factory):
     """A finished study with five specimens and a file that is none."""
     folder = Path(shutil.copytree(field.folder, tmp_path_factory.mktemp("specimens") / "beam"))
     changed(folder)
     (folder / "all").mkdir()
     for k, (name, truth) in enumerate(TRUTHS.items()):
-        write_outline(folder / "all" / name, *truth, seed=k)
+        write_outline(folder, name, *truth, seed=k)
     (folder / "all" / "bad.csv").write_text("rubbish")
     return folder
 
 
 @pytest.fixture(scope="module")
-def answered(bare: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudySpecimens]:
+def answered(bare, tmp_path_factory):
     """That study with an answer for each specimen."""
     folder = Path(shutil.copytree(bare, tmp_path_factory.mktemp("answered") / "beam"))
-    return folder, specimens(sl.load_study(folder), processes=1)
+    return folder, asked(folder)
 
 
-@pytest.fixture
-def folder(answered: tuple[Path, StudySpecimens], tmp_path: Path) -> Path:
-    """A copy of the answered study, which the test may change."""
-    return Path(shutil.copytree(answered[0], tmp_path / "beam"))
+def lines(folder):
+    return lines_of(folder / "specimens.jsonl")
 
 
-def lines(folder: Path) -> list[str]:
-    return (folder / "specimens.jsonl").read_text("utf-8").splitlines()
-
-
-def test_what_it_writes(answered: tuple[Path, StudySpecimens], field: Finished) -> None:
+def test_what_it_writes(answered, field):
     folder, found = answered
-    content = json.loads((folder / "specimens.json").read_text("utf-8"))
-    assert content == json.loads(json.dumps(found.content))
+    content = content_of(found, 4, "Set aside", "bad.csv holds no points", "The population")
     assert (folder / "ledger.sqlite").read_bytes() == (field.folder / "ledger.sqlite").read_bytes()
     assert content["counts"] == {"files": 6, "analysed": 5, "good": 5, "refine": 0, "set_aside": 1}
-    assert [one["specimen"] for one in content["specimens"]] == list(TRUTHS)
+    names = [one["specimen"] for one in content["specimens"]]
+    assert names == [one.name for one in found.posteriors] == list(TRUTHS)
     assert content["set_aside"][0]["specimen"] == "bad.csv"
     assert "bad.csv holds no points" in content["set_aside"][0]["why"]
-    for one, posterior in zip(content["specimens"], found.posteriors, strict=True):
-        E, tilt = TRUTHS[one["specimen"]]
-        for name, truth in (("E", E), ("tilt", tilt)):
-            item = one["inputs"][name]
+    for one in content["specimens"]:
+        for item, truth in zip((one["inputs"]["E"], one["inputs"]["tilt"]), TRUTHS[one["specimen"]], strict=True):
             assert abs(item["mean"] - truth) < 4 * item["sd"]
             assert item["shrunk"]["sd"] <= 1.05 * item["sd"]
-        assert posterior.name == one["specimen"]
     with (folder / "specimens.csv").open(encoding="utf-8") as file:
         rows = {row["specimen"]: row for row in csv.DictReader(file)}
     assert rows["bad.csv"]["certificate"] == "set aside"
     assert float(rows["s1.csv"]["E_mean"]) == content["specimens"][1]["inputs"]["E"]["mean"]
-    page = found.page.read_text("utf-8")
-    assert "<script" not in page
-    assert page.count("<img ") == page.count('src="data:image/png') == 4
-    for words in ("Set aside", "bad.csv holds no points", "The population"):
-        assert words in page
-    assert len(list((folder / "figures").glob("specimens_*.png"))) == 4
-    assert repr(found) == "<StudySpecimens of beam: 5 specimens, 5 good, 1 set aside>"
     named = {"versions": "PACKAGE", "inputs": "NAME", "specimens[].inputs": "NAME", "population.inputs": "NAME"}
     assert described_in("specimens.md") == keys_of(found.content, named, whole=("given",))
 
 
-class Stopped(Exception):
-    """The command is stopped."""
-
-
-def test_it_goes_on_where_it_was_stopped(bare: Path, answered: tuple[Path, StudySpecimens], tmp_path: Path) -> None:
+def test_it_goes_on_where_it_was_stopped(bare, answered, tmp_path):
     """A half-written line is made again; the order and the other specimens change no bit."""
     folder = Path(shutil.copytree(bare, tmp_path / "beam"))
-
-    def part(state: Progress) -> None:
-        if state.finished == 3:
-            raise Stopped
-
     with pytest.raises(Stopped):
-        specimens(sl.load_study(folder), processes=1, observer=Observer(part=part))
+        asked(folder, observer=stops_at(3))
     assert len(lines(folder)) == 2
     with (folder / "specimens.jsonl").open("ab") as file:
         file.write(b'{"of": "x", "spec')
-    specimens(sl.load_study(folder), processes=1)
+    asked(folder)
     assert sorted(lines(folder)) == sorted(lines(answered[0]))
     for name in ("specimens.json", "specimens.csv"):
         assert (folder / name).read_bytes() == (answered[0] / name).read_bytes()
 
 
-def test_only_what_changed_is_answered_again(folder: Path) -> None:
+def test_only_what_changed_is_answered_again(folder):
     first = lines(folder)
-    write_outline(folder / "all" / "s2.csv", 500.0, 0.03, seed=9)
+    write_outline(folder, "s2.csv", 500.0, 0.03, seed=9)
     shutil.copy(folder / "all" / "s0.csv", folder / "all" / "zz.csv")
-    found = specimens(sl.load_study(folder), processes=1).content
+    found = asked(folder).content
     assert lines(folder)[:5] == first
     assert len(lines(folder)) == 7
     assert found["specimens"][2]["inputs"]["E"]["mean"] > 450
     assert found["alike"] == [["s0.csv", "zz.csv"]]
     assert "The files of s0.csv, zz.csv are the same: is it one specimen under several names?" in found["remarks"]
-    for name in ("s2.csv", "s3.csv", "s4.csv", "zz.csv", "bad.csv"):
-        (folder / "all" / name).unlink()
-    specimens(sl.load_study(folder), seed=2, processes=1)
+    remove(folder, "s2.csv", "s3.csv", "s4.csv", "zz.csv", "bad.csv")
+    asked(folder, seed=2)
     assert len(lines(folder)) == 9
 
 
-def test_known_inputs(folder: Path, answered: tuple[Path, StudySpecimens]) -> None:
+def test_known_inputs(folder, answered):
     """One has no row, one no number, and one a value outside the box."""
-    values = {"s0.csv": "0.02", "s1.csv": "0.3", "s2.csv": "0.02", "s3.csv": "x", "bad.csv": "0.02", "gone.csv": "1"}
-    rows = "".join(f"{name},{value}\n" for name, value in values.items())
-    (folder / "known.csv").write_text(f"file,tilt\n{rows}")
+    rows = ("file,tilt", "s0.csv,0.02", "s1.csv,0.3", "s2.csv,0.02", "s3.csv,x", "bad.csv,0.02", "gone.csv,1", "")
+    (folder / "known.csv").write_text("\n".join(rows))
     found = specimens(changed(folder, given="known.csv"), processes=1)
     assert list(found.content["inputs"]) == ["E"]
     assert found.content["given"] == ["tilt"]
@@ -169,103 +151,65 @@ def test_known_inputs(folder: Path, answered: tuple[Path, StudySpecimens]) -> No
     assert "No population: 2 specimens with a posterior, and at least 3 are needed." in found.content["remarks"]
 
 
-def test_an_outlier_is_named(folder: Path, capsys: Shown) -> None:
-    (folder / "all" / "bad.csv").unlink()
-    for k in range(8):
-        write_outline(folder / "all" / f"t{k:02}.csv", 400.0 + k, 0.02, seed=20 + k)
-    write_outline(folder / "all" / "odd.csv", 550.0, 0.004, seed=50)
-    main(["specimens", str(folder), "--quiet", "--processes", "1"])
-    assert "Outliers: odd.csv (p below 0.0036)." in capsys.readouterr().out
-    assert "odd.csv (outlier)" in (folder / "specimens.html").read_text("utf-8")
-
-
-def test_further_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_further_runs(folder, monkeypatch):
     """As long as certificates ask for them, at most as many as allowed; the study's own ledger is left alone."""
     before = (folder / "ledger.sqlite").read_bytes()
-    for name in ("s2.csv", "s3.csv", "s4.csv"):
-        (folder / "all" / name).unlink()
-    options: dict[str, Any] = {"refine": 6, "executor": sl.InProcess(), "processes": 1}
-    monkeypatch.setattr(Certified, "good", property(lambda self: False))
-    found = specimens(sl.load_study(folder), **options).content
+    remove(folder, "s2.csv", "s3.csv", "s4.csv")
+    with monkeypatch.context() as patch:
+        patch.setattr(Certified, "good", property(lambda self: False))
+        found = asked(folder, refine=6, executor=sl.InProcess()).content
     assert found["surrogate"] == {"runs": 38, "further": 6, "made": 6}
     assert found["remarks"][0].startswith("The surrogate is not accurate enough for s0.csv, s1.csv")
     with Ledger.open(folder / "specimens.sqlite", model=None, read_only=True) as ledger:
         assert ledger.counts().total == 6
     assert (folder / "ledger.sqlite").read_bytes() == before
-    monkeypatch.undo()
-    again = specimens(sl.load_study(folder), **options).content
+    again = asked(folder, refine=6, executor=sl.InProcess()).content
     assert again["surrogate"] == {"runs": 38, "further": 6, "made": 0}
 
 
-def test_two_at_once_do_not_mix(bare: Path) -> None:
-    with FileLock(bare / "specimens.jsonl.lock"), pytest.raises(InvalidStudy, match="one at a time"):
-        specimens(sl.load_study(bare))
-    assert not list(bare.glob("specimens.j*n*"))[1:]
-
-
-def test_an_outline_in_python(bare: Path) -> None:
-    opened = sl.open_specimens(sl.load_study(bare))
-    one = opened.posterior(bent(420.0, 0.01))
+def test_an_outline_in_python(bare):
+    opened, outline = sl.open_specimens(sl.load_study(bare)), bent(420.0, 0.01)
+    one, turned = opened.posterior(outline), opened.posterior(outline.reversed())
     assert abs(one.mean[0] - 420) < 3 * one.sd[0]
-    turned = opened.posterior(bent(420.0, 0.01).reversed())
     np.testing.assert_allclose(turned.mean, one.mean, rtol=1e-6)
-    known = opened.posterior(bent(420.0, 0.01), given={"tilt": 0.01})
-    assert known.sd[0] < one.sd[0]
+    assert opened.posterior(outline, given={"tilt": 0.01}).sd[0] < one.sd[0]
     with pytest.raises(InvalidInput, match="expected about"):
-        opened.posterior(Interface.polyline(1000 * bent(420.0, 0.01).points))
-    assert repr(opened) == "<Specimens of beam: surrogate of 32 runs>"
+        opened.posterior(Interface.polyline(1000 * outline.points))
 
 
-class Clock:
-    """A clock that goes on only where somebody waits."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def wait(self, seconds: float) -> None:
-        self.now += seconds
-
-
-def test_new_files_are_answered_as_they_arrive(folder: Path) -> None:
+def test_new_files_are_answered_as_they_arrive(folder):
     """One is complete at once, one grows from look to look, and one can never be read."""
-    (folder / "all" / "bad.csv").unlink()
-    whole = "\n".join(f"{x:.6f},{y:.6f}" for x, y in bent(450.0, 0.02).points)
-    looks, clock, known = iter(range(99)), Clock(), list[int]()
+    remove(folder, "bad.csv")
+    whole, slow = text_of(bent(450.0, 0.02).points), folder / "all" / "slow.csv"
+    looks, clock, known = iter(range(99)), SimpleNamespace(now=0.0), []
 
-    def going_on() -> bool:
+    def going_on():
         look = next(looks)
         if look == 0:
-            write_outline(folder / "all" / "new.csv", 450.0, 0.02)
+            write_outline(folder, "new.csv", 450.0, 0.02)
             (folder / "all" / "bad.csv").write_text("rubbish")
-        if look < 5:
-            (folder / "all" / "slow.csv").write_text(whole[: 40 * (look + 1)])
-        if look == 5:
-            (folder / "all" / "slow.csv").write_text(whole)
+        if look <= 5:
+            slow.write_text(whole[: 40 * (look + 1)] if look < 5 else whole)
         return look < 25
 
-    study = sl.load_study(folder)
-    watching = watch.watch_specimens(study, ready=known.append, going_on=going_on, clock=clock, wait=clock.wait)
-    arrived = [(one.answer, clock.now) for one in watching]
-    answers = {one.name: one for one, _ in arrived}
+    def wait(seconds):
+        clock.now += seconds
+
+    options = {"ready": known.append, "going_on": going_on, "clock": lambda: clock.now, "wait": wait}
+    arrived = [(one.answer, clock.now) for one in watch.watch_specimens(sl.load_study(folder), **options)]
     assert known == [5]
     assert [one.name for one, _ in arrived] == ["new.csv", "slow.csv", "bad.csv"]
     assert [at for _, at in arrived] == pytest.approx([0.1, 0.6, 2.0])
-    assert isinstance(answers["bad.csv"], Refused)
-    for name in ("new.csv", "slow.csv"):
-        one = answers[name]
-        assert isinstance(one, SpecimenPosterior)
-        assert abs(one.mean[0] - 450) < 4 * one.sd[0]
+    *answers, bad = (one for one, _ in arrived)
+    assert isinstance(bad, Refused)
+    assert all(abs(one.mean[0] - 450) < 4 * one.sd[0] for one in answers)
     assert len(lines(folder)) == 7
 
 
-def test_the_command_watches(
-    answered: tuple[Path, StudySpecimens], capsys: Shown, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_watches(answered, capsys, monkeypatch):
     one = answered[1].posteriors[0]
 
-    def arriving(study: sl.Study, *, ready: Any, **others: Any) -> Iterator[watch.Arrived]:
+    def arriving(study, *, ready, **others):
         ready(5)
         yield watch.Arrived(one, 0.25)
         yield watch.Arrived(Refused("bad.csv", "no points"), 0.1)
@@ -273,29 +217,37 @@ def test_the_command_watches(
 
     monkeypatch.setattr(watch, "watch_specimens", arriving)
     assert ends("specimens", str(answered[0]), "--watch") == 130
-    known, first, second = capsys.readouterr().out.splitlines()
-    assert known == "beam: 5 specimens known; waiting for new ones (Ctrl-C ends)"
-    assert (
-        first == f"s0.csv: E {with_sd(one.mean[0], one.sd[0])}, tilt {with_sd(one.mean[1], one.sd[1])}; good (0.25 s)"
-    )
-    assert second == "bad.csv: set aside: no points"
+    E, tilt = (with_sd(mean, sd) for mean, sd in zip(one.mean, one.sd, strict=True))
+    assert capsys.readouterr().out.splitlines() == [
+        "beam: 5 specimens known; waiting for new ones (Ctrl-C ends)",
+        f"s0.csv: E {E}, tilt {tilt}; good (0.25 s)",
+        "bad.csv: set aside: no points",
+    ]
 
 
-def test_the_command_prints_what_it_writes(folder: Path, capsys: Shown) -> None:
-    main(["specimens", str(folder)])
+def test_the_command_prints_what_it_writes_and_names_an_outlier(folder, capsys):
+    remove(folder, "bad.csv")
+    for k in range(8):
+        write_outline(folder, f"t{k:02}.csv", 400.0 + k, 0.02, seed=20 + k)
+    write_outline(folder, "odd.csv", 550.0, 0.004, seed=50)
+    main(["specimens", str(folder), "--processes", "1"])
     shown = capsys.readouterr()
     content = json.loads((folder / "specimens.json").read_text("utf-8"))
-    assert "beam: 5 specimens from 32 runs; 5 good, 0 to refine, 1 set aside" in shown.out
+    counts = "beam: 14 specimens from 32 runs; 14 good, 0 to refine, 0 set aside"
+    for words in (counts, "Outliers: odd.csv (p below 0.0036).", f"page: {folder / 'specimens.html'}"):
+        assert words in shown.out
     for name, item in content["population"]["inputs"].items():
         row = next(line for line in shown.out.splitlines() if line.split()[:1] == [name])
         assert with_sd(item["mean"]["mean"], item["mean"]["sd"]) in row
-    assert "no outliers" in shown.out
-    assert f"page: {folder / 'specimens.html'}" in shown.out
     assert [line for line in shown.err.splitlines() if line.endswith("…")][:2] == ["surrogate …", "specimens …"]
+    assert "odd.csv (outlier)" in (folder / "specimens.html").read_text("utf-8")
 
 
-def test_files_none_of_which_can_be_used_are_refused(bare: Path, tmp_path: Path) -> None:
+def test_two_at_once_and_files_none_of_which_can_be_used_are_refused(bare, tmp_path):
     folder = Path(shutil.copytree(bare, tmp_path / "beam"))
+    with FileLock(folder / "specimens.jsonl.lock"), pytest.raises(InvalidStudy, match="one at a time"):
+        specimens(sl.load_study(folder))
+    assert not [*folder.glob("specimens.json"), *folder.glob("specimens.jsonl")]
     with pytest.raises(InvalidStudy, match=r"specimens: none of the files can be used: got study\.y"):
         specimens(changed(folder, files="study.yaml"), processes=1)
     (folder / "ledger.sqlite").unlink()
