@@ -1,4 +1,4 @@
-"""Oracles: shapely's distances, parallel sheets in closed form, convergence."""
+"""Oracles: shapely's distances, weights in closed form, convergence."""
 
 import numpy as np
 import pytest
@@ -55,15 +55,6 @@ def test_node_weights_add_up_to_the_length_or_area():
     assert closest_point.node_weights(sheet(2)) == pytest.approx([1 / 3, 1 / 6, 1 / 6, 1 / 3])
 
 
-def test_parallel_sheets_whatever_their_orientation():
-    upper, lower = sheet(5, height=0.2), sheet(5)
-    for direction in DIRECTIONS:
-        assert ClosestPoint(direction=direction)(upper, lower.reversed()) == pytest.approx(25 * 0.2**2)
-        assert ClosestPoint(direction=direction, weighting="length")(upper, lower) == pytest.approx(0.2**2)
-    with pytest.raises(InvalidInterface, match="coordinates"):
-        ClosestPoint()(upper, level(0.0))
-
-
 def test_terms_are_told_only_where_the_observation_fixes_them():
     observed = wavy(40, 2)
     assert ClosestPoint(direction="to_simulated").terms(observed) == 40
@@ -71,6 +62,8 @@ def test_terms_are_told_only_where_the_observation_fixes_them():
     for options in ({"direction": "sideways"}, {"weighting": "area"}):
         with pytest.raises(InvalidInput, match=f"{next(iter(options))} of the closest point"):
             ClosestPoint(**options)
+    with pytest.raises(InvalidInterface, match="coordinates"):
+        MEAN(sheet(2), observed)
 
 
 def test_what_offsets_amount_to_is_the_measure_of_the_moved_interface():

@@ -5,19 +5,21 @@ import math
 import numpy as np
 import pytest
 from scipy import integrate, optimize, special
+from scipy.optimize import minimize_scalar
 from tests.unit.discrepancy.curves import graph, level, line, ring
-from tests.unit.discrepancy.surfaces import divided, sheet, sphere, turned
+from tests.unit.discrepancy.surfaces import divided, sheet, sphere
 
 from strandline.discrepancy import Currents
 from strandline.discrepancy.products import kernel_integrals, surface_integrals
-from strandline.discrepancy.products.kernel_integrals import natural_scale, refined_product
+from strandline.discrepancy.products.kernel_integrals import gauss_order, natural_scale, refined_product
+from strandline.discrepancy.products.piece_sums import compiled_sum, plain_sum
+from strandline.discrepancy.products.pieces import Division, Pairs
 from strandline.discrepancy.products.surface_integrals import error_bound, triangle_order, triangle_rule
 from strandline.errors import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import Interface, PointErrors, oriented_like
 
 ARC = np.array([[0.02 * i, 0.3 * math.sin(0.08 * i)] for i in range(40)])
 """An open curve of segments about 0.03 mm long."""
-BOTH_RULES = pytest.mark.parametrize("quadrature", ["refined", "centre"])
 
 
 def subdivided(interface: Interface, parts: int) -> Interface:
@@ -64,11 +66,8 @@ def test_parallel_lines_and_squares_closed_form():
         exact = 2 * (whole - square_product(1.0, 0.5 * width, width))
         assert Currents(width)(upper, lower) == pytest.approx(exact, abs=1e-6 * whole)
         assert Currents(width, tolerance=1e-10)(upper, lower) == pytest.approx(exact, rel=1e-8)
-
-
-def test_a_square_much_larger_than_the_kernel():
-    found = Currents(0.05, tolerance=1e-2).inner(sheet(2), sheet(2))
-    assert found == pytest.approx(square_product(1.0, 0.0, 0.05), rel=0.01)
+    large = Currents(0.05, tolerance=1e-2).inner(sheet(2), sheet(2))
+    assert large == pytest.approx(square_product(1.0, 0.0, 0.05), rel=0.01)
     assert natural_scale(sheet(2), 0.03) == pytest.approx(2 * math.pi * 0.03**2)
     assert natural_scale(sheet(2), 10.0) == pytest.approx(1.0)
 
@@ -100,7 +99,7 @@ def test_concentric_circles_converge_to_the_bessel_form_with_order_two():
     assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
 
 
-@BOTH_RULES
+@pytest.mark.parametrize("quadrature", ["refined", "centre"])
 def test_concentric_spheres_converge_to_the_closed_form_with_order_two(quadrature):
     measure = Currents(0.4, quadrature=quadrature, tolerance=1e-4)
     errors = errors_of(measure, sphere_product, 1.0, 1.2, [lambda radius, k=k: sphere(radius, k) for k in (2, 3)])
@@ -122,14 +121,6 @@ def test_product_of_two_segments_against_adaptive_quadrature(width):
     assert Currents(width, tolerance=1e-10).inner(first, second) == pytest.approx(exact, abs=1e-8)
 
 
-@pytest.mark.parametrize("width", [0.3, 3.0])
-def test_refined_norm_of_surfaces_does_not_depend_on_the_triangles(width):
-    """One bent sheet with every triangle cut in four, and one flat square with quite other triangles."""
-    measure, bent, flat = Currents(width), sheet(5, bend=0.2), sheet(5, seed=1)
-    assert measure(divided(bent), bent) < measure.tolerance * measure.inner(bent, bent)
-    assert measure(sheet(4, seed=2), flat) < measure.tolerance * measure.inner(flat, flat)
-
-
 def test_centre_rule_is_the_double_sum_of_the_paper_and_converges_to_the_refined_norm():
     arc, bent = Interface.polyline(ARC), sheet(5, bend=0.2, seed=1)
     for a, b, width in ((arc, Interface.polyline(ARC[:20] + 0.01), 0.05), (bent, sphere(0.5, 1), 0.3)):
@@ -144,15 +135,6 @@ def test_centre_rule_is_the_double_sum_of_the_paper_and_converges_to_the_refined
         exact, centre = Currents(width, tolerance=tolerance)(*pairs[0]), Currents(width, quadrature="centre")
         errors = [abs(centre(*pair) - exact) for pair in pairs[1:]]
         assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=near)
-
-
-@BOTH_RULES
-def test_rigid_motions_and_orientation_of_surfaces(quadrature):
-    measure, a, b = Currents(0.2, quadrature=quadrature), sheet(5, bend=0.2, seed=1), sheet(4, bend=0.25, seed=2)
-    d2, cross = measure(a, b), measure.inner(a, b)
-    assert measure(turned(a, 3), turned(b, 3)) == pytest.approx(d2, rel=1e-6)
-    assert measure.inner(a.reversed(), b) == pytest.approx(-cross, rel=1e-12)
-    assert measure(Interface(a.points.copy(), a.cells), a) <= 1e-12 * cross
 
 
 def test_tolerance_holds_between_two_walls_that_nearly_cancel():
@@ -211,14 +193,11 @@ def test_order_keeps_its_bound_without_waste(tolerance):
         assert order <= 3 or errors[order // 2 - 1] > tolerance
 
 
-def test_the_highest_order_is_tried_and_a_rule_out_of_reach_refused():
+def test_rule_integrates_polynomials_up_to_its_degree_and_one_out_of_reach_is_refused():
     highest = surface_integrals._HIGHEST
     assert triangle_order(6.0, error_bound(highest, 6.0)) == highest
     with pytest.raises(NumericsError, match="larger tolerance"):
         triangle_order(20.0, 1e-12)
-
-
-def test_rule_integrates_polynomials_up_to_its_degree():
     for order in (1, 2, 3, 7, 14):
         shares, weights = triangle_rule(order)
         assert weights.min() > 0
@@ -266,13 +245,6 @@ def test_blocks_of_many_pairs_add_up():
         assert product(simulated) == pytest.approx(sum(map(product, parts)), rel=1e-10)
 
 
-def test_what_is_kept_of_an_observation_follows_its_content():
-    observed, simulated, measure = Interface.polyline(ARC.copy()), Interface.polyline(ARC + 0.01), Currents(0.02)
-    assert measure(simulated, observed) > 0
-    observed.points[:] += 0.01
-    assert measure(simulated, observed) == 0.0
-
-
 def test_what_cannot_be_compared_is_refused_and_a_flipped_interface_can_be_turned():
     observed, simulated, measure = Interface.polyline(ARC), Interface.polyline(ARC + 0.01), Currents(0.02)
     for one, seen in ((simulated, observed), (ring(20), ring(20, 1.1)), (sheet(5, height=0.01), sheet(5))):
@@ -311,3 +283,47 @@ def test_noise_variance_of_independent_points():
         expected = sd**2 * spacing * math.sqrt(2 * math.pi) / width
         assert Currents(width).noise_variance(PointErrors(sd), seen) == pytest.approx(expected, rel=1e-3)
     assert Currents(0.5 * spacing).noise_variance(PointErrors(0.01), seen) is None
+
+
+def test_parallel_lines_are_as_far_apart_as_their_distance_says():
+    """Long lines, whose ends hardly count: d² of the currents per length is that of `of_offsets`."""
+    x = np.linspace(0.0, 20.0, 201)
+    line = Interface.polyline(np.stack([x, 0 * x], axis=1))
+    measure = Currents(0.2)
+    for apart in (0.05, 0.3):
+        other = Interface.polyline(np.stack([x, 0 * x + apart], axis=1))
+        (found,) = measure.of_offsets(np.full((1, 201), apart), line, 201)
+        assert found == pytest.approx(measure(other, line), rel=0.02)
+
+
+def test_surfaces_coarser_than_the_kernel_have_no_noise_variance():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    surface = Interface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    assert Currents(0.1).noise_variance(PointErrors(0.01), surface) is None
+    assert Currents(3.0).noise_variance(PointErrors(0.01), surface) > 0
+
+
+def test_sums_in_numpy_are_the_compiled_ones():
+    random = np.random.default_rng(1)
+    points, cells = random.random((6, 2, 3)), np.array([[k, k + 1] for k in range(5)])
+    pieces = Division.of(cells, np.linalg.norm(np.diff(points, axis=0), axis=1).max(axis=1), 0.5).pieces(points)
+    pairs = Pairs.near(pieces, pieces, 10.0)
+    plain = plain_sum(pieces, pieces, pairs, (3, 3))
+    np.testing.assert_allclose(plain, compiled_sum(pieces, pieces, pairs, (3, 3)), rtol=1e-12)
+
+
+def test_the_least_order_of_a_gauss_rule_is_that_of_its_bound():
+    """The bound of `gauss_order`, minimised over all ellipses."""
+
+    def bound(order, ratio):
+        def log_bound(log_excess):
+            rho = 1 + np.exp(log_excess)
+            growth = (ratio * (rho - 1 / rho)) ** 2 / 32
+            return np.log(4) + growth + (1 - 2 * order) * np.log(rho) - np.log(rho - 1)
+
+        return np.exp(minimize_scalar(log_bound, bounds=(-7.0, 7.0), method="bounded").fun)
+
+    for ratio, tolerance in ((0.1, 1e-3), (1.0, 1e-6), (3.0, 1e-10), (8.0, 1e-4)):
+        order = gauss_order(ratio, tolerance)
+        assert bound(order, ratio) < 1.01 * tolerance
+        assert bound(order - 1, ratio) > 0.99 * tolerance

@@ -117,22 +117,17 @@ def directions_off(measure: MeasurementLines, observed: Interface) -> np.ndarray
     return np.degrees(np.arcsin(np.clip(side, -1, 1)))
 
 
-def test_directions_of_longer_pieces_are_steady():
-    noisy, observed = ROUGH.draw(half_circle(), np.random.default_rng(1)), wavy(66, 0.0, 1)
+def test_directions_of_longer_pieces_are_steady_and_distances_along_them_have_the_noise_of_the_points():
+    """In the mean over noisy observations; planted: lines that turn with the noise."""
+    true, observed, random = half_circle(), wavy(66, 0.0, 1), np.random.default_rng(2)
+    noisy = [ROUGH.draw(true, random) for _ in range(30)]
     tiny, usual = (measure.place(observed) for measure in (MeasurementLines(smooth=1e-7), MeasurementLines()))
     np.testing.assert_allclose(tiny, usual, atol=1e-6)
-    assert directions_off(MeasurementLines(40), noisy).std() > 20
-    assert directions_off(MeasurementLines(40, smooth=0.3), noisy).std() < 4
-    assert abs(directions_off(MeasurementLines(40, smooth=0.3), half_circle())).max() < 0.1
-
-
-def test_distances_along_steady_lines_have_the_noise_of_the_points():
-    """In the mean over noisy observations; planted: lines that turn with the noise."""
-    true = half_circle()
+    assert directions_off(MeasurementLines(40), noisy[0]).std() > 20
+    assert directions_off(MeasurementLines(40, smooth=0.3), noisy[0]).std() < 4
+    assert abs(directions_off(MeasurementLines(40, smooth=0.3), true)).max() < 0.1
     for measure, low, high in ((MeasurementLines(20, smooth=0.4), 0.4, 1.2), (MeasurementLines(20), 1.5, np.inf)):
-        random = np.random.default_rng(2)
-        squares = [measure(true, ROUGH.draw(true, random)) for _ in range(30)]
-        assert low < np.mean(squares) / (measure.terms(true) * ROUGH.sd**2) < high
+        assert low < np.mean([measure(true, one) for one in noisy]) / (measure.terms(true) * ROUGH.sd**2) < high
 
 
 def test_the_ends_of_an_open_outline_can_be_left_out():
@@ -155,19 +150,15 @@ def test_steady_lines_have_a_noise_variance():
     assert MeasurementLines(10).noise_variance(correlated, seen) is None
 
 
-@pytest.mark.parametrize("share", [0.02, 0.2])
-def test_the_scatter_is_that_of_the_segments(share):
-    noisy = [PointErrors(share * SPACING).draw(half_circle(), np.random.default_rng(k)) for k in range(10)]
-    found = np.mean([MeasurementLines().scatter(one) for one in noisy])
-    assert found == pytest.approx(np.degrees(np.sqrt(2) * share), rel=0.15)
-    smoothed = np.mean([MeasurementLines(smooth=5 * SPACING).scatter(one) for one in noisy])
-    assert smoothed == pytest.approx(found / 5, rel=0.05)
-
-
-def test_curves_and_corners_do_not_scatter():
-    square = line((0, 0), (1, 0), (1, 1), (0, 1), closed=True).resampled(100)
-    assert MeasurementLines().scatter(square) < 1e-6
-    assert MeasurementLines().scatter(half_circle()) < 1e-6
+def test_the_scatter_is_that_of_the_segments_and_curves_and_corners_have_none():
+    for share in (0.02, 0.2):
+        noisy = [PointErrors(share * SPACING).draw(half_circle(), np.random.default_rng(k)) for k in range(10)]
+        each = [[MeasurementLines(smooth=size).scatter(one) for one in noisy] for size in (None, 5 * SPACING)]
+        found, smoothed = np.mean(each, axis=1)
+        assert found == pytest.approx(np.degrees(np.sqrt(2) * share), rel=0.15)
+        assert smoothed == pytest.approx(found / 5, rel=0.05)
+    for outline in (line((0, 0), (1, 0), (1, 1), (0, 1), closed=True).resampled(100), half_circle()):
+        assert MeasurementLines().scatter(outline) < 1e-6
     assert MeasurementLines(((0.0, 0.0, 0.0, 1.0),)).scatter(wavy(66, 0.0, 1)) == 0.0
     assert MeasurementLines().scatter(line((0, 0), (1, 0.5), (2, 0))) == 0.0
 

@@ -7,7 +7,6 @@ from tests.unit.discrepancy.curves import arch, level, line, one_by_one, runs
 from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.discrepancy import normal_offset as module
-from strandline.discrepancy import squared_discrepancies
 from strandline.discrepancy.normal_offset import NormalOffset, WhitenedOffset, signed_distances, weighted_sums
 from strandline.discrepancy.search.local_means import local_means
 from strandline.discrepancy.search.signed_sums import FEWEST, signed_sums
@@ -54,6 +53,9 @@ def test_many_are_as_one_by_one(kind):
     for measure in (WhitenedOffset(PointErrors(0.01, 0.05)), WhitenedOffset(every)):
         found = measure.many(points, template, seen)
         np.testing.assert_allclose(found, one_by_one(measure, points, template, seen), rtol=1e-9)
+    plain, some, few = NormalOffset(), np.ones(len(seen.points)), points[: FEWEST - 1]
+    assert signed_sums(seen.points, few, template.cells, some, some[:, None]) is None
+    np.testing.assert_allclose(plain.many(few, template, seen), one_by_one(plain, few, template, seen))
 
 
 def test_a_large_shift_and_rotation_are_found_although_the_outline_is_curved():
@@ -98,14 +100,6 @@ def test_signed_sums_are_those_of_the_distances_with_weights_and_features_that_d
     each = np.array([signed_distances(seen.points, Interface(row, template.cells)) for row in points])
     np.testing.assert_allclose(squares, each**2 @ weights, rtol=off_squares)
     np.testing.assert_allclose(products, each @ features, atol=off_products * np.abs(each).sum(axis=1).max())
-
-
-def test_few_runs_are_done_one_by_one():
-    points, template, seen = runs("open", FEWEST - 1)
-    some = np.ones(len(seen.points))
-    assert signed_sums(seen.points, points, template.cells, some, some[:, None]) is None
-    found = squared_discrepancies(NormalOffset(), points, template, seen)
-    np.testing.assert_allclose(found, one_by_one(NormalOffset(), points, template, seen))
 
 
 def test_the_log_likelihood_is_that_of_all_points(monkeypatch):

@@ -17,39 +17,32 @@ from strandline.interface.interface import _meeting
 ZIGZAG = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 CORNERS = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 3.0]])
-TRIANGLE = Interface(CORNERS[:3], np.array([[0, 1, 2]]))
+FOLDED = [[0, 1, 2], [1, 3, 2]]
+TRIANGLE = Interface(CORNERS[:3], np.array(FOLDED[:1]))
 
 
 def test_geometry_in_closed_form():
-    zigzag, square = line(*ZIGZAG), line(*SQUARE, closed=True)
-    assert (zigzag.dim, zigzag.closed, square.closed) == (2, False, True)
-    assert zigzag.lengths.tolist() == [5.0, 1.0]
+    zigzag, square, surface = line(*ZIGZAG), line(*SQUARE, closed=True), Interface(CORNERS, np.array(FOLDED))
+    assert [(one.dim, one.closed) for one in (zigzag, square, surface)] == [(2, False), (2, True), (3, False)]
     assert zigzag.centres.tolist() == [[1.5, 2.0], [3.0, 4.5]]
     assert zigzag.normals.tolist() == [[-4.0, 3.0], [-1.0, 0.0]]
     assert square.lengths.tolist() == [1.0] * 4
-    assert square.normals.sum(axis=0).tolist() == [0.0, 0.0]
-    for one in (square, line(*SQUARE)):
-        assert np.array_equal(one.reversed().reversed().points, one.points)
-        assert one.reversed().closed == one.closed
-    assert np.array_equal(zigzag.reversed().normals, -zigzag.normals[::-1])
-    surface, bent = Interface(CORNERS, np.array([[0, 1, 2], [1, 3, 2]])), sheet(4, bend=0.2)
-    assert (surface.dim, surface.closed) == (3, False)
     assert surface.sizes.tolist() == surface.areas.tolist() == pytest.approx([4.5, 4.5 * math.sqrt(3)])
     assert surface.normals.tolist() == [[0.0, 0.0, 4.5], [-4.5, -4.5, -4.5]]
-    assert surface.centres.tolist() == [[1.0, 1.0, 0.0], [1.0, 1.0, 1.0]]
-    assert bent.reversed().normals == pytest.approx(-bent.normals)
-    assert np.array_equal(bent.reversed().reversed().cells, bent.cells)
+    assert np.array_equal(zigzag.reversed().normals, -zigzag.normals[::-1])
+    assert np.array_equal(surface.reversed().normals, -surface.normals)
+    for one in (zigzag, square, surface):
+        twice = one.reversed().reversed()
+        assert one.reversed().closed == one.closed
+        assert np.array_equal(twice.points[twice.cells], one.points[one.cells])
 
 
 def test_area_and_volume_of_a_sphere_converge_with_order_two_wherever_it_lies():
-    balls = [sphere(2.0, k) for k in (2, 3, 4)]
+    balls = [turned(sphere(2.0, k), k) for k in (2, 3, 4)]
     areas = np.array([ball.areas.sum() for ball in balls]) - 16 * math.pi
     volumes = np.array([triangles.signed_volume(ball.points, ball.cells) for ball in balls]) - 32 / 3 * math.pi
     for errors in (areas, volumes):
         assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
-    moved = turned(balls[0], 1)
-    assert moved.areas == pytest.approx(balls[0].areas)
-    assert triangles.signed_volume(moved.points, moved.cells) == pytest.approx(volumes[0] + 32 / 3 * math.pi)
 
 
 def test_names_of_conditions():
@@ -62,7 +55,6 @@ def test_what_is_no_polyline_is_refused():
         (np.zeros((0, 2)), False, "too few points"),
         ([[1.0, 2.0]], False, "too few points"),
         ([[0.0, 0.0], [1.0, math.nan]], False, "point 1 of the interface is not finite"),
-        ([[math.inf, 0.0], [0.0, 1.0]], False, "point 0 of the interface is not finite"),
         ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]], False, "segment 1 of the interface has no length"),
         ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], True, "segment 3 of the interface has no length"),
     ):
@@ -119,17 +111,11 @@ def spiral(nodes):
     return graph(np.cos(angle), np.sin(angle))
 
 
-def dome():
-    ball = sphere(1.0, 2)
-    used, cells = np.unique(ball.cells[ball.centres[:, 2] > 0], return_inverse=True)
-    return Interface(ball.points[used], cells.reshape(-1, 3))
-
-
 POLYLINES = (SQUARE, SQUARE + 50.0, spiral(30).points, ZIGZAG)
 FACING = {
     "open": [Interface.polyline(points) for points in POLYLINES],
     "closed": [Interface.polyline(points, closed=True) for points in POLYLINES],
-    "surfaces": [sheet(9, bend=0.3, seed=1), sphere(0.7, 2), dome()],
+    "surfaces": [sheet(9, bend=0.3, seed=1), sphere(0.7, 2)],
 }
 
 
@@ -185,9 +171,6 @@ CROSSINGS = {
     "closed, straight across the joint": ([(1, 0), (2, 0), (2, 1), (0, 0)], True, ""),
     "closed, fold-back at the joint": ([(1, 0), (2, 0), (2, 1), (3, 1), (3, 0)], True, "4 and 0"),
     "bow tie": ([(0, 0), (1, 1), (1, 0), (0, 1)], True, "0 and 2"),
-    "square": (SQUARE.tolist(), True, ""),
-    "triangle": ([(0, 0), (1, 0), (0, 1)], True, ""),
-    "straight": ([(0, 0), (1, 0), (2, 0), (3, 0)], False, ""),
     "hairpin": ([(0, 0), (1, 0), (1, 1e-9), (0, 1e-9)], False, ""),
     "open, ends in its first point": ([*SQUARE.tolist(), (0, 0)], False, "0 and 3"),
 }
@@ -230,26 +213,23 @@ def test_the_first_of_many_crossings_is_named_whatever_the_size_of_the_blocks():
             assert sorted(_meeting(points[:-1], points[1:], 1e-15, closed=False, together=together)) == pairs
 
 
-def test_an_interface_at_a_prompt_and_in_a_notebook():
-    """The drawing keeps proportions and has y upwards; a level line has a height; a surface has no drawing."""
+def test_a_drawing_keeps_proportions_and_has_y_upwards():
+    """A level line has a height; a surface has no drawing."""
 
     def corners(*points):
         (drawn,) = ElementTree.fromstring(line(*points)._repr_svg_())
         return np.array(re.findall(r"[\d.]+", drawn.attrib["points"]), float).reshape(-1, 2)
 
-    got = corners((1, 1), (3, 1), (3, 2))
-    across, up = got[1] - got[0], got[2] - got[1]
-    np.testing.assert_allclose(across[0], 2 * -up[1], rtol=1e-3)
-    assert across[1] == up[0] == 0.0
+    across, up = np.diff(corners((1, 1), (3, 1), (3, 2)), axis=0)
+    assert [*across, *up] == pytest.approx([-2 * up[1], 0.0, 0.0, up[1]], rel=1e-3)
+    assert up[1] < 0
     assert np.isfinite(corners((0, 0), (1, 0))).all()
     assert TRIANGLE._repr_svg_() is None
-    assert repr(TRIANGLE) == "<Interface: surface of 3 points, 3 × 3 × 0 mm>"
 
 
 def test_unknown_errors_are_not_inferred_on_a_surface():
     for noise, said in (
         (UnknownErrors(), r"got unknown(.|\n)*State them"),
-        (UnknownErrors(0.003, None, model_error=True), r"got unknown(.|\n)*State them"),
         (UnknownErrors(0.003, 0.015, model_error=True), r"got a model error(.|\n)*Remove `model_error` and `spread`."),
         (UnknownErrors(0.003, 0.015, spread=(0,)), r"got a spread(.|\n)*Remove `model_error` and `spread`."),
     ):

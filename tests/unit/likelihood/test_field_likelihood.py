@@ -61,13 +61,12 @@ def test_plug_in_is_the_measure_on_the_predicted_interface():
 def by_draws(found: FieldLikelihood, number: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
     """Return log E[L] by independent draws of all modes and of what they leave, and its standard errors."""
     rng, surrogate = np.random.default_rng(1), found.surrogate
-    values, errors = [], []
+    seen, values, errors = np.concatenate([o.interface.points.ravel() for o in found.observations]), [], []
     for x in AT:
         predicted = surrogate.predict(x[None])
         drawn = predicted.mean + np.sqrt(predicted.variance) * rng.standard_normal((number, predicted.mean.shape[1]))
         tail = rng.standard_normal((number, len(surrogate.modes.tail))) @ surrogate.modes.tail
         fields = surrogate.modes.mean + (drawn @ surrogate.modes.basis + tail) / surrogate.modes.roots
-        seen = np.concatenate([o.interface.points.ravel() for o in found.observations])
         L = np.exp(-0.5 * np.sum((fields - seen) ** 2, axis=1) / found.observations[0].noise.scale)
         values.append(np.log(L.mean()))
         errors.append(L.std() / L.mean() / np.sqrt(number))
@@ -88,10 +87,8 @@ def test_expected_is_the_mean_over_all_fields(tail: float):
 
 def test_left_out_is_predicted_from_the_others():
     """At the runs themselves the field is known; a run that is left out is a worse place."""
-    found, true = likelihood(), []
-    for E in RUNS[:, 0]:
-        run = interfaces(float(E))
-        true.append(-50 * sum(found.discrepancy(run[o.condition], o.interface) for o in found.observations))
+    found, runs = likelihood(), [interfaces(float(E)) for E in RUNS[:, 0]]
+    true = [-50 * sum(found.discrepancy(run[o.condition], o.interface) for o in found.observations) for run in runs]
     at_runs, left_out = found.expected(RUNS), found.left_out(np.arange(6)).log_expected
     assert np.abs(at_runs - true).max() < 0.02 * np.abs(left_out - true).max()
     np.testing.assert_array_equal(found.left_out(np.array([4, 1])).log_expected, left_out[[4, 1]])
@@ -121,20 +118,19 @@ def test_the_noise_length_of_tracked_points_and_of_currents():
     assert across < noise_length(Observation(upright, noise), Currents(width)) < 10 * across
 
 
-def test_the_noise_length_is_that_of_the_local_noise_however_small():
-    """A stated shift leaves the shape as well known; 1e-9 mm is far below the first shift that is tried."""
-    angle = np.linspace(0.0, np.pi, 41)
-    small, shifted, large = (
-        noise_length(Observation(graph(np.cos(angle), np.sin(angle)), errors), NormalOffset())
-        for errors in (PointErrors(1e-9), PointErrors(1e-9, shift=0.1), PointErrors(1e-3, shift=0.1))
-    )
-    assert small == shifted == pytest.approx(1e-6 * large, rel=0.01)
+def test_the_noise_length_is_that_of_the_local_noise_however_small_and_however_many_the_points():
+    """A stated shift leaves the shape as well known; 1e-9 mm is far below the first shift that is tried.
 
+    Neighbouring points of a rough outline err together, so more of them tell no more; means stand for them.
+    """
 
-def test_many_points_of_a_rough_outline_have_the_noise_length_of_few():
-    """Neighbouring points err together, so more of them tell no more; means stand for them, in double precision."""
-    angle = np.linspace(-2.6, 2.6, 1500)
-    radius = 1.35 + 1.3e-3 * np.sin(150 * angle)
-    arc, errors = graph(radius * np.sin(angle), -radius * np.cos(angle)).points, PointErrors(1.3e-3, 0.039)
-    few, many = (noise_length(Observation(Interface.polyline(arc[::k]), errors), NormalOffset()) for k in (3, 1))
-    assert many == pytest.approx(few, rel=0.1)
+    def found(outline, errors):
+        return noise_length(Observation(outline, errors), NormalOffset())
+
+    angle, fine = np.linspace(0.0, np.pi, 41), np.linspace(-2.6, 2.6, 1500)
+    small, shifted, large = PointErrors(1e-9), PointErrors(1e-9, shift=0.1), PointErrors(1e-3, shift=0.1)
+    arc, radius = graph(np.cos(angle), np.sin(angle)), 1.35 + 1.3e-3 * np.sin(150 * fine)
+    assert found(arc, small) == found(arc, shifted) == pytest.approx(1e-6 * found(arc, large), rel=0.01)
+    rough, correlated = graph(radius * np.sin(fine), -radius * np.cos(fine)), PointErrors(1.3e-3, 0.039)
+    few = found(Interface.polyline(rough.points[::3]), correlated)
+    assert found(rough, correlated) == pytest.approx(few, rel=0.1)

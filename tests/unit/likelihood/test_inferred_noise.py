@@ -173,18 +173,12 @@ def test_the_posterior_without_the_error_is_that_of_the_stated_noise():
 def test_lengths_are_tried_again_around_those_found_and_up_to_half_the_outline():
     """For conditions alike, those of one."""
     lin, one = linearise(surrogate(), JointErrors((observed(1),), (ERRORS,))), arch(TRUTH, 100)
-
-    def tried(interfaces, found=None):
-        if found is not None:
-            lengths = found * np.geomspace(0.98, 1.02, 5)
-            weights = np.full((1, 3, 5), 1 / 15)
-            found = NoisePosterior(np.geomspace(0.001, 0.003, 3), lengths, (Cause(),), weights, 0.0)
-        return _grid(lin, interfaces, UnknownErrors(), found)[1]
-
-    around = tried([one], 0.02)
+    np.testing.assert_allclose(*(_grid(lin, [one] * number, UnknownErrors(), None)[1] for number in (1, 2)))
+    levels, weights = np.geomspace(0.001, 0.003, 3), np.full((1, 3, 5), 1 / 15)
+    found = [NoisePosterior(levels, x * np.geomspace(0.98, 1.02, 5), (Cause(),), weights, 0.0) for x in (0.02, 0.9)]
+    around, above = (_grid(lin, [one], UnknownErrors(), each)[1] for each in found)
     assert 0.002 < around[0] < 0.02 < around[-1] < 0.2
-    assert tried([one], 0.9)[-1] == pytest.approx(0.5 * one.lengths.sum())
-    np.testing.assert_allclose(tried([one, one]), tried([one]))
+    assert above[-1] == pytest.approx(0.5 * one.lengths.sum())
 
 
 def test_amplitude_and_length_of_the_offset_are_those_of_the_models_that_err():

@@ -109,34 +109,27 @@ def test_fields_drawn_nearby_are_as_good(errors):
 
 def test_a_neighbour_that_is_wrong_is_noticed(monkeypatch):
     """Planted: slopes that are half as large again."""
-    found, x = widened(likelihood(LOCAL), WIDENING[LOCAL]), around(LOCAL)
-    right = near(LOCAL)
+    found, x, right = widened(likelihood(LOCAL), WIDENING[LOCAL]), around(LOCAL), near(LOCAL)
     wrong = OfStatedErrors(replace(right, slopes=1.5 * right.slopes), right.model)
     monkeypatch.setattr(FieldLikelihood, "nearby", wrong)
     np.testing.assert_array_equal(found.expected(x, plug_in=found.plug_in(x)), found.expected(x))
 
 
-def off(found: FieldLikelihood, x: np.ndarray) -> np.ndarray:
-    """Return how much log L nearby is off, but for a constant."""
-    return found.nearby.log_likelihood(found.surrogate.mean(x)) - found.plug_in(x)
+def test_it_leads_to_the_posterior_also_by_other_measures_which_follow_offsets():
+    """How much log L nearby is off, but for a constant."""
 
+    def off(found, x):
+        return np.ptp(found.nearby.log_likelihood(found.surrogate.mean(x)) - found.plug_in(x))
 
-def test_it_leads_to_the_posterior():
     for errors in (LOCAL, GLOBAL, UnknownErrors()):
-        x = around(errors if isinstance(errors, PointErrors) else LOCAL, 100)
-        assert np.ptp(off(likelihood(errors), x)) < 1.0
-
-
-def test_other_measures_follow_offsets():
-    x = around(LOCAL, 60)
-    closest = ClosestPoint(direction="to_observed", weighting="length"), ClosestPoint(direction="symmetric")
+        assert off(likelihood(errors), around(errors if errors is GLOBAL else LOCAL, 100)) < 1.0
+    closest, x = (ClosestPoint(weighting="length"), ClosestPoint(direction="symmetric")), around(LOCAL, 60)
     for measure in (Currents(0.03), *closest, NormalOffset()):
-        found = by(measure)
-        values = found.plug_in(x)
+        values = by(measure).plug_in(x)
         near_best = values > values.max() - 6
         assert near_best.sum() > 10
         assert np.ptp(values[near_best]) > 2
-        assert np.ptp(off(found, x)[near_best]) < 0.2 * np.ptp(values[near_best])
+        assert off(by(measure), x[near_best]) < 0.2 * np.ptp(values[near_best])
 
 
 def test_fields_of_another_measure_are_drawn_nearby(monkeypatch):
@@ -275,13 +268,9 @@ def test_a_parabola_that_is_wrong_does_little_harm():
 
 
 def test_nothing_gains_more_than_its_distance_from_the_top():
-    """Where log L is -3 and the parabola says -1000, the gain is that of -3; likewise -800, -60000 and -1300."""
-    far = Parabolas(np.array([1000.0]), np.array([[np.sqrt(2000.0)]]), np.ones((1, 1, 1)))
-    variance = np.array([[1e6]])
-    assert log_gain(far, variance)[0] > 900
-    assert -3 + log_gain(far, variance, np.array([-3.0]))[0] < 0
+    """Where log L is -800 and the parabola says -60000, and -1300 on average: the mean over fields gains 58700."""
     far = Parabolas(np.array([60000.0]), np.array([[np.sqrt(2 * 60000.0)]]), np.ones((1, 1, 1)))
-    variance = np.array([[58700.0 / 1300.0]])  # of which the mean over fields gains 58700
+    variance = np.array([[58700.0 / 1300.0]])
     shrinks = 0.5 * np.log1p(variance[0, 0])
     np.testing.assert_allclose(log_gain(far, variance)[0] + shrinks, 58700.0)
     np.testing.assert_allclose(log_gain(far, variance, np.array([-800.0]))[0], -shrinks)

@@ -6,17 +6,9 @@ from scipy.spatial.distance import cdist
 from tests.unit.discrepancy.curves import arch, graph, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere
 
-from strandline.discrepancy import (
-    ClosestPoint,
-    Currents,
-    Discrepancy,
-    MeasurementLines,
-    NormalOffset,
-    TrackedPoints,
-    WhitenedOffset,
-)
+from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints, WhitenedOffset
 from strandline.errors import InvalidInput
-from strandline.interface import Interface, Observation, PointErrors, arc_lengths
+from strandline.interface import Interface, Observation, PointErrors
 from strandline.interface.correlated import correlated
 from strandline.likelihood.noise_rule import _shapes, fitting_variance, noise_variance
 from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface, stated_errors
@@ -38,7 +30,7 @@ def leaning_arches(x: np.ndarray) -> np.ndarray:
 LEANING = Interface.polyline(leaning_arches(AT[None])[0])
 
 
-def by_rule(measure: Discrepancy, errors: PointErrors, *, number: int = NUMBER, draws: int = DRAWS) -> float:
+def by_rule(measure, errors: PointErrors, *, number: int = NUMBER, draws: int = DRAWS) -> float:
     seen = LEANING if number == NUMBER else LEANING.resampled(number)
     return fitting_variance(measure, leaning_arches, LEANING, AT, STEPS, seen, errors, draws=draws)
 
@@ -55,17 +47,13 @@ def test_closed_forms_agree_with_the_general_rule():
 
 
 def test_the_rule_knows_what_independent_residuals_are():
-    """Global errors show as a large variance; more points do not change that of each."""
+    """Global errors show as a large variance; more points do not change that of each, but that of their mean."""
     assert by_rule(WhitenedOffset(FINE), FINE, draws=100) == pytest.approx(1.0, rel=0.15)
     assert by_rule(WhitenedOffset(CORRELATED), CORRELATED) == pytest.approx(1.0, rel=0.35)
     local = by_rule(TO_SIMULATED, FINE, draws=80)
     assert by_rule(TO_SIMULATED, PointErrors(0.002, shift=0.01)) > 10 * local
     assert by_rule(TO_SIMULATED, FINE, number=120, draws=80) == pytest.approx(local, rel=0.3)
-
-
-def test_a_square_of_the_sd_is_wrong_for_a_mean():
-    """What a user would type: six times too wide."""
-    assert by_rule(MEAN, FINE) < 0.05 * 0.002**2
+    assert by_rule(MEAN, FINE) < 0.05 * 0.002**2  # a user would type the square of the sd: six times too wide
 
 
 def test_smooth_shapes_stand_for_the_inputs():
@@ -84,21 +72,17 @@ def test_which_variance_is_taken():
     assert found == local
     for measure in (ClosestPoint(), Currents(0.005), MeasurementLines(10)):
         assert measure.noise_variance(PointErrors(0.01), LEANING) is None
+    along = 0.002**2 * 0.12 / LEANING.lengths.mean()
+    for errors, expected in ((FINE, 0.002**2), (CORRELATED, along)):  # tracked points err along the interface, too
+        assert noise_variance(TrackedPoints(), LEANING, errors, NUMBER) == pytest.approx(expected, rel=0.1)
     with pytest.raises(InvalidInput, match="normal_offset"):
         noise_variance(lambda simulated, observed: 1.0, LEANING, FINE, NUMBER)
-
-
-def test_tracked_points_err_along_the_interface_as_much_as_across_it():
-    spacing = float(LEANING.lengths.mean())
-    for errors, expected in ((FINE, 0.002**2), (CORRELATED, 0.002**2 * 0.12 / spacing)):
-        assert noise_variance(TrackedPoints(), LEANING, errors, NUMBER) == pytest.approx(expected, rel=0.1)
 
 
 def test_closed_forms_agree_with_the_rule_on_a_surface():
     """The rule sees only a function; a square of the sd alone would be off by far more."""
     surface, centre = sphere(1.0, 2), Currents(0.6, quadrature="centre")
-    for measure, length in ((TO_SIMULATED, 0.15), (centre, 0.0)):
-        errors = PointErrors(0.01, length)
+    for measure, errors in ((TO_SIMULATED, PointErrors(0.01, 0.15)), (centre, PointErrors(0.01))):
         by_draws = noise_variance(lambda a, b: measure(a, b), surface, errors, len(surface.points), draws=20)  # noqa: B023
         assert measure.noise_variance(errors, surface) == pytest.approx(by_draws, rel=0.4), measure
 
@@ -120,19 +104,16 @@ def test_smooth_shapes_move_a_surface_along_its_normals_whatever_its_size():
     assert ((sizes > 0.1) & (sizes < 1.001)).all()
 
 
-def long_line(number: int = 1200, *, uneven: float = 1.0) -> Interface:
-    return graph(6.0 * np.linspace(0.0, 1.0, number) ** uneven, 0.0)
-
-
 def test_sd_and_length_of_residuals_are_those_drawn():
     """In the mean over 20 draws; independent residuals have half the spacing or little more."""
-    for interface, length in ((long_line(), 0.03), (long_line(uneven=1.3), 0.1), (ring(1200), 0.1)):
+    even, uneven = (graph(6.0 * np.linspace(0.0, 1.0, 1200) ** power, 0.0) for power in (1.0, 1.3))
+    for interface, length in ((even, 0.03), (uneven, 0.1), (ring(1200), 0.1)):
         drawn = 0.003 * correlated(interface, length, 20, np.random.default_rng(5))
         each = [noise_of_residuals(row, interface) for row in drawn]
         assert np.mean([one.sd for one in each]) == pytest.approx(0.003, rel=0.1)
         assert np.mean([one.length for one in each]) == pytest.approx(length, rel=0.35)
-    drawn, spacing = correlated(long_line(), 0.0, 20, np.random.default_rng(1)), 6.0 / 1199
-    lengths = [noise_of_residuals(row, long_line()).length for row in drawn]
+    drawn, spacing = correlated(even, 0.0, 20, np.random.default_rng(1)), 6.0 / 1199
+    lengths = [noise_of_residuals(row, even).length for row in drawn]
     assert min(lengths) >= 0.5 * spacing
     assert np.mean(lengths) < 0.8 * spacing
 
@@ -163,12 +144,6 @@ def test_residuals_on_a_surface_have_the_sd_and_length_drawn():
     found = noise_on_surface(0.01 * random.standard_normal(2500), sheet(50))
     assert found.sd == pytest.approx(0.01, rel=0.1)
     assert 0.4 < found.length * np.sqrt(1250) < 0.8
-
-
-def test_arc_lengths_follow_the_segments():
-    outline = ring(8)
-    np.testing.assert_allclose(arc_lengths(outline), np.arange(8) * outline.lengths[0])
-    np.testing.assert_allclose(arc_lengths(long_line(7)), np.linspace(0.0, 6.0, 7))
 
 
 def test_the_noise_of_the_points_has_the_stated_variance():

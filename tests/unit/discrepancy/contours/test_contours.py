@@ -1,6 +1,7 @@
 """Errors of points from repeated contours and from the roughness of single ones; bugs that must show."""
 
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.discrepancy import Repeats, errors_from_repeats, errors_from_roughness
 from strandline.discrepancy.contours import repeats, roughness
-from strandline.discrepancy.contours.correlation import Correlated, autocovariance, restored
+from strandline.discrepancy.contours.correlation import autocovariance, restored
 from strandline.discrepancy.contours.paths import smoothed, smoothing_weights
+from strandline.discrepancy.contours.repeats import _errors, _nearest
+from strandline.discrepancy.contours.roughness import _removed
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface, PointErrors
 
@@ -86,22 +89,19 @@ def test_smoothing_keeps_straight_lines_to_their_ends_parabolas_inside_and_circl
 
 @pytest.mark.parametrize(("errors", "outline"), [(LOCAL, ellipse), (GLOBAL, hill), (GLOBAL, ellipse)])
 def test_the_errors_are_those_drawn(errors, outline):
-    """What independent contours differ by is far from a shift of their sd."""
+    """What independent contours differ by is far from a shift of their sd; independent points have half the spacing."""
     found = drawn(errors, 16, outline=outline).errors
     assert found.sd == pytest.approx(errors.sd, rel=0.1)
     assert found.length == pytest.approx(errors.length, rel=0.3)
     if errors is LOCAL:
         assert found.shift < 0.25 * LOCAL.sd
         assert found.offset < 0.5 * LOCAL.sd
+        white = drawn(PointErrors(0.001), 10)
+        assert white.errors.sd == pytest.approx(0.001, rel=0.05)
+        assert 0.5 * white.spacing <= white.errors.length < 0.9 * white.spacing
     else:
         assert found.shift == pytest.approx(errors.shift, rel=0.4)
         assert found.rotation == pytest.approx(errors.rotation, rel=0.5)
-
-
-def test_independent_points_have_half_the_spacing():
-    found = drawn(PointErrors(0.001), 10)
-    assert found.errors.sd == pytest.approx(0.001, rel=0.05)
-    assert 0.5 * found.spacing <= found.errors.length < 0.9 * found.spacing
 
 
 def test_few_contours_do_not_lower_the_sd(monkeypatch):
@@ -113,20 +113,6 @@ def test_few_contours_do_not_lower_the_sd(monkeypatch):
     assert of_three() == pytest.approx(1.0, abs=0.1)
     monkeypatch.setattr(repeats, "_of_one", lambda contours: 1.0)
     assert of_three() < 0.9
-
-
-def test_an_integral_beyond_the_first_zero_shows(monkeypatch):
-    """Planted: what follows the first zero is noise, and what was removed with the common errors; some are refused."""
-
-    def length_or_none(seed):
-        try:
-            return drawn(LOCAL, 10, seed=seed).errors.length
-        except InvalidInput:
-            return 0.0
-
-    monkeypatch.setattr(repeats, "restored", lambda c, removed: Correlated(c[0], c[0] + 2 * c[1:].sum(), False))
-    found = np.array([length_or_none(seed) for seed in range(4)])
-    assert np.max(np.abs(found / LOCAL.length - 1)) > 0.3
 
 
 def test_the_motion_of_each_contour_is_found():
@@ -173,13 +159,6 @@ def test_neither_points_nor_directions_nor_ends_need_to_correspond():
     assert (found.sd, cut.errors.sd) == pytest.approx((LOCAL.sd, LOCAL.sd), rel=0.12)
     assert found.length == pytest.approx(LOCAL.length, rel=0.35)
     assert 370 < cut.places < 415
-
-
-def test_notes_say_what_repeats_never_show():
-    many, few = drawn(LOCAL, 6), drawn(LOCAL, 2)
-    assert "never show" in many.notes[0]
-    assert len(many.notes) == 1
-    assert "2 contours only" in few.notes[1]
 
 
 def test_what_cannot_be_compared_is_refused():
@@ -268,3 +247,27 @@ def test_what_shows_no_errors_is_refused():
     ):
         with pytest.raises(InvalidInput, match=said):
             errors_from_roughness(contour, window=window)
+
+
+def test_feet_next_to_places_at_the_ends_of_an_outline():
+    line = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0]]))
+    feet = np.array([0.9, 0.1, 0.5])
+    found = _nearest(feet, np.array([0.0, 0.2, 0.69, 0.8, 1.0]), line, 0.3)
+    np.testing.assert_array_equal(found, [1, 1, 2, 0, 0])
+
+
+def test_smoothing_removes_correlation_up_to_twice_its_half_width():
+    """As the sums of products of the weights themselves; zero beyond."""
+    found = _removed(2, 10)
+    assert len(found) == 10
+    assert found[:5].any()
+    np.testing.assert_array_equal(found[5:], 0.0)
+
+
+def test_errors_of_the_whole_contour_are_those_that_local_ones_do_not_explain():
+    """Two coordinates of the shift share one spread."""
+    parts = np.zeros((5, 5))
+    parts[:, :2] = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])[:, None]  # variance 2.5
+    local = SimpleNamespace(level=0.25, variance=1.0, cut=False, length=lambda step: 0.1)
+    frame = SimpleNamespace(estimate=np.ones((5, 1)), step=0.1)
+    assert _errors(local, parts, frame).shift == pytest.approx(1.5)

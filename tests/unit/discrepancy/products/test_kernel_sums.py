@@ -30,8 +30,6 @@ def _way(request):
 
 
 BOTH_WAYS = pytest.mark.usefixtures("_way")
-
-
 MANY, FEW = (Sizes(small=0, tile=32, full_tile=128, tiles=n, gathered=g) for n, g in ((3, 4000), (5, 300)))
 """In the second, the partners alone would put more tiles into a batch than it holds."""
 TASKS = [
@@ -40,7 +38,6 @@ TASKS = [
     (700, 3, 0.02, 0.18, MANY),
     (700, 3, 0.02, 0.18, FEW),
     (1, 3, 0.4, np.inf, SMALL_TILES),
-    (127, 2, 0.4, np.inf, SMALL_TILES),
     (128, 3, 0.02, np.inf, SMALL_TILES),
     (700, 2, 0.02, 0.18, SMALL_TILES),
 ]
