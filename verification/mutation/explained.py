@@ -38,6 +38,12 @@ _OF_SCALES = (
     "np.sqrt(np.mean(_rms(below - middle, weights, 1) ** 2))",
     "(np.mean(_rms(below - middle, weights, 1) ** 2))",
 )
+_OF_STEPS = "solved[:, 0, 0] - wider * solved[:, 0, 1]", "(solved[:, 0, 0] + wider * solved[:, 0, 1])"
+_OF_BOTH = (
+    "np.abs(step[:2]).max() < 0.0001 and abs(step[2]) < 1e-06",
+    "(np.abs(step[:2]).max() < 0.0001 or abs(step[2]) < 1e-06)",
+)
+_OF_LEAST = "np.abs(step[:2]).max()", "(np.abs(step[:2]).min())"
 EXPLAINED: dict[tuple[str, str, str], str] = {
     ("design/active/elsewhere.py", "0", "(1)"): "Another scrambling of the Sobol points; either will do.",
     ("design/active/parabola.py", "np.maximum(values, 1e-12)", "(np.minimum(values, 1e-12))"): (
@@ -119,6 +125,22 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "(np.split(connectivity, ends[:-1]))",
     ): ("Only called with cells."),
     ("runs/run_file.py", "False", "(True)"): "Only numbers are saved.",
+    ("imaging/edge_errors.py", "1e-09", "(2e-09)"): "Only a floor that keeps a radius finite.",
+    ("imaging/erf_step.py", "np.clip(wider / width, -0.5, 0.5)", "(wider / width)"): (
+        "Other steps to the same minimum: a step that does not lower the sum is taken back."
+    ),
+    ("imaging/erf_step.py", "1e-09", "(2e-09)"): "Only a floor that keeps a quotient finite.",
+    ("imaging/files/by_pillow.py", "25", "(26)"): "Reads a byte more than it looks at.",
+    ("imaging/half_level.py", "0.0", "(1.0)"): "The place where nothing was found, which is not used.",
+    ("imaging/markov_path.py", "1e-06", "(2e-06)"): "Only a floor that keeps a quotient finite.",
+    ("imaging/random_walk.py", "message.sum()", "(message.mean())"): "Messages are only known up to a factor.",
+    ("imaging/surfaces/levels.py", "edges[1:] + edges[:-1]", "(edges[1:])"): "All centres half a bin farther on.",
+    ("imaging/surfaces/levels.py", "(values.size / _EVERY) ** (1 / 2)", "(values.size / _EVERY)"): (
+        "The noise is estimated from fewer voxels."
+    ),
+    ("imaging/surfaces/thinning.py", "1e-30", "(2e-30)"): "Only a floor that keeps a quotient finite.",
+    ("imaging/template.py", "above[:-1] * above[1:]", "(above[:-1] / above[1:])"): "Only the sign counts.",
+    ("studies/summary_field.py", "True", "(False)"): "Only refuses lists of different lengths.",
 }
 """(file, before, after): the reason."""
 
@@ -224,5 +246,25 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ),
     ("runs/workers.py", "def end(self, deadline", "0.0", "(1.0)"): "Never a time that is still to come.",
     ("runs/workers.py", "self.process.wait(max(0.0", "0.0", "(1.0)"): "Waits up to a second longer.",
+    ("imaging/course.py", "far = bound > 0", "0", "(1)"): "Crossed normals are sought from one pixel farther out.",
+    ("imaging/edge.py", "(-ASIDE, 0.0, ASIDE)", "0.0", "(1.0)"): "Looks at the place one pixel beside.",
+    (
+        "imaging/edge.py",
+        "found.sum() < FEWEST // 3",
+        "3",
+        "(4)",
+    ): "A quarter of the normals is enough for another pass.",
+    ("imaging/erf_step.py", "trial = np.clip(places +", "1.0", "(2.0)"): (
+        "Other steps to the same minimum: a step that does not lower the sum is taken back."
+    ),
+    ("imaging/erf_step.py", "return solved[:, 0, 0] - wider", *_OF_STEPS): (
+        "Other steps to the same minimum: a step that does not lower the sum is taken back."
+    ),
+    ("imaging/registration.py", "grid = np.zeros(2 * np.array", "2", "(3)"): "More zeros around.",
+    ("imaging/registration.py", "if np.abs(step[:2]).max() < 1e-4", *_OF_BOTH): "Ends a step earlier or later.",
+    ("imaging/registration.py", "if np.abs(step[:2]).max() < 1e-4", *_OF_LEAST): "Ends a step earlier or later.",
+    ("imaging/surfaces/surface_errors.py", "np.maximum(known, 1)", "1", "(2)"): "Differs at lags with a single pair.",
+    ("studies/observations.py", "close = get_close_matches", "1", "(2)"): "Only the first is named.",
+    ("studies/pictures/photographed.py", 'source="nothing yet"', "1.0", "(2.0)"): "A size that is not used.",
 }
 """(file, part of the line, before, after): the reason, of changes that would need another one elsewhere in the file."""

@@ -13,6 +13,7 @@ from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
 from strandline.imaging.course import course_through
 from strandline.imaging.edge import find_edge
+from strandline.imaging.located import Scatter
 from strandline.imaging.markov_path import MarkovPath
 from strandline.imaging.noise_covariance import noise_covariance, roughness, scatter_of, sum_to_first_zero
 from strandline.imaging.random_walk import walk
@@ -287,3 +288,32 @@ def test_the_posterior_is_that_of_a_gaussian_walk_and_normals_that_show_nothing_
     found = walk(table, candidates, 0.3)
     np.testing.assert_allclose(found.mean, 2.0, atol=0.02)
     assert found.sd[20] > 2 * found.sd[5]
+
+
+def test_a_path_may_have_more_points_than_pixels():
+    """Half a pixel apart: none is lost."""
+    x = np.arange(0.0, 20.1, 0.5)
+    course = course_through(np.stack([x, 0.05 * x**2], axis=1), closed=False, sigma=0.1)
+    np.testing.assert_allclose(course.points[:, 1], 0.05 * course.points[:, 0] ** 2, atol=0.01)
+
+
+def test_the_roughness_of_independent_errors_does_not_count_wrong_points():
+    places = 0.3 * np.random.default_rng(1).standard_normal(4000)
+    places[::40] = 9.0  # a few wrong points
+    assert 0.3 < roughness(places, np.array([1.0])) < 0.6 < np.std(places)
+    assert Scatter(2.0, 3.0).level == 12.0
+
+
+def test_noise_goes_through_the_fit():
+    """Planted: the variance for the standard deviation. The edge itself is smooth."""
+    found = scatter_of(np.zeros(50), np.array([[4.0, 0.0]]), np.array([0.1, 0.0]))
+    assert found.sd == pytest.approx(0.2)
+
+
+def test_only_bilinear_samples_lose_noise():
+    noise = np.random.default_rng(1).standard_normal((60, 140))
+    picture = grey_values(noise)
+    course = course_through(np.array([[5.0, 20.3], [134.0, 37.1]]), closed=False, sigma=1.0)
+    linear, cubic = (strip_along(picture, course, reach=3.0, step=1.0, order=order) for order in (1, 3))
+    assert cubic.kept == 1.0
+    assert linear.kept == pytest.approx(linear.samples[linear.usable].var(), rel=0.1)

@@ -9,6 +9,7 @@ from tests.unit.imaging.pictures import circle, disc, straight
 
 from strandline.errors import InvalidInput
 from strandline.imaging import Picture, errors_from_frames, find_edge, outline_of
+from strandline.imaging.frame_errors import _longest
 
 PIXEL = (0.01, 0.01)
 SHAPE = (60, 240)
@@ -163,3 +164,9 @@ def test_a_path_that_does_not_stand_on_the_floor_is_refused():
     ):
         with pytest.raises(InvalidInput, match=said):
             outline_of(moved, path, sd=SD, length=LENGTH)
+
+
+def test_the_longest_piece_of_a_closed_edge_may_go_past_its_first_point():
+    kept = np.array([1, 1, 0, 1, 0, 1, 1], bool)
+    assert _longest(kept, closed=True).tolist() == [5, 6, 0, 1]
+    assert _longest(kept, closed=False).tolist() == [0, 1]

@@ -1,5 +1,7 @@
 """Every format at every depth of bits: what is read is what was written."""
 
+import xml.etree.ElementTree as ElementTree
+
 import h5py
 import numpy as np
 import pytest
@@ -7,7 +9,12 @@ import tifffile
 from PIL import Image
 from tests.unit.imaging.files import of_size, png, read, refusal, scan
 
+from strandline.errors import InvalidInput
+from strandline.imaging.files.contents import require_pixels
 from strandline.imaging.files.opening import FORMATS
+from strandline.imaging.files.thorlabs import _size
+from strandline.imaging.linear import _of_decibels
+from strandline.imaging.paths.fiji_roi import path_of_roi
 
 ROWS, COLUMNS = 23, 31
 RNG = np.random.default_rng(1)
@@ -141,3 +148,21 @@ def test_a_scan_and_its_pixel_size(tmp_path):
     scan(tmp_path / "b.oct", np.ones((1, 5, 6)), f"<Ocity><Image>{sizes}</Image>{index}</Ocity>")
     assert "Add `index: 1.33`" in refusal(tmp_path / "b.oct", **how)
     assert read(tmp_path / "b.oct", **how, index=1.0).pixel == pytest.approx((0.5, 0.2))
+
+
+def test_two_frames_of_a_scan_have_a_distance():
+    header = ElementTree.fromstring('<O><DataFile RangeX="2" RangeZ="3" RangeY="4">data/Intensity.data</DataFile></O>')
+    assert [_size(header, 10, 20, frames).z for frames in (1, 2)] == [None, 2.0]
+
+
+def test_a_selection_begins_as_one_and_pictures_have_rows_and_columns():
+    with pytest.raises(InvalidInput, match=r"is no whole \.roi file"):
+        path_of_roi(b"Iouu" + bytes(100))
+    with pytest.raises(InvalidInput, match="has no size that can be read"):
+        require_pixels("a.tif", -3, -4, 5)
+
+
+def test_no_detector_shows_thousands_of_decibels():
+    levels = np.array([[5000.0, 5001.0]])
+    with pytest.raises(InvalidInput, match="has no logarithms of intensities"):
+        _of_decibels(levels, np.dtype(float), "a.tif")

@@ -14,7 +14,9 @@ from verification.validation.rendered_stacks import Blob, Microscope
 from strandline.errors import InvalidInput
 from strandline.imaging import Stack
 from strandline.imaging.surfaces import StackFrame, find_surface, region_of
+from strandline.imaging.surfaces.levels import _noise, two_levels
 from strandline.imaging.surfaces.mesh import Mesh, cut, vector_areas
+from strandline.imaging.surfaces.surface import _outside
 from strandline.imaging.surfaces.thinning import thinned
 from strandline.interface import Interface
 
@@ -235,3 +237,18 @@ def test_a_plane_cuts_a_sphere_in_a_circle():
         np.testing.assert_allclose(np.linalg.norm(segments, axis=2), 1, atol=0.01)
         length = np.linalg.norm(segments[:, 0] - segments[:, 1], axis=1).sum()
         assert length == pytest.approx(2 * np.pi * np.sqrt(1 - 0.09), rel=0.01)
+
+
+def test_the_noise_and_the_levels_of_a_stack():
+    values = np.where(np.arange(40)[:, None, None] < 20, 1.0, 5.0) * np.ones((40, 40, 40))
+    noisy = (values + 0.5 * np.random.default_rng(1).standard_normal(values.shape)).astype(np.float32)
+    assert _noise(noisy) == pytest.approx(0.5, rel=0.05)
+    assert two_levels(noisy) == pytest.approx((1.0, 5.0), abs=0.05)
+
+
+def test_regions_are_in_voxels_whatever_their_shape():
+    """Triangles at 0, 10, 20 … 190 along x, in voxels twice as long: those beyond the 50th are left out."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) + np.arange(20)[:, None, None] * [10.0, 0, 0]
+    mesh = Mesh(corners.reshape(-1, 3), np.arange(60).reshape(20, 3))
+    used, _ = _outside(mesh, [lambda places: places[:, 0] > 50], np.array([2.0, 1.0, 1.0]))
+    assert used.tolist() == list(range(30))

@@ -11,7 +11,13 @@ from scipy.stats import binomtest, norm
 from strandline.errors import InvalidInput
 from strandline.posterior import pareto_smoothing as module
 from strandline.posterior import reweight, subset, verdict_on
-from strandline.posterior.pareto_smoothing import GeneralisedPareto, fit_generalised_pareto, pareto_smoothed
+from strandline.posterior.pareto_smoothing import (
+    GeneralisedPareto,
+    _usual_k_hat,
+    fit_generalised_pareto,
+    largest_usual_k_hat,
+    pareto_smoothed,
+)
 from strandline.posterior.uniformity import coverage_of, uniformity, weighted_ranks
 
 PRIOR_SD, NOISE_SD, DATUM = 2.0, 0.5, 1.3
@@ -213,3 +219,8 @@ def test_coverage_of_intervals_with_the_bounds_of_wilson_and_ranks_by_weight():
     x = np.array([[0.0, 5.0], [1.0, 5.0], [2.0, 7.0]])
     found = weighted_ranks(x, np.array([1.0, 1.0, 2.0]), np.array([1.0, 6.0]))
     np.testing.assert_allclose(found, [0.375, 0.5])
+
+
+def test_usual_k_hat_is_that_of_normal_log_ratios_of_the_same_spread():
+    ratios = 0.5 * norm.ppf((np.arange(400) + 0.5) / 400)
+    assert largest_usual_k_hat(ratios) == _usual_k_hat(400, 0.5)

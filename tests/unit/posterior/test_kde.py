@@ -7,6 +7,7 @@ from sklearn.neighbors import KernelDensity as ReferenceDensity
 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.posterior import KernelDensity
+from strandline.posterior.bound_slope import slope_correction
 
 UNIT = [(0.0, 1.0)]
 
@@ -147,3 +148,25 @@ def test_kernels_are_mirrored_at_the_bounds_and_nothing_changes_far_from_them():
     boxed = KernelDensity.fit(draws, weights, bandwidth=0.3, bounds=[(-3000.0, 3000.0)])
     grid = np.linspace(-300.0, 300.0, 51)[:, None]
     np.testing.assert_allclose(boxed.density(grid), free.density(grid), rtol=1e-6)
+
+
+def test_a_slope_that_draws_do_not_support_is_shrunk():
+    """By its own sampling variance: to nothing where it is larger than the square of the difference."""
+    at, width = np.array([0.1]), 0.3
+    centres = np.random.default_rng(2).random(12)
+    weights = np.full(12, 1 / 12)
+    few = slope_correction(at, centres, weights, width, (0.0, np.inf))[0]
+    many = slope_correction(at, np.repeat(centres, 400), np.repeat(weights, 400) / 400, width, (0.0, np.inf))[0]
+    assert 0 <= abs(few) < 0.9 * abs(many)
+
+
+@pytest.mark.parametrize("bounds", [(0.0, np.inf), (0.0, 1.0)])
+def test_draws_of_an_estimate_follow_its_density_at_a_bound(bounds):
+    draws = np.random.default_rng(1).exponential(0.25, (4000, 1))
+    draws = draws[draws[:, 0] < 1.0]
+    found = KernelDensity.fit(draws, np.full(len(draws), 1 / len(draws)), bounds=[bounds])
+    grid = np.linspace(0.0, 3.0, 3001)
+    below = np.concatenate([[0.0], np.cumsum(found.density(grid[:-1, None]) * 0.001)])
+    some = found.sample(2048)[:, 0]
+    for level in (0.02, 0.05, 0.1, 0.5):
+        assert np.interp(np.quantile(some, level), grid, below) == pytest.approx(level, abs=2e-3)

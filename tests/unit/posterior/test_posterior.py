@@ -224,3 +224,10 @@ def test_bands_are_those_of_each_coordinate_and_offsets_to_the_closest_place_are
     found = observed_offsets(Interface.polyline(0.9 * ROUND[3:80], closed=False), CIRCLE)
     np.testing.assert_allclose(found.offset, 0.1, atol=2e-3)
     assert (np.diff(found.arc_length) > 0).all()
+
+
+def test_a_particle_that_is_not_finite_is_named():
+    draws = np.full((3, 2), 0.5)
+    draws[1, 0] = np.nan
+    with pytest.raises(InvalidInput, match="particle 1 of the posterior"):
+        plain(draws, np.full(3, 1 / 3))

@@ -8,7 +8,7 @@ import pytest
 from strandline.errors import InvalidInput, NumericsError
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import SobolIndices, sobol_indices
-from strandline.posterior.quadrature import _Cells, integrate, mixture
+from strandline.posterior.quadrature import _Cells, _Rule, integrate, mixture
 from strandline.priors import LogNormal, Uniform
 from strandline.testing.densities import banana, gaussian, linear_exponential, truncated_gaussian, uniform
 
@@ -174,3 +174,10 @@ def test_inputs_vary_by_their_priors_and_a_function_without_variance_has_no_indi
     for value in (1.0, np.nan):
         with pytest.raises(NumericsError, match="constant or not finite under the prior"):
             sobol_indices(lambda x, value=value: np.full(len(x), value), CUBE)
+
+
+def test_evaluations_are_counted():
+    asked = []
+    rule = _Rule(lambda x: (asked.append(len(x)), -(x**2).sum(axis=1))[1], np.zeros(1), np.ones(1), 1)
+    rule.cells(np.zeros((1, 1)), np.ones(1))
+    assert rule.evaluations == sum(asked)

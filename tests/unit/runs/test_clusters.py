@@ -4,12 +4,14 @@ import os
 import socket
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from strandline.errors import InvalidInput
 from strandline.runs import LocalProcesses, RunRecord
-from strandline.runs.executors import dask_cluster
+from strandline.runs.array_task import _out_of_walltime
+from strandline.runs.executors import dask_cluster, slurm_commands, with_workers
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.dask_security import keys_in_files
 from strandline.runs.executors.options import walltime_seconds
@@ -182,3 +184,35 @@ def test_a_job_without_a_result_is_told_by_its_state(tmp_path):
         assert (record.state, record.failure_kind) == end
         assert record.log == "the last words"
     assert "SLURM no longer knows it" in record.message
+
+
+def test_a_run_at_the_end_of_its_walltime_keeps_what_it_said():
+    request = SimpleNamespace(key="a", inputs={})
+    found = _out_of_walltime(None, request, 3.0)
+    assert (found.state, found.failure_kind, found.log) == ("timeout", "walltime", "")
+    late = _out_of_walltime(RunRecord("a", {}, "timeout", log="step 7"), request, 3.0)
+    assert (late.failure_kind, late.log) == ("walltime", "step 7")
+    ok = RunRecord("a", {}, "ok")
+    assert _out_of_walltime(ok, request, 3.0) is ok
+
+
+def test_an_executor_without_workers_and_polls_below_a_second(tmp_path):
+    def executor(model, requests):
+        return iter(())
+
+    assert with_workers(executor, 3) is executor
+    assert SlurmArray(tmp_path, ["true"], poll=0.5).poll == 0.5
+
+
+def test_results_of_an_array_are_files_with_a_number(tmp_path):
+    (tmp_path / "results").mkdir()
+    for name in ("1.run", "2.run", "2.taken", "x.run", "4.tmp"):
+        (tmp_path / "results" / name).touch()
+    there, taken = Batch.present(SimpleNamespace(folder=tmp_path))
+    assert (list(there), taken) == ([1], frozenset({2}))
+
+
+def test_a_job_that_accounting_does_not_know_has_no_state(monkeypatch):
+    for said, state in (("", None), ("COMPLETED\n", "COMPLETED")):
+        monkeypatch.setattr(slurm_commands, "_said", lambda *words, said=said: said)
+        assert slurm_commands.past_state("7", 1) == state

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,7 +22,9 @@ from strandline.interface import Interface
 from strandline.models.protocol import Simulation
 from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key, scratch
 from strandline.runs.record import MESSAGE_CHARACTERS, with_log
+from strandline.runs.result import _derivative
 from strandline.runs.run_file import read_run, write_run
+from strandline.runs.workers import Worker, _how_it_ended
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, TwoLoads
 
@@ -269,3 +272,14 @@ def test_folders_of_other_machines_and_users_and_links_stay(parent, monkeypatch)
         assert scratch.clear_stale(parent) == 0
     assert scratch.clear_stale(parent) == 1
     assert all(folder.is_dir() for folder in foreign)
+
+
+def test_one_number_of_a_derivative_that_is_not_finite_is_enough():
+    line = {"": Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0]]))}
+    with pytest.raises(Exception, match="1 numbers of d/dE are not finite"):
+        _derivative("", "E", [[0.0, 1.0], [math.nan, 2.0]], line)
+
+
+def test_how_a_worker_ended():
+    assert [_how_it_ended(code) for code in (None, 3, -9)] == ["exit code None", "exit code 3", "signal SIGKILL"]
+    assert [Worker.overdue(SimpleNamespace(deadline=at)) for at in (None, -math.inf, math.inf)] == [False, True, False]

@@ -19,7 +19,7 @@ from strandline.runs import Progress, RunRecord, RunRequest, attempt
 from strandline.studies import expected_widths as widths
 from strandline.studies import load_study
 from strandline.studies.early_widths import noting_widths, predicted_at
-from strandline.studies.expected_widths import expected_sd, neighbours, slopes_by_differences
+from strandline.studies.expected_widths import STEP, expected_sd, neighbours, slopes_by_differences
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 AT = np.array([400.0, 0.02])
@@ -146,3 +146,9 @@ def test_inputs_with_nearly_the_same_effect_have_the_widths_of_their_posterior(t
     study = load_study(write_study(tmp_path))
     study = replace(study, space=space, noise=noise, discrepancies={"normal_offset": NormalOffset()})
     assert expected_sd(study, *found, {"": seen}) == pytest.approx(true, rel=0.2)
+
+
+def test_neighbours_differ_by_a_share_of_the_box():
+    space = ParameterSpace((Parameter("a", Uniform(10.0, 12.0)), Parameter("b", Uniform(0.0, 1.0))))
+    found = neighbours(space, np.array([11.0, 1.0]))
+    np.testing.assert_allclose(found - [11.0, 1.0], [[2 * STEP, 0.0], [0.0, -STEP]])

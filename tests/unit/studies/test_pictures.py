@@ -5,6 +5,7 @@ import json
 import shutil
 from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,14 +17,15 @@ from strandline.cli import main
 from strandline.cli.run import _doubting
 from strandline.discrepancy import ClosestPoint, Currents
 from strandline.errors import InvalidInput
-from strandline.imaging import Clicks, ScaleBar, write_clicks
+from strandline.imaging import Clicks, Frame, ScaleBar, write_clicks
 from strandline.interface import UnknownErrors
 from strandline.report.plots.picture import off_smooth, plot_picture
 from strandline.runs import RunRecord
 from strandline.studies import load_study
 from strandline.studies.measure_doubts import measure_lines
 from strandline.studies.pictures.behind import _small
-from strandline.studies.pictures.picture_files import described, write_pictures
+from strandline.studies.pictures.frame_note import frame_note
+from strandline.studies.pictures.picture_files import _along, described, write_pictures
 from strandline.studies.read_how import read_how
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
@@ -322,3 +324,15 @@ def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(tmp_path, capsys)
     assert "without `registration`" in image(capsys, written(tmp_path), "--edit", "--reference")
     with pytest.raises(InvalidInput, match=r"observation\.image\.path"):
         loaded(tmp_path, path="bare.path.json", file="bare.png")
+
+
+def test_a_frame_is_said_to_be_turned_if_it_is():
+    for rotation, said in ((0.0, False), (3.0, True)):
+        assert ("turned by" in frame_note(Frame((3.0, 4.0), (1.0, 1.0), rotation=rotation), None)) is said
+
+
+def test_arcs_of_a_picture_begin_at_zero_in_the_order_of_the_interface():
+    edge = SimpleNamespace(sds=np.array([1.0, 2.0, 3.0]), arc=np.array([5.0, 6.0, 8.0]))
+    for mirrors, sds, arc in ((True, [1.0, 2.0, 3.0], [0.0, 1.0, 3.0]), (False, [3.0, 2.0, 1.0], [0.0, 2.0, 3.0])):
+        found = _along(SimpleNamespace(edge=edge, frame=SimpleNamespace(mirrors=mirrors)))
+        assert [one.tolist() for one in found] == [sds, arc]

@@ -6,6 +6,7 @@ import socket
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,7 +16,7 @@ from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_campaign, run_key
 from strandline.runs.tables import ATTEMPTS
 from strandline.studies import load_study
-from strandline.studies.doctor import examine
+from strandline.studies.doctor import _gaps, examine
 from strandline.studies.progress import RATE_RUNS, progress_in, progress_of, recorded_plan
 from strandline.studies.study_runs import settled
 from strandline.testing.studies import write_study
@@ -233,3 +234,16 @@ def test_an_earlier_ledger_of_an_unchanged_function_is_accepted(tmp_path, monkey
     Ledger.open(ledger, model="python:another").close()
     with pytest.raises(LedgerError, match="another model"):
         Ledger.open(ledger, model=fingerprint(load_study(tmp_path).model))
+
+
+def test_gaps_are_told_unless_a_driver_is_at_work():
+    study, driver = SimpleNamespace(folder="beam"), SimpleNamespace(at_work=True)
+    for detached, at_work, lost, told in (
+        (False, None, 2, ["3 of 5 planned runs have no outcome; 2 of them were started and lost with their driver"]),
+        (False, None, 0, ["3 of 5 planned runs have no outcome"]),
+        (False, driver, 0, []),
+        (True, None, 0, []),
+        (False, SimpleNamespace(at_work=False), 0, ["3 of 5 planned runs have no outcome"]),
+    ):
+        state = SimpleNamespace(detached=detached, driver=at_work, open=1, planned=5, done=2, lost=lost)
+        assert [one.what for one in _gaps(study, state)] == told

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import numpy as np
@@ -33,7 +34,9 @@ from strandline.studies.keys.scalars import Count
 from strandline.studies.keys.section import Section
 from strandline.studies.noise import require_stated
 from strandline.studies.observed import SyntheticNoise, noisy, read_points, require_plausible
+from strandline.studies.own_prior import require_prior
 from strandline.studies.parse import parse_study
+from strandline.studies.yaml_text import _not_yaml
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, write_study
 
@@ -339,3 +342,17 @@ def test_keys_made_from_a_class_have_its_names_types_defaults_and_meanings():
     within = keys_within(Kitchen.model_fields["oven"].annotation)
     assert set(within.model_fields) == {"heat", "minutes", "tins", "ovens"}
     assert keys_within(dict[str, float]) is None
+
+
+def test_a_prior_of_ones_own_needs_an_interval():
+    parts = {"log_density": lambda x: -x, "cdf": abs, "quantile": abs}
+    require_prior(SimpleNamespace(support=(0.0, 1.0), **parts), "a")
+    for support in ((0.0, 1.0, 2.0), (1.0, 0.0), 3.0):
+        with pytest.raises(InvalidStudy, match=r"two numbers, \(low, high\)"):
+            require_prior(SimpleNamespace(support=support, **parts), "a")
+
+
+def test_yaml_is_refused_where_its_mistake_is():
+    assert str(_not_yaml(None, "x")).startswith("study.yaml is not valid YAML")
+    mark = SimpleNamespace(line=2, column=4)
+    assert str(_not_yaml(mark, "x")).startswith("study.yaml, line 3, column 5 is not valid YAML")

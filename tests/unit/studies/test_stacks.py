@@ -4,6 +4,7 @@ import json
 import shutil
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from strandline.cli import main
 from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study
+from strandline.studies.keys.stack import StackFile
+from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.stack_files import write_stacks
 from strandline.studies.pictures.undeformed import with_errors_of
 from strandline.studies.read_how import read_how
@@ -216,3 +219,15 @@ def test_bad_input_of_two_pictures_is_one_line(study, tmp_path):
     assert not_refused(tmp_path, OUTLINE, "model.biofilm.outline.image.", **content) == []
     assert not_refused(tmp_path, REGISTRATION, "observation.image.registration.", **content) == []
     assert not_refused(tmp_path, "noise.unknown: {scale: 0.005, shared: true}", **content) == []
+
+
+def test_one_file_or_several_of_a_stack():
+    for file, files in (("a.tif", ["a.tif"]), (["a.tif", "b.tif"], ["a.tif", "b.tif"])):
+        assert StackFile.model_construct(file=file).files == files
+
+
+def test_a_single_surface_is_not_said_to_be_the_largest():
+    for share, said in ((1.0, ()), (0.9, ("the largest of several surfaces, 90 % of their area",))):
+        errors = SimpleNamespace(open_share=0.0, area_share=share)
+        surface = SimpleNamespace(errors=errors, left_out=0)
+        assert Scanned.notes.fget(SimpleNamespace(surface=surface, stack=SimpleNamespace(notes=()), placed="")) == said
