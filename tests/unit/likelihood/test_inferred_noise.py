@@ -14,7 +14,13 @@ from strandline.discrepancy import ClosestPoint, NormalOffset, WhitenedOffset
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
-from strandline.likelihood.inferred_noise import InferredNoise, NoisePosterior, _grid, _log_evidences, require_inferable
+from strandline.likelihood.inferred_noise import (
+    InferredNoise,
+    NoisePosterior,
+    _grid,
+    _log_evidences,
+    require_inferable,
+)
 from strandline.likelihood.joint_errors import JointErrors, error_model
 from strandline.likelihood.learnt import evaluated, predicted
 from strandline.likelihood.linearised import linearise
@@ -252,3 +258,37 @@ def test_the_prediction_of_a_surrogate_to_a_power():
         for power in (1.0, 0.25):
             found = evaluated(predicted(process, power=power))(x)
             np.testing.assert_allclose(found, power * process.mean(x), rtol=1e-10)
+
+
+def test_weights_of_sums_are_means_over_the_dense_gaussians():
+    """Components count as the first column makes them likely."""
+    random = np.random.default_rng(5)
+    V, SHARED, F = random.uniform(0.5, 2.0, 40), random.normal(size=(40, 5)), random.normal(size=(40, 3))
+    LEVELS, SCALES, LOG_WEIGHTS = np.array([0.5, 2.0]), random.uniform(0.2, 3.0, (2, 5)), np.log([0.3, 0.7])
+    dense = [level * np.diag(V) + SHARED * scale**2 @ SHARED.T for level, scale in zip(LEVELS, SCALES, strict=True)]
+    each = np.array([F.T @ np.linalg.solve(C, F) for C in dense])
+    likely = np.exp(LOG_WEIGHTS - 0.5 * each[:, 0, 0])
+    found = Mixture(None, V, SHARED, LEVELS, SCALES, LOG_WEIGHTS).weights_of_sums(
+        F.T @ (F / V[:, None]), (F / V[:, None]).T @ SHARED
+    )
+    np.testing.assert_allclose(found, np.tensordot(likely / likely.sum(), each, axes=1), rtol=1e-9)
+
+
+def test_half_of_the_prior_is_on_a_model_without_error():
+    """p(no error | r) = ½ p(r | no error) / p(r)."""
+    sds, lengths = (1e-3, 0.004), (0.01, 0.04)
+    alone, both = (
+        inferred(observed(4, noise=UnknownErrors(sds, lengths, model_error=erring))).posterior
+        for erring in (False, True)
+    )
+    assert both.log_evidence == pytest.approx(
+        np.log(0.5) + alone.log_evidence - np.log(1 - both.probability_of_model_error), abs=0.05
+    )
+
+
+def test_the_evidence_falls_with_the_width_of_the_prior_of_the_length():
+    once, twice = (
+        inferred(observed(4, noise=UnknownErrors(length=(0.002, 0.002 * 100**k), offset=0.002))).posterior
+        for k in (1, 2)
+    )
+    assert once.log_evidence - twice.log_evidence == pytest.approx(np.log(2), abs=0.1)

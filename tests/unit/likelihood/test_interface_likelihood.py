@@ -9,6 +9,7 @@ from scipy import stats
 from scipy.linalg import block_diag
 from scipy.optimize import minimize
 from tests.unit.discrepancy.curves import arch, level
+from tests.unit.likelihood.near_arches import LOCAL
 
 from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints
 from strandline.discrepancy.normal_offset import signed_distances
@@ -214,3 +215,9 @@ def test_what_cannot_be_compared_is_refused():
         both.square({"a": arch(), "b": arch().reversed()})
     alone = InterfaceLikelihood((Observation(seen, PointErrors(0.003)),), NormalOffset())
     assert alone(arch(0.31)) == pytest.approx(alone(arch(0.31).reversed()))
+
+
+def test_the_constant_of_noise_that_is_inferred_counts_points():
+    line = Interface.polyline(np.stack([np.linspace(0.0, 1.0, 9), np.zeros(9)], axis=1))
+    mixed = (Observation(line, UnknownErrors(), "a"), Observation(line, LOCAL, "b"))
+    assert InterfaceLikelihood(mixed, NormalOffset()).constant == pytest.approx(-9 * np.log(2 * np.pi))

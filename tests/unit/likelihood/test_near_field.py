@@ -1,6 +1,7 @@
 """Residuals near the best fit as polynomials of the field, and means of likelihoods over fields that follow."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.near_field import BENT, TRUSTED, near_field
 from strandline.likelihood.nearby import OfStatedErrors, _ByOffsets
-from strandline.likelihood.parabolas import FittedParabola, Parabolas, log_gain, mean_of_draws, numbers
+from strandline.likelihood.parabolas import FittedParabola, NearParabola, Parabolas, log_gain, mean_of_draws, numbers
 from strandline.likelihood.residuals import residuals_of
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
@@ -312,3 +313,35 @@ def test_measures_average_as_plain_draws_of_the_field_do():
             error = np.std(np.exp(each - mean)) / np.sqrt(len(each))
             assert abs(value - mean) < 0.1 + 3 * error
             assert error < 0.15
+
+
+def test_the_parabola_of_unknown_errors_touches_the_likelihood_at_the_best_fit():
+    found = likelihood(UnknownErrors()).nearby
+    at = found.field.at[None]
+    parabola = found.parabola.parabolas(at)
+    assert parabola.top - parabola.below[0] == pytest.approx(found.log_likelihood(at)[0], abs=1e-8)
+    assert parabola.below[0] != pytest.approx(0.5, abs=0.1)
+
+
+def test_a_fitted_parabola_is_one_of_quadratics_and_never_bends_upwards():
+    A, b, at = np.array([[3.0, 1.0], [1.0, 2.0]]), np.array([0.7, -0.4]), np.array([0.2, 0.5])
+    quadratic = lambda c: 1.0 + c @ b - 0.5 * np.einsum("ki,ij,kj->k", c, A, c)  # noqa: E731
+    found = FittedParabola.fitted(quadratic, at, 0.1)
+    np.testing.assert_allclose(found.slopes, b - A @ at, atol=1e-9)
+    np.testing.assert_allclose(found.information, A, atol=1e-8)
+    saddle = FittedParabola.fitted(lambda c: c[:, 0] ** 2 - c[:, 1] ** 2, np.zeros(2), 0.1)
+    assert (np.linalg.eigvalsh(saddle.information) > 0).all()
+
+
+def test_what_modes_leave_over_is_integrated_out():
+    """∫ exp(-½ rᵀWr) N(t; 0, I) dt for r = (1, z, t), by the formula for a Gaussian of all of them."""
+    W = np.cov(np.random.default_rng(3).normal(size=(4, 30)))  # of 1, one mode, two of what they leave
+    field = SimpleNamespace(tail=np.zeros((5, 2)))
+    weights, log_factor = NearParabola(field, W)._integrated
+    for z in (0.0, 0.8):
+        r = np.array([1.0, z])
+        g = np.linspace(-6, 6, 121)
+        t = np.stack([one.ravel() for one in np.meshgrid(g, g)], axis=1)
+        terms = np.hstack([np.tile(r, (len(t), 1)), t])
+        values = np.exp(-0.5 * np.einsum("ki,ij,kj->k", terms, W, terms) - 0.5 * (t**2).sum(axis=1)) / (2 * np.pi)
+        assert -0.5 * r @ weights @ r + log_factor == pytest.approx(np.log(values.sum() * 0.1**2), abs=1e-6)
