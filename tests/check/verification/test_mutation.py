@@ -88,15 +88,12 @@ def test_what_is_recorded_is_read_again_until_the_text_of_its_file_changes(packa
     assert known_results(package, recorded, kept) == {}
 
 
-def test_a_table_counts_what_was_noticed_in_rooms_within_rooms_too(package):
+def test_a_table_counts_what_was_noticed_in_rooms_within_rooms_too_and_an_explanation_holds_for_its_lines(package):
     ends = ["failed", "hung", "broke", "passed", "unsure"]
     rows = [result(package, STEPS if k < 3 else MOVES, k, end) for k, end in enumerate(ends)]
     found = {row[0]: row[1:] for row in table(rows).rows}
     assert found["sampler"] == found["all"] == (5, 3, 0, 2)
     assert found["posterior"] == (0, 0, 0, 0)
-
-
-def test_an_explanation_holds_for_the_lines_that_it_names(package):
     known = {"anywhere": {(MOVES, "1", "(3)")}, "on_line": [(MOVES, "x = 1", "1", "(2)")]}
     for line, after, holds in (("1", "(2)", True), ("1", "(3)", True), ("2", "(2)", False), ("2", "(3)", True)):
         one = {"file": MOVES, "line": line, "before": "1", "after": after}
@@ -196,10 +193,8 @@ import pytest
 def slow():
     time.sleep(0.05)
 
-def test_one(slow):
-    pass
-
-def test_two(slow):
+@pytest.mark.parametrize("case", [1, 2])
+def test_it(slow, case):
     pass
 """
 
@@ -210,11 +205,9 @@ def test_tables_of_seconds_have_a_row_for_each_file_and_fixture(tmp_path):
     command = [sys.executable, "-m", "verification.suite_seconds", "--most", "2", *options]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     lines = [line.split() for line in done.stdout.splitlines() if line.strip()]
-    (head,) = (line for line in lines if line[:3] == ["seconds", "by", "file"])
-    assert head[3:] == ["cases", "compile", "solve", "programs", "waiting", "rest"]
+    assert ["seconds", "by", "file", "cases", "compile", "solve", "programs", "waiting", "rest"] in lines
     rows = {line[0]: [float(figure) for figure in line[1:]] for line in lines if line[0] in ("all", "test_it.py")}
     assert rows["all"] == rows["test_it.py"]
     assert rows["all"][0] == 2
-    assert rows["all"][4] >= 0.0
     (fixture,) = (line for line in lines if line[0].endswith("::slow"))
     assert [float(figure) for figure in fixture[1:]] == [1, 0.1]

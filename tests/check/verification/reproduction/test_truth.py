@@ -190,8 +190,16 @@ def test_posteriors_at_an_uncertain_rate_are_the_closed_form_and_neither_reading
     assert found["joint"].log_evidence_at_rate[k] == pytest.approx(alone.log_evidence, abs=1e-12)
 
 
-def test_a_wrong_measure_weight_is_noticed(known):
-    """Planted: the Jacobian of log E is forgotten."""
+def test_a_wrong_measure_weight_is_noticed_and_total_variation_of_shifted_normals_is_the_closed_form(known):
+    """Planted: the Jacobian of log E is forgotten. TV of N(0, 1) and N(d, 1) is 2Φ(d/2) - 1."""
+    grid = product_grid(KNOWN, rate=100.0)
+
+    def posterior(shift):
+        density = norm.pdf(grid.young[:, None], 400 + 40 * shift, 40) * np.full(len(grid.nu), 1 / 1.3)
+        return GridPosterior(grid, density, np.zeros(2), np.eye(2), 0.0, np.zeros(1), 0.0)
+
+    for d in (0.0, 0.5, 2.0):
+        assert total_variation(posterior(0.0), posterior(d)) == pytest.approx(2 * norm.cdf(d / 2) - 1, abs=1e-3)
     grid = product_grid(KNOWN, rate=100.0)
     object.__setattr__(grid, "young_weight", grid.young_weight / grid.young * grid.young.mean())
     assert not agree(posterior_on_grid(known[0], KNOWN, grid), by_hand(KNOWN, "joint", 100.0), 0.01)
@@ -208,18 +216,6 @@ def test_field_is_the_likelihood_between_its_nodes_and_mass_beyond_the_soft_end_
         field = log_likelihood_field(table, likelihood_at(young, 0.3, 100.0), nodes=NODES, rate=100.0)
         grid = product_grid(KNOWN, rate=100.0)
         assert least <= posterior_on_grid(field, KNOWN, grid, coordinates=table.coordinates).edge_mass < most
-
-
-def test_total_variation_of_shifted_normals_is_the_closed_form():
-    """TV of N(0, 1) and N(d, 1) is 2Φ(d/2) - 1."""
-    grid = product_grid(KNOWN, rate=100.0)
-
-    def posterior(shift):
-        density = norm.pdf(grid.young[:, None], 400 + 40 * shift, 40) * np.full(len(grid.nu), 1 / 1.3)
-        return GridPosterior(grid, density, np.zeros(2), np.eye(2), 0.0, np.zeros(1), 0.0)
-
-    for d in (0.0, 0.5, 2.0):
-        assert total_variation(posterior(0.0), posterior(d)) == pytest.approx(2 * norm.cdf(d / 2) - 1, abs=1e-3)
 
 
 def test_what_has_no_answer_is_refused(table, known, ledger, tmp_path):
