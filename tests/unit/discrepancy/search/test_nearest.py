@@ -74,6 +74,13 @@ def is_exact(found, points, target) -> bool:
     return all(np.array_equal(getattr(found, one), getattr(expected, one)) for one in ("squares", "cells", "points"))
 
 
+def test_the_tree_gives_what_trying_every_cell_gives_to_the_last_bit():
+    for target in (sheet(25, bend=0.3, seed=2), sphere(0.6, 3), wave(300, 6), wave(300, 7, closed=True)):
+        points = around(target, 20, 0)
+        assert len(points) * len(target.cells) > SMALL
+        assert is_exact(closest_points(points, target), points, target)
+
+
 def test_an_interface_that_is_searched_once_gets_no_tree(monkeypatch):
     target = wave(100, seed=2)
     points = around(target, 100, seed=3)
@@ -95,7 +102,7 @@ def test_many_points_and_many_pairs_are_taken_in_blocks():
 
 @settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), spread=st.floats(0.0, 6.0), number=st.integers(1, 300))
-def test_the_tree_gives_what_trying_every_cell_gives_to_the_last_bit(seed, spread, number):
+def test_the_tree_gives_what_trying_every_cell_gives_on_any_triangles(seed, spread, number):
     target = soup(number, seed, spread=spread)
     points = around(target, 5, seed)
     assert is_exact(by_tree(points, target), points, target)
