@@ -17,7 +17,7 @@ from strandline.testing.studies import write_study
 SMALL = {
     "draft": True,
     "report": "none",
-    "design": {"sobol": {"runs": 12}},
+    "design": {"sobol": {"runs": 6}},
     "sampler": {"smc": {"particles": 200, "rejuvenation_steps": 2, "zeta": 0.5}},
     "executor": {"slurm_array": {"poll": 0.3, "timeout": 50, "walltime": "00:05:00"}},
 }
@@ -27,11 +27,11 @@ def test_detached_and_collected(slurm, tmp_path, capsys):
     folder = write_study(tmp_path / "study", **SMALL)
     main(["run", "--quiet", "--detach", str(folder)])
     shown = capsys.readouterr().out
-    assert shown.startswith("13 runs are with SLURM")
+    assert shown.startswith("7 runs are with SLURM")
     assert f"strandline run {folder}" in shown
     assert not (folder / "summary.json").exists()
     main(["status", str(folder)])
-    assert "ok 0, failed 0, under way (or lost) 12" in capsys.readouterr().out
+    assert "ok 0, failed 0, under way (or lost) 6" in capsys.readouterr().out
     main(["run", "--quiet", str(folder)])
     summary = json.loads((folder / "summary.json").read_text())
     assert set(attempts(folder / "ledger.sqlite")) == {1}
@@ -39,7 +39,7 @@ def test_detached_and_collected(slurm, tmp_path, capsys):
     assert summary["inputs"] == json.loads(json.dumps(here.summary["inputs"]))
     capsys.readouterr()
     main(["run", "--quiet", "--detach", str(folder)])
-    assert "12 forward runs ok, 0 failed (0 new, 12 reused)" in capsys.readouterr().out, "nothing has changed"
+    assert "6 forward runs ok, 0 failed (0 new, 6 reused)" in capsys.readouterr().out, "nothing has changed"
     (folder / "summary.json").unlink()
     main(["run", "--quiet", "--detach", str(folder)])
     assert "every run of the design is done" in capsys.readouterr().out
