@@ -22,7 +22,12 @@ PARTS = {
 }
 """What a posterior is trusted for, and what brings runs, files and pictures to it: names of parts, and folders of the
 package with all that is in them."""
-USED_IN = {"active design": ("calibration",), "field surrogate": ("calibration",), "studies": ("questions", "cli")}
+USED_IN = {
+    "active design": ("calibration",),
+    "field surrogate": ("calibration",),
+    "runs": ("slurm",),
+    "studies": ("questions", "cli"),
+}
 """Rooms whose tests should notice changes of a part, too."""
 TIERS = ("unit", "study", "doors")
 """Folders of tests, quick ones first."""
