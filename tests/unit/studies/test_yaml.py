@@ -321,6 +321,8 @@ def test_a_long_name_is_shortened_the_same_way_each_time(beam):
     found = content(target)
     assert found["reuse"] == ["../../beam", "../../earlier"]
     assert (found["name"], found["seed"]) == ("other", 3)
+    # A section that is not there yet is made.
+    assert content(changed_study(beam, ["surrogate.log_likelihood={}"]))["surrogate"] == {"log_likelihood": {}}
 
 
 WRONG = {
