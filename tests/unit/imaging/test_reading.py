@@ -156,7 +156,7 @@ def test_several_files_are_frames_of_one_state(tmp_path):
     ome(a, NOISE[0], PhysicalSizeX=2.0, PhysicalSizeY=2.0)
     ome(b, NOISE[1], PhysicalSizeX=2.0, PhysicalSizeY=2.1)
     for files, pixel, said in (
-        (paths[1:3], SQUARE, r"2\.npy differs from 1\.npy: got Picture\(2\.npy, 30 × 20 pixels"),
+        (paths[1:3], SQUARE, r"2\.npy differs from 1\.npy: got Picture\(2\.npy, 30 × 20 pixels of 2 × 2 µm"),
         ([a, b, a], SQUARE, r"files of a picture: got a\.tif; expected .*each once"),
         ([], SQUARE, "files of a picture: got no file"),
         ([a, b], None, r"b\.tif differs from a\.tif"),
@@ -203,6 +203,7 @@ def test_a_stack_in_one_file_and_in_several(tmp_path):
     several = read_stack(saved_frames(tmp_path), reading(pixel=VOXEL))
     np.testing.assert_array_equal(several.values, NOISE)
     assert several.voxel == pytest.approx((2e-3, 2e-3, 7e-3))
+    assert repr(several) == "Stack(0.npy and 4 more, 30 × 20 × 5 voxels of 2 × 2 × 7 µm)"
     np.save(tmp_path / "many.npy", NOISE.reshape(5, 2, 10, 30))
     np.save(tmp_path / "a.npy", NOISE)
     imagej(tmp_path / "times.tif", NOISE, axes="TYX", unit="um", spacing=3.0)
