@@ -54,7 +54,7 @@ styled: $(VENV)/.installed-check
 
 # Types and shapes of arrays at run time: twice the seconds of the same tests without.
 typed: $(VENV)/.installed-check
-	$(PYTEST) -q -m "not long" --jaxtyping-packages=strandline,verification.reproduction,beartype.beartype tests/unit tests/study
+	$(PYTEST) -q -m "not long and not stand_in" --jaxtyping-packages=strandline,verification.reproduction,beartype.beartype tests/unit tests/study
 
 documented: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 from strandline.calibration import progress_text
 from strandline.cli.details import detailed, set_aside_lines
 from strandline.cli.progress import SECONDS_BETWEEN_LINES, observing
@@ -128,6 +130,7 @@ class TestStatus:
         ]
         assert len(list(lines_of(StudyProgress("bent", 80)))) == 3
 
+    @pytest.mark.stand_in
     def test_a_line_for_each_fact(self):
         at_work, work = {"driver": self.AT_WORK}, "  driver at work, process 4711 on desk"
         unseen = "  driver process 4711 on desk; strandline cannot see from here whether it is running"

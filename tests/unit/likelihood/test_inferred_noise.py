@@ -260,6 +260,7 @@ def test_the_prediction_of_a_surrogate_to_a_power():
             np.testing.assert_allclose(found, power * process.mean(x), rtol=1e-10)
 
 
+@pytest.mark.stand_in
 def test_weights_of_sums_are_means_over_the_dense_gaussians():
     """Components count as the first column makes them likely."""
     random = np.random.default_rng(5)

@@ -333,6 +333,7 @@ def test_a_fitted_parabola_is_one_of_quadratics_and_never_bends_upwards():
     assert (np.linalg.eigvalsh(saddle.information) > 0).all()
 
 
+@pytest.mark.stand_in
 def test_what_modes_leave_over_is_integrated_out():
     """∫ exp(-½ rᵀWr) N(t; 0, I) dt for r = (1, z, t), by the formula for a Gaussian of all of them."""
     W = np.cov(np.random.default_rng(3).normal(size=(4, 30)))  # of 1, one mode, two of what they leave

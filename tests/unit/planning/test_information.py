@@ -155,6 +155,7 @@ def test_models_that_anything_separates_and_too_few_draws():
     assert not expected_discrimination(wide, [0.5, 0.5], random).reliable
 
 
+@pytest.mark.stand_in
 @pytest.mark.parametrize("shapes", [[(5, 2)], [(5, 2), (5, 3)], [(5, 2), (1, 2)]])
 def test_a_single_model_other_signals_and_too_few_draws_are_refused(shapes):
     shares = np.full(len(shapes), 1 / len(shapes))

@@ -186,6 +186,7 @@ def test_a_job_without_a_result_is_told_by_its_state(tmp_path):
     assert "SLURM no longer knows it" in record.message
 
 
+@pytest.mark.stand_in
 def test_a_run_at_the_end_of_its_walltime_keeps_what_it_said():
     request = SimpleNamespace(key="a", inputs={})
     found = _out_of_walltime(None, request, 3.0)
@@ -196,6 +197,7 @@ def test_a_run_at_the_end_of_its_walltime_keeps_what_it_said():
     assert _out_of_walltime(ok, request, 3.0) is ok
 
 
+@pytest.mark.stand_in
 def test_an_executor_without_workers_and_polls_below_a_second(tmp_path):
     def executor(model, requests):
         return iter(())

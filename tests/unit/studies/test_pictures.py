@@ -331,6 +331,7 @@ def test_a_frame_is_said_to_be_turned_if_it_is():
         assert ("turned by" in frame_note(Frame((3.0, 4.0), (1.0, 1.0), rotation=rotation), None)) is said
 
 
+@pytest.mark.stand_in
 def test_arcs_of_a_picture_begin_at_zero_in_the_order_of_the_interface():
     edge = SimpleNamespace(sds=np.array([1.0, 2.0, 3.0]), arc=np.array([5.0, 6.0, 8.0]))
     for mirrors, sds, arc in ((True, [1.0, 2.0, 3.0], [0.0, 1.0, 3.0]), (False, [3.0, 2.0, 1.0], [0.0, 2.0, 3.0])):

@@ -236,6 +236,7 @@ def test_an_earlier_ledger_of_an_unchanged_function_is_accepted(tmp_path, monkey
         Ledger.open(ledger, model=fingerprint(load_study(tmp_path).model))
 
 
+@pytest.mark.stand_in
 def test_gaps_are_told_unless_a_driver_is_at_work():
     study, driver = SimpleNamespace(folder="beam"), SimpleNamespace(at_work=True)
     for detached, at_work, lost, told in (

@@ -372,6 +372,7 @@ def test_weights_between_posteriors_count_and_the_noise_of_particles_does_not():
     assert moved.effective < 0.9
 
 
+@pytest.mark.stand_in
 def test_runs_with_derivatives_count_for_half_of_the_inputs():
     for dim, gradients, number in ((3, True, 2), (2, True, 1), (1, True, 1), (3, False, 3)):
         state = SimpleNamespace(knowledge=SimpleNamespace(surrogate=SimpleNamespace(gradients=gradients)))

@@ -128,6 +128,7 @@ def test_a_certificate_says_what_may_have_been_missed():
     assert "compact region that fits, if it holds 7% or more of the prior's mass" in many.statement
 
 
+@pytest.mark.stand_in
 def test_the_line_after_each_batch():
     space = ParameterSpace((Parameter("E", Uniform(0.0, 800.0), "Pa"), Parameter("nu", Uniform(-1, 0.5), symbol="ν")))
     for kinds_of, steps, moved, converged, line in [

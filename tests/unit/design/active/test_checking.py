@@ -302,6 +302,7 @@ def test_bounds_shrink_as_those_of_student_do():
         assert checking._may_settle([(effect, fewest(1) - FREEDOM + 1)], 10, 1, TOLERANCES) is settles
 
 
+@pytest.mark.stand_in
 def test_weights_object_to_a_shift_beyond_its_error():
     smoothed = SimpleNamespace(log_weights=np.zeros(50), ess=50.0, k_hat=0.1)
     for error, objected in ((0.01, 1), (0.1, 0)):

@@ -202,6 +202,7 @@ def test_a_posterior_without_any_run_inside_has_no_ratios():
     assert (x.shape, len(ratios), len(variances)) == ((0, 2), 0, 0)
 
 
+@pytest.mark.stand_in
 def test_a_run_is_expected_as_the_uncertain_surrogate_expects_it():
     """Planted: by the mean of its predictions alone, it would be a surprise."""
     line = {"": Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0]]))}

@@ -264,6 +264,7 @@ def test_smoothing_removes_correlation_up_to_twice_its_half_width():
     np.testing.assert_array_equal(found[5:], 0.0)
 
 
+@pytest.mark.stand_in
 def test_errors_of_the_whole_contour_are_those_that_local_ones_do_not_explain():
     """Two coordinates of the shift share one spread."""
     parts = np.zeros((5, 5))

@@ -90,6 +90,7 @@ def test_a_warp_is_monotone_and_only_wide_and_positive_inputs_are_warped():
     assert eligible(low, high) == [0, 4]
 
 
+@pytest.mark.stand_in
 def test_fits_are_quick_only_where_they_are_compared(monkeypatch):
     asked, fit = [], warp_choice.fit_mode
     monkeypatch.setattr(warp_choice, "fit_mode", lambda one, quick: (asked.append(quick), fit(one, quick=quick))[1])
