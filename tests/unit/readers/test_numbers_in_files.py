@@ -145,7 +145,7 @@ def test_only_data_beside_xdmf_and_below_are_read(inner):
     for source in (outside, "../outside.h5", "link.h5"):
         refused("outside of its folder", xdmf(inner, f"{source}:/points"))
     POINTS.tofile(inner / "points.bin")
-    refused("of the format Binary, which is not read", xdmf(inner, str(inner / "points.bin"), form="Binary"))
+    refused("of the format Binary", xdmf(inner, str(inner / "points.bin"), form="Binary"))
 
 
 def test_hdf5_does_not_lead_out_either(inner):
